@@ -1,0 +1,1 @@
+"""Batched torch: frames and rotations, kinematics and dynamics of articulations."""

@@ -1,0 +1,80 @@
+"""The contract: what an engine provides, and what tasks and agents may rely on.
+
+Names load on first use, so that reading a backend's declaration does not load the tensor library.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from orbit_core.interfaces.backend import Backend
+    from orbit_core.interfaces.capabilities import (
+        EXACT,
+        Capabilities,
+        Capability,
+        Level,
+        Support,
+        approximate,
+        unsupported,
+    )
+    from orbit_core.interfaces.engine import Approximation, Engine, RayHits
+    from orbit_core.interfaces.errors import (
+        AssetError,
+        BackendNotInstalledError,
+        ConfigurationError,
+        NonFiniteError,
+        OrbitError,
+        ShapeError,
+        SimulationError,
+        UnknownNameError,
+        UnsupportedCapabilityError,
+    )
+    from orbit_core.interfaces.layout import (
+        BACKGROUND,
+        TERRAIN,
+        ContactQuery,
+        EntityLayout,
+        JointParameters,
+        SceneLayout,
+    )
+    from orbit_core.interfaces.names import find_name, match_names, match_values
+    from orbit_core.interfaces.node import Node, Port
+    from orbit_core.interfaces.renderer import Image, Renderer
+    from orbit_core.interfaces.requirements import required_capabilities
+    from orbit_core.interfaces.sensor import Sensor
+    from orbit_core.interfaces.world import Marker, Object, Robot, World
+
+_MODULES = {
+    "backend": ("Backend",),
+    "capabilities": ("EXACT", "Capabilities", "Capability", "Level", "Support", "approximate", "unsupported"),
+    "engine": ("Approximation", "Engine", "RayHits"),
+    "errors": (
+        "AssetError", "BackendNotInstalledError", "ConfigurationError", "NonFiniteError", "OrbitError", "ShapeError",
+        "SimulationError", "UnknownNameError", "UnsupportedCapabilityError",
+    ),
+    "layout": ("BACKGROUND", "TERRAIN", "ContactQuery", "EntityLayout", "JointParameters", "SceneLayout"),
+    "names": ("find_name", "match_names", "match_values"),
+    "node": ("Node", "Port"),
+    "renderer": ("Image", "Renderer"),
+    "requirements": ("required_capabilities",),
+    "sensor": ("Sensor",),
+    "world": ("Marker", "Object", "Robot", "World"),
+}  # fmt: skip
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+__all__ = [
+    "BACKGROUND", "EXACT", "TERRAIN", "Approximation", "AssetError", "Backend", "BackendNotInstalledError",
+    "Capabilities", "Capability", "ConfigurationError", "ContactQuery", "Engine", "EntityLayout", "Image",
+    "JointParameters", "Level", "Marker", "Node", "NonFiniteError", "Object", "OrbitError", "Port", "RayHits",
+    "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError", "Support", "UnknownNameError",
+    "UnsupportedCapabilityError", "World", "approximate", "find_name", "match_names", "match_values",
+    "required_capabilities", "unsupported",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

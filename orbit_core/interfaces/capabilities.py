@@ -1,0 +1,104 @@
+"""What an engine can do, at which level and why not more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Level(Enum):
+    """How well an engine does one thing."""
+
+    EXACT = "exact"
+    APPROXIMATE = "approximate"
+    UNSUPPORTED = "unsupported"
+
+
+@dataclass(frozen=True)
+class Support:
+    """A level and, for anything but exact, the reason."""
+
+    level: Level
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        if self.level is not Level.EXACT and not self.reason:
+            raise ValueError(f"a capability declared {self.level.value} needs a reason")
+
+
+EXACT = Support(Level.EXACT)
+
+
+def approximate(reason: str) -> Support:
+    """The engine does it, but not as the contract says; ``reason`` says how it differs."""
+    return Support(Level.APPROXIMATE, reason)
+
+
+def unsupported(reason: str) -> Support:
+    """The engine does not do it."""
+    return Support(Level.UNSUPPORTED, reason)
+
+
+class Capability(Enum):
+    """One thing that an engine may do. Each value is the words that people read."""
+
+    ARTICULATIONS = "articulated robots and objects"
+    FLOATING_BASE = "articulations with a free root"
+    IMPLICIT_DRIVES = "native PD drives"
+    EFFORT_LIMITS = "joint effort limits"
+    VELOCITY_LIMITS = "joint velocity limits"
+    JOINT_DAMPING = "joint damping"
+    JOINT_FRICTION = "joint Coulomb friction"
+    ARMATURE = "reflected motor inertia"
+    MIMIC_JOINTS = "mimic joints"
+    SELF_COLLISIONS = "self collisions"
+    GRAVITY_COMPENSATION = "gravity compensation"
+    FRICTION = "Coulomb friction, the larger coefficient of a pair"
+    STATIC_FRICTION = "static friction above dynamic friction"
+    TORSIONAL_FRICTION = "torsional friction"
+    ROLLING_FRICTION = "rolling friction"
+    RESTITUTION = "restitution"
+    COMPLIANT_CONTACT = "contact stiffness and damping"
+    CONVEX_MESHES = "convex mesh collision"
+    TRIANGLE_MESHES = "static triangle mesh collision"
+    DYNAMIC_TRIANGLE_MESHES = "moving triangle mesh collision"
+    HEIGHT_FIELDS = "height field terrain"
+    CONTACT_FORCES = "contact forces per link and pair"
+    JOINT_WRENCHES = "joint reaction wrenches"
+    EXTERNAL_WRENCHES = "external wrenches on links"
+    RAY_CASTS = "ray casts"
+    RANDOMIZE_MASS = "mass per environment"
+    RANDOMIZE_CENTER_OF_MASS = "centre of mass per environment"
+    RANDOMIZE_FRICTION = "friction per environment"
+    RANDOMIZE_GAINS = "drive gains per environment"
+    RANDOMIZE_GRAVITY = "gravity per environment"
+    SNAPSHOTS = "snapshots whose continuation repeats"
+    DETERMINISTIC = "the same run twice, whatever the number of environments"
+    RGB = "colour images"
+    DEPTH = "depth images"
+    NORMALS = "surface normal images"
+    SEGMENTATION = "instance and semantic segmentation images"
+    RAY_TRACED_RGB = "ray-traced colour images"
+    GPU = "simulation on a GPU"
+    CLOTH = "cloth"
+    SOFT_BODIES = "soft bodies"
+
+    @property
+    def key(self) -> str:
+        """The name in configuration and reports."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """A backend's declaration. What is not declared is unsupported."""
+
+    declared: Mapping[Capability, Support]
+
+    def __getitem__(self, capability: Capability) -> Support:
+        return self.declared.get(capability, unsupported("not declared by the backend"))
+
+    def has(self, capability: Capability) -> bool:
+        """Whether the engine does it at all, exactly or not."""
+        return self[capability].level is not Level.UNSUPPORTED

@@ -1,0 +1,213 @@
+"""The narrow waist between core and plugin: what one physics engine must do for N copies of a scene."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces.errors import UnsupportedCapabilityError
+from orbit_core.interfaces.layout import SceneLayout
+
+
+@dataclass(frozen=True)
+class Approximation:
+    """A line of the build report: what the scene asked for, what the engine got, and why they differ."""
+
+    subject: str
+    asked: str
+    got: str
+    why: str
+
+
+@dataclass(frozen=True)
+class RayHits:
+    """Where rays met the scene."""
+
+    distances: Tensor
+    """(n, R) metres; infinite for a miss."""
+    normals: Tensor
+    """(n, R, 3) unit normals in world axes; zero for a miss."""
+    links: Tensor
+    """(n, R) int64 link index, TERRAIN or BACKGROUND."""
+
+
+class Engine(ABC):
+    """N environments of one scene in one physics engine.
+
+    N = ``num_envs``, J movable joints and L links as numbered by ``layout``; n = ``len(env_ids)``, all environments
+    where ``env_ids`` is None. ``env_ids`` are int64 on ``device`` and hold no index twice. State tensors are float32 on
+    ``device``, in the environment's own world frame.
+
+    A state tensor may be the engine's own buffer: it is valid until the next step or write, and read only. Writes are
+    visible to the next read.
+
+    The engine trusts its caller: the core has checked names, shapes and finiteness.
+    """
+
+    def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device) -> None:
+        self.layout = layout
+        self.num_envs = num_envs
+        self.device = device
+        joints = len(layout.joints)
+        home = torch.as_tensor(layout.joint_parameters.home, dtype=torch.float32, device=device)
+        self.position_targets = home.repeat(num_envs, 1)
+        """(N, J) drive targets; the core writes them in place and the engine reads them at each step."""
+        self.velocity_targets = torch.zeros(num_envs, joints, device=device)
+        """(N, J)"""
+        self.efforts = torch.zeros(num_envs, joints, device=device)
+        """(N, J) efforts added to the drive's; their sum is limited to the joint's effort limit."""
+
+    # Time ------------------------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def step(self, steps: int) -> None:
+        """Advance by ``steps`` physics steps of ``scene.physics_dt`` with commands held.
+
+        Raises:
+            SimulationError: the engine diverged; names the environments.
+        """
+
+    # State -----------------------------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def joint_positions(self) -> Tensor:
+        """(N, J) rad or m."""
+
+    @property
+    @abstractmethod
+    def joint_velocities(self) -> Tensor:
+        """(N, J) rad/s or m/s."""
+
+    @property
+    @abstractmethod
+    def joint_efforts(self) -> Tensor:
+        """(N, J) efforts that drives and commands applied in the last step, after limits."""
+
+    @property
+    @abstractmethod
+    def link_poses(self) -> Tensor:
+        """(N, L, 7) position and quaternion (w, x, y, z), w >= 0, of each link frame."""
+
+    @property
+    @abstractmethod
+    def link_velocities(self) -> Tensor:
+        """(N, L, 6) linear velocity of the link frame's origin, then angular velocity, both in world axes."""
+
+    @abstractmethod
+    def write_joint_state(
+        self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
+    ) -> None:
+        """Set state (n, k) of the joints (k,) of some environments. Mimic joints follow when the engine next steps."""
+
+    @abstractmethod
+    def write_root_state(
+        self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor | None = None
+    ) -> None:
+        """Set pose (n, 7) and velocity (n, 6) of an entity's root link; a fixed base takes a pose, and no velocity."""
+
+    @abstractmethod
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        """Put environments into the scene's initial state, with every memory of the past cleared.
+
+        Root poses, home positions, zero velocities, default targets, no efforts, no wrenches, no warm start.
+        Randomised parameters stay.
+        """
+
+    # Measurements ----------------------------------------------------------------------------------------------------
+
+    @property
+    def contact_forces(self) -> Tensor:
+        """(N, K, 3) newtons, world axes, per query of ``layout.contact_queries``, averaged over the last ``step`` call.
+
+        Zero after a reset until the environment has stepped.
+        """
+        raise self._unsupported("contact forces")
+
+    @property
+    def joint_wrenches(self) -> Tensor:
+        """(N, W, 6) force and torque that each of ``layout.wrench_links`` receives from its parent (or the world).
+
+        About the link frame's origin, in the link's axes, at the last physics step.
+        """
+        raise self._unsupported("joint wrenches")
+
+    def cast_rays(
+        self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None = None
+    ) -> RayHits:
+        """Meet rays (n, R, 3), unit directions in world axes, with collision shapes."""
+        raise self._unsupported("ray casts")
+
+    # Parameters per environment --------------------------------------------------------------------------------------
+
+    def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
+        """Apply (n, k, 6) force at the centre of mass and torque, world axes, to links (k,) until set again."""
+        raise self._unsupported("external wrenches")
+
+    def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
+        """Masses (n, k) in kg of links (k,); inertias scale with them."""
+        raise self._unsupported("mass per environment")
+
+    def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
+        """Centres of mass (n, k, 3) in the link frame of links (k,)."""
+        raise self._unsupported("centre of mass per environment")
+
+    def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
+        """Static and dynamic friction (n, k) of all shapes of links (k,); index TERRAIN sets the terrain's."""
+        raise self._unsupported("friction per environment")
+
+    def set_drive_gains(
+        self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
+    ) -> None:
+        """Gains (n, k) of the native drives of joints (k,)."""
+        raise self._unsupported("drive gains per environment")
+
+    def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
+        """Gravity (n, 3) in m/s^2."""
+        raise self._unsupported("gravity per environment")
+
+    # Deformables -----------------------------------------------------------------------------------------------------
+
+    def particle_positions(self, deformable: int) -> Tensor:
+        """(N, P, 3) of the scene's deformable of that index."""
+        raise self._unsupported("deformables")
+
+    def particle_velocities(self, deformable: int) -> Tensor:
+        """(N, P, 3)"""
+        raise self._unsupported("deformables")
+
+    def write_particles(
+        self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None = None
+    ) -> None:
+        """Set (n, P, 3) positions and velocities."""
+        raise self._unsupported("deformables")
+
+    # Snapshots and the rest ------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def save_state(self) -> Any:
+        """Everything that the continuation depends on, commands and randomised parameters with it, detached."""
+
+    @abstractmethod
+    def load_state(self, state: Any) -> None:
+        """Return to a saved state; stepping on repeats what followed it."""
+
+    @property
+    @abstractmethod
+    def build_report(self) -> tuple[Approximation, ...]:
+        """What the engine could not take exactly as the scene asked."""
+
+    @property
+    @abstractmethod
+    def native(self) -> Any:
+        """The engine's own objects, for users who know why."""
+
+    def close(self) -> None:
+        """Free what the engine holds; idempotent."""
+
+    def _unsupported(self, what: str) -> UnsupportedCapabilityError:
+        return UnsupportedCapabilityError(f"{type(self).__name__} does not provide {what}")

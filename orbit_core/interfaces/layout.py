@@ -1,0 +1,242 @@
+"""Where every link and joint of a scene stands in the flat tensors that core and engine share.
+
+All links of a scene are numbered through, and so are all movable joints: entity by entity in the scene's order, within
+an entity in the articulation's order. An engine then moves one tensor per kind of state, whatever the scene holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_core.interfaces.names import find_name, match_names, match_values
+from orbit_core.scene import ContactSensorSpec, Entity, ForceTorqueSpec, ImplicitPd, Joint, Scene
+from orbit_core.scene.articulation import Link
+
+TERRAIN = -2
+"""Stands for the terrain where a link index is expected."""
+BACKGROUND = -1
+"""Stands for nothing at all where a link index is expected."""
+
+
+@dataclass(frozen=True, eq=False)
+class EntityLayout:
+    """One entity's place: its index and its ranges of links and movable joints."""
+
+    index: int
+    spec: Entity
+    links: slice
+    joints: slice
+
+    @property
+    def root_link(self) -> int:
+        return self.links.start
+
+    @property
+    def name(self) -> str:
+        return self.spec.name
+
+
+@dataclass(frozen=True)
+class ContactQuery:
+    """The net contact force on ``link`` that the links of ``others`` exert; ``None`` means everything.
+
+    ``others`` may hold :data:`TERRAIN`.
+    """
+
+    link: int
+    others: frozenset[int] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class JointParameters:
+    """Per movable joint (J,), after the actuator groups' overrides. Infinite means unlimited."""
+
+    lower_limit: npt.NDArray[np.float64]
+    upper_limit: npt.NDArray[np.float64]
+    effort_limit: npt.NDArray[np.float64]
+    velocity_limit: npt.NDArray[np.float64]
+    damping: npt.NDArray[np.float64]
+    friction: npt.NDArray[np.float64]
+    armature: npt.NDArray[np.float64]
+    drive_stiffness: npt.NDArray[np.float64]
+    """Of the engine's own drive; zero where the core computes the effort."""
+    drive_damping: npt.NDArray[np.float64]
+    home: npt.NDArray[np.float64]
+    """Position at reset."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneLayout:
+    """The numbering of one scene, and what the engine must measure in it."""
+
+    scene: Scene
+    entities: tuple[EntityLayout, ...]
+    contact_queries: tuple[ContactQuery, ...]
+    wrench_links: tuple[int, ...]
+    """Links whose incoming joint wrench is measured."""
+    joint_parameters: JointParameters
+
+    @staticmethod
+    def of(scene: Scene) -> SceneLayout:
+        """Number the scene.
+
+        Raises:
+            ConfigurationError: two entities or sensors share a name, or two actuator groups a joint.
+            UnknownNameError: a sensor, actuator group or home position names what the scene lacks.
+        """
+        _refuse_duplicates("entity", [entity.name for entity in scene.entities])
+        _refuse_duplicates("sensor", [sensor.name for sensor in scene.sensors])
+        entities = _number(scene.entities)
+        by_name = {entity.name: entity for entity in entities}
+        return SceneLayout(
+            scene, entities, _contact_queries(scene, by_name), _wrench_links(scene, by_name), _parameters(entities)
+        )
+
+    @cached_property
+    def links(self) -> tuple[Link, ...]:
+        """Every link of the scene."""
+        return tuple(link for entity in self.entities for link in entity.spec.articulation.links)
+
+    @cached_property
+    def joints(self) -> tuple[Joint, ...]:
+        """Every movable joint of the scene."""
+        return tuple(joint for entity in self.entities for joint in entity.spec.articulation.movable_joints)
+
+    @cached_property
+    def entity_of_link(self) -> npt.NDArray[np.int64]:
+        """Entity index of each link (L,)."""
+        sizes = [entity.links.stop - entity.links.start for entity in self.entities]
+        return np.repeat(np.arange(len(self.entities)), sizes)
+
+    @cached_property
+    def semantic_labels(self) -> tuple[str, ...]:
+        """Every label of the scene, sorted; an image's semantic channel holds indices into it."""
+        return tuple(sorted({*self._label_of_link, "terrain"}))
+
+    @cached_property
+    def semantic_of_link(self) -> npt.NDArray[np.int64]:
+        """Label index of each link (L,)."""
+        return np.array([self.semantic_labels.index(label) for label in self._label_of_link], dtype=np.int64)
+
+    @property
+    def _label_of_link(self) -> list[str]:
+        return [
+            link.semantic_label or entity.spec.semantic_label or entity.name
+            for entity in self.entities
+            for link in entity.spec.articulation.links
+        ]
+
+    def entity(self, name: str) -> EntityLayout:
+        """The entity of that name.
+
+        Raises:
+            UnknownNameError: there is none.
+        """
+        return self.entities[find_name(name, [entity.name for entity in self.entities], "entity", "the scene")]
+
+
+def contact_queries_of(sensor: ContactSensorSpec, entities: dict[str, EntityLayout]) -> tuple[ContactQuery, ...]:
+    """What a contact sensor asks of the engine: for each link the total, then one query per filter."""
+    entity = _named(entities, sensor.entity, sensor.name)
+    names = entity.spec.articulation.link_names
+    queries: list[ContactQuery] = []
+    for index in match_names(sensor.links, names, "link", f"sensor '{sensor.name}'"):
+        link = entity.links.start + index
+        queries.append(ContactQuery(link))
+        queries += [ContactQuery(link, _links_of(entities, name, sensor.name)) for name in sensor.filters]
+    return tuple(queries)
+
+
+def _links_of(entities: dict[str, EntityLayout], name: str, sensor: str) -> frozenset[int]:
+    if name == "terrain":
+        return frozenset({TERRAIN})
+    links = _named(entities, name, sensor).links
+    return frozenset(range(links.start, links.stop))
+
+
+def _named(entities: dict[str, EntityLayout], name: str, sensor: str) -> EntityLayout:
+    if name not in entities:
+        raise UnknownNameError("entity", name, entities, f"sensor '{sensor}'")
+    return entities[name]
+
+
+def _contact_queries(scene: Scene, entities: dict[str, EntityLayout]) -> tuple[ContactQuery, ...]:
+    sensors = [sensor for sensor in scene.sensors if isinstance(sensor, ContactSensorSpec)]
+    return tuple(dict.fromkeys(query for sensor in sensors for query in contact_queries_of(sensor, entities)))
+
+
+def _wrench_links(scene: Scene, entities: dict[str, EntityLayout]) -> tuple[int, ...]:
+    links: list[int] = []
+    for sensor in scene.sensors:
+        if isinstance(sensor, ForceTorqueSpec):
+            entity = _named(entities, sensor.entity, sensor.name)
+            names = entity.spec.articulation.link_names
+            links.append(entity.links.start + find_name(sensor.link, names, "link", f"sensor '{sensor.name}'"))
+    return tuple(dict.fromkeys(links))
+
+
+def _refuse_duplicates(kind: str, names: list[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigurationError(f"two {kind} specifications share the name '{name}': give each its own")
+
+
+def _number(specs: tuple[Entity, ...]) -> tuple[EntityLayout, ...]:
+    entities: list[EntityLayout] = []
+    link = joint = 0
+    for index, spec in enumerate(specs):
+        links = len(spec.articulation.links)
+        joints = len(spec.articulation.movable_joints)
+        entities.append(EntityLayout(index, spec, slice(link, link + links), slice(joint, joint + joints)))
+        link, joint = link + links, joint + joints
+    return tuple(entities)
+
+
+def _parameters(entities: tuple[EntityLayout, ...]) -> JointParameters:
+    columns = [_entity_parameters(entity.spec) for entity in entities]
+    names = JointParameters.__dataclass_fields__
+    return JointParameters(**{n: np.concatenate([c[n] for c in columns]) if columns else np.zeros(0) for n in names})
+
+
+def _entity_parameters(entity: Entity) -> dict[str, npt.NDArray[np.float64]]:
+    joints = entity.articulation.movable_joints
+    names = entity.articulation.joint_names
+    own = ("lower_limit", "upper_limit", "effort_limit", "velocity_limit", "damping", "friction", "armature")
+    values = {name: np.array([getattr(joint, name) for joint in joints], dtype=np.float64) for name in own}
+    for name in ("drive_stiffness", "drive_damping"):
+        values[name] = np.zeros(len(joints))
+    driven: set[int] = set()
+    for group in entity.actuators:
+        indices = match_names(group.joints, names, "joint", f"an actuator group of '{entity.name}'")
+        if shared := driven.intersection(indices):
+            raise ConfigurationError(f"joint '{names[min(shared)]}' of '{entity.name}' is in two actuator groups")
+        driven.update(indices)
+        for name in ("effort_limit", "velocity_limit", "armature", "friction"):
+            if (override := getattr(group, name)) is not None:
+                values[name][indices] = override
+        if isinstance(group, ImplicitPd):
+            values["drive_stiffness"][indices] = group.stiffness
+            values["drive_damping"][indices] = group.damping
+    values["home"] = _home(entity, values["lower_limit"], values["upper_limit"])
+    return values
+
+
+def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    home = np.clip(np.zeros_like(lower), lower, upper)
+    names = entity.articulation.joint_names
+    for index, position in match_values(entity.home, names, "joint", f"the home pose of '{entity.name}'").items():
+        if not lower[index] - 1e-6 <= position <= upper[index] + 1e-6:
+            raise ConfigurationError(
+                f"home position {position} of joint '{names[index]}' of '{entity.name}' lies outside its limits "
+                f"[{lower[index]}, {upper[index]}]"
+            )
+        home[index] = position
+    for index, joint in enumerate(entity.articulation.movable_joints):
+        if joint.mimic:
+            home[index] = joint.mimic.multiplier * home[names.index(joint.mimic.joint)] + joint.mimic.offset
+    return home

@@ -1,0 +1,37 @@
+"""One timed computation of an agent."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Port:
+    """A named input or output; ``shape`` leaves out the leading num_envs."""
+
+    name: str
+    shape: tuple[int, ...]
+
+
+class Node(ABC):
+    """Turns inputs (num_envs, ...) into outputs (num_envs, ...).
+
+    ``rate`` in Hz must divide the agent's; between its turns the agent holds the node's last outputs. ``None`` runs
+    at the agent's own rate.
+    """
+
+    name: str
+    inputs: tuple[Port, ...] = ()
+    outputs: tuple[Port, ...] = ()
+    rate: float | None = None
+
+    @abstractmethod
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        """One turn."""
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        """Forget the past of some environments."""

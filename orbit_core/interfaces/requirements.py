@@ -1,0 +1,122 @@
+"""Which capabilities a scene needs, so that a backend that lacks one refuses it before anything is built."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from orbit_core.interfaces.capabilities import Capability
+from orbit_core.scene import (
+    CameraSpec,
+    Channel,
+    Cloth,
+    ContactSensorSpec,
+    Entity,
+    ForceTorqueSpec,
+    HeightField,
+    ImplicitPd,
+    Mesh,
+    MeshCollision,
+    RayCasterSpec,
+    Scene,
+    SensorSpec,
+    Shape,
+    SoftBody,
+)
+
+_CHANNEL_NEEDS = {
+    Channel.RGB: Capability.RGB,
+    Channel.DEPTH: Capability.DEPTH,
+    Channel.NORMALS: Capability.NORMALS,
+    Channel.INSTANCE: Capability.SEGMENTATION,
+    Channel.SEMANTIC: Capability.SEGMENTATION,
+}
+
+
+def required_capabilities(scene: Scene) -> dict[Capability, str]:
+    """Each capability that the scene needs, with the first thing in it that needs it."""
+    needs: dict[Capability, str] = {}
+    for capability, culprit in _needs(scene):
+        needs.setdefault(capability, culprit)
+    return needs
+
+
+def _needs(scene: Scene) -> Iterator[tuple[Capability, str]]:
+    for entity in scene.entities:
+        yield from _entity_needs(entity)
+    for shape in scene.terrain:
+        yield from _shape_needs(shape, f"terrain shape '{shape.name}'", moving=False)
+    for deformable in scene.deformables:
+        match deformable:
+            case Cloth(name=name):
+                yield Capability.CLOTH, f"cloth '{name}'"
+            case SoftBody(name=name):
+                yield Capability.SOFT_BODIES, f"soft body '{name}'"
+    for sensor in scene.sensors:
+        yield from _sensor_needs(sensor)
+
+
+def _entity_needs(entity: Entity) -> Iterator[tuple[Capability, str]]:
+    articulation = entity.articulation
+    culprit = f"'{entity.name}'"
+    if articulation.movable_joints:
+        yield Capability.ARTICULATIONS, culprit
+        if not entity.fixed_base:
+            yield Capability.FLOATING_BASE, culprit
+        if articulation.self_collisions:
+            yield Capability.SELF_COLLISIONS, culprit
+    if entity.gravity_compensation:
+        yield Capability.GRAVITY_COMPENSATION, culprit
+    for joint in articulation.movable_joints:
+        where = f"joint '{joint.name}' of {culprit}"
+        if joint.mimic:
+            yield Capability.MIMIC_JOINTS, where
+        if joint.damping:
+            yield Capability.JOINT_DAMPING, where
+        if joint.friction:
+            yield Capability.JOINT_FRICTION, where
+        if joint.armature:
+            yield Capability.ARMATURE, where
+    for group in entity.actuators:
+        where = f"an actuator group of {culprit}"
+        if isinstance(group, ImplicitPd):
+            yield Capability.IMPLICIT_DRIVES, where
+        if group.friction:
+            yield Capability.JOINT_FRICTION, where
+        if group.armature:
+            yield Capability.ARMATURE, where
+    for link in articulation.links:
+        for shape in link.collisions:
+            moving = not (entity.fixed_base and link is articulation.root)
+            yield from _shape_needs(shape, f"link '{link.name}' of {culprit}", moving)
+
+
+def _shape_needs(shape: Shape, culprit: str, moving: bool) -> Iterator[tuple[Capability, str]]:
+    match shape.geometry:
+        case Mesh(collision=MeshCollision.CONVEX_HULL):
+            yield Capability.CONVEX_MESHES, culprit
+        case Mesh():
+            yield (Capability.DYNAMIC_TRIANGLE_MESHES if moving else Capability.TRIANGLE_MESHES), culprit
+        case HeightField():
+            yield Capability.HEIGHT_FIELDS, culprit
+    material = shape.material
+    yield Capability.FRICTION, culprit
+    if material.restitution:
+        yield Capability.RESTITUTION, culprit
+    if material.static_friction != material.dynamic_friction:
+        yield Capability.STATIC_FRICTION, culprit
+    if material.compliance:
+        yield Capability.COMPLIANT_CONTACT, culprit
+
+
+def _sensor_needs(sensor: SensorSpec) -> Iterator[tuple[Capability, str]]:
+    culprit = f"sensor '{sensor.name}'"
+    match sensor:
+        case CameraSpec(channels=channels):
+            for channel in channels:
+                yield _CHANNEL_NEEDS[channel], culprit
+        case ContactSensorSpec():
+            yield Capability.CONTACT_FORCES, culprit
+        case ForceTorqueSpec():
+            yield Capability.JOINT_WRENCHES, culprit
+        case RayCasterSpec():
+            yield Capability.RAY_CASTS, culprit

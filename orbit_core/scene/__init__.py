@@ -1,0 +1,46 @@
+"""What to simulate, as plain typed data: no engine, no tensor library, no file format.
+
+Units are SI, angles radians, z is up, quaternions are ``(w, x, y, z)``.
+"""
+
+from orbit_core.scene.actuators import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
+from orbit_core.scene.articulation import Articulation, Frame, Joint, JointType, Link, Mimic, single_link
+from orbit_core.scene.deformables import Cloth, SoftBody
+from orbit_core.scene.entities import EndEffector, Entity, Gripper, ObjectSpec, RobotSpec
+from orbit_core.scene.markers import MarkerShape, MarkerSpec
+from orbit_core.scene.materials import Color, Compliance, PhysicsMaterial
+from orbit_core.scene.pose import Pose, look_at
+from orbit_core.scene.scene import Scene
+from orbit_core.scene.sensors import (
+    CameraSpec,
+    Channel,
+    ContactSensorSpec,
+    ForceTorqueSpec,
+    FrameSensorSpec,
+    ImuSpec,
+    JointSensorSpec,
+    Noise,
+    RayCasterSpec,
+    SensorSpec,
+)
+from orbit_core.scene.shapes import (
+    Box,
+    Capsule,
+    Cylinder,
+    Geometry,
+    HeightField,
+    Mesh,
+    MeshCollision,
+    Plane,
+    Shape,
+    Sphere,
+)
+
+__all__ = [
+    "ActuatorConfig", "Articulation", "Box", "CameraSpec", "Capsule", "Channel", "Cloth", "Color", "Compliance",
+    "ContactSensorSpec", "Cylinder", "DcMotor", "EndEffector", "Entity", "ForceTorqueSpec", "Frame",
+    "FrameSensorSpec", "Geometry", "Gripper", "HeightField", "IdealPd", "ImplicitPd", "ImuSpec", "Joint",
+    "JointSensorSpec", "JointType", "Link", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision", "Mimic", "Noise",
+    "ObjectSpec", "PhysicsMaterial", "Plane", "Pose", "RayCasterSpec", "RobotSpec", "Scene", "SensorSpec", "Shape",
+    "SoftBody", "Sphere", "look_at", "single_link",
+]  # fmt: skip

@@ -1,0 +1,54 @@
+"""What drives the joints. A group of joints, chosen by regular expression, shares one model.
+
+Gains are N m/rad and N m s/rad for revolute joints, N/m and N s/m for prismatic ones. ``None`` keeps the joint's own
+value from the articulation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActuatorConfig:
+    """A PD law on the joints whose names match one of ``joints`` (full match):
+
+    ``effort = stiffness (position target - position) + damping (velocity target - velocity) + effort target``,
+    limited to ``effort_limit``. With both gains zero the actuator is a plain motor.
+    """
+
+    joints: tuple[str, ...]
+    stiffness: float = 0.0
+    damping: float = 0.0
+    effort_limit: float | None = None
+    velocity_limit: float | None = None
+    armature: float | None = None
+    friction: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImplicitPd(ActuatorConfig):
+    """The engine's own drive, integrated with the dynamics: stable at high gains, and free of cost per step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdealPd(ActuatorConfig):
+    """The PD law evaluated by the core at every physics step, as a motor controller does.
+
+    ``min_delay`` and ``max_delay`` (physics steps) hold commands back; each environment draws its delay at reset.
+    """
+
+    min_delay: int = 0
+    max_delay: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DcMotor(IdealPd):
+    """A PD law through a DC motor's torque-speed line.
+
+    The effort available falls linearly from ``saturation_effort`` at standstill to zero at ``velocity_limit``, and
+    grows against the motion, within ``effort_limit`` (Rudin et al., Learning to Walk in Minutes, 2021, and any
+    motor's data sheet).
+    """
+
+    saturation_effort: float

@@ -1,0 +1,79 @@
+"""Robots and objects: an articulation, where it stands, and what the core needs to drive and name it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from orbit_core.scene.actuators import ActuatorConfig
+from orbit_core.scene.articulation import Articulation
+from orbit_core.scene.pose import Pose
+
+
+@dataclass(frozen=True)
+class Gripper:
+    """The joints that open and close a hand, with their positions at either end."""
+
+    joints: tuple[str, ...]
+    open_position: float
+    closed_position: float
+
+
+@dataclass(frozen=True)
+class EndEffector:
+    """The frame that a task moves, the joints that move it, and the gripper on it.
+
+    ``frame`` has z out of the hand (approach) and y along the fingers' opening.
+    """
+
+    frame: str
+    arm_joints: tuple[str, ...]
+    """Regular expressions over joint names (full match)."""
+    gripper: Gripper | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entity:
+    """An articulation in the scene.
+
+    ``pose`` is where a reset puts the root link, in each environment's own frame; ``home`` gives joint positions at
+    reset by regular expression over joint names (full match), zero or the nearest limit elsewhere.
+    """
+
+    name: str
+    articulation: Articulation
+    pose: Pose = field(default_factory=Pose)
+    fixed_base: bool = False
+    home: Mapping[str, float] = field(default_factory=dict)
+    actuators: tuple[ActuatorConfig, ...] = ()
+    semantic_label: str = ""
+    gravity_compensation: bool = False
+    """Whether the controller of the thing cancels gravity on its links, as those of most robot arms do."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectSpec(Entity):
+    """A passive thing: rigid (one link) or articulated. With ``fixed_base`` its root does not move."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotSpec(Entity):
+    """An embodiment: an articulation with actuator groups."""
+
+    end_effectors: tuple[EndEffector, ...] = ()
+    feet: tuple[str, ...] = ()
+    """Links of a legged robot that are meant to touch the ground."""
+    licence: str = ""
+    source: str = ""
+    """The package that the model comes from."""
+
+    @property
+    def end_effector(self) -> EndEffector:
+        """The first end effector.
+
+        Raises:
+            ValueError: the robot has none.
+        """
+        if not self.end_effectors:
+            raise ValueError(f"robot '{self.name}' has no end effector")
+        return self.end_effectors[0]

@@ -1,0 +1,131 @@
+"""What is measured, how often, how late and how noisily."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from orbit_core.scene.pose import Pose, Vector3
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Additive noise: white of deviation ``std``, and a constant ``bias`` drawn at each reset with ``bias_std``."""
+
+    std: float = 0.0
+    bias_std: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorSpec:
+    """A timed measurement. ``rate`` in Hz must divide the physics rate; ``None`` measures whenever the world steps.
+
+    ``delay`` in seconds, a multiple of the sensor's period, holds measurements back.
+    """
+
+    name: str
+    rate: float | None = None
+    delay: float = 0.0
+    noise: Noise = field(default_factory=Noise)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSensorSpec(SensorSpec):
+    """Joint positions and velocities of an entity."""
+
+    entity: str
+    joints: tuple[str, ...] = (".*",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameSensorSpec(SensorSpec):
+    """Pose and velocity of a link or named frame, in the environment's frame or in that of ``relative_to``."""
+
+    entity: str
+    frame: str
+    relative_to: str | None = None
+    """A link or frame of the same entity."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactSensorSpec(SensorSpec):
+    """Net contact force on each link matched by ``links``, in world axes, averaged over the sensor's period.
+
+    ``filters`` names entities; each adds the force that this entity alone exerts. ``"terrain"`` means the terrain.
+    """
+
+    entity: str
+    links: tuple[str, ...] = (".*",)
+    filters: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuSpec(SensorSpec):
+    """Angular velocity and proper acceleration of a frame, in its own axes."""
+
+    entity: str
+    frame: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForceTorqueSpec(SensorSpec):
+    """The wrench that a link receives from its parent through the joint between them.
+
+    Force (N) and torque (N m) about the link frame's origin, in the link's axes. For a root link with a fixed base the
+    parent is the world.
+    """
+
+    entity: str
+    link: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class RayCasterSpec(SensorSpec):
+    """Distances along a pattern of rays from a frame.
+
+    ``directions`` (R) are in the sensor frame; ``origins`` (R) default to its origin. ``yaw_only`` keeps the pattern
+    level as a height scan needs, turning with the frame's heading alone.
+    """
+
+    entity: str
+    frame: str
+    directions: tuple[Vector3, ...]
+    origins: tuple[Vector3, ...] = ()
+    pose: Pose = field(default_factory=Pose)
+    """Of the sensor in the frame."""
+    max_distance: float = 10.0
+    yaw_only: bool = False
+
+
+class Channel(Enum):
+    """One kind of image. Shapes are (num_envs, height, width, channels)."""
+
+    RGB = "rgb"
+    """uint8, 3 channels."""
+    DEPTH = "depth"
+    """float32, 1 channel, metres along the optical axis; infinite where nothing is seen."""
+    NORMALS = "normals"
+    """float32, 3 channels, unit surface normals in world axes; zero where nothing is seen."""
+    INSTANCE = "instance"
+    """int32, 1 channel: the index of the entity in the scene; -1 background, -2 terrain."""
+    SEMANTIC = "semantic"
+    """int32, 1 channel: the index of the semantic label in the world's label list; -1 background."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSpec(SensorSpec):
+    """A pinhole camera: -z forward, y up in its own frame (the convention of USD and OpenGL).
+
+    ``pose`` is in the environment's frame, or in that of ``frame`` of ``entity`` where these are given.
+    """
+
+    width: int = 128
+    height: int = 128
+    vertical_fov: float = 0.9
+    """Radians."""
+    channels: tuple[Channel, ...] = (Channel.RGB,)
+    pose: Pose = field(default_factory=Pose)
+    entity: str | None = None
+    frame: str | None = None
+    near: float = 0.01
+    far: float = 100.0

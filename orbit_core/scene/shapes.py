@@ -1,0 +1,100 @@
+"""Geometry of collision and visual shapes. Sizes are half sizes; round shapes have their axis along z."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.scene.materials import Color, PhysicsMaterial
+from orbit_core.scene.pose import Pose, Vector3
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box, centred."""
+
+    half_extents: Vector3
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A ball, centred."""
+
+    radius: float
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """A capsule along z, centred; ``half_length`` leaves out the round caps."""
+
+    radius: float
+    half_length: float
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A cylinder along z, centred."""
+
+    radius: float
+    half_length: float
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The half space z <= 0 of the shape's frame. Only static."""
+
+
+class MeshCollision(Enum):
+    """How a mesh collides; a visual mesh ignores it."""
+
+    CONVEX_HULL = "convex_hull"
+    TRIANGLES = "triangles"
+    """The surface itself, as it is. Most engines take this for static shapes only."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh: vertices (V, 3) in metres, faces (F, 3) of indices, counter-clockwise seen from outside."""
+
+    vertices: npt.NDArray[np.floating]
+    faces: npt.NDArray[np.integer]
+    collision: MeshCollision = MeshCollision.CONVEX_HULL
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, Mesh)
+            and self.collision == other.collision
+            and np.array_equal(self.vertices, other.vertices)
+            and np.array_equal(self.faces, other.faces)
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.vertices.shape, self.faces.shape, self.collision))
+
+
+@dataclass(frozen=True, eq=False)
+class HeightField:
+    """Terrain heights (rows, columns) in metres over a centred rectangle; rows run along y, columns along x.
+
+    ``size`` is the full extent (x, y) in metres. Only static.
+    """
+
+    heights: npt.NDArray[np.floating]
+    size: tuple[float, float]
+
+
+Geometry = Box | Sphere | Capsule | Cylinder | Plane | Mesh | HeightField
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A geometry placed in its link's frame. ``material`` matters where it collides, ``color`` where it is drawn."""
+
+    geometry: Geometry
+    pose: Pose = field(default_factory=Pose)
+    material: PhysicsMaterial = field(default_factory=PhysicsMaterial)
+    color: Color = (0.7, 0.7, 0.7, 1.0)
+    name: str = ""
