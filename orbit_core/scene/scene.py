@@ -22,11 +22,7 @@ class Scene:
     robots: tuple[RobotSpec, ...] = ()
     objects: tuple[ObjectSpec, ...] = ()
     deformables: tuple[Cloth | SoftBody, ...] = ()
-    terrain: tuple[Shape, ...] = field(
-        default_factory=lambda: (
-            Shape(Plane(), material=PhysicsMaterial(), color=(0.35, 0.38, 0.42, 1.0), name="ground"),
-        )
-    )
+    terrain: tuple[Shape, ...] = (Shape(Plane(), color=(0.35, 0.38, 0.42, 1.0), name="ground"),)
     sensors: tuple[SensorSpec, ...] = ()
     markers: tuple[MarkerSpec, ...] = ()
     gravity: Vector3 = (0.0, 0.0, -9.81)
