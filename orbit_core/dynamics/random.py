@@ -1,4 +1,4 @@
-"""One random stream per environment, so that environment i draws the same numbers whatever the number of environments."""
+"""One random stream per environment: environment i draws the same numbers whatever the number of environments."""
 
 from __future__ import annotations
 
