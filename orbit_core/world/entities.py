@@ -1,0 +1,239 @@
+"""Robots and objects as views of the engine's flat state tensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from orbit_core.actuators import Actuators
+from orbit_core.dynamics.kinematics import PointJacobian
+from orbit_core.dynamics.transforms import pose_multiply, quat_rotate
+from orbit_core.interfaces import (
+    Engine,
+    EntityLayout,
+    NonFiniteError,
+    Object,
+    Robot,
+    ShapeError,
+    UnknownNameError,
+    match_names,
+)
+from orbit_core.scene import Joint
+from orbit_core.world.clock import Clock
+
+
+@dataclass(frozen=True)
+class _FrameHandle:
+    """A frame resolved to its link's index within the entity and its constant pose (7,) there, None at the link."""
+
+    link: int
+    offset: Tensor | None
+
+
+class SimulatedObject(Object):
+    """An articulation in N environments of one engine."""
+
+    def __init__(self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock) -> None:
+        self.layout = layout
+        self.spec = layout.spec
+        self.name = layout.name
+        self.link_names = self.spec.articulation.link_names
+        self.joint_names = self.spec.articulation.joint_names
+        self._engine = engine
+        self._actuators = actuators
+        self._clock = clock
+        self._frames: dict[str, _FrameHandle] = {}
+        self._frame_poses: dict[str, tuple[int, Tensor]] = {}
+        self._jacobians: dict[tuple[str, tuple[int, ...]], PointJacobian] = {}
+        parameters = engine.layout.joint_parameters
+        limits = torch.stack(
+            [torch.as_tensor(a[layout.joints]) for a in (parameters.lower_limit, parameters.upper_limit)], dim=-1
+        )
+        self._limits = limits.to(engine.device, torch.float32)
+        self._home = torch.as_tensor(parameters.home[layout.joints]).to(engine.device, torch.float32)
+
+    # Reading
+
+    @property
+    def root_pose(self) -> Tensor:
+        return self._engine.link_poses[:, self.layout.root_link]
+
+    @property
+    def root_velocity(self) -> Tensor:
+        return self._engine.link_velocities[:, self.layout.root_link]
+
+    @property
+    def link_poses(self) -> Tensor:
+        return self._engine.link_poses[:, self.layout.links]
+
+    @property
+    def link_velocities(self) -> Tensor:
+        return self._engine.link_velocities[:, self.layout.links]
+
+    @property
+    def joint_positions(self) -> Tensor:
+        return self._engine.joint_positions[:, self.layout.joints]
+
+    @property
+    def joint_velocities(self) -> Tensor:
+        return self._engine.joint_velocities[:, self.layout.joints]
+
+    @property
+    def joint_efforts(self) -> Tensor:
+        return self._engine.joint_efforts[:, self.layout.joints]
+
+    def frame_pose(self, name: str) -> Tensor:
+        version, pose = self._frame_poses.get(name, (-1, None))
+        if pose is None or version != self._clock.version:
+            frame = self._frame(name)
+            pose = self._engine.link_poses[:, self.layout.root_link + frame.link]
+            if frame.offset is not None:
+                pose = pose_multiply(pose, frame.offset)
+            self._frame_poses[name] = (self._clock.version, pose)
+        return pose
+
+    def frame_velocity(self, name: str) -> Tensor:
+        frame = self._frame(name)
+        velocity = self._engine.link_velocities[:, self.layout.root_link + frame.link]
+        if frame.offset is None:
+            return velocity
+        arm = quat_rotate(self._engine.link_poses[:, self.layout.root_link + frame.link, 3:], frame.offset[:3])
+        return torch.cat((velocity[:, :3] + torch.linalg.cross(velocity[:, 3:], arm), velocity[:, 3:]), -1)
+
+    def jacobian(self, frame: str, joints: Sequence[int] | None = None) -> Tensor:
+        columns = tuple(range(len(self.joint_names))) if joints is None else tuple(joints)
+        jacobian = self._jacobians.get((frame, columns))
+        if jacobian is None:
+            link = self._frame(frame).link
+            jacobian = PointJacobian(self.spec.articulation, link, columns, self._engine.device)
+            self._jacobians[frame, columns] = jacobian
+        return jacobian(self.link_poses, self.frame_pose(frame)[:, :3])
+
+    # Looking up
+
+    def find_joints(self, *patterns: str) -> list[int]:
+        return match_names(patterns, self.joint_names, "joint", f"'{self.name}'")
+
+    def find_links(self, *patterns: str) -> list[int]:
+        return match_names(patterns, self.link_names, "link", f"'{self.name}'")
+
+    @property
+    def joints(self) -> tuple[Joint, ...]:
+        return self.spec.articulation.movable_joints
+
+    @property
+    def home_positions(self) -> Tensor:
+        return self._home
+
+    @property
+    def position_limits(self) -> Tensor:
+        return self._limits
+
+    # Writing state
+
+    def set_root_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
+        self._check(pose, (7,), env_ids, "root pose")
+        self._engine.write_root_state(self.layout.index, pose, None, env_ids)
+        self._clock.touch()
+
+    def set_root_velocity(self, velocity: Tensor, env_ids: Tensor | None = None) -> None:
+        self._check(velocity, (6,), env_ids, "root velocity")
+        self._engine.write_root_state(self.layout.index, None, velocity, env_ids)
+        self._clock.touch()
+
+    def set_joint_state(
+        self,
+        positions: Tensor | None = None,
+        velocities: Tensor | None = None,
+        joints: Sequence[int] | None = None,
+        env_ids: Tensor | None = None,
+    ) -> None:
+        chosen = list(range(len(self.joint_names))) if joints is None else list(joints)
+        for value, what in ((positions, "joint positions"), (velocities, "joint velocities")):
+            if value is not None:
+                self._check(value, (len(chosen),), env_ids, what)
+        chosen, positions, velocities = self._with_followers(chosen, positions, velocities)
+        indices = torch.tensor(chosen, device=self._engine.device) + self.layout.joints.start
+        self._engine.write_joint_state(indices, positions, velocities, env_ids)
+        if positions is not None:
+            rows = slice(None) if env_ids is None else env_ids[:, None]
+            self._actuators.position_targets[rows, indices] = positions
+        self._clock.touch()
+
+    def _with_followers(
+        self, chosen: list[int], positions: Tensor | None, velocities: Tensor | None
+    ) -> tuple[list[int], Tensor | None, Tensor | None]:
+        """Mimic joints move with their leaders, so that a written state already satisfies the constraint."""
+        joints = list(chosen)
+        for index, joint in enumerate(self.joints):
+            if joint.mimic is None or index in chosen:
+                continue
+            leader = self.joint_names.index(joint.mimic.joint)
+            if leader not in chosen:
+                continue
+            column = chosen.index(leader)
+            joints.append(index)
+            if positions is not None:
+                follower = joint.mimic.multiplier * positions[:, column : column + 1] + joint.mimic.offset
+                positions = torch.cat((positions, follower), -1)
+            if velocities is not None:
+                velocities = torch.cat((velocities, joint.mimic.multiplier * velocities[:, column : column + 1]), -1)
+        return joints, positions, velocities
+
+    def _frame(self, name: str) -> _FrameHandle:
+        handle = self._frames.get(name)
+        if handle is None:
+            articulation = self.spec.articulation
+            try:
+                frame = articulation.frame(name)
+            except KeyError:
+                known = [*self.link_names, *(frame.name for frame in articulation.frames)]
+                raise UnknownNameError("frame", name, known, f"'{self.name}'") from None
+            values = (*frame.pose.position, *frame.pose.orientation)
+            identity = values == (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+            offset = None if identity else torch.tensor(values, dtype=torch.float32, device=self._engine.device)
+            handle = self._frames[name] = _FrameHandle(self.link_names.index(frame.link), offset)
+        return handle
+
+    def _check(self, value: Tensor, shape: tuple[int, ...], env_ids: Tensor | None, what: str) -> None:
+        expected = (self._engine.num_envs if env_ids is None else len(env_ids), *shape)
+        if tuple(value.shape) != expected:
+            raise ShapeError(f"{what} of '{self.name}' must have shape {expected}, not {tuple(value.shape)}")
+        if not torch.isfinite(value).all():
+            row = int((~torch.isfinite(value)).flatten(1).any(1).nonzero()[0])
+            environment = row if env_ids is None else int(env_ids[row])
+            raise NonFiniteError(
+                f"{what} of '{self.name}' holds a NaN or infinite number for environment {environment}"
+            )
+
+
+class SimulatedRobot(SimulatedObject, Robot):
+    """An articulation whose actuators take commands.
+
+    Targets are trusted to be finite: they come from nodes, which check what enters the agent.
+    """
+
+    def set_position_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
+        self._write(self._actuators.position_targets, targets, joints)
+
+    def set_velocity_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
+        self._write(self._actuators.velocity_targets, targets, joints)
+
+    def set_effort_targets(self, efforts: Tensor, joints: Sequence[int] | None = None) -> None:
+        self._write(self._actuators.effort_targets, efforts, joints)
+
+    def _write(self, buffer: Tensor, values: Tensor, joints: Sequence[int] | None) -> None:
+        start = self.layout.joints.start
+        if joints is None:
+            buffer[:, self.layout.joints] = values
+        elif _contiguous(joints):
+            buffer[:, start + joints[0] : start + joints[-1] + 1] = values
+        else:
+            buffer[:, [start + joint for joint in joints]] = values
+
+
+def _contiguous(joints: Sequence[int]) -> bool:
+    return len(joints) > 0 and joints[-1] - joints[0] == len(joints) - 1 and list(joints) == sorted(joints)

@@ -1,0 +1,210 @@
+"""A world over one engine: the scene's robots, objects and sensors, stepped together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+
+from orbit_core.actuators import Actuators
+from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.validation import validate
+from orbit_core.backends import backend as find_backend
+from orbit_core.backends import backend_config, check_scene
+from orbit_core.dynamics.random import RandomStreams
+from orbit_core.interfaces import Approximation, ConfigurationError, Renderer, SceneLayout, World
+from orbit_core.scene import CameraSpec, Entity, Scene
+from orbit_core.sensors import SensorContext, TimedSensor, create_sensor
+from orbit_core.world.clock import Clock
+from orbit_core.world.entities import SimulatedObject, SimulatedRobot
+from orbit_core.world.markers import SimulatedMarker, identity_poses
+
+_EntityType = TypeVar("_EntityType", bound=Entity)
+
+
+@dataclass(frozen=True)
+class WorldState:
+    """A snapshot of everything that the continuation depends on."""
+
+    engine: Any
+    actuators: Any
+    sensors: dict[str, Any]
+    random: Any
+    markers: Tensor
+    steps: int
+
+
+class SimulatedWorld(World):
+    """N environments of a scene in one physics engine.
+
+    Args:
+        scene: what to simulate.
+        num_envs: how many copies.
+        backend: name of an installed backend.
+        settings: the backend's own settings, by field name.
+        device: where state tensors live.
+        seed: of the environments' random streams.
+        renderer: name of the backend that draws; the one that simulates if None.
+
+    Raises:
+        UnknownNameError, BackendNotInstalledError: no such backend.
+        UnsupportedCapabilityError: the backend lacks what the scene needs.
+        AssetError: an articulation cannot be simulated.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        num_envs: int,
+        backend: str,
+        settings: Mapping[str, Any] | None = None,
+        device: str | torch.device = "cpu",
+        seed: int = 0,
+        renderer: str | None = None,
+    ) -> None:
+        if num_envs < 1:
+            raise ConfigurationError(f"num_envs must be at least 1, not {num_envs}")
+        plugin = find_backend(backend)
+        self._renderer_plugin = find_backend(renderer or backend)
+        scene = _prepared(scene)
+        check_scene(plugin, scene)
+        self.scene = scene
+        self.layout = SceneLayout.of(scene)
+        self.num_envs = num_envs
+        self.device = torch.device(device)
+        self.physics_dt = scene.physics_dt
+        self.backend = backend
+        self._config = backend_config(plugin, settings)
+        self.engine = plugin.create_engine(self.layout, num_envs, self.device, self._config)
+        self.random = RandomStreams(num_envs, seed, self.device)
+        self.random.reset()
+        self.actuators = Actuators(self.engine, self.layout, self.random)
+        self.clock = Clock()
+        self._renderer: Renderer | None = None
+        self._add_entities()
+        self._add_sensors()
+
+    def _add_entities(self) -> None:
+        parts = (self.engine, self.actuators, self.clock)
+        count = len(self.scene.robots)
+        self.robots = {e.name: SimulatedRobot(e, *parts) for e in self.layout.entities[:count]}
+        self.objects = {e.name: SimulatedObject(e, *parts) for e in self.layout.entities[count:]}
+        self.marker_poses = identity_poses(self.num_envs, len(self.scene.markers), self.device)
+        self.markers = {
+            spec.name: SimulatedMarker(spec, self.marker_poses[:, i]) for i, spec in enumerate(self.scene.markers)
+        }
+
+    def _add_sensors(self) -> None:
+        context = SensorContext(self.engine, self.layout, self.physics_dt, self.random, lambda: self.renderer)
+        self.sensors: dict[str, TimedSensor] = {spec.name: create_sensor(spec, context) for spec in self.scene.sensors}
+        # The engine runs in stretches that end where a sensor is due.
+        periods = [sensor.period for sensor in self.sensors.values() if sensor.period is not None]
+        self._stretch = math.gcd(*periods) if periods else None
+
+    @property
+    def link_poses(self) -> Tensor:
+        """(N, L, 7) of every link of the scene, in the layout's order."""
+        return self.engine.link_poses
+
+    @property
+    def renderer(self) -> Renderer:
+        """Draws the scene's cameras; made on first use."""
+        if self._renderer is None:
+            cameras = tuple(spec for spec in self.scene.sensors if isinstance(spec, CameraSpec))
+            self._renderer = self.create_renderer(cameras)
+        return self._renderer
+
+    def create_renderer(self, cameras: tuple[CameraSpec, ...]) -> Renderer:
+        """Another renderer of this scene, for cameras that are no sensors. The caller closes it."""
+        same = self._renderer_plugin.name == self.backend
+        config = self._config if same else backend_config(self._renderer_plugin, None)
+        return self._renderer_plugin.create_renderer(self.layout, cameras, config)
+
+    @property
+    def build_report(self) -> tuple[Approximation, ...]:
+        """What differs from the scene as asked: in the models first, then in the engine."""
+        notes = tuple(
+            Approximation(entity.name, "the source's model", note, "the catalogue's choice")
+            for entity in self.scene.entities
+            for note in entity.articulation.notes
+        )
+        return notes + self.engine.build_report
+
+    @property
+    def native(self) -> Any:
+        """The engine's own objects."""
+        return self.engine.native
+
+    def step(self, steps: int = 1) -> None:
+        while steps > 0:
+            stretch = steps
+            if self._stretch is not None:
+                stretch = min(steps, self._stretch - self.clock.steps % self._stretch)
+            self._step_engine(stretch)
+            self.clock.advance(stretch)
+            for sensor in self.sensors.values():
+                sensor.advance(stretch)
+            steps -= stretch
+
+    def _step_engine(self, steps: int) -> None:
+        if not self.actuators.explicit:
+            self.engine.step(steps)
+            return
+        for _ in range(steps):
+            self.actuators.apply()
+            self.engine.step(1)
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        self.random.reset(env_ids)
+        self.engine.reset(env_ids)
+        self.actuators.reset(env_ids)
+        for sensor in self.sensors.values():
+            sensor.reset(env_ids)
+        self.clock.touch()
+
+    def save_state(self) -> WorldState:
+        sensors = {name: sensor.save_state() for name, sensor in self.sensors.items()}
+        return WorldState(
+            self.engine.save_state(),
+            self.actuators.save_state(),
+            sensors,
+            self.random.save_state(),
+            self.marker_poses.clone(),
+            self.clock.steps,
+        )
+
+    def load_state(self, state: WorldState) -> None:
+        self.engine.load_state(state.engine)
+        self.actuators.load_state(state.actuators)
+        for name, sensor in self.sensors.items():
+            sensor.load_state(state.sensors[name])
+        self.random.load_state(state.random)
+        self.marker_poses.copy_(state.markers)
+        self.clock.steps = state.steps
+        self.clock.touch()
+
+    def close(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+        self.engine.close()
+
+
+def _prepared(scene: Scene) -> Scene:
+    """The scene with every articulation checked, and links that cannot move against each other made one."""
+    return replace(
+        scene,
+        robots=tuple(_prepared_entity(entity) for entity in scene.robots),
+        objects=tuple(_prepared_entity(entity) for entity in scene.objects),
+    )
+
+
+def _prepared_entity(entity: _EntityType) -> _EntityType:
+    articulation = validate(entity.articulation)
+    if any(not joint.movable for joint in articulation.joints):
+        articulation = merge_fixed_links(articulation)
+    return replace(entity, articulation=articulation)
