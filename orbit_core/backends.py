@@ -1,0 +1,151 @@
+"""Finds physics engines and renderers: plugins under the entry-point group ``orbit.backends``, by name.
+
+Nothing is imported until a backend is asked for. The core knows no engine's name: those that could be installed are
+the extras of the distribution ``orbit-core`` that bring a distribution ``orbit-<extra>``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import functools
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import importlib_metadata
+
+from orbit_core.interfaces.backend import Backend
+from orbit_core.interfaces.capabilities import Capability
+from orbit_core.interfaces.errors import (
+    BackendNotInstalledError,
+    ConfigurationError,
+    OrbitError,
+    UnknownNameError,
+    UnsupportedCapabilityError,
+)
+from orbit_core.interfaces.requirements import required_capabilities
+from orbit_core.scene import Scene
+
+GROUP = "orbit.backends"
+
+
+def backend_names() -> list[str]:
+    """The installed backends, sorted; none of them is imported.
+
+    Raises:
+        ConfigurationError: two distributions provide a backend of the same name.
+    """
+    return sorted(_entry_points())
+
+
+def installable_backends() -> dict[str, str]:
+    """Each backend that is known but not installed, with the command that installs it."""
+    return {name: f'pip install "orbit-core[{name}]"' for name in _extras() if name not in _entry_points()}
+
+
+@functools.cache
+def backend(name: str) -> Backend:
+    """The backend of that name, made once and kept.
+
+    Raises:
+        BackendNotInstalledError: it is known but not installed; says how to install it.
+        UnknownNameError: no backend has that name.
+        ConfigurationError: its plugin fails to import, or is no backend; names the plugin and the cause.
+    """
+    entry_point = _entry_points().get(name)
+    if entry_point is None:
+        installable = installable_backends()
+        if name in installable:
+            raise BackendNotInstalledError(f"backend '{name}' is not installed: {installable[name]}")
+        raise UnknownNameError("backend", name, {*backend_names(), *installable})
+    plugin = f"plugin '{entry_point.value}' of backend '{name}' ({_distribution(entry_point)})"
+    try:
+        made = entry_point.load()()
+    except OrbitError:
+        raise
+    except Exception as error:
+        raise ConfigurationError(f"{plugin} fails to load: {type(error).__name__}: {error}") from error
+    if not isinstance(made, Backend):
+        raise ConfigurationError(f"{plugin} makes a {type(made).__name__}, not an orbit_core.interfaces.Backend")
+    return made
+
+
+def check_scene(backend: Backend, scene: Scene) -> None:
+    """Refuse a scene that needs what the backend lacks, before anything is built.
+
+    Raises:
+        UnsupportedCapabilityError: names each capability, what needs it, why it is missing and which backends have it.
+    """
+    capabilities = backend.capabilities()
+    missing = {need: culprit for need, culprit in required_capabilities(scene).items() if not capabilities.has(need)}
+    if not missing:
+        return
+    complaints = [
+        f"{need.value} (needed by {culprit}; {capabilities[need].reason})" for need, culprit in missing.items()
+    ]
+    others = _backends_with(missing)
+    remedy = f"choose backend {' or '.join(repr(other) for other in others)}" if others else "no installed backend does"
+    raise UnsupportedCapabilityError(f"backend '{backend.name}' does not do {', nor '.join(complaints)}: {remedy}")
+
+
+def backend_config(backend: Backend, values: Mapping[str, Any] | None = None) -> Any:
+    """The backend's typed settings, defaults where ``values`` has none; lists become tuples.
+
+    Raises:
+        ConfigurationError: a field that the backend does not have, or a value that it refuses.
+    """
+    fields = [field.name for field in dataclasses.fields(backend.config_type)]
+    for name in values or {}:
+        if name not in fields:
+            near = difflib.get_close_matches(name, fields, n=3, cutoff=0.5)
+            hint = f"did you mean {' or '.join(repr(field) for field in near)}? " if near else ""
+            raise ConfigurationError(
+                f"backend '{backend.name}' has no setting '{name}': {hint}it has {', '.join(fields)}"
+            )
+    arguments = {name: tuple(value) if isinstance(value, list) else value for name, value in (values or {}).items()}
+    try:
+        return backend.config_type(**arguments)
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(f"settings of backend '{backend.name}': {error}") from error
+
+
+@functools.cache
+def _entry_points() -> dict[str, importlib_metadata.EntryPoint]:
+    found: dict[str, importlib_metadata.EntryPoint] = {}
+    for entry_point in importlib_metadata.entry_points(group=GROUP):
+        if entry_point.name in found:
+            both = sorted((_distribution(found[entry_point.name]), _distribution(entry_point)))
+            raise ConfigurationError(
+                f"backend '{entry_point.name}' is provided twice, by {' and by '.join(both)}: uninstall one"
+            )
+        found[entry_point.name] = entry_point
+    return found
+
+
+@functools.cache
+def _extras() -> tuple[str, ...]:
+    """The extras of this distribution that bring a plugin of the same name."""
+    try:
+        requirements = importlib_metadata.requires("orbit-core") or []
+    except importlib_metadata.PackageNotFoundError:  # run from a source tree
+        return ()
+    pattern = re.compile(r"orbit-([\w-]+)\b.*extra\s*==\s*['\"]\1['\"]")
+    return tuple(match[1] for requirement in requirements if (match := pattern.match(requirement)))
+
+
+def _distribution(entry_point: importlib_metadata.EntryPoint) -> str:
+    return f"distribution {entry_point.dist.name}" if entry_point.dist else entry_point.value
+
+
+def _backends_with(needs: Iterable[Capability]) -> list[str]:
+    """Installed backends that do all of ``needs``; one that fails to load does nothing."""
+    able: list[str] = []
+    for name in backend_names():
+        try:
+            capabilities = backend(name).capabilities()
+        except OrbitError:
+            continue
+        if all(capabilities.has(need) for need in needs):
+            able.append(name)
+    return able

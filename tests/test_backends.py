@@ -1,0 +1,179 @@
+"""Plugins are found by entry point, and every way in which that fails says what to do."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import importlib_metadata
+import pytest
+
+from orbit_core import backends
+from orbit_core.interfaces import (
+    EXACT,
+    Backend,
+    BackendNotInstalledError,
+    Capabilities,
+    Capability,
+    ConfigurationError,
+    UnknownNameError,
+    UnsupportedCapabilityError,
+    unsupported,
+)
+from orbit_core.scene import Mesh, ObjectSpec, Scene, Shape, single_link
+from orbit_core.scene.shapes import MeshCollision
+
+
+@dataclass(frozen=True)
+class PlainConfig:
+    threads: int = 1
+    solver: tuple[float, ...] = (1.0,)
+
+    def __post_init__(self) -> None:
+        if self.threads < 0:
+            raise ValueError("threads must not be negative")
+
+
+class PlainBackend(Backend):
+    """Everything but triangle meshes."""
+
+    name = "plain"
+    config_type = PlainConfig
+
+    def capabilities(self) -> Capabilities:
+        return Capabilities({Capability.FRICTION: EXACT, Capability.TRIANGLE_MESHES: unsupported("it has hulls only")})
+
+    def create_engine(self, *_: Any) -> Any:
+        raise NotImplementedError
+
+
+class MeshBackend(PlainBackend):
+    name = "meshes"
+
+    def capabilities(self) -> Capabilities:
+        return Capabilities({Capability.FRICTION: EXACT, Capability.TRIANGLE_MESHES: EXACT})
+
+
+def broken() -> None:
+    raise ImportError("libengine.so: cannot open shared object file")
+
+
+Install = Callable[..., None]
+
+
+@pytest.fixture
+def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+    """Pretend that exactly these plugins are installed, each ``(name, distribution, factory)``."""
+
+    def forget() -> None:
+        for cached in (backends.backend, backends._entry_points, backends._extras):
+            cached.cache_clear()
+
+    def pretend(*plugins: tuple[str, str, Any], extras: tuple[str, ...] = ()) -> None:
+        points = [
+            SimpleNamespace(
+                name=name,
+                value=f"{name}:Backend",
+                dist=SimpleNamespace(name=distribution),
+                load=lambda made=made: made,
+            )
+            for name, distribution, made in plugins
+        ]
+        requirements = ["numpy>=1", *(f"orbit-{extra} @ file:///x ; extra == '{extra}'" for extra in extras)]
+        monkeypatch.setattr(importlib_metadata, "entry_points", lambda group: points)
+        monkeypatch.setattr(importlib_metadata, "requires", lambda name: requirements)
+        forget()
+
+    yield pretend
+    monkeypatch.undo()
+    forget()
+
+
+def triangle_scene() -> Scene:
+    mesh = Mesh(
+        vertices=_array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        faces=_array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], int),
+        collision=MeshCollision.TRIANGLES,
+    )
+    rock = single_link("rock", Shape(mesh), 1.0, [[1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    return Scene(objects=(ObjectSpec(name="rock", articulation=rock, fixed_base=True),))
+
+
+def _array(values: list[list[int]], kind: type = float) -> Any:
+    import numpy as np
+
+    return np.array(values, dtype=kind)
+
+
+def test_names_are_sorted_and_a_backend_is_made_once(install: Install) -> None:
+    install(("plain", "orbit-plain", PlainBackend), ("meshes", "orbit-meshes", MeshBackend))
+    assert backends.backend_names() == ["meshes", "plain"]
+    assert isinstance(backends.backend("plain"), PlainBackend)
+    assert backends.backend("plain") is backends.backend("plain")
+
+
+def test_an_unknown_name_lists_near_and_known_ones(install: Install) -> None:
+    install(("plain", "orbit-plain", PlainBackend), extras=("later",))
+    with pytest.raises(UnknownNameError, match=r"unknown backend 'plane'.*did you mean 'plain'.*known: later, plain"):
+        backends.backend("plane")
+
+
+def test_a_known_backend_that_is_not_installed_says_how_to_install_it(install: Install) -> None:
+    install(("plain", "orbit-plain", PlainBackend), extras=("plain", "later"))
+    assert backends.installable_backends() == {"later": 'pip install "orbit-core[later]"'}
+    with pytest.raises(BackendNotInstalledError, match=r'pip install "orbit-core\[later\]"'):
+        backends.backend("later")
+
+
+def test_two_plugins_of_one_name_are_both_named(install: Install) -> None:
+    install(("plain", "orbit-plain", PlainBackend), ("plain", "other-plain", PlainBackend))
+    with pytest.raises(ConfigurationError, match=r"'plain'.*orbit-plain and by distribution other-plain"):
+        backends.backend_names()
+
+
+def test_a_plugin_that_does_not_load_is_named_with_the_cause(install: Install) -> None:
+    install(("broken", "orbit-broken", broken), ("number", "orbit-number", int))
+    with pytest.raises(ConfigurationError, match=r"broken:Backend.*orbit-broken.*ImportError: libengine.so"):
+        backends.backend("broken")
+    with pytest.raises(ConfigurationError, match=r"orbit-number\) makes a int, not an"):
+        backends.backend("number")
+
+
+def test_a_scene_beyond_a_backend_is_refused_with_reason_and_alternatives(install: Install) -> None:
+    install(("plain", "orbit-plain", PlainBackend), ("meshes", "orbit-meshes", MeshBackend), ("bad", "bad", broken))
+    with pytest.raises(UnsupportedCapabilityError) as refusal:
+        backends.check_scene(backends.backend("plain"), triangle_scene())
+    message = str(refusal.value)
+    for part in ("'plain'", "static triangle mesh collision", "'rock'", "it has hulls only", "choose backend 'meshes'"):
+        assert part in message
+    backends.check_scene(backends.backend("meshes"), triangle_scene())
+
+
+def test_a_refusal_says_when_no_backend_would_do(install: Install) -> None:
+    install(("plain", "orbit-plain", PlainBackend))
+    with pytest.raises(UnsupportedCapabilityError, match="no installed backend does"):
+        backends.check_scene(backends.backend("plain"), triangle_scene())
+
+
+def test_settings_are_typed(install: Install) -> None:
+    install(("plain", "orbit-plain", PlainBackend))
+    plain = backends.backend("plain")
+    assert backends.backend_config(plain) == PlainConfig()
+    assert backends.backend_config(plain, {"threads": 3, "solver": [1, 2]}) == PlainConfig(3, (1, 2))
+    with pytest.raises(ConfigurationError, match=r"no setting 'thread': did you mean 'threads'"):
+        backends.backend_config(plain, {"thread": 3})
+    with pytest.raises(ConfigurationError, match="threads must not be negative"):
+        backends.backend_config(plain, {"threads": -1})
+
+
+def test_finding_backends_imports_none_of_them() -> None:
+    code = (
+        "import sys; from orbit_core import backends; names = backends.backend_names(); "
+        "print(sorted({'torch', 'trimesh', *('orbit_' + n for n in names)} & set(sys.modules)))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
