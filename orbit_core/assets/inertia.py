@@ -1,0 +1,134 @@
+"""Mass, centre of mass and inertia of solid bodies of uniform density, and of bodies made of several of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.interfaces.errors import AssetError
+from orbit_core.scene import Box, Capsule, Cylinder, Geometry, Mesh, Pose, Shape, Sphere
+from orbit_core.scene.pose import Vector3
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class MassProperties:
+    """Mass in kg, centre of mass in a frame, and inertia (3, 3) in kg m^2 about it in the frame's axes."""
+
+    mass: float
+    center_of_mass: Vector3
+    inertia: FloatArray
+
+    def placed(self, pose: Pose) -> MassProperties:
+        """The same body seen from the frame in which its own frame has ``pose``."""
+        rotation = pose.rotation_matrix()
+        return MassProperties(
+            self.mass, _vector(pose.transform(self.center_of_mass)), rotation @ self.inertia @ rotation.T
+        )
+
+    def about(self, point: npt.ArrayLike) -> FloatArray:
+        """The inertia (3, 3) about another point of the same frame, by the parallel-axis theorem."""
+        return self.inertia + _point_mass_inertia(self.mass, np.asarray(point) - np.asarray(self.center_of_mass))
+
+
+def mass_properties(geometry: Geometry, *, mass: float | None = None, density: float | None = None) -> MassProperties:
+    """Those of a solid of uniform density, in the geometry's own frame, from its mass (kg) or its density (kg/m^3).
+
+    A mesh that does not enclose a volume counts as its convex hull.
+
+    Raises:
+        AssetError: not exactly one of ``mass`` and ``density`` is given, one is not positive, or the geometry has no
+            volume.
+    """
+    if (mass is None) == (density is None):
+        raise AssetError("mass properties need either a mass or a density: give exactly one of them")
+    volume, center, gyration = _solid(geometry)
+    total = mass if mass is not None else volume * (density or 0.0)
+    if not (math.isfinite(total) and total > 0):
+        raise AssetError(f"a {type(geometry).__name__.lower()} has a mass of {total} kg: give a positive one")
+    return MassProperties(total, _vector(center), total * gyration)
+
+
+def shapes_mass_properties(shapes: Iterable[Shape], density: float) -> MassProperties:
+    """Those of a body made of shapes of one density, in the body's frame. Where shapes overlap, mass counts twice.
+
+    Raises:
+        AssetError: there is no shape, or one without volume.
+    """
+    return combine(mass_properties(shape.geometry, density=density).placed(shape.pose) for shape in shapes)
+
+
+def combine(bodies: Iterable[MassProperties]) -> MassProperties:
+    """Those of several bodies, given in one frame, that move as one.
+
+    Raises:
+        AssetError: the bodies have no mass.
+    """
+    parts = tuple(bodies)
+    total = sum(part.mass for part in parts)
+    if total <= 0:
+        raise AssetError("a body without mass has no centre of mass: give at least one of its parts a mass")
+    center = sum((part.mass * np.asarray(part.center_of_mass) for part in parts), np.zeros(3)) / total
+    return MassProperties(total, _vector(center), sum((part.about(center) for part in parts), np.zeros((3, 3))))
+
+
+def principal_axes(inertia: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Principal moments (3,), ascending, and the rotation (3, 3) whose columns are the principal axes."""
+    moments, axes = np.linalg.eigh(np.asarray(inertia, dtype=float))
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] = -axes[:, 0]
+    return moments, axes
+
+
+def _solid(geometry: Geometry) -> tuple[float, FloatArray, FloatArray]:
+    """Volume, centre of mass, and inertia about it per unit of mass."""
+    match geometry:
+        case Box(half_extents=half):
+            squares = np.square(half)
+            return 8.0 * math.prod(half), np.zeros(3), np.diag(squares.sum() - squares) / 3.0
+        case Sphere(radius=r):
+            return 4.0 / 3.0 * math.pi * r**3, np.zeros(3), np.eye(3) * 0.4 * r**2
+        case Cylinder(radius=r, half_length=h):
+            across = r**2 / 4.0 + h**2 / 3.0
+            return 2.0 * math.pi * r**2 * h, np.zeros(3), np.diag((across, across, r**2 / 2.0))
+        case Capsule(radius=r, half_length=h):
+            return _capsule(r, h)
+        case Mesh():
+            return _mesh(geometry)
+        case _:
+            raise AssetError(f"a {type(geometry).__name__} encloses no volume: it can only be part of a static body")
+
+
+def _capsule(r: float, h: float) -> tuple[float, FloatArray, FloatArray]:
+    tube, caps = 2.0 * math.pi * r**2 * h, 4.0 / 3.0 * math.pi * r**3
+    # A half ball's centre of mass stands 3/8 r from its flat face; the caps together are a ball cut and moved apart.
+    across = tube * (r**2 / 4.0 + h**2 / 3.0) + caps * (0.4 * r**2 + h**2 + 0.75 * h * r)
+    along = tube * r**2 / 2.0 + caps * 0.4 * r**2
+    volume = tube + caps
+    return volume, np.zeros(3), np.diag((across, across, along)) / volume
+
+
+def _mesh(mesh: Mesh) -> tuple[float, FloatArray, FloatArray]:
+    import trimesh
+
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces)
+    if not (solid.is_watertight and solid.is_winding_consistent and solid.volume > 0):
+        solid = solid.convex_hull
+    volume = float(solid.volume)
+    if volume <= 0:
+        raise AssetError(f"a mesh of {len(mesh.faces)} faces encloses no volume: close its surface")
+    return volume, np.asarray(solid.center_mass, dtype=float), np.asarray(solid.moment_inertia, dtype=float) / volume
+
+
+def _point_mass_inertia(mass: float, offset: FloatArray) -> FloatArray:
+    return mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+
+
+def _vector(values: npt.ArrayLike) -> Vector3:
+    x, y, z = (float(value) for value in np.asarray(values))
+    return (x, y, z)

@@ -1,0 +1,186 @@
+"""Things to put into a scene: solids, a table, a cabinet with a drawer and a door."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TypedDict, Unpack
+
+from orbit_core.assets.inertia import MassProperties, combine, mass_properties
+from orbit_core.scene import (
+    Articulation,
+    Box,
+    Capsule,
+    Color,
+    Cylinder,
+    Geometry,
+    Link,
+    Mesh,
+    ObjectSpec,
+    PhysicsMaterial,
+    Pose,
+    Shape,
+    Sphere,
+)
+from orbit_core.scene.pose import Vector3
+
+DENSITY = 500.0
+"""kg/m^3, of an object whose mass is not given: that of soft wood."""
+GRAY: Color = (0.7, 0.7, 0.7, 1.0)
+WOOD: Color = (0.72, 0.55, 0.38, 1.0)
+
+
+class SolidOptions(TypedDict, total=False):
+    """What every solid may be given besides its shape."""
+
+    mass: float
+    """kg; overrides ``density``."""
+    density: float
+    """kg/m^3; :data:`DENSITY` where it is left out."""
+    color: Color
+    material: PhysicsMaterial
+    pose: Pose
+    """Of the object at reset."""
+    fixed_base: bool
+    label: str
+    """Semantic label; the object's name where it is left out."""
+
+
+def box(
+    name: str,
+    size: Vector3,
+    **options: Unpack[SolidOptions],
+) -> ObjectSpec:
+    """A solid box of full ``size`` in metres, its frame at the middle."""
+    half = (size[0] / 2, size[1] / 2, size[2] / 2)
+    return _solid(name, Box(half), options)
+
+
+def sphere(
+    name: str,
+    radius: float,
+    **options: Unpack[SolidOptions],
+) -> ObjectSpec:
+    """A solid ball, its frame at the middle."""
+    return _solid(name, Sphere(radius), options)
+
+
+def cylinder(
+    name: str,
+    radius: float,
+    length: float,
+    **options: Unpack[SolidOptions],
+) -> ObjectSpec:
+    """A solid cylinder along z of full ``length``, its frame at the middle."""
+    return _solid(name, Cylinder(radius, length / 2), options)
+
+
+def capsule(
+    name: str,
+    radius: float,
+    length: float,
+    **options: Unpack[SolidOptions],
+) -> ObjectSpec:
+    """A solid capsule along z, its frame at the middle; ``length`` leaves out the round caps."""
+    return _solid(name, Capsule(radius, length / 2), options)
+
+
+def mesh_object(
+    name: str,
+    mesh: Mesh | str | Path,
+    scale: float = 1.0,
+    **options: Unpack[SolidOptions],
+) -> ObjectSpec:
+    """A solid with the surface of a mesh or mesh file, in the mesh's own frame. ``mass`` (kg) overrides ``density``.
+
+    ``scale`` takes a file's unit to metres; a :class:`Mesh` is in metres already and is not scaled.
+
+    Raises:
+        AssetError: the file cannot be read, or the mesh encloses no volume.
+    """
+    if not isinstance(mesh, Mesh):
+        from orbit_core.assets.meshes import load_mesh
+
+        mesh = load_mesh(Path(mesh), (scale, scale, scale))
+    return _solid(name, mesh, options)
+
+
+def table(
+    name: str = "table",
+    size: Vector3 = (0.8, 1.2, 0.7),
+    *,
+    color: Color = WOOD,
+    material: PhysicsMaterial | None = None,
+    pose: Pose | None = None,
+    label: str = "table",
+) -> ObjectSpec:
+    """A static table whose frame lies in the middle of the TOP surface: things at z = 0 of it stand on the table.
+
+    ``size`` is depth (x), width (y) and height in metres; the legs reach down to ``z = -height``. With ``pose`` at
+    height ``size[2]`` the table stands on the ground z = 0.
+    """
+    thickness, leg = min(0.04, size[2] / 2), 0.06
+    surface = material or PhysicsMaterial()
+    parts = [
+        Shape(Box((size[0] / 2, size[1] / 2, thickness / 2)), Pose((0.0, 0.0, -thickness / 2)), surface, color, "top")
+    ]
+    length = size[2] - thickness
+    for index, (x, y) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1))):
+        center = (x * (size[0] - leg) / 2, y * (size[1] - leg) / 2, -thickness - length / 2)
+        parts.append(Shape(Box((leg / 2, leg / 2, length / 2)), Pose(center), surface, color, f"leg_{index}"))
+    shapes = tuple(parts)
+    properties = combine(mass_properties(part.geometry, density=DENSITY).placed(part.pose) for part in shapes)
+    return _object(name, shapes, properties, pose, True, label)
+
+
+def cabinet(name: str = "cabinet", *, pose: Pose | None = None) -> ObjectSpec:
+    """A cabinet on the floor, 0.5 m wide and deep and 0.62 m high, with a drawer above and a door below.
+
+    Its frame lies on the floor in the middle of its footprint, and its front faces -x: the default ``pose`` stands it
+    before a robot at the origin that looks along +x, with the drawer's handle at x = 0.636, z = 0.48.
+
+    * ``drawer_joint`` (prismatic, 0 to 0.4 m) opens the drawer towards -x.
+    * ``door_joint`` (revolute, 0 to 1.57 rad) opens the door, hinged at +y, towards -x.
+    * Frames ``drawer_handle`` and ``door_handle`` lie in the middle of the handle's bar, with z into the cabinet
+      (the approach of a gripper that grasps it) and y across the bar (the opening direction of its fingers).
+
+    Raises:
+        AssetError: the file was never read on this machine and the extra ``usd`` is not installed.
+    """
+    from orbit_core.assets.files import asset_file, load_articulation
+
+    return ObjectSpec(
+        name=name,
+        articulation=load_articulation(asset_file("cabinet.usda")),
+        pose=pose or Pose((0.93, 0.0, 0.0)),
+        fixed_base=True,
+        semantic_label="cabinet",
+    )
+
+
+def _solid(name: str, geometry: Geometry, options: SolidOptions) -> ObjectSpec:
+    mass = options.get("mass")
+    density = options.get("density", DENSITY) if mass is None else None
+    shape = Shape(
+        geometry, material=options.get("material", PhysicsMaterial()), color=options.get("color", GRAY), name=name
+    )
+    return _object(
+        name,
+        (shape,),
+        mass_properties(geometry, mass=mass, density=density),
+        options.get("pose"),
+        options.get("fixed_base", False),
+        options.get("label", ""),
+    )
+
+
+def _object(
+    name: str, shapes: tuple[Shape, ...], properties: MassProperties, pose: Pose | None, fixed_base: bool, label: str
+) -> ObjectSpec:
+    link = Link(name, properties.mass, properties.center_of_mass, properties.inertia, shapes, shapes)
+    return ObjectSpec(
+        name=name,
+        articulation=Articulation(name, (link,)),
+        pose=pose or Pose(),
+        fixed_base=fixed_base,
+        semantic_label=label,
+    )
