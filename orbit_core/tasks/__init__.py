@@ -1,0 +1,43 @@
+"""Tasks: a scene, what is observed and rewarded in it, and the vectorised environment that runs it.
+
+Names load on first use, so that listing tasks does not load the tensor library.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from orbit_core.tasks.environment import Environment, make
+    from orbit_core.tasks.expert import Expert, Phase
+    from orbit_core.tasks.registry import TaskEntry, TaskRegistry, task_entries, task_entry
+    from orbit_core.tasks.task import Task
+    from orbit_core.tasks.terms import (
+        EventTerm,
+        EventTime,
+        ObservationTerm,
+        RewardTerm,
+        TerminationTerm,
+        once_per_state,
+    )
+
+_MODULES = {
+    "environment": ("Environment", "make"),
+    "expert": ("Expert", "Phase"),
+    "registry": ("TaskEntry", "TaskRegistry", "task_entries", "task_entry"),
+    "task": ("Task",),
+    "terms": ("EventTerm", "EventTime", "ObservationTerm", "RewardTerm", "TerminationTerm", "once_per_state"),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+__all__ = [
+    "Environment", "EventTerm", "EventTime", "Expert", "ObservationTerm", "Phase", "RewardTerm", "Task", "TaskEntry",
+    "TaskRegistry", "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

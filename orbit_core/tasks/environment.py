@@ -1,0 +1,267 @@
+"""The vectorised environment: a task's agent, cut at its policy, over a world."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
+from orbit_core.interfaces import ConfigurationError, Node, NonFiniteError, Port, ShapeError
+from orbit_core.motion import Actuate, action_space
+from orbit_core.tasks.registry import task_entry
+from orbit_core.tasks.task import Task
+from orbit_core.tasks.terms import EventTerm, EventTime, ObservationTerm, RewardTerm, TerminationTerm, terms_of
+from orbit_core.tasks.settings import configure
+from orbit_core.world import SimulatedWorld
+
+Observation = dict[str, Tensor]
+
+
+@dataclass(frozen=True)
+class EpisodeEnd:
+    """What n episodes came to."""
+
+    env_ids: Tensor
+    """(n,)"""
+    observation: Observation
+    """(n, O) of the last state, before the reset."""
+    success: Tensor
+    """(n,) bool"""
+    metrics: dict[str, Tensor]
+    """(n,) each."""
+    rewards: dict[str, Tensor]
+    """(n,) each term's contribution to the return."""
+    steps: Tensor
+    """(n,) int64"""
+
+
+class Environment:
+    """N environments of a task, stepped together, each reset as soon as its episode ends (same-step autoreset).
+
+    Observations are groups by name; every task has the group ``"policy"`` (N, O). Actions are (N, A) in [-1, 1]; what
+    lies outside is clipped. All tensors are on ``device``.
+
+    Args:
+        task: copied, so that one configuration may start many environments.
+        num_envs: how many.
+        backend: name of the physics backend.
+        device: where tensors live.
+        seed: of every environment's random stream.
+        renderer: name of the backend that draws; the physics backend if None.
+        settings: of the physics backend, by field name, over the task's preset.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        num_envs: int,
+        backend: str,
+        device: str | torch.device = "cpu",
+        seed: int = 0,
+        renderer: str | None = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.task = task = copy.deepcopy(task)
+        merged = {**task.backend_presets.get(backend, {}), **(settings or {})}
+        self.world = SimulatedWorld(task.scene(), num_envs, backend, merged, device, seed, renderer)
+        self.num_envs = num_envs
+        self.device = self.world.device
+        self.step_dt = task.physics_dt * task.decimation
+        self.max_episode_steps = _whole_steps(task.episode_length, self.step_dt)
+        self.observation_terms = terms_of(task.observations, ObservationTerm)
+        self.reward_terms = terms_of(task.rewards, RewardTerm)
+        self.termination_terms = terms_of(task.terminations, TerminationTerm)
+        self._events = list(terms_of(task.events, EventTerm).values())
+        self._weights = self._reward_weights()
+        self.reward_sums = torch.zeros(len(self.reward_terms), num_envs, device=self.device)
+        """(terms, N) each reward term's contribution to the episode so far."""
+        task.start(self.world)
+        self._cut = self._build_agent()
+        task.last_action = torch.zeros(num_envs, self.action_size, device=self.device)
+        self._all = torch.arange(num_envs, device=self.device)
+        self._run_events(EventTime.STARTUP, self._all)
+        self._begin(None)
+        self.observation_size = self._observe()["policy"].shape[1]
+
+    # Gymnasium's way ------------------------------------------------------------------------------------------------
+
+    def reset(self, seed: int | None = None, env_ids: Tensor | None = None) -> tuple[Observation, dict[str, Any]]:
+        """Begin new episodes in some environments; with a seed, start their random streams anew."""
+        if seed is not None:
+            self.world.random.seed(seed, env_ids)
+        self._begin(env_ids)
+        return self._observe(), {}
+
+    def step(self, action: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
+        """One step of all environments.
+
+        Returns:
+            observation of the new state (of the new episode where one ended), reward (N,), terminated (N,) bool,
+            truncated (N,) bool (the time limit), and info. Where an episode ended, info holds under ``"final"`` an
+            :class:`EpisodeEnd` with the last observation, success and metrics.
+
+        Raises:
+            ShapeError: the action is not (N, A).
+            NonFiniteError: the action holds a NaN or infinite number; names environment and component.
+        """
+        self._check(action)
+        action = action.clamp(-1.0, 1.0)
+        self._cut.act({"action": action})
+        self.world.step(self.task.decimation)
+        task = self.task
+        task.episode_step += 1
+        reward = self._reward()
+        task.last_action = action
+        terminated = self._terminated()
+        truncated = task.episode_step >= self.max_episode_steps
+        done = terminated | truncated
+        info: dict[str, Any] = {}
+        if bool(done.any()):
+            ended = done.nonzero().squeeze(-1)
+            info["final"] = self._finish(ended)
+            self._begin(ended)
+        return self._observe(), reward, terminated, truncated & ~terminated, info
+
+    def expert(self) -> Node:
+        """The task's scripted policy: call its ``compute({})`` for an action."""
+        return self.task.expert(self.world)
+
+    def close(self) -> None:
+        """Free what the world holds; idempotent."""
+        self.world.close()
+
+    # The agent ------------------------------------------------------------------------------------------------------
+
+    def _build_agent(self) -> Cut:
+        """observation -> policy (the cut) -> one motion generator per part of the action -> joint commands."""
+        task = self.task
+        robot = self.world.robots["robot"]
+        generators = task.generators = action_space(robot, task.action)
+        sizes = [generator.command_size for generator in generators]
+        self.action_size = sum(sizes)
+        action = Port("action", (self.action_size,))
+        commands = tuple(Port(generator.name, (size,)) for generator, size in zip(generators, sizes, strict=True))
+
+        def split(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+            parts = inputs["action"].split(sizes, dim=1)
+            return {port.name: part for port, part in zip(commands, parts, strict=True)}
+
+        nodes: list[Node] = [
+            FunctionNode("policy", _no_policy, outputs=(action,)),
+            FunctionNode("split", split, inputs=(action,), outputs=commands),
+        ]
+        edges = [Edge("policy.action", "split.action")]
+        for generator in generators:
+            actuate = Actuate(robot, generator)
+            nodes += [generator, actuate]
+            edges.append(Edge(f"split.{generator.name}", f"{generator.name}.command"))
+            edges += [Edge(f"{generator.name}.{port.name}", f"{actuate.name}.{port.name}") for port in actuate.inputs]
+        return AgentGraph(nodes, edges, rate=1.0 / self.step_dt).cut("policy")
+
+    # One step -------------------------------------------------------------------------------------------------------
+
+    def _check(self, action: Tensor) -> None:
+        expected = (self.num_envs, self.action_size)
+        if tuple(action.shape) != expected:
+            raise ShapeError(f"the action must have shape {expected} (num_envs, components), not {tuple(action.shape)}")
+        # One sum finds any NaN or infinity; which one it was is worth a search only then.
+        if not math.isfinite(float(action.sum())) and not bool(torch.isfinite(action).all()):
+            environment, component = (int(index) for index in (~torch.isfinite(action)).nonzero()[0])
+            value = float(action[environment, component])
+            raise NonFiniteError(f"action component {component} of environment {environment} is {value}")
+
+    def _observe(self) -> Observation:
+        self._cut.observe({})
+        parts = [self._observe_term(term) for term in self.observation_terms.values()]
+        return {"policy": torch.cat(parts, dim=1)}
+
+    def _observe_term(self, term: ObservationTerm) -> Tensor:
+        value = term.function(self.world, self.task)
+        if term.scale != 1.0:
+            value = value * term.scale
+        if term.noise_std:
+            value = value + self.world.random.normal(tuple(value.shape[1:]), term.noise_std)
+        return value
+
+    def _reward_weights(self) -> Tensor:
+        weights = [term.weight * self.step_dt for term in self.reward_terms.values()]
+        return torch.tensor(weights, device=self.device)[:, None]
+
+    def _reward(self) -> Tensor:
+        values = torch.stack([term.function(self.world, self.task) for term in self.reward_terms.values()])
+        values *= self._weights
+        self.reward_sums += values
+        return values.sum(0)
+
+    def _terminated(self) -> Tensor:
+        terminated = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        for term in self.termination_terms.values():
+            terminated |= term.function(self.world, self.task)
+        return terminated
+
+    def _finish(self, ended: Tensor) -> EpisodeEnd:
+        observation = {name: group[ended] for name, group in self._observe().items()}
+        metrics = {name: value[ended].clone() for name, value in self.task.metrics(self.world).items()}
+        rewards = {name: self.reward_sums[i, ended] for i, name in enumerate(self.reward_terms)}
+        return EpisodeEnd(
+            env_ids=ended,
+            observation=observation,
+            success=self.task.success(self.world)[ended],
+            metrics=metrics,
+            rewards=rewards,
+            steps=self.task.episode_step[ended],
+        )
+
+    def _begin(self, env_ids: Tensor | None) -> None:
+        self.world.reset(env_ids)
+        self.task.reset(env_ids)
+        self._cut.graph.reset(env_ids)
+        self.reward_sums[:, slice(None) if env_ids is None else env_ids] = 0.0
+        self._run_events(EventTime.RESET, self._all if env_ids is None else env_ids)
+
+    def _run_events(self, time: EventTime, env_ids: Tensor) -> None:
+        for event in self._events:
+            if event.time is time:
+                event.function(self.world, self.task, env_ids)
+
+
+def _no_policy(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+    raise ConfigurationError("the environment's agent is cut at its policy: actions come from outside")
+
+
+def _whole_steps(episode_length: float, step_dt: float) -> int:
+    steps = round(episode_length / step_dt)
+    if steps < 1 or abs(steps * step_dt - episode_length) > 1e-6 * episode_length:
+        raise ConfigurationError(
+            f"episode_length {episode_length} s is no whole number of steps of {step_dt} s (physics_dt x decimation): "
+            f"use {max(1, steps) * step_dt:g}"
+        )
+    return steps
+
+
+def make(
+    task: str | Task,
+    num_envs: int = 1,
+    backend: str | None = None,
+    device: str | torch.device = "cpu",
+    seed: int = 0,
+    renderer: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+    **fields: Any,
+) -> Environment:
+    """The environment of a task, given by name or configured; ``fields`` set the task's own, such as ``robot``.
+
+    Raises:
+        UnknownNameError: no such task, field, robot, action space or backend.
+    """
+    if isinstance(task, str):
+        task = configure(task_entry(task).task_type(), fields)
+    elif fields:
+        raise ConfigurationError(f"set {', '.join(fields)} on the task itself: it is given configured")
+    return Environment(task, num_envs, backend or default_backend(), device, seed, renderer, settings)

@@ -1,0 +1,84 @@
+"""What every task is made of."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import Node
+from orbit_core.scene import Scene
+
+if TYPE_CHECKING:
+    from orbit_core.motion import MotionGenerator
+    from orbit_core.world import SimulatedWorld
+
+
+@dataclass(kw_only=True)
+class Task(ABC):
+    """A goal over a world. Subclasses are dataclasses: their fields are the task's configuration.
+
+    ``observations``, ``rewards``, ``terminations`` and ``events`` are dataclasses of terms. The attributes that are
+    set by :meth:`start` hold what a task remembers while it runs; terms read and write them.
+    """
+
+    robot: str
+    """Name of a robot in the catalogue."""
+    action: str
+    """Name of an action space, :func:`orbit_core.motion.action_space`."""
+    physics_dt: float = 0.005
+    """Seconds."""
+    decimation: int = 4
+    """Physics steps in one step of the environment."""
+    episode_length: float = 5.0
+    """Seconds."""
+    observations: Any = None
+    rewards: Any = None
+    terminations: Any = None
+    events: Any = None
+    backend_presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Engine settings by backend name, where this task needs other than an engine's defaults."""
+
+    # Remembered while running
+
+    num_envs: int = field(init=False, default=0)
+    device: torch.device = field(init=False, default_factory=lambda: torch.device("cpu"))
+    generators: tuple[MotionGenerator, ...] = field(init=False, default=())
+    """What turns actions into joint commands, in the order of the action's components."""
+    last_action: Tensor = field(init=False)
+    """(N, A) of the step before; zero after a reset."""
+    episode_step: Tensor = field(init=False)
+    """(N,) int64 steps since reset."""
+    cache: dict[Callable[..., Tensor], tuple[int, Tensor | None]] = field(init=False, default_factory=dict)
+
+    @abstractmethod
+    def scene(self) -> Scene:
+        """What to simulate."""
+
+    def start(self, world: SimulatedWorld) -> None:
+        """Look things up in a new world and allocate what the task remembers. Extend, and call this first."""
+        self.num_envs = world.num_envs
+        self.device = world.device
+        self.episode_step = torch.zeros(world.num_envs, dtype=torch.int64, device=world.device)
+
+    def reset(self, env_ids: Tensor | None) -> None:
+        """Forget some environments' past. Extend where a subclass remembers more than its events set anew."""
+        rows = slice(None) if env_ids is None else env_ids
+        self.episode_step[rows] = 0
+        self.last_action[rows] = 0.0
+
+    @abstractmethod
+    def success(self, world: SimulatedWorld) -> Tensor:
+        """(N,) bool: whether the goal is reached now. An episode succeeds if it holds at its last step."""
+
+    @abstractmethod
+    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+        """What a run reports, by name with its unit, (N,) each, taken at an episode's last step; the first leads."""
+
+    @abstractmethod
+    def expert(self, world: SimulatedWorld) -> Node:
+        """A scripted node that reaches the goal, with the output port ``action``, in the cut's place."""
