@@ -116,8 +116,8 @@ class Environment:
         self.world.step(self.task.decimation)
         task = self.task
         task.episode_step += 1
+        task.action_before, task.last_action = task.last_action, action
         reward = self._reward()
-        task.last_action = action
         terminated = self._terminated()
         truncated = task.episode_step >= self.max_episode_steps
         done = terminated | truncated

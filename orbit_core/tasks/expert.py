@@ -37,8 +37,8 @@ class Phase:
 class Expert(Node):
     """Runs each environment through its phases and turns the hand's next pose into an action of the task's own space.
 
-    The pose asked for runs ahead of the hand by at most one step at ``linear_speed`` (m/s) and ``angular_speed``
-    (rad/s), so that the same expert suits absolute and relative action spaces.
+    The pose asked for runs ahead of the hand by at most ``position_lead`` (m) and ``rotation_lead`` (rad), so that the
+    same expert suits absolute and relative action spaces; how fast the hand follows is the drives' affair.
     """
 
     def __init__(
@@ -46,19 +46,18 @@ class Expert(Node):
         world: SimulatedWorld,
         task: Task,
         phases: Sequence[Phase],
-        step_dt: float,
-        linear_speed: float = 0.5,
-        angular_speed: float = 2.0,
+        position_lead: float = 0.1,
+        rotation_lead: float = 0.5,
     ) -> None:
         self.name = "policy"
         self.outputs = (Port("action", (sum(generator.command_size for generator in task.generators),)),)
         self._world = world
         self._task = task
         self._phases = tuple(phases)
-        self._dt = step_dt
+        self._dt = task.physics_dt * task.decimation
         self._robot = world.robots["robot"]
         self._frame = self._robot.spec.end_effector.frame
-        self._reach = torch.tensor([linear_speed * step_dt, angular_speed * step_dt], device=world.device)
+        self._lead = torch.tensor([position_lead, rotation_lead], device=world.device)
         tolerances = [(phase.position_tolerance, phase.rotation_tolerance) for phase in phases]
         self._tolerances = torch.tensor(tolerances, device=world.device)
         self._dwell = torch.tensor([phase.dwell for phase in phases], device=world.device)
@@ -79,7 +78,7 @@ class Expert(Node):
         target = self._target()
         error = pose_error(hand, target)
         distances = torch.stack((error[:, :3].norm(dim=1), error[:, 3:].norm(dim=1)), dim=1)
-        step = error.view(-1, 2, 3) * (self._reach / distances.clamp_min(1e-9)).clamp(max=1.0)[..., None]
+        step = error.view(-1, 2, 3) * (self._lead / distances.clamp_min(1e-9)).clamp(max=1.0)[..., None]
         turned = quat_multiply(quat_from_rotation_vector(step[:, 1]), hand[:, 3:])
         waypoint = torch.cat((hand[:, :3] + step[:, 0], turned), dim=1)
         opened = self._open[self.phase]

@@ -50,7 +50,9 @@ class Task(ABC):
     generators: tuple[MotionGenerator, ...] = field(init=False, default=())
     """What turns actions into joint commands, in the order of the action's components."""
     last_action: Tensor = field(init=False)
-    """(N, A) of the step before; zero after a reset."""
+    """(N, A) the action in effect; zero after a reset."""
+    action_before: Tensor = field(init=False)
+    """(N, A) the action of the step before that."""
     episode_step: Tensor = field(init=False)
     """(N,) int64 steps since reset."""
     cache: dict[Callable[..., Tensor], tuple[int, Tensor | None]] = field(init=False, default_factory=dict)

@@ -1,0 +1,86 @@
+"""Terms that many tasks share. The robot of a task is the scene's entity named ``robot``."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from orbit_core.assets.objects import table
+from orbit_core.interfaces import Robot
+from orbit_core.scene import ObjectSpec, Plane, Pose, Shape
+from orbit_core.tasks.task import Task
+from orbit_core.tasks.terms import once_per_state
+from orbit_core.world import SimulatedWorld
+
+ROBOT = "robot"
+BENCH_HEIGHT = 0.7
+"""Metres from the floor to the top of the work bench, which lies at z = 0."""
+
+
+def work_bench() -> ObjectSpec:
+    """A table that carries an arm at the origin and 0.95 m of top in front of it; its top is at z = 0."""
+    return table("table", size=(1.25, 1.4, BENCH_HEIGHT), pose=Pose((0.325, 0.0, 0.0)))
+
+
+def floor(height: float = 0.0) -> Shape:
+    """The ground plane."""
+    return Shape(Plane(), Pose((0.0, 0.0, height)), color=(0.35, 0.38, 0.42, 1.0), name="floor")
+
+
+def robot_of(world: SimulatedWorld) -> Robot:
+    """The task's robot."""
+    return world.robots[ROBOT]
+
+
+def joint_positions(world: SimulatedWorld, task: Task) -> Tensor:
+    """(N, J) relative to the home pose."""
+    robot = robot_of(world)
+    return robot.joint_positions - robot.home_positions
+
+
+def joint_velocities(world: SimulatedWorld, task: Task) -> Tensor:
+    """(N, J)"""
+    return robot_of(world).joint_velocities
+
+
+def last_action(world: SimulatedWorld, task: Task) -> Tensor:
+    """(N, A) the action in effect."""
+    return task.last_action
+
+
+@once_per_state
+def hand_pose(world: SimulatedWorld, task: Task) -> Tensor:
+    """(N, 7) of the end effector, in the environment's frame."""
+    robot = robot_of(world)
+    return robot.frame_pose(robot.spec.end_effector.frame)
+
+
+def action_rate(world: SimulatedWorld, task: Task) -> Tensor:
+    """(N,) squared change of the action since the step before."""
+    return (task.last_action - task.action_before).square().sum(1)
+
+
+def joint_speed(world: SimulatedWorld, task: Task) -> Tensor:
+    """(N,) sum of squared joint velocities."""
+    return robot_of(world).joint_velocities.square().sum(1)
+
+
+def facing_down(yaw: Tensor) -> Tensor:
+    """(n, 4) orientation of a hand that points down, its fingers opening along world y at ``yaw`` (n,) zero."""
+    half = 0.5 * yaw
+    zero = torch.zeros_like(yaw)
+    # A half turn about x, then the yaw about z.
+    return torch.stack((zero, half.cos(), half.sin(), zero), dim=1)
+
+
+def randomize_robot_start(spread: float):
+    """Event: joint positions around the home pose, uniform within ``spread`` (rad or m), inside the limits."""
+
+    def randomize(world: SimulatedWorld, task: Task, env_ids: Tensor) -> None:
+        robot = robot_of(world)
+        count = len(robot.joint_names)
+        offset = world.random.uniform((count,), -spread, spread, env_ids)
+        limits = robot.position_limits
+        robot.set_joint_state((robot.home_positions + offset).clamp(limits[:, 0], limits[:, 1]), env_ids=env_ids)
+
+    return randomize

@@ -1,0 +1,20 @@
+"""The task suite, written once against the core's interfaces. Names no engine."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from orbit_core.tasks.registry import TaskRegistry
+
+
+def register(registry: TaskRegistry) -> None:
+    """Entry point ``orbit.tasks``: tell the registry of every task, importing none."""
+    registry.add("Reach", "Bring the end effector to a sampled pose", "orbit_tasks.reach:Reach")
+    registry.add("Lift", "Lift a cube from the table to a sampled position", "orbit_tasks.lift:Lift")
+    registry.add("Cabinet", "Open a drawer by its handle to a given position", "orbit_tasks.cabinet:Cabinet")
+    registry.add(
+        "Velocity-Flat",
+        "A legged robot follows a commanded velocity on a plane",
+        "orbit_tasks.velocity_flat:VelocityFlat",
+    )

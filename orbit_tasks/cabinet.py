@@ -1,0 +1,169 @@
+"""Cabinet: pull a drawer open by its handle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from orbit_core.assets.catalogue import robot
+from orbit_core.assets.objects import cabinet
+from orbit_core.dynamics.transforms import quat_from_euler, quat_rotate
+from orbit_core.scene import MarkerShape, MarkerSpec, Scene
+from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, common
+from orbit_core.tasks.terms import once_per_state
+from orbit_core.world import SimulatedWorld
+
+DRAWER = "drawer_joint"
+HANDLE = "drawer_handle"
+
+
+@dataclass
+class CabinetObservations:
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    handle_pose: ObservationTerm | None = ObservationTerm(lambda world, task: handle_pose(world, task))
+    drawer: ObservationTerm | None = ObservationTerm(lambda world, task: opening(world, task)[:, None])
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal[:, None])
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class CabinetRewards:
+    reach: RewardTerm | None = RewardTerm(lambda world, task: reaching(world, task), 1.0)
+    open: RewardTerm | None = RewardTerm(lambda world, task: opened(world, task), 5.0)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
+    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
+
+
+@dataclass
+class CabinetTerminations:
+    """Only the time limit ends an episode."""
+
+
+@dataclass
+class CabinetEvents:
+    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
+    place_cabinet: EventTerm | None = EventTerm(lambda world, task, env_ids: place_cabinet(world, task, env_ids))
+    sample_goal: EventTerm | None = EventTerm(lambda world, task, env_ids: sample_goal(world, task, env_ids))
+
+
+@dataclass(kw_only=True)
+class Cabinet(Task):
+    """The cabinet stands before the robot, a little off and turned; the drawer is to be opened so far.
+
+    Succeeds when the drawer is within ``tolerance`` of the goal at the episode's end. Metric: that distance.
+    """
+
+    robot: str = "franka_panda"
+    action: str = "ik_relative"
+    episode_length: float = 8.0
+    tolerance: float = 0.02
+    """Metres."""
+    observations: CabinetObservations = field(default_factory=CabinetObservations)
+    rewards: CabinetRewards = field(default_factory=CabinetRewards)
+    terminations: CabinetTerminations = field(default_factory=CabinetTerminations)
+    events: CabinetEvents = field(default_factory=CabinetEvents)
+    goal: Tensor = field(init=False)
+    """(N,) metres that the drawer is to be open."""
+
+    def scene(self) -> Scene:
+        return Scene(
+            robots=(robot(self.robot, name=common.ROBOT),),
+            objects=(cabinet(),),
+            terrain=(common.floor(),),
+            markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.12),),
+            physics_dt=self.physics_dt,
+        )
+
+    def start(self, world: SimulatedWorld) -> None:
+        super().start(world)
+        self.goal = torch.zeros(world.num_envs, device=world.device)
+        (self.drawer,) = world.objects["cabinet"].find_joints(DRAWER)
+
+    def success(self, world: SimulatedWorld) -> Tensor:
+        return goal_distance(world, self) < self.tolerance
+
+    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+        return {"goal_distance_m": goal_distance(world, self)}
+
+    def expert(self, world: SimulatedWorld) -> Expert:
+        return Expert(
+            world,
+            self,
+            (
+                Phase(before_handle, position_tolerance=0.02, timeout=3.0),
+                Phase(at_handle, position_tolerance=0.008, timeout=1.5),
+                Phase(at_handle, gripper_open=False, dwell=0.4, timeout=0.5),
+                Phase(pulled_handle, gripper_open=False),
+            ),
+        )
+
+
+@once_per_state
+def opening(world: SimulatedWorld, task: Cabinet) -> Tensor:
+    """(N,) metres that the drawer is open."""
+    return world.objects["cabinet"].joint_positions[:, task.drawer]
+
+
+@once_per_state
+def handle_pose(world: SimulatedWorld, task: Cabinet) -> Tensor:
+    """(N, 7) as a hand takes it: z into the cabinet, y across the bar."""
+    return world.objects["cabinet"].frame_pose(HANDLE)
+
+
+@once_per_state
+def goal_distance(world: SimulatedWorld, task: Cabinet) -> Tensor:
+    """(N,) metres between the drawer and where it should be."""
+    return (task.goal - opening(world, task)).abs()
+
+
+def reaching(world: SimulatedWorld, task: Cabinet) -> Tensor:
+    """(N,) in [0, 1]: how near the hand is to the handle."""
+    distance = (handle_pose(world, task)[:, :3] - common.hand_pose(world, task)[:, :3]).norm(dim=1)
+    return 1.0 - torch.tanh(distance * 5.0)
+
+
+def opened(world: SimulatedWorld, task: Cabinet) -> Tensor:
+    """(N,) in (-inf, 1]: the part of the way that is done."""
+    return 1.0 - goal_distance(world, task) / task.goal
+
+
+def place_cabinet(world: SimulatedWorld, task: Cabinet, env_ids: Tensor) -> None:
+    """Up to 5 cm off its place each way, turned by up to 0.1 rad."""
+    u = 2.0 * world.random.uniform((3,), env_ids=env_ids) - 1.0
+    cabinet = world.objects["cabinet"]
+    zero = torch.zeros_like(u[:, 0])
+    nominal = torch.tensor(cabinet.spec.pose.position, device=world.device)
+    position = nominal + torch.stack((0.05 * u[:, 0], 0.05 * u[:, 1], zero), dim=1)
+    cabinet.set_root_pose(torch.cat((position, quat_from_euler(zero, zero, 0.1 * u[:, 2])), dim=1), env_ids)
+
+
+def sample_goal(world: SimulatedWorld, task: Cabinet, env_ids: Tensor) -> None:
+    """15 to 30 cm."""
+    task.goal[env_ids] = world.random.uniform((), 0.15, 0.3, env_ids)
+    world.markers["goal"].set_pose(_shifted(world, task, -task.goal)[env_ids], env_ids)
+
+
+def at_handle(world: SimulatedWorld, task: Cabinet) -> Tensor:
+    """(N, 7) the fingers around the bar."""
+    return handle_pose(world, task)
+
+
+def before_handle(world: SimulatedWorld, task: Cabinet) -> Tensor:
+    """(N, 7) twelve centimetres in front of the handle."""
+    return _shifted(world, task, torch.full_like(task.goal, -0.12))
+
+
+def pulled_handle(world: SimulatedWorld, task: Cabinet) -> Tensor:
+    """(N, 7) where the handle is when the drawer is at its goal."""
+    return _shifted(world, task, opening(world, task) - task.goal)
+
+
+def _shifted(world: SimulatedWorld, task: Cabinet, along: Tensor) -> Tensor:
+    handle = handle_pose(world, task)
+    offset = torch.zeros_like(handle[:, :3])
+    offset[:, 2] = along
+    return torch.cat((handle[:, :3] + quat_rotate(handle[:, 3:], offset), handle[:, 3:]), dim=1)

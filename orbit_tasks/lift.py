@@ -1,0 +1,179 @@
+"""Lift: grasp a cube on the table and hold it at a sampled position."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from orbit_core.assets.catalogue import robot
+from orbit_core.assets.objects import box
+from orbit_core.dynamics.transforms import quat_from_euler
+from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
+from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, TerminationTerm, common
+from orbit_core.tasks.terms import once_per_state
+from orbit_core.world import SimulatedWorld
+
+
+@dataclass
+class LiftObservations:
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    cube_pose: ObservationTerm | None = ObservationTerm(lambda world, task: cube_pose(world, task))
+    hand_to_cube: ObservationTerm | None = ObservationTerm(lambda world, task: hand_to_cube(world, task))
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class LiftRewards:
+    reach: RewardTerm | None = RewardTerm(lambda world, task: reaching(world, task), 1.0)
+    lift: RewardTerm | None = RewardTerm(lambda world, task: lifted(world, task), 15.0)
+    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 16.0)
+    track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 5.0)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
+    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
+
+
+@dataclass
+class LiftTerminations:
+    dropped: TerminationTerm | None = TerminationTerm(lambda world, task: cube_pose(world, task)[:, 2] < -0.05)
+
+
+@dataclass
+class LiftEvents:
+    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
+    place_cube: EventTerm | None = EventTerm(lambda world, task, env_ids: place_cube(world, task, env_ids))
+    sample_goal: EventTerm | None = EventTerm(lambda world, task, env_ids: sample_goal(world, task, env_ids))
+
+
+@dataclass(kw_only=True)
+class Lift(Task):
+    """The cube starts anywhere on a patch of the table, turned by any angle; the goal hangs above the table.
+
+    Succeeds when the cube's centre is within ``tolerance`` of the goal at the episode's end. Metric: that distance.
+    """
+
+    robot: str = "franka_panda"
+    action: str = "ik_relative"
+    episode_length: float = 5.0
+    cube_size: float = 0.05
+    """Metres, the edge."""
+    cube_mass: float = 0.1
+    """Kilograms."""
+    tolerance: float = 0.02
+    """Metres."""
+    observations: LiftObservations = field(default_factory=LiftObservations)
+    rewards: LiftRewards = field(default_factory=LiftRewards)
+    terminations: LiftTerminations = field(default_factory=LiftTerminations)
+    events: LiftEvents = field(default_factory=LiftEvents)
+    goal: Tensor = field(init=False)
+    """(N, 3) in the environment's frame."""
+
+    def scene(self) -> Scene:
+        size = (self.cube_size,) * 3
+        cube = box("cube", size=size, mass=self.cube_mass, pose=Pose((0.5, 0.0, 0.5 * self.cube_size)))
+        return Scene(
+            robots=(robot(self.robot, name=common.ROBOT),),
+            objects=(cube, common.work_bench()),
+            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            markers=(MarkerSpec("goal", MarkerShape.SPHERE, size=0.03),),
+            physics_dt=self.physics_dt,
+        )
+
+    def start(self, world: SimulatedWorld) -> None:
+        super().start(world)
+        self.goal = torch.zeros(world.num_envs, 3, device=world.device)
+
+    def success(self, world: SimulatedWorld) -> Tensor:
+        return goal_distance(world, self) < self.tolerance
+
+    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+        return {"goal_distance_m": goal_distance(world, self)}
+
+    def expert(self, world: SimulatedWorld) -> Expert:
+        return Expert(
+            world,
+            self,
+            (
+                Phase(above_cube, position_tolerance=0.02),
+                Phase(at_cube, position_tolerance=0.006, timeout=1.5),
+                Phase(at_cube, gripper_open=False, dwell=0.4, timeout=0.5),
+                Phase(at_goal, gripper_open=False),
+            ),
+        )
+
+
+@once_per_state
+def cube_pose(world: SimulatedWorld, task: Lift) -> Tensor:
+    """(N, 7)"""
+    return world.objects["cube"].root_pose
+
+
+@once_per_state
+def hand_to_cube(world: SimulatedWorld, task: Lift) -> Tensor:
+    """(N, 3) from the hand to the cube."""
+    return cube_pose(world, task)[:, :3] - common.hand_pose(world, task)[:, :3]
+
+
+@once_per_state
+def goal_distance(world: SimulatedWorld, task: Lift) -> Tensor:
+    """(N,) between cube and goal."""
+    return (task.goal - cube_pose(world, task)[:, :3]).norm(dim=1)
+
+
+def reaching(world: SimulatedWorld, task: Lift) -> Tensor:
+    """(N,) in [0, 1]: how near the hand is to the cube."""
+    return 1.0 - torch.tanh(hand_to_cube(world, task).norm(dim=1) * 10.0)
+
+
+@once_per_state
+def lifted(world: SimulatedWorld, task: Lift) -> Tensor:
+    """(N,) 1 where the cube is off the table, else 0."""
+    return (cube_pose(world, task)[:, 2] > task.cube_size).float()
+
+
+def tracking(world: SimulatedWorld, task: Lift, scale: float) -> Tensor:
+    """(N,) in [0, 1]: how near a lifted cube is to the goal."""
+    return lifted(world, task) * (1.0 - torch.tanh(goal_distance(world, task) / scale))
+
+
+def place_cube(world: SimulatedWorld, task: Lift, env_ids: Tensor) -> None:
+    """Somewhere on a 20 x 50 cm patch of the table, turned by any angle."""
+    u = world.random.uniform((3,), env_ids=env_ids)
+    zero = torch.zeros(len(env_ids), device=world.device)
+    position = torch.stack((0.4 + 0.2 * u[:, 0], 0.5 * u[:, 1] - 0.25, zero + 0.5 * task.cube_size), dim=1)
+    rotation = quat_from_euler(zero, zero, math.pi * (2.0 * u[:, 2] - 1.0))
+    world.objects["cube"].set_root_pose(torch.cat((position, rotation), dim=1), env_ids)
+
+
+def sample_goal(world: SimulatedWorld, task: Lift, env_ids: Tensor) -> None:
+    """25 to 50 cm above the patch."""
+    low = torch.tensor([0.4, -0.25, 0.25], device=world.device)
+    high = torch.tensor([0.6, 0.25, 0.5], device=world.device)
+    task.goal[env_ids] = goal = world.random.uniform((3,), low, high, env_ids)
+    upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=world.device).expand(len(env_ids), 4)
+    world.markers["goal"].set_pose(torch.cat((goal, upright), dim=1), env_ids)
+
+
+def at_cube(world: SimulatedWorld, task: Lift) -> Tensor:
+    """(N, 7) the hand around the cube, fingers along the pair of faces that needs the least turn."""
+    cube = cube_pose(world, task)
+    w, _, _, z = cube[:, 3:].unbind(1)
+    yaw = 2.0 * torch.atan2(z, w)
+    quarter = 0.5 * math.pi
+    return torch.cat((cube[:, :3], common.facing_down(yaw - quarter * torch.round(yaw / quarter))), dim=1)
+
+
+def above_cube(world: SimulatedWorld, task: Lift) -> Tensor:
+    """(N, 7) ten centimetres above the grasp."""
+    return at_cube(world, task) + torch.tensor([0, 0, 0.1, 0, 0, 0, 0], device=world.device)
+
+
+def at_goal(world: SimulatedWorld, task: Lift) -> Tensor:
+    """(N, 7) the hand where the cube's centre comes to the goal, as the cube sits in the hand now."""
+    hand = common.hand_pose(world, task)
+    position = task.goal + hand[:, :3] - cube_pose(world, task)[:, :3]
+    return torch.cat((position, common.facing_down(torch.zeros_like(task.goal[:, 0]))), dim=1)

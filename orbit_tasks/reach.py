@@ -1,0 +1,123 @@
+"""Reach: bring the end effector to a sampled pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from orbit_core.assets.catalogue import robot
+from orbit_core.dynamics.transforms import pose_error, quat_from_euler, quat_multiply
+from orbit_core.scene import MarkerShape, MarkerSpec, Scene
+from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, common
+from orbit_core.tasks.terms import once_per_state
+from orbit_core.world import SimulatedWorld
+
+
+@dataclass
+class ReachObservations:
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class ReachRewards:
+    position: RewardTerm | None = RewardTerm(lambda world, task: position_error(world, task), -2.0)
+    position_finely: RewardTerm | None = RewardTerm(lambda world, task: near(world, task), 1.0)
+    rotation: RewardTerm | None = RewardTerm(lambda world, task: rotation_error(world, task), -0.5)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
+    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
+
+
+@dataclass
+class ReachTerminations:
+    """Only the time limit ends an episode."""
+
+
+@dataclass
+class ReachEvents:
+    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.2))
+    sample_goal: EventTerm | None = EventTerm(lambda world, task, env_ids: sample_goal(world, task, env_ids))
+
+
+@dataclass(kw_only=True)
+class Reach(Task):
+    """The goal is a pose in front of the robot, the hand more or less downwards.
+
+    Succeeds when position and orientation are within tolerance at the episode's end. Metrics: both distances.
+    """
+
+    robot: str = "franka_panda"
+    action: str = "ik_relative"
+    episode_length: float = 4.0
+    position_tolerance: float = 0.02
+    """Metres."""
+    rotation_tolerance: float = 0.1
+    """Radians."""
+    observations: ReachObservations = field(default_factory=ReachObservations)
+    rewards: ReachRewards = field(default_factory=ReachRewards)
+    terminations: ReachTerminations = field(default_factory=ReachTerminations)
+    events: ReachEvents = field(default_factory=ReachEvents)
+    goal: Tensor = field(init=False)
+    """(N, 7) in the environment's frame."""
+
+    def scene(self) -> Scene:
+        return Scene(
+            robots=(robot(self.robot, name=common.ROBOT),),
+            objects=(common.work_bench(),),
+            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.15),),
+            physics_dt=self.physics_dt,
+        )
+
+    def start(self, world: SimulatedWorld) -> None:
+        super().start(world)
+        self.goal = torch.zeros(world.num_envs, 7, device=world.device)
+
+    def success(self, world: SimulatedWorld) -> Tensor:
+        near_enough = position_error(world, self) < self.position_tolerance
+        return near_enough & (rotation_error(world, self) < self.rotation_tolerance)
+
+    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+        return {"position_error_m": position_error(world, self), "rotation_error_rad": rotation_error(world, self)}
+
+    def expert(self, world: SimulatedWorld) -> Expert:
+        return Expert(world, self, (Phase(lambda world, task: task.goal),))
+
+
+@once_per_state
+def goal_error(world: SimulatedWorld, task: Reach) -> Tensor:
+    """(N, 6) position and rotation vector from the hand to the goal."""
+    return pose_error(common.hand_pose(world, task), task.goal)
+
+
+@once_per_state
+def position_error(world: SimulatedWorld, task: Reach) -> Tensor:
+    """(N,) metres."""
+    return goal_error(world, task)[:, :3].norm(dim=1)
+
+
+@once_per_state
+def rotation_error(world: SimulatedWorld, task: Reach) -> Tensor:
+    """(N,) radians."""
+    return goal_error(world, task)[:, 3:].norm(dim=1)
+
+
+def near(world: SimulatedWorld, task: Reach) -> Tensor:
+    """(N,) in [0, 1]: 1 at the goal, falling within a decimetre."""
+    return 1.0 - torch.tanh(position_error(world, task) * 10.0)
+
+
+def sample_goal(world: SimulatedWorld, task: Reach, env_ids: Tensor) -> None:
+    """A box 25 x 50 x 35 cm in front of the robot; any yaw within a radian, tilted by up to 0.3 rad."""
+    low = torch.tensor([0.4, -0.25, 0.15, -0.3, -0.3, -1.0], device=world.device)
+    high = torch.tensor([0.65, 0.25, 0.5, 0.3, 0.3, 1.0], device=world.device)
+    sample = world.random.uniform((6,), low, high, env_ids)
+    roll, pitch, yaw = sample[:, 3:].unbind(1)
+    tilt = quat_from_euler(roll, pitch, torch.zeros_like(yaw))
+    task.goal[env_ids] = goal = torch.cat((sample[:, :3], quat_multiply(tilt, common.facing_down(yaw))), dim=1)
+    world.markers["goal"].set_pose(goal, env_ids)
