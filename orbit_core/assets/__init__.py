@@ -1,0 +1,36 @@
+"""Files to scene data and back, and the catalogue of robots. Names load on first use."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from orbit_core.assets.catalogue import RobotCatalogue, RobotEntry, robot, robot_info, robot_names
+    from orbit_core.assets.compose import add_frames, attach, edit_joints, edit_links, subtree
+    from orbit_core.assets.files import asset_file, load_articulation
+    from orbit_core.assets.merge import merge_fixed_links
+    from orbit_core.assets.urdf import read_urdf
+    from orbit_core.assets.validation import sort_links, validate, validate_entity
+
+_MODULES = {
+    "catalogue": ("RobotCatalogue", "RobotEntry", "robot", "robot_info", "robot_names"),
+    "compose": ("add_frames", "attach", "edit_joints", "edit_links", "subtree"),
+    "files": ("asset_file", "load_articulation"),
+    "merge": ("merge_fixed_links",),
+    "urdf": ("read_urdf",),
+    "validation": ("sort_links", "validate", "validate_entity"),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+__all__ = [
+    "RobotCatalogue", "RobotEntry", "add_frames", "asset_file", "attach", "edit_joints", "edit_links",
+    "load_articulation", "merge_fixed_links", "read_urdf", "robot", "robot_info", "robot_names", "sort_links",
+    "subtree", "validate", "validate_entity",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

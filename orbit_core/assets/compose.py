@@ -1,0 +1,168 @@
+"""Articulations put together, cut apart and adjusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from orbit_core.assets.meshes import simplified_hull
+from orbit_core.assets.validation import check_structure, sort_links
+from orbit_core.interfaces.errors import AssetError, UnknownNameError
+from orbit_core.interfaces.names import match_names
+from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, Mesh, Pose, Shape
+
+
+def attach(
+    base: Articulation, other: Articulation, at: str, pose: Pose | None = None, prefix: str = ""
+) -> Articulation:
+    """``base`` with the root of ``other`` fixed to it at ``pose`` in the link or frame ``at`` of ``base``.
+
+    ``prefix`` goes before every name of ``other``. The result collides with itself if either part does.
+
+    Raises:
+        UnknownNameError: ``base`` has no such link or frame.
+        AssetError: names clash.
+    """
+    mount = _frame(base, at)
+    other = _prefixed(other, prefix)
+    joint = Joint(
+        f"{other.root.name}_mount",
+        JointType.FIXED,
+        mount.link,
+        other.root.name,
+        parent_pose=mount.pose @ (pose or Pose()),
+    )
+    return sort_links(
+        replace(
+            base,
+            links=base.links + other.links,
+            joints=(*base.joints, joint, *other.joints),
+            frames=base.frames + other.frames,
+            self_collisions=base.self_collisions or other.self_collisions,
+            collision_exclusions=base.collision_exclusions + other.collision_exclusions,
+            notes=base.notes + other.notes,
+        )
+    )
+
+
+def subtree(articulation: Articulation, link: str, name: str | None = None) -> Articulation:
+    """The link and everything beyond it, as an articulation of its own with that link as root.
+
+    Raises:
+        UnknownNameError: there is no such link.
+        AssetError: a joint of the part mimics one outside it.
+    """
+    if link not in articulation.link_names:
+        raise UnknownNameError("link", link, articulation.link_names, f"'{articulation.name}'")
+    articulation = sort_links(articulation)
+    kept = {link}
+    joints: list[Joint] = []
+    for joint in articulation.joints:  # parents come before children
+        if joint.parent in kept:
+            kept.add(joint.child)
+            joints.append(joint)
+    names = {joint.name for joint in joints}
+    for joint in joints:
+        if joint.mimic and joint.mimic.joint not in names:
+            raise AssetError(
+                f"'{articulation.name}': joint '{joint.name}' mimics '{joint.mimic.joint}', which lies outside the "
+                f"part beyond link '{link}': cut at a link nearer to the root, or drop the mimic"
+            )
+    exclusions = tuple(pair for pair in articulation.collision_exclusions if kept.issuperset(pair))
+    return replace(
+        articulation,
+        name=name or link,
+        links=tuple(body for body in articulation.links if body.name in kept),
+        joints=tuple(joints),
+        frames=tuple(frame for frame in articulation.frames if frame.link in kept),
+        collision_exclusions=exclusions,
+    )
+
+
+def edit_joints(articulation: Articulation, joints: tuple[str, ...], note: str, **changes: Any) -> Articulation:
+    """The articulation with fields of :class:`Joint` changed on every movable joint that a pattern matches in full.
+
+    ``note`` tells the build report what was changed and why.
+
+    Raises:
+        UnknownNameError: a pattern matches no movable joint.
+    """
+    names = articulation.joint_names
+    chosen = {names[index] for index in match_names(joints, names, "joint", f"'{articulation.name}'")}
+    edited = tuple(replace(joint, **changes) if joint.name in chosen else joint for joint in articulation.joints)
+    return replace(articulation, joints=edited, notes=(*articulation.notes, note))
+
+
+def edit_links(
+    articulation: Articulation, links: tuple[str, ...], note: str, edit: Callable[[Link], Link]
+) -> Articulation:
+    """The articulation with ``edit`` applied to every link that a pattern matches in full.
+
+    ``note`` tells the build report what was changed and why.
+
+    Raises:
+        UnknownNameError: a pattern matches no link.
+    """
+    names = articulation.link_names
+    chosen = set(match_names(links, names, "link", f"'{articulation.name}'"))
+    edited = tuple(edit(link) if index in chosen else link for index, link in enumerate(articulation.links))
+    return replace(articulation, links=edited, notes=(*articulation.notes, note))
+
+
+def simplify_collisions(articulation: Articulation, links: tuple[str, ...] = (".*",)) -> Articulation:
+    """The articulation with the collision meshes of matching links replaced by hulls of at most 38 vertices.
+
+    Raises:
+        UnknownNameError: a pattern matches no link.
+    """
+
+    def simplified(shape: Shape) -> Shape:
+        mesh = shape.geometry
+        return replace(shape, geometry=simplified_hull(mesh)) if isinstance(mesh, Mesh) else shape
+
+    def edit(link: Link) -> Link:
+        return replace(link, collisions=tuple(simplified(shape) for shape in link.collisions))
+
+    note = "collision meshes are replaced by hulls of at most 38 of their vertices, for speed"
+    return edit_links(articulation, links, note, edit)
+
+
+def add_frames(articulation: Articulation, *frames: Frame) -> Articulation:
+    """The articulation with more frames; each may be given on a link or on another frame.
+
+    Raises:
+        UnknownNameError: a frame is on nothing that exists.
+    """
+    for frame in frames:
+        host = _frame(articulation, frame.link)
+        placed = Frame(frame.name, host.link, host.pose @ frame.pose)
+        articulation = replace(articulation, frames=(*articulation.frames, placed))
+    check_structure(articulation)
+    return articulation
+
+
+def _frame(articulation: Articulation, name: str) -> Frame:
+    try:
+        return articulation.frame(name)
+    except KeyError:
+        known = (*articulation.link_names, *(frame.name for frame in articulation.frames))
+        raise UnknownNameError("link or frame", name, known, f"'{articulation.name}'") from None
+
+
+def _prefixed(articulation: Articulation, prefix: str) -> Articulation:
+    if not prefix:
+        return articulation
+    return replace(
+        articulation,
+        links=tuple(replace(link, name=prefix + link.name) for link in articulation.links),
+        joints=tuple(_prefixed_joint(joint, prefix) for joint in articulation.joints),
+        frames=tuple(Frame(prefix + frame.name, prefix + frame.link, frame.pose) for frame in articulation.frames),
+        collision_exclusions=tuple((prefix + a, prefix + b) for a, b in articulation.collision_exclusions),
+    )
+
+
+def _prefixed_joint(joint: Joint, prefix: str) -> Joint:
+    mimic = joint.mimic and replace(joint.mimic, joint=prefix + joint.mimic.joint)
+    names = {"name": prefix + joint.name, "parent": prefix + joint.parent, "child": prefix + joint.child}
+    return replace(joint, mimic=mimic, **names)

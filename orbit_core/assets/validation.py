@@ -1,0 +1,230 @@
+"""What makes an articulation one that can be simulated: one tree, in order, of bodies that could exist."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.interfaces.errors import AssetError
+from orbit_core.scene import Articulation, Entity, Joint, JointType, Link
+
+_TRIANGLE_TOLERANCE = 1e-3
+"""Of the largest principal moment: published models round their inertias to three digits."""
+
+
+def validate(articulation: Articulation) -> Articulation:
+    """The articulation with joint axes of unit length, checked.
+
+    Inertias are checked per rigid body, links joined by fixed joints taken together: a sensor's own entry may be
+    rounded beyond physics while the body that carries it is sound. The root may have no mass, as that of a fixed base.
+
+    Raises:
+        AssetError: names repeat or are unknown, links form no single tree, are out of order (:func:`sort_links` mends
+            that), a joint's numbers or mimic are impossible, or a body's mass or inertia is.
+    """
+    check_structure(articulation)
+    _check_order(articulation)
+    links = set(articulation.link_names)
+    for frame in articulation.frames:
+        if frame.link not in links:
+            raise _error(articulation, f"frame '{frame.name}' is on unknown link '{frame.link}': name a link")
+    for first, second in articulation.collision_exclusions:
+        for name in (first, second):
+            if name not in links:
+                raise _error(articulation, f"a collision exclusion names unknown link '{name}': name a link")
+    joints = tuple(_checked_joint(articulation, joint) for joint in articulation.joints)
+    for joint in joints:
+        _check_mimic(articulation, joint)
+    if any(new is not old for new, old in zip(joints, articulation.joints, strict=True)):
+        articulation = replace(articulation, joints=joints)
+    merged = merge_fixed_links(articulation)
+    for link in merged.links:
+        _check_inertia(articulation, link, may_be_massless=link is merged.root)
+    return articulation
+
+
+def validate_entity(entity: Entity) -> None:
+    """Check the entity's articulation, and that a root that is free to move has mass.
+
+    Raises:
+        AssetError: as :func:`validate`, or the root of a free base has no mass.
+    """
+    validate(entity.articulation)
+    if not entity.fixed_base and merge_fixed_links(entity.articulation).root.mass <= 0:
+        root = entity.articulation.root.name
+        raise AssetError(
+            f"'{entity.name}': root link '{root}' moves freely but has no mass: give it one or set fixed_base=True"
+        )
+
+
+def sort_links(articulation: Articulation) -> Articulation:
+    """The same tree with links depth first, children in their given order, and joints in the order of their links.
+
+    Raises:
+        AssetError: the links form no single tree.
+    """
+    check_structure(articulation)
+    children: dict[str, list[str]] = {}
+    joint_of = {joint.child: joint for joint in articulation.joints}
+    for link in articulation.links:
+        if link.name in joint_of:
+            children.setdefault(joint_of[link.name].parent, []).append(link.name)
+    (root,) = (link.name for link in articulation.links if link.name not in joint_of)
+    order: list[str] = []
+    stack = [root]
+    while stack:
+        name = stack.pop()
+        order.append(name)
+        stack += reversed(children.get(name, []))
+    by_name = {link.name: link for link in articulation.links}
+    links = tuple(by_name[name] for name in order)
+    return replace(articulation, links=links, joints=tuple(joint_of[name] for name in order[1:]))
+
+
+def check_structure(articulation: Articulation) -> None:
+    """Check that names are unique and that the joints make one tree of all links, in whatever order.
+
+    Raises:
+        AssetError: they do not.
+    """
+    if not articulation.links:
+        raise _error(articulation, "there is no link: describe at least one")
+    links = articulation.link_names
+    _check_unique(articulation, "links or frames", (*links, *(frame.name for frame in articulation.frames)))
+    _check_unique(articulation, "joints", (joint.name for joint in articulation.joints))
+    parent_of: dict[str, Joint] = {}
+    for joint in articulation.joints:
+        for role, name in (("parent", joint.parent), ("child", joint.child)):
+            if name not in links:
+                raise _error(articulation, f"joint '{joint.name}' names unknown {role} link '{name}': define the link")
+        if joint.child in parent_of:
+            other = parent_of[joint.child].name
+            raise _error(
+                articulation,
+                f"link '{joint.child}' has two parents, by joints '{other}' and '{joint.name}': remove one joint",
+            )
+        parent_of[joint.child] = joint
+    _check_tree(articulation, parent_of)
+
+
+def _check_tree(articulation: Articulation, parent_of: dict[str, Joint]) -> None:
+    rooted: set[str] = set()
+    for link in articulation.link_names:
+        path: list[str] = []
+        name = link
+        while name in parent_of and name not in rooted:
+            if name in path:
+                cycle = " -> ".join(reversed([*path[path.index(name) :], name]))
+                raise _error(articulation, f"links form a cycle, {cycle}: remove one of its joints")
+            path.append(name)
+            name = parent_of[name].parent
+        rooted.update(path)
+    roots = [name for name in articulation.link_names if name not in parent_of]
+    if len(roots) > 1:
+        listed = ", ".join(f"'{name}'" for name in roots)
+        raise _error(articulation, f"there are several roots, {listed}: connect them with joints or split the model")
+
+
+def _check_order(articulation: Articulation) -> None:
+    index = {name: position for position, name in enumerate(articulation.link_names)}
+    for position, joint in enumerate(articulation.joints):
+        if index[joint.child] != position + 1 or index[joint.parent] > position:
+            raise _error(
+                articulation,
+                f"link '{joint.child}' stands out of order: links go parent before child and joints in the order of "
+                "their child links, as orbit_core.assets.validation.sort_links arranges them",
+            )
+
+
+def _check_unique(articulation: Articulation, kind: str, names: Iterable[str]) -> None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise _error(articulation, f"two {kind} share the name '{name}': rename one")
+        seen.add(name)
+
+
+def _checked_joint(articulation: Articulation, joint: Joint) -> Joint:
+    numbers = (*joint.parent_pose.position, *joint.parent_pose.orientation)
+    numbers += (*joint.child_pose.position, *joint.child_pose.orientation, *joint.axis)
+    if not all(math.isfinite(number) for number in numbers):
+        raise _error(articulation, f"joint '{joint.name}' has a pose or axis that is not finite: give finite numbers")
+    for name in ("effort_limit", "velocity_limit", "damping", "friction", "armature"):
+        value = getattr(joint, name)
+        if not value >= 0:
+            raise _error(articulation, f"joint '{joint.name}' has {name} {value}: give zero or more")
+    if not joint.lower_limit <= joint.upper_limit:
+        raise _error(
+            articulation,
+            f"joint '{joint.name}' has lower limit {joint.lower_limit} above upper limit {joint.upper_limit}: "
+            "exchange them",
+        )
+    if joint.type is JointType.FIXED:
+        return joint
+    length = math.hypot(*joint.axis)
+    if length < 1e-9:
+        raise _error(articulation, f"joint '{joint.name}' has an axis of zero length: give a direction")
+    if abs(length - 1.0) < 1e-9:
+        return joint
+    x, y, z = joint.axis
+    return replace(joint, axis=(x / length, y / length, z / length))
+
+
+def _check_mimic(articulation: Articulation, joint: Joint) -> None:
+    if joint.mimic is None:
+        return
+    leaders = {other.name: other for other in articulation.joints}
+    leader = leaders.get(joint.mimic.joint)
+    if leader is None:
+        fault = "which does not exist"
+    elif leader.name == joint.name:
+        fault = "itself"
+    elif not leader.movable:
+        fault = "which is fixed"
+    elif leader.mimic is not None:
+        fault = f"which itself mimics '{leader.mimic.joint}'"
+    elif not joint.movable:
+        fault = "though it is fixed itself"
+    elif not (math.isfinite(joint.mimic.multiplier) and math.isfinite(joint.mimic.offset)):
+        fault = "with a multiplier or offset that is not finite"
+    else:
+        return
+    raise _error(
+        articulation,
+        f"joint '{joint.name}' mimics '{joint.mimic.joint}', {fault}: let a movable joint mimic another free one",
+    )
+
+
+def _check_inertia(articulation: Articulation, link: Link, *, may_be_massless: bool) -> None:
+    if not (math.isfinite(link.mass) and link.mass >= 0):
+        raise _error(articulation, f"link '{link.name}' has mass {link.mass}: give a finite mass that is not negative")
+    if not (np.isfinite(link.inertia).all() and np.isfinite(link.center_of_mass).all()):
+        raise _error(articulation, f"link '{link.name}' has an inertia or centre of mass that is not finite: mend it")
+    if link.mass == 0:
+        if may_be_massless:
+            return
+        raise _error(
+            articulation, f"link '{link.name}' moves but has no mass: give it mass and inertia, or fix its joint"
+        )
+    if not np.allclose(link.inertia, link.inertia.T, rtol=1e-6, atol=1e-12):
+        raise _error(articulation, f"link '{link.name}' has an inertia that is not symmetric: make it so")
+    small, middle, large = np.linalg.eigvalsh(link.inertia)
+    moments = f"principal moments ({small:.3g}, {middle:.3g}, {large:.3g}) kg m^2"
+    if small <= 0:
+        raise _error(
+            articulation, f"link '{link.name}' has {moments}, not all positive: compute its inertia from its shape"
+        )
+    if small + middle < large * (1 - _TRIANGLE_TOLERANCE):
+        raise _error(
+            articulation,
+            f"link '{link.name}' has {moments}, of which one exceeds the sum of the others as no body's can: "
+            "compute its inertia from its shape",
+        )
+
+
+def _error(articulation: Articulation, message: str) -> AssetError:
+    return AssetError(f"'{articulation.name}': {message}")
