@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import torch
+from orbit_core.assets.catalogue import robot
 from torch import Tensor
 
-from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import cabinet
 from orbit_core.dynamics.transforms import quat_from_euler, quat_rotate
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
@@ -17,89 +17,6 @@ from orbit_core.world import SimulatedWorld
 
 DRAWER = "drawer_joint"
 HANDLE = "drawer_handle"
-
-
-@dataclass
-class CabinetObservations:
-    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
-    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
-    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
-    handle_pose: ObservationTerm | None = ObservationTerm(lambda world, task: handle_pose(world, task))
-    drawer: ObservationTerm | None = ObservationTerm(lambda world, task: opening(world, task)[:, None])
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal[:, None])
-    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
-
-
-@dataclass
-class CabinetRewards:
-    reach: RewardTerm | None = RewardTerm(lambda world, task: reaching(world, task), 1.0)
-    open: RewardTerm | None = RewardTerm(lambda world, task: opened(world, task), 5.0)
-    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
-    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
-
-
-@dataclass
-class CabinetTerminations:
-    """Only the time limit ends an episode."""
-
-
-@dataclass
-class CabinetEvents:
-    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
-    place_cabinet: EventTerm | None = EventTerm(lambda world, task, env_ids: place_cabinet(world, task, env_ids))
-    sample_goal: EventTerm | None = EventTerm(lambda world, task, env_ids: sample_goal(world, task, env_ids))
-
-
-@dataclass(kw_only=True)
-class Cabinet(Task):
-    """The cabinet stands before the robot, a little off and turned; the drawer is to be opened so far.
-
-    Succeeds when the drawer is within ``tolerance`` of the goal at the episode's end. Metric: that distance.
-    """
-
-    robot: str = "franka_panda"
-    action: str = "ik_relative"
-    episode_length: float = 8.0
-    tolerance: float = 0.02
-    """Metres."""
-    observations: CabinetObservations = field(default_factory=CabinetObservations)
-    rewards: CabinetRewards = field(default_factory=CabinetRewards)
-    terminations: CabinetTerminations = field(default_factory=CabinetTerminations)
-    events: CabinetEvents = field(default_factory=CabinetEvents)
-    goal: Tensor = field(init=False)
-    """(N,) metres that the drawer is to be open."""
-
-    def scene(self) -> Scene:
-        return Scene(
-            robots=(robot(self.robot, name=common.ROBOT),),
-            objects=(cabinet(),),
-            terrain=(common.floor(),),
-            markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.12),),
-            physics_dt=self.physics_dt,
-        )
-
-    def start(self, world: SimulatedWorld) -> None:
-        super().start(world)
-        self.goal = torch.zeros(world.num_envs, device=world.device)
-        (self.drawer,) = world.objects["cabinet"].find_joints(DRAWER)
-
-    def success(self, world: SimulatedWorld) -> Tensor:
-        return goal_distance(world, self) < self.tolerance
-
-    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
-        return {"goal_distance_m": goal_distance(world, self)}
-
-    def expert(self, world: SimulatedWorld) -> Expert:
-        return Expert(
-            world,
-            self,
-            (
-                Phase(before_handle, position_tolerance=0.02, timeout=3.0),
-                Phase(at_handle, position_tolerance=0.008, timeout=1.5),
-                Phase(at_handle, gripper_open=False, dwell=0.4, timeout=0.5),
-                Phase(pulled_handle, gripper_open=False),
-            ),
-        )
 
 
 @once_per_state
@@ -167,3 +84,86 @@ def _shifted(world: SimulatedWorld, task: Cabinet, along: Tensor) -> Tensor:
     offset = torch.zeros_like(handle[:, :3])
     offset[:, 2] = along
     return torch.cat((handle[:, :3] + quat_rotate(handle[:, 3:], offset), handle[:, 3:]), dim=1)
+
+
+@dataclass
+class CabinetObservations:
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    handle_pose: ObservationTerm | None = ObservationTerm(handle_pose)
+    drawer: ObservationTerm | None = ObservationTerm(opening[:, None])
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal[:, None])
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class CabinetRewards:
+    reach: RewardTerm | None = RewardTerm(reaching, 1.0)
+    open: RewardTerm | None = RewardTerm(opened, 5.0)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
+    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
+
+
+@dataclass
+class CabinetTerminations:
+    """Only the time limit ends an episode."""
+
+
+@dataclass
+class CabinetEvents:
+    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
+    place_cabinet: EventTerm | None = EventTerm(place_cabinet)
+    sample_goal: EventTerm | None = EventTerm(sample_goal)
+
+
+@dataclass(kw_only=True)
+class Cabinet(Task):
+    """The cabinet stands before the robot, a little off and turned; the drawer is to be opened so far.
+
+    Succeeds when the drawer is within ``tolerance`` of the goal at the episode's end. Metric: that distance.
+    """
+
+    robot: str = "franka_panda"
+    action: str = "ik_relative"
+    episode_length: float = 8.0
+    tolerance: float = 0.02
+    """Metres."""
+    observations: CabinetObservations = field(default_factory=CabinetObservations)
+    rewards: CabinetRewards = field(default_factory=CabinetRewards)
+    terminations: CabinetTerminations = field(default_factory=CabinetTerminations)
+    events: CabinetEvents = field(default_factory=CabinetEvents)
+    goal: Tensor = field(init=False)
+    """(N,) metres that the drawer is to be open."""
+
+    def scene(self) -> Scene:
+        return Scene(
+            robots=(robot(self.robot, name=common.ROBOT),),
+            objects=(cabinet(),),
+            terrain=(common.floor(),),
+            markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.12),),
+            physics_dt=self.physics_dt,
+        )
+
+    def start(self, world: SimulatedWorld) -> None:
+        super().start(world)
+        self.goal = torch.zeros(world.num_envs, device=world.device)
+        (self.drawer,) = world.objects["cabinet"].find_joints(DRAWER)
+
+    def success(self, world: SimulatedWorld) -> Tensor:
+        return goal_distance(world, self) < self.tolerance
+
+    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+        return {"goal_distance_m": goal_distance(world, self)}
+
+    def expert(self, world: SimulatedWorld) -> Expert:
+        return Expert(
+            world,
+            self,
+            (
+                Phase(before_handle, position_tolerance=0.02, timeout=3.0),
+                Phase(at_handle, position_tolerance=0.008, timeout=1.5),
+                Phase(at_handle, gripper_open=False, dwell=0.4, timeout=0.5),
+                Phase(pulled_handle, gripper_open=False),
+            ),
+        )

@@ -6,104 +6,15 @@ import math
 from dataclasses import dataclass, field
 
 import torch
+from orbit_core.assets.catalogue import robot
 from torch import Tensor
 
-from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import box
 from orbit_core.dynamics.transforms import quat_from_euler
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
 from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, TerminationTerm, common
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
-
-
-@dataclass
-class LiftObservations:
-    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
-    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
-    cube_pose: ObservationTerm | None = ObservationTerm(lambda world, task: cube_pose(world, task))
-    hand_to_cube: ObservationTerm | None = ObservationTerm(lambda world, task: hand_to_cube(world, task))
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
-    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
-
-
-@dataclass
-class LiftRewards:
-    reach: RewardTerm | None = RewardTerm(lambda world, task: reaching(world, task), 1.0)
-    lift: RewardTerm | None = RewardTerm(lambda world, task: lifted(world, task), 15.0)
-    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 16.0)
-    track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 5.0)
-    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
-    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
-
-
-@dataclass
-class LiftTerminations:
-    dropped: TerminationTerm | None = TerminationTerm(lambda world, task: cube_pose(world, task)[:, 2] < -0.05)
-
-
-@dataclass
-class LiftEvents:
-    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
-    place_cube: EventTerm | None = EventTerm(lambda world, task, env_ids: place_cube(world, task, env_ids))
-    sample_goal: EventTerm | None = EventTerm(lambda world, task, env_ids: sample_goal(world, task, env_ids))
-
-
-@dataclass(kw_only=True)
-class Lift(Task):
-    """The cube starts anywhere on a patch of the table, turned by any angle; the goal hangs above the table.
-
-    Succeeds when the cube's centre is within ``tolerance`` of the goal at the episode's end. Metric: that distance.
-    """
-
-    robot: str = "franka_panda"
-    action: str = "ik_relative"
-    episode_length: float = 5.0
-    cube_size: float = 0.05
-    """Metres, the edge."""
-    cube_mass: float = 0.1
-    """Kilograms."""
-    tolerance: float = 0.02
-    """Metres."""
-    observations: LiftObservations = field(default_factory=LiftObservations)
-    rewards: LiftRewards = field(default_factory=LiftRewards)
-    terminations: LiftTerminations = field(default_factory=LiftTerminations)
-    events: LiftEvents = field(default_factory=LiftEvents)
-    goal: Tensor = field(init=False)
-    """(N, 3) in the environment's frame."""
-
-    def scene(self) -> Scene:
-        size = (self.cube_size,) * 3
-        cube = box("cube", size=size, mass=self.cube_mass, pose=Pose((0.5, 0.0, 0.5 * self.cube_size)))
-        return Scene(
-            robots=(robot(self.robot, name=common.ROBOT),),
-            objects=(cube, common.work_bench()),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
-            markers=(MarkerSpec("goal", MarkerShape.SPHERE, size=0.03),),
-            physics_dt=self.physics_dt,
-        )
-
-    def start(self, world: SimulatedWorld) -> None:
-        super().start(world)
-        self.goal = torch.zeros(world.num_envs, 3, device=world.device)
-
-    def success(self, world: SimulatedWorld) -> Tensor:
-        return goal_distance(world, self) < self.tolerance
-
-    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
-        return {"goal_distance_m": goal_distance(world, self)}
-
-    def expert(self, world: SimulatedWorld) -> Expert:
-        return Expert(
-            world,
-            self,
-            (
-                Phase(above_cube, position_tolerance=0.02),
-                Phase(at_cube, position_tolerance=0.006, timeout=1.5),
-                Phase(at_cube, gripper_open=False, dwell=0.4, timeout=0.5),
-                Phase(at_goal, gripper_open=False),
-            ),
-        )
 
 
 @once_per_state
@@ -177,3 +88,92 @@ def at_goal(world: SimulatedWorld, task: Lift) -> Tensor:
     hand = common.hand_pose(world, task)
     position = task.goal + hand[:, :3] - cube_pose(world, task)[:, :3]
     return torch.cat((position, common.facing_down(torch.zeros_like(task.goal[:, 0]))), dim=1)
+
+
+@dataclass
+class LiftObservations:
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    cube_pose: ObservationTerm | None = ObservationTerm(cube_pose)
+    hand_to_cube: ObservationTerm | None = ObservationTerm(hand_to_cube)
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class LiftRewards:
+    reach: RewardTerm | None = RewardTerm(reaching, 1.0)
+    lift: RewardTerm | None = RewardTerm(lifted, 15.0)
+    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 16.0)
+    track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 5.0)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
+    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
+
+
+@dataclass
+class LiftTerminations:
+    dropped: TerminationTerm | None = TerminationTerm(cube_pose[:, 2] < -0.05)
+
+
+@dataclass
+class LiftEvents:
+    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
+    place_cube: EventTerm | None = EventTerm(place_cube)
+    sample_goal: EventTerm | None = EventTerm(sample_goal)
+
+
+@dataclass(kw_only=True)
+class Lift(Task):
+    """The cube starts anywhere on a patch of the table, turned by any angle; the goal hangs above the table.
+
+    Succeeds when the cube's centre is within ``tolerance`` of the goal at the episode's end. Metric: that distance.
+    """
+
+    robot: str = "franka_panda"
+    action: str = "ik_relative"
+    episode_length: float = 5.0
+    cube_size: float = 0.05
+    """Metres, the edge."""
+    cube_mass: float = 0.1
+    """Kilograms."""
+    tolerance: float = 0.02
+    """Metres."""
+    observations: LiftObservations = field(default_factory=LiftObservations)
+    rewards: LiftRewards = field(default_factory=LiftRewards)
+    terminations: LiftTerminations = field(default_factory=LiftTerminations)
+    events: LiftEvents = field(default_factory=LiftEvents)
+    goal: Tensor = field(init=False)
+    """(N, 3) in the environment's frame."""
+
+    def scene(self) -> Scene:
+        size = (self.cube_size,) * 3
+        cube = box("cube", size=size, mass=self.cube_mass, pose=Pose((0.5, 0.0, 0.5 * self.cube_size)))
+        return Scene(
+            robots=(robot(self.robot, name=common.ROBOT),),
+            objects=(cube, common.work_bench()),
+            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            markers=(MarkerSpec("goal", MarkerShape.SPHERE, size=0.03),),
+            physics_dt=self.physics_dt,
+        )
+
+    def start(self, world: SimulatedWorld) -> None:
+        super().start(world)
+        self.goal = torch.zeros(world.num_envs, 3, device=world.device)
+
+    def success(self, world: SimulatedWorld) -> Tensor:
+        return goal_distance(world, self) < self.tolerance
+
+    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+        return {"goal_distance_m": goal_distance(world, self)}
+
+    def expert(self, world: SimulatedWorld) -> Expert:
+        return Expert(
+            world,
+            self,
+            (
+                Phase(above_cube, position_tolerance=0.02),
+                Phase(at_cube, position_tolerance=0.006, timeout=1.5),
+                Phase(at_cube, gripper_open=False, dwell=0.4, timeout=0.5),
+                Phase(at_goal, gripper_open=False),
+            ),
+        )

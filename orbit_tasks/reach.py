@@ -5,14 +5,48 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import torch
+from orbit_core.assets.catalogue import robot
 from torch import Tensor
 
-from orbit_core.assets.catalogue import robot
 from orbit_core.dynamics.transforms import pose_error, quat_from_euler, quat_multiply
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
 from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, common
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
+
+
+@once_per_state
+def goal_error(world: SimulatedWorld, task: Reach) -> Tensor:
+    """(N, 6) position and rotation vector from the hand to the goal."""
+    return pose_error(common.hand_pose(world, task), task.goal)
+
+
+@once_per_state
+def position_error(world: SimulatedWorld, task: Reach) -> Tensor:
+    """(N,) metres."""
+    return goal_error(world, task)[:, :3].norm(dim=1)
+
+
+@once_per_state
+def rotation_error(world: SimulatedWorld, task: Reach) -> Tensor:
+    """(N,) radians."""
+    return goal_error(world, task)[:, 3:].norm(dim=1)
+
+
+def near(world: SimulatedWorld, task: Reach) -> Tensor:
+    """(N,) in [0, 1]: 1 at the goal, falling within a decimetre."""
+    return 1.0 - torch.tanh(position_error(world, task) * 10.0)
+
+
+def sample_goal(world: SimulatedWorld, task: Reach, env_ids: Tensor) -> None:
+    """A box 25 x 50 x 35 cm in front of the robot; any yaw within a radian, tilted by up to 0.3 rad."""
+    low = torch.tensor([0.4, -0.25, 0.15, -0.3, -0.3, -1.0], device=world.device)
+    high = torch.tensor([0.65, 0.25, 0.5, 0.3, 0.3, 1.0], device=world.device)
+    sample = world.random.uniform((6,), low, high, env_ids)
+    roll, pitch, yaw = sample[:, 3:].unbind(1)
+    tilt = quat_from_euler(roll, pitch, torch.zeros_like(yaw))
+    task.goal[env_ids] = goal = torch.cat((sample[:, :3], quat_multiply(tilt, common.facing_down(yaw))), dim=1)
+    world.markers["goal"].set_pose(goal, env_ids)
 
 
 @dataclass
@@ -26,9 +60,9 @@ class ReachObservations:
 
 @dataclass
 class ReachRewards:
-    position: RewardTerm | None = RewardTerm(lambda world, task: position_error(world, task), -2.0)
-    position_finely: RewardTerm | None = RewardTerm(lambda world, task: near(world, task), 1.0)
-    rotation: RewardTerm | None = RewardTerm(lambda world, task: rotation_error(world, task), -0.5)
+    position: RewardTerm | None = RewardTerm(position_error, -2.0)
+    position_finely: RewardTerm | None = RewardTerm(near, 1.0)
+    rotation: RewardTerm | None = RewardTerm(rotation_error, -0.5)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
 
@@ -41,7 +75,7 @@ class ReachTerminations:
 @dataclass
 class ReachEvents:
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.2))
-    sample_goal: EventTerm | None = EventTerm(lambda world, task, env_ids: sample_goal(world, task, env_ids))
+    sample_goal: EventTerm | None = EventTerm(sample_goal)
 
 
 @dataclass(kw_only=True)
@@ -87,37 +121,3 @@ class Reach(Task):
 
     def expert(self, world: SimulatedWorld) -> Expert:
         return Expert(world, self, (Phase(lambda world, task: task.goal),))
-
-
-@once_per_state
-def goal_error(world: SimulatedWorld, task: Reach) -> Tensor:
-    """(N, 6) position and rotation vector from the hand to the goal."""
-    return pose_error(common.hand_pose(world, task), task.goal)
-
-
-@once_per_state
-def position_error(world: SimulatedWorld, task: Reach) -> Tensor:
-    """(N,) metres."""
-    return goal_error(world, task)[:, :3].norm(dim=1)
-
-
-@once_per_state
-def rotation_error(world: SimulatedWorld, task: Reach) -> Tensor:
-    """(N,) radians."""
-    return goal_error(world, task)[:, 3:].norm(dim=1)
-
-
-def near(world: SimulatedWorld, task: Reach) -> Tensor:
-    """(N,) in [0, 1]: 1 at the goal, falling within a decimetre."""
-    return 1.0 - torch.tanh(position_error(world, task) * 10.0)
-
-
-def sample_goal(world: SimulatedWorld, task: Reach, env_ids: Tensor) -> None:
-    """A box 25 x 50 x 35 cm in front of the robot; any yaw within a radian, tilted by up to 0.3 rad."""
-    low = torch.tensor([0.4, -0.25, 0.15, -0.3, -0.3, -1.0], device=world.device)
-    high = torch.tensor([0.65, 0.25, 0.5, 0.3, 0.3, 1.0], device=world.device)
-    sample = world.random.uniform((6,), low, high, env_ids)
-    roll, pitch, yaw = sample[:, 3:].unbind(1)
-    tilt = quat_from_euler(roll, pitch, torch.zeros_like(yaw))
-    task.goal[env_ids] = goal = torch.cat((sample[:, :3], quat_multiply(tilt, common.facing_down(yaw))), dim=1)
-    world.markers["goal"].set_pose(goal, env_ids)

@@ -15,9 +15,9 @@ from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
 from orbit_core.interfaces import ConfigurationError, Node, NonFiniteError, Port, ShapeError
 from orbit_core.motion import Actuate, action_space
 from orbit_core.tasks.registry import task_entry
+from orbit_core.tasks.settings import configure
 from orbit_core.tasks.task import Task
 from orbit_core.tasks.terms import EventTerm, EventTime, ObservationTerm, RewardTerm, TerminationTerm, terms_of
-from orbit_core.tasks.settings import configure
 from orbit_core.world import SimulatedWorld
 
 Observation = dict[str, Tensor]
