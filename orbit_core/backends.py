@@ -39,6 +39,22 @@ def backend_names() -> list[str]:
     return sorted(_entry_points())
 
 
+def default_backend() -> str:
+    """The backend of those who name none: the only one installed.
+
+    Raises:
+        ConfigurationError: none is installed, or several are.
+    """
+    names = backend_names()
+    if len(names) == 1:
+        return names[0]
+    if names:
+        raise ConfigurationError(
+            f"several backends are installed: say which, backend = {' or '.join(map(repr, names))}"
+        )
+    raise ConfigurationError(f"no backend is installed: {' or '.join(installable_backends().values())}")
+
+
 def installable_backends() -> dict[str, str]:
     """Each backend that is known but not installed, with the command that installs it."""
     return {name: f'pip install "orbit-core[{name}]"' for name in _extras() if name not in _entry_points()}

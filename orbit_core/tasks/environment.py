@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
+from orbit_core.backends import default_backend
 from orbit_core.interfaces import ConfigurationError, Node, NonFiniteError, Port, ShapeError
 from orbit_core.motion import Actuate, action_space
 from orbit_core.tasks.registry import task_entry

@@ -1,0 +1,159 @@
+"""Environments as Gymnasium sees them: a VectorEnv of torch tensors, and a single environment of NumPy arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+import torch
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from torch import Tensor
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.tasks.environment import Environment, EpisodeEnd, Observation, make
+from orbit_core.tasks.task import Task
+from orbit_core.viewer.pictures import OverviewCamera
+
+
+def observation_space(environment: Environment) -> spaces.Dict:
+    """Of one environment: a box per observation group."""
+    box = spaces.Box(-np.inf, np.inf, (environment.observation_size,), np.float32)
+    return spaces.Dict({"policy": box})
+
+
+def action_space(environment: Environment) -> spaces.Box:
+    """Of one environment: components in [-1, 1]."""
+    return spaces.Box(-1.0, 1.0, (environment.action_size,), np.float32)
+
+
+class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Tensor]):
+    """N environments, with torch tensors on the environment's device, reset in the same step as they end.
+
+    Keywords are those of :func:`orbit_core.tasks.make`: backend, device, seed, and the task's own fields. Where an
+    episode ended, ``info["final_obs"]`` (N, ...) holds its last observation, ``info["_final_obs"]`` (N,) says where,
+    and ``info["final_info"]`` holds success and metrics.
+    """
+
+    def __init__(self, task: str | Task, num_envs: int = 1, render_mode: str | None = None, **keywords: Any) -> None:
+        self.environment = make(task, num_envs=num_envs, **keywords)
+        self.metadata = _metadata(self.environment, AutoresetMode.SAME_STEP)
+        self.render_mode = _checked_mode(render_mode)
+        self.num_envs = num_envs
+        self.single_observation_space = observation_space(self.environment)
+        self.single_action_space = action_space(self.environment)
+        self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
+        self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
+        self._camera: OverviewCamera | None = None
+
+    @property
+    def device(self) -> torch.device:
+        """Where all tensors live."""
+        return self.environment.device
+
+    def reset(  # pyright: ignore[reportIncompatibleMethodOverride] - Gymnasium types infos loosely
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        return self.environment.reset(seed)
+
+    def step(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, actions: Tensor | npt.ArrayLike
+    ) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Any]]:
+        action = torch.as_tensor(actions, dtype=torch.float32, device=self.device)
+        observation, reward, terminated, truncated, info = self.environment.step(action)
+        end = info.get("final")
+        return observation, reward, terminated, truncated, {} if end is None else _final(end, observation)
+
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
+        if self.render_mode is None:
+            return None
+        self._camera = self._camera or OverviewCamera(self.environment.world)
+        return tuple(self._camera.pictures().numpy())
+
+    def close_extras(self, **kwargs: Any) -> None:
+        if self._camera is not None:
+            self._camera.close()
+        self.environment.close()
+
+
+class SingleEnvironment(gymnasium.Env[dict[str, npt.NDArray[np.float32]], npt.NDArray[np.float32]]):
+    """One environment, with NumPy arrays; it waits for ``reset`` after an episode, as Gymnasium's do."""
+
+    def __init__(self, task: str | Task, render_mode: str | None = None, **keywords: Any) -> None:
+        self.environment = make(task, num_envs=1, **keywords)
+        self.metadata = _metadata(self.environment, AutoresetMode.DISABLED)
+        self.render_mode = _checked_mode(render_mode)
+        self.observation_space = observation_space(self.environment)
+        self.action_space = action_space(self.environment)
+        self._camera: OverviewCamera | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, npt.NDArray[np.float32]], dict[str, Any]]:
+        super().reset(seed=seed)
+        observation, info = self.environment.reset(seed)
+        return _arrays(observation), info
+
+    def step(
+        self, action: npt.NDArray[np.float32]
+    ) -> tuple[dict[str, npt.NDArray[np.float32]], float, bool, bool, dict[str, Any]]:
+        batch = torch.as_tensor(np.asarray(action, dtype=np.float32), device=self.environment.device)[None]
+        observation, reward, terminated, truncated, info = self.environment.step(batch)
+        end: EpisodeEnd | None = info.get("final")
+        if end is not None:  # the batch has begun the next episode already: show the end of this one
+            observation = end.observation
+        return _arrays(observation), float(reward), bool(terminated), bool(truncated), _outcome(end, 0)
+
+    def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        if self.render_mode is None:
+            return None
+        self._camera = self._camera or OverviewCamera(self.environment.world)
+        return self._camera.pictures()[0].numpy()
+
+    def close(self) -> None:
+        if self._camera is not None:
+            self._camera.close()
+        self.environment.close()
+
+
+def _metadata(environment: Environment, mode: AutoresetMode) -> dict[str, Any]:
+    return {"render_modes": ["rgb_array"], "render_fps": round(1.0 / environment.step_dt), "autoreset_mode": mode}
+
+
+def _checked_mode(render_mode: str | None) -> str | None:
+    if render_mode not in (None, "rgb_array"):
+        raise ConfigurationError(f"render_mode '{render_mode}' is unknown: use 'rgb_array', or 'orbit view' to watch")
+    return render_mode
+
+
+def _final(end: EpisodeEnd, observation: Observation) -> dict[str, Any]:
+    count = next(iter(observation.values())).shape[0]
+    ended = torch.zeros(count, dtype=torch.bool, device=end.env_ids.device)
+    ended[end.env_ids] = True
+
+    def spread(values: Tensor) -> Tensor:
+        full = torch.zeros((count, *values.shape[1:]), dtype=values.dtype, device=values.device)
+        full[end.env_ids] = values
+        return full
+
+    information: Mapping[str, Tensor] = {"success": end.success, "steps": end.steps, **end.metrics}
+    return {
+        "final_obs": {name: spread(group) for name, group in end.observation.items()},
+        "_final_obs": ended,
+        "final_info": {name: spread(value) for name, value in information.items()},
+        "_final_info": ended,
+    }
+
+
+def _outcome(end: EpisodeEnd | None, row: int) -> dict[str, Any]:
+    if end is None:
+        return {}
+    metrics = {name: float(value[row]) for name, value in end.metrics.items()}
+    return {"success": bool(end.success[row]), **metrics}
+
+
+def _arrays(observation: Observation) -> dict[str, npt.NDArray[np.float32]]:
+    return {name: group[0].cpu().numpy() for name, group in observation.items()}

@@ -1,0 +1,40 @@
+"""Pictures and videos of a world as a spectator sees it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from orbit_core.scene import CameraSpec, Channel, Pose, look_at
+from orbit_core.world import SimulatedWorld
+
+DEFAULT_VIEW = look_at(eye=(1.9, 1.3, 1.1), target=(0.35, 0.0, 0.2))
+"""Half from the front, half from the side, for a robot at the origin that faces +x."""
+
+
+class OverviewCamera:
+    """A spectator's camera in every environment; markers are drawn."""
+
+    def __init__(self, world: SimulatedWorld, width: int = 640, height: int = 480, view: Pose = DEFAULT_VIEW) -> None:
+        self._world = world
+        self._spec = CameraSpec(name="overview", width=width, height=height, vertical_fov=0.8, pose=view)
+        self._renderer = world.create_renderer((self._spec,))
+        self._pose = torch.tensor((*view.position, *view.orientation), device=world.device)
+
+    def pictures(self, env_ids: Tensor | None = None) -> Tensor:
+        """(n, height, width, 3) uint8 on the CPU."""
+        rows = slice(None) if env_ids is None else env_ids
+        links = self._world.link_poses[rows]
+        image = self._renderer.render(
+            self._spec,
+            self._pose.expand(links.shape[0], 7),
+            links,
+            (Channel.RGB,),
+            self._world.marker_poses[rows] if self._world.markers else None,
+        )
+        assert image.rgb is not None  # it was asked for
+        return image.rgb.cpu()
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._renderer.close()
