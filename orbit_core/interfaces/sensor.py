@@ -14,6 +14,9 @@ class Sensor(ABC):
 
     spec: SensorSpec
 
+    def begin_step(self) -> None:
+        """The world is about to step: what is averaged over a control step starts here."""
+
     @abstractmethod
     def advance(self, steps: int) -> None:
         """Tell the sensor that ``steps`` physics steps have passed; it measures when its period is over."""

@@ -1,0 +1,71 @@
+"""Measurements that are averages over the time since the last one."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from orbit_core.scene import SensorSpec
+from orbit_core.sensors.context import SensorContext
+from orbit_core.sensors.timed import TimedSensor
+
+
+class AveragingSensor(TimedSensor):
+    """Sums a quantity while the world steps; the window is the sensor's period, without a rate the world's step.
+
+    A reset empties an environment's window, whose mean is then zero. A world that announces its steps with
+    :meth:`begin_step` gets averages over them; otherwise each :meth:`advance` is its own window.
+    """
+
+    def __init__(self, spec: SensorSpec, context: SensorContext, shape: tuple[int, ...]) -> None:
+        super().__init__(spec, context)
+        self._sum = torch.zeros(self.num_envs, *shape, device=self.device)
+        self._count = torch.zeros(self.num_envs, *(1 for _ in shape), device=self.device)
+        self._window_over = False
+        self._announced = False
+
+    def begin_step(self) -> None:
+        super().begin_step()
+        self._announced = True
+        if self.period is None:
+            self._window_over = True
+
+    def advance(self, steps: int) -> None:
+        total = self._integrate(steps)
+        if self._window_over:
+            self._sum = total
+            self._count = torch.full_like(self._count, steps)
+        else:
+            self._sum = self._sum + total
+            self._count = self._count + steps
+        self._window_over = not self._announced if self.period is None else self._elapsed + steps >= self.period
+        super().advance(steps)
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        super().reset(env_ids)
+        # Zero sums make the next chunk's replacement and its addition the same.
+        keep = torch.ones_like(self._count)
+        keep[slice(None) if env_ids is None else env_ids] = 0.0
+        self._sum, self._count = self._sum * keep, self._count * keep
+
+    def save_state(self) -> dict[str, Any]:
+        window = {"sum": self._sum, "count": self._count, "over": self._window_over, "announced": self._announced}
+        return super().save_state() | {"window": window}
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        super().load_state(state)
+        window = state["window"]
+        self._sum, self._count = window["sum"], window["count"]
+        self._window_over, self._announced = window["over"], window["announced"]
+
+    @abstractmethod
+    def _integrate(self, steps: int) -> Tensor:
+        """(N, *shape) the quantity's mean over the last ``steps`` steps, times ``steps``."""
+
+    def _mean(self, env_ids: Tensor | None) -> Tensor:
+        """(n, *shape) over the window so far; zero in one that is empty."""
+        mean = self._sum / self._count.clamp_min(1.0)
+        return mean if env_ids is None else mean[env_ids]

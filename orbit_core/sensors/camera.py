@@ -1,0 +1,109 @@
+"""Cameras: colour, depth, normals and segmentation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image, SceneLayout
+from orbit_core.scene import CameraSpec, Channel
+from orbit_core.sensors.context import SensorContext
+from orbit_core.sensors.mount import Mount, pose_tensor
+from orbit_core.sensors.points import intrinsic_matrix, point_cloud
+from orbit_core.sensors.timed import TimedSensor, Values
+
+
+class CameraSensor(TimedSensor):
+    """A pinhole camera, fixed in the environment or carried by a frame. It does not see markers.
+
+    Noise is that of the depth channel, in metres; the other channels have none.
+    """
+
+    noisy = (Channel.DEPTH.value,)
+
+    def __init__(self, spec: CameraSpec, context: SensorContext) -> None:
+        """Resolve the frame.
+
+        Raises:
+            ConfigurationError: an entity without a frame or a frame without an entity, or noise without depth.
+        """
+        super().__init__(spec, context)
+        if (spec.entity is None) != (spec.frame is None):
+            raise ConfigurationError(f"camera '{spec.name}' needs both an entity and a frame to sit on, or neither")
+        if (spec.noise.std or spec.noise.bias_std) and Channel.DEPTH not in spec.channels:
+            raise ConfigurationError(f"camera '{spec.name}' has noise, which is that of depth, but no depth channel")
+        self._camera = spec
+        self._renderer = context.renderer
+        self._mount: Mount | None = None
+        if spec.entity is not None and spec.frame is not None:
+            place = (context.engine, context.layout, spec.entity, spec.frame, spec.name)
+            self._mount = Mount(*place, spec.pose)
+        self._fixed_pose = pose_tensor(spec.pose, self.device).repeat(self.num_envs, 1)
+        self._tables = {
+            Channel.INSTANCE: _instance_table(context.layout).to(self.device),
+            Channel.SEMANTIC: _semantic_table(context.layout).to(self.device),
+        }
+        self.semantic_labels = context.layout.semantic_labels
+        """What the numbers of the semantic channel mean."""
+        self.intrinsics = intrinsic_matrix(spec).to(self.device)
+        """(3, 3) in pixels."""
+
+    @property
+    def images(self) -> Mapping[Channel, Tensor]:
+        """(N, H, W, channels) of each channel that the camera was specified with."""
+        return {channel: self.image(channel) for channel in self._camera.channels}
+
+    def image(self, channel: Channel) -> Tensor:
+        """(N, H, W, channels)
+
+        Raises:
+            ConfigurationError: the camera was specified without that channel.
+        """
+        if channel not in self._camera.channels:
+            raise ConfigurationError(
+                f"camera '{self.spec.name}' has no {channel.value} channel: add it to the channels of its CameraSpec"
+            )
+        return self._read(channel.value)
+
+    @property
+    def pose(self) -> Tensor:
+        """(N, 7) in the environment's frame, when the pictures were taken."""
+        return self._read("pose")
+
+    def point_cloud(self) -> Tensor:
+        """(N, H, W, 3) where each pixel's surface is, in the environment's frame; infinite where nothing is."""
+        return point_cloud(self.image(Channel.DEPTH), self.intrinsics, self.pose)
+
+    def _measure(self, env_ids: Tensor | None) -> Values:
+        if self._mount is None:
+            pose = self._fixed_pose if env_ids is None else self._fixed_pose[env_ids]
+        else:
+            pose = self._mount.pose(env_ids)
+        link_poses = self.engine.link_poses if env_ids is None else self.engine.link_poses[env_ids]
+        image = self._renderer().render(self._camera, pose, link_poses, self._camera.channels)
+        return {"pose": pose} | {channel.value: self._channel(image, channel) for channel in self._camera.channels}
+
+    def _channel(self, image: Image, channel: Channel) -> Tensor:
+        if channel in self._tables:
+            pixels = image.links
+            # Links count from 0; the two special indices stand before them.
+            if pixels is not None:
+                return self._tables[channel][pixels.to(self.device, torch.int64) - TERRAIN]
+        else:
+            pixels = {Channel.RGB: image.rgb, Channel.DEPTH: image.depth, Channel.NORMALS: image.normals}[channel]
+            if pixels is not None:
+                return pixels.to(self.device)
+        raise AssertionError(f"the renderer left out the {channel.value} channel that it was asked for")
+
+
+def _instance_table(layout: SceneLayout) -> Tensor:
+    entities = torch.as_tensor(layout.entity_of_link, dtype=torch.int32)
+    return torch.cat((torch.tensor((TERRAIN, BACKGROUND), dtype=torch.int32), entities))
+
+
+def _semantic_table(layout: SceneLayout) -> Tensor:
+    labels = torch.as_tensor(layout.semantic_of_link, dtype=torch.int32)
+    terrain = layout.semantic_labels.index("terrain")
+    return torch.cat((torch.tensor((terrain, BACKGROUND), dtype=torch.int32), labels))

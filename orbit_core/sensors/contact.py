@@ -1,0 +1,134 @@
+"""Contact forces per link, in all and per other entity, with the times of touching and of flight."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces.layout import contact_queries_of
+from orbit_core.scene import ContactSensorSpec
+from orbit_core.sensors.averaging import AveragingSensor
+from orbit_core.sensors.context import SensorContext
+from orbit_core.sensors.timed import Values
+
+
+class ContactSensor(AveragingSensor):
+    """Net contact forces on links, world axes, averaged over the sensor's period.
+
+    Forces are zero after a reset until the environment has stepped. Noise, in newtons, goes on every component.
+    """
+
+    noisy = ("forces", "filtered")
+
+    def __init__(self, spec: ContactSensorSpec, context: SensorContext) -> None:
+        layout = context.layout
+        queries = contact_queries_of(spec, {entity.name: entity for entity in layout.entities})
+        per_link = 1 + len(spec.filters)
+        count = len(queries) // per_link
+        super().__init__(spec, context, (count, per_link, 3))
+        columns = [layout.contact_queries.index(query) for query in queries]
+        self.filters = spec.filters
+        """Of the third dimension of :attr:`filtered_forces`."""
+        self.link_names = tuple(layout.links[query.link].name for query in queries[::per_link])
+        """Of the second dimension of all values."""
+        self._columns = torch.tensor(columns, dtype=torch.int64, device=self.device)
+        self._timers: dict[float, ContactTimer] = {}
+
+    @property
+    def forces(self) -> Tensor:
+        """(N, links, 3) newtons."""
+        return self._read("forces")
+
+    @property
+    def filtered_forces(self) -> Tensor:
+        """(N, links, filters, 3) newtons, that each of :attr:`filters` alone exerts."""
+        return self._read("filtered")
+
+    def in_contact(self, threshold: float = 1.0) -> Tensor:
+        """(N, links) whether the net force exceeds ``threshold`` newtons."""
+        return self.forces.norm(dim=-1) > threshold
+
+    def timer(self, threshold: float = 1.0) -> ContactTimer:
+        """A stopwatch per link, that runs from its first asking; the same threshold gives the same one."""
+        if threshold not in self._timers:
+            self._timers[threshold] = ContactTimer(self.num_envs, len(self.link_names), threshold, self.device)
+        return self._timers[threshold]
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        super().reset(env_ids)
+        for timer in self._timers.values():
+            timer.reset(env_ids)
+
+    def save_state(self) -> dict[str, Any]:
+        return super().save_state() | {"timers": {key: timer.times for key, timer in self._timers.items()}}
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        super().load_state(state)
+        for threshold, times in state["timers"].items():
+            self.timer(threshold).times = times
+
+    def _integrate(self, steps: int) -> Tensor:
+        forces = self.engine.contact_forces.index_select(1, self._columns).unflatten(1, self._sum.shape[1:3])
+        for timer in self._timers.values():
+            timer.advance(forces[:, :, 0], steps * self.physics_dt)
+        return forces * steps
+
+    def _measure(self, env_ids: Tensor | None) -> Values:
+        mean = self._mean(env_ids)
+        return {"forces": mean[:, :, 0], "filtered": mean[:, :, 1:]}
+
+
+class ContactTimer:
+    """For how long links have touched something, and for how long they have not.
+
+    It sees forces without noise or delay, as often as the world steps its engine.
+    """
+
+    def __init__(self, num_envs: int, links: int, threshold: float, device: torch.device) -> None:
+        self.threshold = threshold
+        self.times = torch.zeros(4, num_envs, links, device=device)
+        """Seconds: contact, air, last contact, last air; a reset starts all at zero."""
+
+    @property
+    def contact_time(self) -> Tensor:
+        """(N, links) since the touch-down; zero in the air."""
+        return self.times[0]
+
+    @property
+    def air_time(self) -> Tensor:
+        """(N, links) since the lift-off; zero in contact."""
+        return self.times[1]
+
+    @property
+    def last_contact_time(self) -> Tensor:
+        """(N, links) how long the last contact that has ended took."""
+        return self.times[2]
+
+    @property
+    def last_air_time(self) -> Tensor:
+        """(N, links) how long the last flight that has ended took."""
+        return self.times[3]
+
+    def touched_down(self, within: float) -> Tensor:
+        """(N, links) whether the link touched down during the last ``within`` seconds."""
+        return (self.contact_time > 0.0) & (self.contact_time <= within + 1e-6)
+
+    def advance(self, forces: Tensor, duration: float) -> None:
+        """Account for ``duration`` seconds of forces (N, links, 3)."""
+        contact = forces.norm(dim=-1) > self.threshold
+        touching, flying, last_touch, last_flight = self.times
+        self.times = torch.stack(
+            (
+                torch.where(contact, touching + duration, 0.0),
+                torch.where(contact, 0.0, flying + duration),
+                torch.where(~contact & (touching > 0.0), touching, last_touch),
+                torch.where(contact & (flying > 0.0), flying, last_flight),
+            )
+        )
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        """Start some environments at zero."""
+        self.times = self.times.clone()
+        self.times[:, slice(None) if env_ids is None else env_ids] = 0.0

@@ -1,0 +1,123 @@
+"""LiDARs and height scans."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.transforms import pose_multiply, quat_rotate, quat_yaw, transform_points
+from orbit_core.interfaces import BACKGROUND, ConfigurationError
+from orbit_core.scene import RayCasterSpec
+from orbit_core.sensors.context import SensorContext
+from orbit_core.sensors.mount import Mount, pose_tensor
+from orbit_core.sensors.timed import TimedSensor, Values
+
+_OWN_SURFACES = 16  # a ray may cross that many surfaces of its own entity before it counts as a miss
+_PAST_SURFACE = 1e-4  # metres
+
+
+class RayCaster(TimedSensor):
+    """Distances along a pattern of rays to what the engine collides with.
+
+    Rays pass through the entity that carries the sensor. A miss has infinite distance and point, and a zero normal.
+    Noise, in metres, goes on the distances.
+    """
+
+    noisy = ("distances",)
+
+    def __init__(self, spec: RayCasterSpec, context: SensorContext) -> None:
+        """Resolve the frame and the pattern.
+
+        Raises:
+            ConfigurationError: a direction has no length, or origins and directions differ in number.
+        """
+        super().__init__(spec, context)
+        self._ray_spec = spec
+        place = (context.engine, context.layout, spec.entity, spec.frame, spec.name)
+        # A level pattern keeps its own pose relative to the heading, not to the tilted frame.
+        self._mount = Mount(*place) if spec.yaw_only else Mount(*place, spec.pose)
+        self._offset = pose_tensor(spec.pose, self.device)
+        self._directions = _unit_directions(spec).to(self.device)
+        if spec.origins and len(spec.origins) != len(spec.directions):
+            raise ConfigurationError(
+                f"sensor '{spec.name}' has {len(spec.origins)} ray origins for {len(spec.directions)} directions: "
+                "give one each, or no origins"
+            )
+        self._origins = torch.tensor(spec.origins or ((0.0, 0.0, 0.0),), dtype=torch.float32, device=self.device)
+
+    @property
+    def distances(self) -> Tensor:
+        """(N, R) metres from each ray's origin."""
+        return self._read("distances")
+
+    @property
+    def points(self) -> Tensor:
+        """(N, R, 3) where the rays ended, in the environment's frame."""
+        distances = self.distances[..., None]
+        points = self._read("origins") + torch.where(distances.isinf(), 0.0, distances) * self._read("directions")
+        return torch.where(distances.isinf(), distances, points)
+
+    @property
+    def normals(self) -> Tensor:
+        """(N, R, 3) unit normals of the surfaces, in world axes."""
+        return self._read("normals")
+
+    @property
+    def links(self) -> Tensor:
+        """(N, R) int64 link index in the scene's layout, TERRAIN or BACKGROUND."""
+        return self._read("links")
+
+    @property
+    def pose(self) -> Tensor:
+        """(N, 7) of the pattern, in the environment's frame, when it measured."""
+        return self._read("pose")
+
+    def _measure(self, env_ids: Tensor | None) -> Values:
+        pose = self._pattern_pose(env_ids)
+        rays = self._directions.shape[0]
+        origins = transform_points(pose[:, None], self._origins).expand(-1, rays, -1)
+        directions = quat_rotate(pose[:, None, 3:], self._directions)
+        distances, normals, links = self._cast(origins, directions, env_ids)
+        return {
+            "distances": distances, "normals": normals, "links": links,
+            "origins": origins, "directions": directions, "pose": pose,
+        }  # fmt: skip
+
+    def _pattern_pose(self, env_ids: Tensor | None) -> Tensor:
+        pose = self._mount.pose(env_ids)
+        if not self._ray_spec.yaw_only:
+            return pose
+        return pose_multiply(torch.cat((pose[:, :3], quat_yaw(pose[:, 3:])), -1), self._offset)
+
+    def _cast(self, origins: Tensor, directions: Tensor, env_ids: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+        reach = self._ray_spec.max_distance
+        hits = self.engine.cast_rays(origins.contiguous(), directions.contiguous(), reach, env_ids)
+        distances, normals, links = hits.distances.clone(), hits.normals.clone(), hits.links.clone()
+        own = self._own(links)
+        for _ in range(_OWN_SURFACES):
+            if not own.any():
+                break
+            rays = own.any(0).nonzero().squeeze(-1)
+            start = torch.where(own[:, rays], distances[:, rays] + _PAST_SURFACE, 0.0)
+            moved = origins[:, rays] + start[..., None] * directions[:, rays]
+            hits = self.engine.cast_rays(moved, directions[:, rays].contiguous(), reach, env_ids)
+            distances[:, rays] = start + hits.distances
+            normals[:, rays], links[:, rays] = hits.normals, hits.links
+            own = self._own(links)
+        missed = own | (distances > reach)
+        distances[missed] = torch.inf
+        normals[missed] = 0.0
+        links[missed] = BACKGROUND
+        return distances, normals, links
+
+    def _own(self, links: Tensor) -> Tensor:
+        own = self._mount.entity.links
+        return (links >= own.start) & (links < own.stop)
+
+
+def _unit_directions(spec: RayCasterSpec) -> Tensor:
+    directions = torch.tensor(spec.directions, dtype=torch.float32).view(-1, 3)
+    lengths = directions.norm(dim=-1, keepdim=True)
+    if not len(directions) or bool((lengths < 1e-9).any()):
+        raise ConfigurationError(f"sensor '{spec.name}' needs at least one ray direction, each of non-zero length")
+    return directions / lengths
