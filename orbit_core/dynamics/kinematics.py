@@ -1,0 +1,226 @@
+"""Batched kinematics of articulations: link poses and velocities from joint states, and geometric Jacobians.
+
+Everything is in world axes. Twists and Jacobian rows are linear velocity of a point, then angular velocity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.transforms import pose_multiply, quat_from_matrix, quat_rotate, quat_to_matrix
+from orbit_core.dynamics.tree import FloatArray, child_links, joint_ancestry, parent_links
+from orbit_core.interfaces import UnknownNameError
+from orbit_core.scene import Articulation, Joint, JointType
+
+
+class PointJacobian:
+    """The geometric Jacobian of a point on one link, from link poses that are already known.
+
+    A rotated vector is linear in the products of the quaternion's components, so one matrix product takes the poses
+    of the joints' child links to all axes and origins at once: few kernel launches, whatever the number of joints.
+    Columns of joints that do not move the link are zero. A mimic joint has its own column, as if it were free; see
+    :func:`mimic_matrix`.
+
+    Args:
+        articulation: the description.
+        link: index of the link that carries the point.
+        joints: indices of the movable joints that give the columns.
+        device: where poses live.
+    """
+
+    def __init__(self, articulation: Articulation, link: int, joints: Sequence[int], device: torch.device) -> None:
+        children = child_links(articulation)
+        moves = joint_ancestry(articulation)[link]
+        movable = articulation.movable_joints
+        self._links = torch.tensor([children[j] for j in joints], dtype=torch.int64, device=device)
+        self._prismatic = any(moves[j] and movable[j].type is JointType.PRISMATIC for j in joints)
+        constants = np.zeros((len(joints), 16, 9 if self._prismatic else 6))
+        for column, index in enumerate(joints):
+            if not moves[index]:
+                continue
+            axis, origin = _axis_in_child(movable[index]), np.asarray(movable[index].child_pose.position)
+            if movable[index].type is JointType.PRISMATIC:
+                constants[column, :, 6:] = _rotated(axis)
+            else:
+                constants[column, :, :3], constants[column, :, 3:6] = _rotated(axis), _rotated(origin)
+        self._constants = torch.as_tensor(constants, dtype=torch.float32, device=device)
+
+    def __call__(self, link_poses: Tensor, point: Tensor) -> Tensor:
+        """(N, 6, k) at ``point`` (N, 3) for link poses (N, L, 7) of the articulation, all in one frame."""
+        poses = link_poses.transpose(0, 1).index_select(0, self._links)
+        rotations = poses[..., 3:]
+        products = (rotations.unsqueeze(-1) * rotations.unsqueeze(-2)).flatten(-2)
+        vectors = torch.bmm(products, self._constants)
+        axes = vectors[..., :3]
+        linear = torch.linalg.cross(axes, point - poses[..., :3] - vectors[..., 3:6])
+        if self._prismatic:
+            linear = linear + vectors[..., 6:]
+        return torch.cat((linear, axes), -1).permute(1, 2, 0)
+
+
+class KinematicTree:
+    """Kinematics of one articulation, fixed or floating alike: the root's pose and velocity are inputs.
+
+    L links and J movable joints, in the articulation's order. Mimic joints count as free: give them their positions.
+    """
+
+    def __init__(self, articulation: Articulation, device: torch.device | str = "cpu") -> None:
+        self.articulation = articulation
+        self.device = torch.device(device)
+        joints = articulation.movable_joints
+        revolute = [float(joint.type is not JointType.PRISMATIC) for joint in joints]
+        self._parents = parent_links(articulation)
+        self._children = torch.tensor(child_links(articulation), dtype=torch.int64, device=self.device)
+        self._moves = self._tensor(joint_ancestry(articulation))
+        self._revolute = self._tensor(revolute).view(-1, 1)
+        self._axes = self._tensor([_axis_in_child(joint) for joint in joints]).view(-1, 3)
+        self._origins = self._tensor([joint.child_pose.position for joint in joints]).view(-1, 3)
+        constant, varying = _local_transforms(articulation)
+        self._constant, self._varying = self._tensor(constant), self._tensor(varying)
+        self._frames: dict[str, tuple[int, Tensor]] = {}
+        self._jacobians: dict[str, PointJacobian] = {}
+
+    def forward(self, root_pose: Tensor, joint_positions: Tensor) -> Tensor:
+        """Link poses (N, L, 7), w >= 0, from the root link's pose (N, 7) and joint positions (N, J).
+
+        Each joint's transform is ``C0 + sin(q) C1 + (1 - cos(q)) C2 + q C3`` with constant matrices (Rodrigues'
+        formula), so that all of them are made at once and only the products down the tree are a loop.
+        """
+        root = torch.eye(4, device=self.device).repeat(root_pose.shape[0], 1, 1)
+        root[:, :3, :3] = quat_to_matrix(root_pose[:, 3:])
+        root[:, :3, 3] = root_pose[:, :3]
+        q = joint_positions
+        terms = torch.stack((torch.sin(q), 1.0 - torch.cos(q), q), -1)
+        local = self._constant.repeat(root_pose.shape[0], 1, 1, 1)
+        local[:, self._children] += torch.einsum("njt,jtab->njab", terms, self._varying)
+        transforms = [root]
+        for link in range(1, len(self._parents)):
+            transforms.append(transforms[self._parents[link]] @ local[:, link])
+        stacked = torch.stack(transforms, 1)
+        return torch.cat((stacked[..., :3, 3], quat_from_matrix(stacked[..., :3, :3])), -1)
+
+    def motion_subspaces(self, link_poses: Tensor, origin: Tensor) -> Tensor:
+        """(N, J, 6) twist that unit velocity of each joint gives the body point that is now at ``origin`` (N, 3).
+
+        Twists about one common point may be added.
+        """
+        children = link_poses[:, self._children]
+        axes = quat_rotate(children[..., 3:], self._axes)
+        points = children[..., :3] + quat_rotate(children[..., 3:], self._origins)
+        angular = axes * self._revolute
+        linear = torch.linalg.cross(points - origin[:, None], angular) + (axes - angular)
+        return torch.cat((linear, angular), -1)
+
+    def link_velocities(self, link_poses: Tensor, root_velocity: Tensor, joint_velocities: Tensor) -> Tensor:
+        """(N, L, 6) of the link frames' origins, from poses (N, L, 7), the root's velocity (N, 6) and (N, J)."""
+        origin = link_poses[:, 0, :3]
+        joint_twists = self.motion_subspaces(link_poses, origin) * joint_velocities[..., None]
+        twists = root_velocity[:, None] + self._moves @ joint_twists
+        linear, angular = twists[..., :3], twists[..., 3:]
+        return torch.cat((linear + torch.linalg.cross(angular, link_poses[..., :3] - origin[:, None]), angular), -1)
+
+    def frame_pose(self, link_poses: Tensor, frame: str) -> Tensor:
+        """(N, 7) of a link or named frame.
+
+        Raises:
+            UnknownNameError: no link or frame has that name.
+        """
+        link, offset = self._frame(frame)
+        return pose_multiply(link_poses[:, link], offset)
+
+    def jacobian(self, link_poses: Tensor, frame: str, floating_base: bool = False) -> Tensor:
+        """(N, 6, J) of a link or named frame; (N, 6, 6 + J) with the floating base's columns first.
+
+        The base's columns stand for the linear velocity of the root frame's origin, then its angular velocity, both in
+        world axes.
+
+        Raises:
+            UnknownNameError: no link or frame has that name.
+        """
+        if frame not in self._jacobians:
+            columns = range(len(self.articulation.movable_joints))
+            self._jacobians[frame] = PointJacobian(self.articulation, self._frame(frame)[0], columns, self.device)
+        point = self.frame_pose(link_poses, frame)[:, :3]
+        joints = self._jacobians[frame](link_poses, point)
+        return torch.cat((_base_columns(point - link_poses[:, 0, :3]), joints), -1) if floating_base else joints
+
+    def _frame(self, name: str) -> tuple[int, Tensor]:
+        if name not in self._frames:
+            try:
+                frame = self.articulation.frame(name)
+            except KeyError:
+                known = [*self.articulation.link_names, *(other.name for other in self.articulation.frames)]
+                raise UnknownNameError("frame", name, known, f"'{self.articulation.name}'") from None
+            offset = self._tensor((*frame.pose.position, *frame.pose.orientation))
+            self._frames[name] = (self.articulation.link_names.index(frame.link), offset)
+        return self._frames[name]
+
+    def _tensor(self, values: object) -> Tensor:
+        return torch.as_tensor(np.asarray(values, dtype=np.float32), device=self.device)
+
+
+def mimic_matrix(articulation: Articulation) -> FloatArray:
+    """(J, J): joint velocities when only leaders are free, from all velocities; a follower's column is zero.
+
+    ``jacobian @ mimic_matrix`` folds the followers' columns into their leaders'.
+    """
+    names = articulation.joint_names
+    matrix = np.eye(len(names))
+    for index, joint in enumerate(articulation.movable_joints):
+        if joint.mimic is not None:
+            matrix[index, index] = 0.0
+            matrix[index, names.index(joint.mimic.joint)] = joint.mimic.multiplier
+    return matrix
+
+
+def _axis_in_child(joint: Joint) -> FloatArray:
+    # A joint's own motion leaves its axis where it is, so the axis is constant in the child link.
+    return joint.child_pose.rotation_matrix() @ np.asarray(joint.axis)
+
+
+def _rotated(vector: FloatArray) -> FloatArray:
+    """(16, 3): what the 16 products of a unit quaternion's components are multiplied with to rotate ``vector``.
+
+    From ``R(w, u) = (w^2 - u.u) I + 2 u u^T + 2 w [u]``, [u] the matrix of the cross product.
+    """
+    result = np.zeros((4, 4, 3))
+    result[0, 0] = vector
+    for i, unit in enumerate(np.eye(3), start=1):
+        result[0, i] = 2.0 * np.cross(unit, vector)
+        result[i, 1:] = 2.0 * vector[:, None] * unit
+        result[i, i] -= vector
+    return result.reshape(16, 3)
+
+
+def _base_columns(arm: Tensor) -> Tensor:
+    """(N, 6, 6): twist of the point at ``arm`` (N, 3) from the base's origin, per unit of the base's twist."""
+    columns = torch.eye(6, device=arm.device).repeat(arm.shape[0], 1, 1)
+    x, y, z = arm.unbind(-1)
+    columns[:, 0, 4], columns[:, 0, 5] = z, -y
+    columns[:, 1, 3], columns[:, 1, 5] = -z, x
+    columns[:, 2, 3], columns[:, 2, 4] = y, -x
+    return columns
+
+
+def _local_transforms(articulation: Articulation) -> tuple[FloatArray, FloatArray]:
+    """Of each link in its parent: the constant part (L, 4, 4), and per movable joint the parts (J, 3, 4, 4)."""
+    index = {name: i for i, name in enumerate(articulation.link_names)}
+    constant = np.tile(np.eye(4), (len(index), 1, 1))
+    varying = np.zeros((len(articulation.movable_joints), 3, 4, 4))
+    for joint in articulation.joints:
+        constant[index[joint.child]] = (joint.parent_pose @ joint.child_pose.inverse()).matrix()
+    for row, joint in enumerate(articulation.movable_joints):
+        before, after = joint.parent_pose.matrix(), joint.child_pose.inverse().matrix()
+        motion = np.zeros((4, 4))
+        if joint.type is JointType.PRISMATIC:
+            motion[:3, 3] = joint.axis
+            varying[row, 2] = before @ motion @ after
+        else:
+            motion[:3, :3] = np.cross(np.eye(3), joint.axis)  # the rows make the matrix of v -> axis x v
+            varying[row, 0] = before @ motion @ after
+            varying[row, 1] = before @ motion @ motion @ after
+    return constant, varying
