@@ -117,6 +117,7 @@ class Environment:
         self.world.step(self.task.decimation)
         task = self.task
         task.episode_step += 1
+        task.advance(self.world)
         task.action_before, task.last_action = task.last_action, action
         reward = self._reward()
         terminated = self._terminated()

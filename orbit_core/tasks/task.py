@@ -73,6 +73,9 @@ class Task(ABC):
         self.episode_step[rows] = 0
         self.last_action[rows] = 0.0
 
+    def advance(self, world: SimulatedWorld) -> None:
+        """Called after each step of the world, before rewards: accumulate, resample. Extend where needed."""
+
     @abstractmethod
     def success(self, world: SimulatedWorld) -> Tensor:
         """(N,) bool: whether the goal is reached now. An episode succeeds if it holds at its last step."""

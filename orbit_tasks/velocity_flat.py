@@ -1,0 +1,220 @@
+"""Velocity-Flat: a legged robot follows a commanded velocity on a plane.
+
+Rewards follow Rudin et al., Learning to Walk in Minutes Using Massively Parallel Deep Reinforcement Learning (2021).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from orbit_core.assets.catalogue import robot
+from orbit_core.dynamics.transforms import quat_from_euler, quat_rotate_inverse
+from orbit_core.scene import ContactSensorSpec, MarkerShape, MarkerSpec, Scene
+from orbit_core.sensors import ContactSensor
+from orbit_core.tasks import EventTerm, ObservationTerm, RewardTerm, Task, TerminationTerm, common
+from orbit_core.tasks.terms import once_per_state
+from orbit_core.world import SimulatedWorld
+from orbit_tasks.trot import TrotGenerator
+
+CONTACTS = "contacts"
+
+
+@once_per_state
+def linear_velocity(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N, 3) of the trunk, in its own axes."""
+    trunk = common.robot_of(world)
+    return quat_rotate_inverse(trunk.root_pose[:, 3:], trunk.root_velocity[:, :3])
+
+
+@once_per_state
+def angular_velocity(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N, 3) of the trunk, in its own axes."""
+    trunk = common.robot_of(world)
+    return quat_rotate_inverse(trunk.root_pose[:, 3:], trunk.root_velocity[:, 3:])
+
+
+@once_per_state
+def projected_gravity(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
+    return quat_rotate_inverse(common.robot_of(world).root_pose[:, 3:], task.down)
+
+
+def command(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N, 3) velocity forward and to the left in m/s, yaw rate in rad/s."""
+    return task.command
+
+
+@once_per_state
+def linear_error(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N,) m/s."""
+    return (task.command[:, :2] - linear_velocity(world, task)[:, :2]).norm(dim=1)
+
+
+@once_per_state
+def yaw_error(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N,) rad/s."""
+    return (task.command[:, 2] - angular_velocity(world, task)[:, 2]).abs()
+
+
+def linear_tracking(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N,) in (0, 1]."""
+    return torch.exp(-linear_error(world, task).square() / 0.25)
+
+
+def yaw_tracking(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N,) in (0, 1]."""
+    return torch.exp(-yaw_error(world, task).square() / 0.25)
+
+
+def bouncing(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N,) squared vertical velocity."""
+    return linear_velocity(world, task)[:, 2].square()
+
+
+def rolling(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N,) squared roll and pitch rates."""
+    return angular_velocity(world, task)[:, :2].square().sum(1)
+
+
+def tilt(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N,) squared sine of the tilt."""
+    return projected_gravity(world, task)[:, :2].square().sum(1)
+
+
+def effort(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N,) sum of squared joint efforts."""
+    return common.robot_of(world).joint_efforts.square().sum(1)
+
+
+@once_per_state
+def fallen(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N,) the trunk touches something, or leans by more than 60 degrees."""
+    contacts = world.sensors[CONTACTS]
+    assert isinstance(contacts, ContactSensor)
+    touching = contacts.forces[:, 0].square().sum(1) > 1.0
+    return touching | (projected_gravity(world, task)[:, 2] > -0.5)
+
+
+def place_robot(world: SimulatedWorld, task: VelocityFlat, env_ids: Tensor) -> None:
+    """At home height, facing anywhere, joints around their home."""
+    trunk = common.robot_of(world)
+    yaw = world.random.uniform((), -torch.pi, torch.pi, env_ids)
+    zero = torch.zeros_like(yaw)
+    position = torch.tensor(trunk.spec.pose.position, device=world.device).expand(len(env_ids), 3)
+    trunk.set_root_pose(torch.cat((position, quat_from_euler(zero, zero, yaw)), dim=1), env_ids)
+    common.randomize_robot_start(0.05)(world, task, env_ids)
+
+
+def sample_command(world: SimulatedWorld, task: VelocityFlat, env_ids: Tensor) -> None:
+    """Uniform within the task's limits."""
+    high = torch.tensor([task.max_forward, task.max_sideways, task.max_yaw_rate], device=world.device)
+    task.command[env_ids] = world.random.uniform((3,), -high, high, env_ids)
+
+
+@dataclass
+class VelocityObservations:
+    linear_velocity: ObservationTerm | None = ObservationTerm(linear_velocity)
+    angular_velocity: ObservationTerm | None = ObservationTerm(angular_velocity)
+    projected_gravity: ObservationTerm | None = ObservationTerm(projected_gravity)
+    command: ObservationTerm | None = ObservationTerm(command)
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities, scale=0.05)
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class VelocityRewards:
+    linear_tracking: RewardTerm | None = RewardTerm(linear_tracking, 1.0)
+    yaw_tracking: RewardTerm | None = RewardTerm(yaw_tracking, 0.5)
+    bouncing: RewardTerm | None = RewardTerm(bouncing, -2.0)
+    rolling: RewardTerm | None = RewardTerm(rolling, -0.05)
+    tilt: RewardTerm | None = RewardTerm(tilt, -5.0)
+    effort: RewardTerm | None = RewardTerm(effort, -2.5e-5)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.01)
+
+
+@dataclass
+class VelocityTerminations:
+    fallen: TerminationTerm | None = TerminationTerm(fallen)
+
+
+@dataclass
+class VelocityEvents:
+    place_robot: EventTerm | None = EventTerm(place_robot)
+    sample_command: EventTerm | None = EventTerm(sample_command)
+
+
+@dataclass(kw_only=True)
+class VelocityFlat(Task):
+    """Forward, sideways and turning velocities are commanded for one episode, in the trunk's own axes.
+
+    Succeeds when the robot has not fallen and both errors, averaged over the episode after the first second, are within
+    tolerance. Metrics: those errors, and falls. In place of an expert stands a trot generator.
+    """
+
+    robot: str = "anymal_c"
+    action: str = "joint_position"
+    episode_length: float = 10.0
+    max_forward: float = 1.0
+    """m/s."""
+    max_sideways: float = 0.5
+    """m/s."""
+    max_yaw_rate: float = 1.0
+    """rad/s."""
+    linear_tolerance: float = 0.25
+    """m/s."""
+    yaw_tolerance: float = 0.25
+    """rad/s."""
+    observations: VelocityObservations = field(default_factory=VelocityObservations)
+    rewards: VelocityRewards = field(default_factory=VelocityRewards)
+    terminations: VelocityTerminations = field(default_factory=VelocityTerminations)
+    events: VelocityEvents = field(default_factory=VelocityEvents)
+    command: Tensor = field(init=False)
+    """(N, 3)"""
+    down: Tensor = field(init=False)
+    """(3,) in the world's axes."""
+    errors: Tensor = field(init=False)
+    """(N, 2) linear and yaw error summed since the first second."""
+
+    def scene(self) -> Scene:
+        return Scene(
+            robots=(robot(self.robot, name=common.ROBOT),),
+            terrain=(common.floor(),),
+            sensors=(ContactSensorSpec(name=CONTACTS, entity=common.ROBOT),),
+            markers=(MarkerSpec("command", MarkerShape.ARROW, size=0.5),),
+            physics_dt=self.physics_dt,
+        )
+
+    def start(self, world: SimulatedWorld) -> None:
+        super().start(world)
+        self.command = torch.zeros(world.num_envs, 3, device=world.device)
+        self.errors = torch.zeros(world.num_envs, 2, device=world.device)
+        self.down = torch.tensor([0.0, 0.0, -1.0], device=world.device)
+        self.settling = round(1.0 / (self.physics_dt * self.decimation))
+
+    def reset(self, env_ids: Tensor | None) -> None:
+        super().reset(env_ids)
+        self.errors[slice(None) if env_ids is None else env_ids] = 0.0
+
+    def advance(self, world: SimulatedWorld) -> None:
+        both = torch.stack((linear_error(world, self), yaw_error(world, self)), dim=1)
+        self.errors += both * (self.episode_step > self.settling)[:, None]
+
+    def mean_errors(self) -> Tensor:
+        """(N, 2) m/s and rad/s; infinite for an episode that ended within the first second."""
+        steps = (self.episode_step - self.settling)[:, None]
+        return torch.where(steps > 0, self.errors / steps, torch.inf)
+
+    def success(self, world: SimulatedWorld) -> Tensor:
+        tolerances = torch.tensor([self.linear_tolerance, self.yaw_tolerance], device=self.device)
+        return (self.mean_errors() < tolerances).all(1) & ~fallen(world, self)
+
+    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+        linear, yaw = self.mean_errors().unbind(1)
+        return {"linear_error_m_s": linear, "yaw_rate_error_rad_s": yaw, "falls": fallen(world, self).float()}
+
+    def expert(self, world: SimulatedWorld) -> TrotGenerator:
+        return TrotGenerator(world, self)
