@@ -15,6 +15,7 @@ from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
 from orbit_core.backends import default_backend
 from orbit_core.interfaces import ConfigurationError, Node, NonFiniteError, Port, ShapeError
 from orbit_core.motion import Actuate, action_space
+from orbit_core.tasks.common import ROBOT
 from orbit_core.tasks.registry import task_entry
 from orbit_core.tasks.settings import configure
 from orbit_core.tasks.task import Task
@@ -82,13 +83,16 @@ class Environment:
         self._weights = self._reward_weights()
         self.reward_sums = torch.zeros(len(self.reward_terms), num_envs, device=self.device)
         """(terms, N) each reward term's contribution to the episode so far."""
-        task.start(self.world)
-        self._cut = self._build_agent()
-        task.last_action = torch.zeros(num_envs, self.action_size, device=self.device)
         self._all = torch.arange(num_envs, device=self.device)
+        task.generators = action_space(self.world.robots[ROBOT], task.action)
+        self.action_size = sum(generator.command_size for generator in task.generators)
+        task.last_action = torch.zeros(num_envs, self.action_size, device=self.device)
+        task.start(self.world)
+        self.observation_size = self._observation().shape[1]
+        self._cut = self._build_agent()
         self._run_events(EventTime.STARTUP, self._all)
         self._begin(None)
-        self.observation_size = self._observe()["policy"].shape[1]
+        self._observe()
 
     # Gymnasium's way ------------------------------------------------------------------------------------------------
 
@@ -142,24 +146,25 @@ class Environment:
 
     def _build_agent(self) -> Cut:
         """observation -> policy (the cut) -> one motion generator per part of the action -> joint commands."""
-        task = self.task
-        robot = self.world.robots["robot"]
-        generators = task.generators = action_space(robot, task.action)
-        sizes = [generator.command_size for generator in generators]
-        self.action_size = sum(sizes)
+        robot = self.world.robots[ROBOT]
+        sizes = [generator.command_size for generator in self.task.generators]
+        observation = Port("observation", (self.observation_size,))
         action = Port("action", (self.action_size,))
-        commands = tuple(Port(generator.name, (size,)) for generator, size in zip(generators, sizes, strict=True))
+        commands = tuple(
+            Port(generator.name, (size,)) for generator, size in zip(self.task.generators, sizes, strict=True)
+        )
 
         def split(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
             parts = inputs["action"].split(sizes, dim=1)
             return {port.name: part for port, part in zip(commands, parts, strict=True)}
 
         nodes: list[Node] = [
-            FunctionNode("policy", _no_policy, outputs=(action,)),
+            FunctionNode("observation", lambda inputs: {"observation": self._observation()}, outputs=(observation,)),
+            FunctionNode("policy", _no_policy, inputs=(observation,), outputs=(action,)),
             FunctionNode("split", split, inputs=(action,), outputs=commands),
         ]
-        edges = [Edge("policy.action", "split.action")]
-        for generator in generators:
+        edges = [Edge("observation.observation", "policy.observation"), Edge("policy.action", "split.action")]
+        for generator in self.task.generators:
             actuate = Actuate(robot, generator)
             nodes += [generator, actuate]
             edges.append(Edge(f"split.{generator.name}", f"{generator.name}.command"))
@@ -179,9 +184,10 @@ class Environment:
             raise NonFiniteError(f"action component {component} of environment {environment} is {value}")
 
     def _observe(self) -> Observation:
-        self._cut.observe({})
-        parts = [self._observe_term(term) for term in self.observation_terms.values()]
-        return {"policy": torch.cat(parts, dim=1)}
+        return {"policy": self._cut.observe()["observation"]}
+
+    def _observation(self) -> Tensor:
+        return torch.cat([self._observe_term(term) for term in self.observation_terms.values()], dim=1)
 
     def _observe_term(self, term: ObservationTerm) -> Tensor:
         value = term.function(self.world, self.task)
@@ -208,6 +214,7 @@ class Environment:
         return terminated
 
     def _finish(self, ended: Tensor) -> EpisodeEnd:
+        """What ended, before it is reset."""
         observation = {name: group[ended] for name, group in self._observe().items()}
         metrics = {name: value[ended].clone() for name, value in self.task.metrics(self.world).items()}
         rewards = {name: self.reward_sums[i, ended] for i, name in enumerate(self.reward_terms)}
@@ -226,6 +233,7 @@ class Environment:
         self._cut.graph.reset(env_ids)
         self.reward_sums[:, slice(None) if env_ids is None else env_ids] = 0.0
         self._run_events(EventTime.RESET, self._all if env_ids is None else env_ids)
+        self.world.clock.touch()  # an event may have changed what a cached term depends on
 
     def _run_events(self, time: EventTime, env_ids: Tensor) -> None:
         for event in self._events:

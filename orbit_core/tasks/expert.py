@@ -72,6 +72,9 @@ class Expert(Node):
         self.phase[rows] = 0
         self._elapsed[rows] = 0.0
 
+    def memory(self) -> Mapping[str, Tensor]:
+        return {"phase": self.phase, "elapsed": self._elapsed}
+
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         self.reset((self._task.episode_step == 0).nonzero().squeeze(-1))
         hand = self._robot.frame_pose(self._frame)
