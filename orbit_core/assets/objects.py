@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import TypedDict, Unpack
 
-from orbit_core.assets.inertia import MassProperties, combine, mass_properties
+from orbit_core.assets.inertia import MassProperties, mass_properties, shapes_mass_properties
 from orbit_core.scene import (
     Articulation,
     Box,
@@ -45,52 +46,29 @@ class SolidOptions(TypedDict, total=False):
     """Semantic label; the object's name where it is left out."""
 
 
-def box(
-    name: str,
-    size: Vector3,
-    **options: Unpack[SolidOptions],
-) -> ObjectSpec:
+def box(name: str, size: Vector3, **options: Unpack[SolidOptions]) -> ObjectSpec:
     """A solid box of full ``size`` in metres, its frame at the middle."""
     half = (size[0] / 2, size[1] / 2, size[2] / 2)
     return _solid(name, Box(half), options)
 
 
-def sphere(
-    name: str,
-    radius: float,
-    **options: Unpack[SolidOptions],
-) -> ObjectSpec:
+def sphere(name: str, radius: float, **options: Unpack[SolidOptions]) -> ObjectSpec:
     """A solid ball, its frame at the middle."""
     return _solid(name, Sphere(radius), options)
 
 
-def cylinder(
-    name: str,
-    radius: float,
-    length: float,
-    **options: Unpack[SolidOptions],
-) -> ObjectSpec:
+def cylinder(name: str, radius: float, length: float, **options: Unpack[SolidOptions]) -> ObjectSpec:
     """A solid cylinder along z of full ``length``, its frame at the middle."""
     return _solid(name, Cylinder(radius, length / 2), options)
 
 
-def capsule(
-    name: str,
-    radius: float,
-    length: float,
-    **options: Unpack[SolidOptions],
-) -> ObjectSpec:
+def capsule(name: str, radius: float, length: float, **options: Unpack[SolidOptions]) -> ObjectSpec:
     """A solid capsule along z, its frame at the middle; ``length`` leaves out the round caps."""
     return _solid(name, Capsule(radius, length / 2), options)
 
 
-def mesh_object(
-    name: str,
-    mesh: Mesh | str | Path,
-    scale: float = 1.0,
-    **options: Unpack[SolidOptions],
-) -> ObjectSpec:
-    """A solid with the surface of a mesh or mesh file, in the mesh's own frame. ``mass`` (kg) overrides ``density``.
+def mesh_object(name: str, mesh: Mesh | str | Path, scale: float = 1.0, **options: Unpack[SolidOptions]) -> ObjectSpec:
+    """A solid with the surface of a mesh or mesh file, in the mesh's own frame.
 
     ``scale`` takes a file's unit to metres; a :class:`Mesh` is in metres already and is not scaled.
 
@@ -100,7 +78,7 @@ def mesh_object(
     if not isinstance(mesh, Mesh):
         from orbit_core.assets.meshes import load_mesh
 
-        mesh = load_mesh(Path(mesh), (scale, scale, scale))
+        return _solid(name, load_mesh(Path(mesh), (scale, scale, scale)), options)
     return _solid(name, mesh, options)
 
 
@@ -128,15 +106,14 @@ def table(
         center = (x * (size[0] - leg) / 2, y * (size[1] - leg) / 2, -thickness - length / 2)
         parts.append(Shape(Box((leg / 2, leg / 2, length / 2)), Pose(center), surface, color, f"leg_{index}"))
     shapes = tuple(parts)
-    properties = combine(mass_properties(part.geometry, density=DENSITY).placed(part.pose) for part in shapes)
-    return _object(name, shapes, properties, pose, True, label)
+    return _object(name, shapes, shapes_mass_properties(shapes, DENSITY), pose, True, label)
 
 
 def cabinet(name: str = "cabinet", *, pose: Pose | None = None) -> ObjectSpec:
     """A cabinet on the floor, 0.5 m wide and deep and 0.62 m high, with a drawer above and a door below.
 
     Its frame lies on the floor in the middle of its footprint, and its front faces -x: the default ``pose`` stands it
-    before a robot at the origin that looks along +x, with the drawer's handle at x = 0.636, z = 0.48.
+    before a robot at the origin that looks along +x, with the drawer's handle at x = 0.635, z = 0.49.
 
     * ``drawer_joint`` (prismatic, 0 to 0.4 m) opens the drawer towards -x.
     * ``door_joint`` (revolute, 0 to 1.57 rad) opens the door, hinged at +y, towards -x.
@@ -144,17 +121,27 @@ def cabinet(name: str = "cabinet", *, pose: Pose | None = None) -> ObjectSpec:
       (the approach of a gripper that grasps it) and y across the bar (the opening direction of its fingers).
 
     Raises:
-        AssetError: the file was never read on this machine and the extra ``usd`` is not installed.
+        AssetError: the cache has no copy of it and the extra ``usd`` is not installed.
     """
-    from orbit_core.assets.files import asset_file, load_articulation
-
     return ObjectSpec(
         name=name,
-        articulation=load_articulation(asset_file("cabinet.usda")),
+        articulation=_own_asset("cabinet.usda"),
         pose=pose or Pose((0.93, 0.0, 0.0)),
         fixed_base=True,
         semantic_label="cabinet",
     )
+
+
+def _own_asset(file_name: str) -> Articulation:
+    """An articulation of ORBIT's own USD files, from the cache unless the file or its readers changed."""
+    from orbit_core.assets.cache import Model, cached_articulation
+    from orbit_core.assets.files import asset_file
+    from orbit_core.assets.usd import read_usd
+
+    path = asset_file(file_name)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+    packages = ("usd-core", "newton-usd-schemas")
+    return cached_articulation(Model(f"{path.stem}-{digest}", lambda: read_usd(path), packages, "BSD-3-Clause"))
 
 
 def _solid(name: str, geometry: Geometry, options: SolidOptions) -> ObjectSpec:
