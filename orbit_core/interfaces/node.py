@@ -35,3 +35,10 @@ class Node(ABC):
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Forget the past of some environments."""
+
+    def memory(self) -> Mapping[str, Tensor]:
+        """What the next turn depends on besides the inputs: the node's own tensors (num_envs, ...), by name.
+
+        The agent writes into them to restore a snapshot, and to undo a turn for environments that it was not for.
+        """
+        return {}

@@ -1,0 +1,139 @@
+"""The agent: a directed graph of timed nodes, run in order, each at its own rate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from orbit_core.agent.cut import Cut
+from orbit_core.agent.runner import NodeRunner, RunnerState, checked
+from orbit_core.agent.wiring import Edge, Wiring, wire
+from orbit_core.interfaces import ConfigurationError, Node, Port
+
+
+@dataclass(frozen=True)
+class GraphState:
+    """A snapshot of an agent between two steps."""
+
+    step_count: int
+    values: tuple[Tensor | None, ...]
+    runners: tuple[RunnerState, ...]
+
+
+class AgentGraph:
+    """Nodes and the edges between their ports.
+
+    A node runs at the steps that its period divides, and its outputs hold in between. All environments share one
+    schedule. :meth:`reset` does not wait for it: at the next step every node is run, but where it is not a node's turn
+    only the reset environments take the new outputs and memory; all others keep theirs. (A node without outputs has
+    nothing to renew, and waits for its turn.)
+
+    Args:
+        nodes: each with its own name.
+        edges: one to each input of every node and to each output of the graph.
+        rate: of the agent, in Hz; each node's must divide it.
+        inputs: ports through which values come from outside.
+        outputs: ports through which values go outside.
+
+    Raises:
+        UnknownNameError, ConfigurationError, ShapeError: the graph is miswired, :func:`orbit_core.agent.wiring.wire`.
+    """
+
+    def __init__(
+        self,
+        nodes: Sequence[Node],
+        edges: Sequence[Edge],
+        rate: float,
+        inputs: Sequence[Port] = (),
+        outputs: Sequence[Port] = (),
+    ) -> None:
+        if not rate > 0.0:
+            raise ConfigurationError(f"the agent's rate must be above zero, not {rate:g} Hz")
+        self.rate = rate
+        self.inputs = tuple(inputs)
+        self.outputs = tuple(outputs)
+        self.wiring: Wiring = wire(nodes, edges, rate, inputs, outputs)
+        self.nodes: Mapping[str, Node] = {node.name: node for node in self.wiring.order}
+        self.step_count = 0
+        """Steps done since the last reset of all environments."""
+        slots = {endpoint: slot for slot, endpoint in enumerate(self.wiring.ports)}
+        self.values: list[Tensor | None] = [None] * len(slots)
+        """The last value of each port of ``wiring.ports``, in its order."""
+        self.runners = tuple(
+            NodeRunner(node, self.wiring.periods[node.name], self.wiring.sources, slots, self.values)
+            for node in self.wiring.order
+        )
+        self._inputs = [(port, slots["", port.name]) for port in self.inputs]
+        self._outputs = [(port.name, slots[self.wiring.sources["", port.name]]) for port in self.outputs]
+
+    def step(self, external: Mapping[str, Tensor] | None = None) -> dict[str, Tensor]:
+        """One step of the agent: each node that is due, sources first.
+
+        Args:
+            external: a tensor (num_envs, ...) for each input of the graph.
+
+        Returns:
+            each output of the graph; the tensors may be nodes' own, so clone what you keep.
+
+        Raises:
+            ConfigurationError, ShapeError: an input is missing or of another shape than declared.
+        """
+        self.take_inputs(external or {})
+        self.run(self.runners)
+        self.step_count += 1
+        return self.read_outputs()
+
+    def cut(self, name: str) -> Cut:
+        """The graph with a node taken out, to be replaced by what :meth:`Cut.act` is given.
+
+        Raises:
+            UnknownNameError: no node has that name.
+        """
+        return Cut(self, name)
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        """Make nodes forget some environments; with all of them (None) the schedule starts anew."""
+        if env_ids is None:
+            self.step_count = 0
+        for runner in self.runners:
+            runner.reset(env_ids)
+
+    def save_state(self) -> GraphState:
+        """What the continuation depends on: the step count, held values, and the nodes' memory."""
+        values = tuple(None if value is None else value.clone() for value in self.values)
+        return GraphState(self.step_count, values, tuple(runner.save_state() for runner in self.runners))
+
+    def load_state(self, state: GraphState) -> None:
+        """Return to a saved state."""
+        self.step_count = state.step_count
+        self.values[:] = [None if value is None else value.clone() for value in state.values]
+        for runner, saved in zip(self.runners, state.runners, strict=True):
+            runner.load_state(saved)
+
+    # What a step consists of; a cut puts it together otherwise
+
+    def take_inputs(self, external: Mapping[str, Tensor]) -> None:
+        """Store the values of the graph's inputs."""
+        for port, slot in self._inputs:
+            self.values[slot] = checked(external, port, "the graph's input")
+
+    def run(self, runners: Sequence[NodeRunner]) -> None:
+        """Run those of the nodes that are due at this step, or have been reset."""
+        step = self.step_count
+        for runner in runners:
+            if step % runner.period == 0 and runner.last_turn != step:
+                runner.turn(step)
+            elif runner.pending:
+                runner.renew()
+
+    def read_outputs(self) -> dict[str, Tensor]:
+        """The last values of the graph's outputs."""
+        return {name: self.value(slot) for name, slot in self._outputs}
+
+    def value(self, slot: int) -> Tensor:
+        """What stands in a slot of :attr:`values`."""
+        value = self.values[slot]
+        assert value is not None  # every slot that anything reads has been written by a source before it
+        return value
