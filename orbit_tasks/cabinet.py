@@ -25,6 +25,11 @@ def opening(world: SimulatedWorld, task: Cabinet) -> Tensor:
     return world.objects["cabinet"].joint_positions[:, task.drawer]
 
 
+def drawer_position(world: SimulatedWorld, task: Cabinet) -> Tensor:
+    """(N, 1)"""
+    return opening(world, task)[:, None]
+
+
 @once_per_state
 def handle_pose(world: SimulatedWorld, task: Cabinet) -> Tensor:
     """(N, 7) as a hand takes it: z into the cabinet, y across the bar."""
@@ -92,7 +97,7 @@ class CabinetObservations:
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     handle_pose: ObservationTerm | None = ObservationTerm(handle_pose)
-    drawer: ObservationTerm | None = ObservationTerm(opening[:, None])
+    drawer: ObservationTerm | None = ObservationTerm(drawer_position)
     goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal[:, None])
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 

@@ -35,6 +35,11 @@ def goal_distance(world: SimulatedWorld, task: Lift) -> Tensor:
     return (task.goal - cube_pose(world, task)[:, :3]).norm(dim=1)
 
 
+def dropped(world: SimulatedWorld, task: Lift) -> Tensor:
+    """(N,) the cube fell off the table."""
+    return cube_pose(world, task)[:, 2] < -0.05
+
+
 def reaching(world: SimulatedWorld, task: Lift) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the cube."""
     return 1.0 - torch.tanh(hand_to_cube(world, task).norm(dim=1) * 10.0)
@@ -112,7 +117,7 @@ class LiftRewards:
 
 @dataclass
 class LiftTerminations:
-    dropped: TerminationTerm | None = TerminationTerm(cube_pose[:, 2] < -0.05)
+    dropped: TerminationTerm | None = TerminationTerm(dropped)
 
 
 @dataclass
@@ -146,7 +151,7 @@ class Lift(Task):
     """(N, 3) in the environment's frame."""
 
     def scene(self) -> Scene:
-        size = (self.cube_size,) * 3
+        size = (self.cube_size, self.cube_size, self.cube_size)
         cube = box("cube", size=size, mass=self.cube_mass, pose=Pose((0.5, 0.0, 0.5 * self.cube_size)))
         return Scene(
             robots=(robot(self.robot, name=common.ROBOT),),

@@ -21,9 +21,13 @@ class Object(ABC):
     """
 
     name: str
-    spec: Entity
     link_names: tuple[str, ...]
     joint_names: tuple[str, ...]
+
+    @property
+    @abstractmethod
+    def spec(self) -> Entity:
+        """What it was made from."""
 
     # Reading
 
@@ -123,7 +127,10 @@ class Object(ABC):
 class Robot(Object):
     """An articulation with actuator groups that take commands."""
 
-    spec: RobotSpec
+    @property
+    @abstractmethod
+    def spec(self) -> RobotSpec:
+        """What it was made from."""
 
     @abstractmethod
     def set_position_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:

@@ -21,7 +21,7 @@ from orbit_core.interfaces import (
     UnknownNameError,
     match_names,
 )
-from orbit_core.scene import Joint
+from orbit_core.scene import Entity, Joint, RobotSpec
 from orbit_core.world.clock import Clock
 
 
@@ -38,10 +38,9 @@ class SimulatedObject(Object):
 
     def __init__(self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock) -> None:
         self.layout = layout
-        self.spec = layout.spec
         self.name = layout.name
-        self.link_names = self.spec.articulation.link_names
-        self.joint_names = self.spec.articulation.joint_names
+        self.link_names = layout.spec.articulation.link_names
+        self.joint_names = layout.spec.articulation.joint_names
         self._engine = engine
         self._actuators = actuators
         self._clock = clock
@@ -54,6 +53,10 @@ class SimulatedObject(Object):
         )
         self._limits = limits.to(engine.device, torch.float32)
         self._home = torch.as_tensor(parameters.home[layout.joints]).to(engine.device, torch.float32)
+
+    @property
+    def spec(self) -> Entity:
+        return self.layout.spec
 
     # Reading
 
@@ -215,6 +218,12 @@ class SimulatedRobot(SimulatedObject, Robot):
 
     Targets are trusted to be finite: they come from nodes, which check what enters the agent.
     """
+
+    @property
+    def spec(self) -> RobotSpec:
+        spec = self.layout.spec
+        assert isinstance(spec, RobotSpec)  # the world makes robots of robots' layouts alone
+        return spec
 
     def set_position_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
         self._write(self._actuators.position_targets, targets, joints)

@@ -16,9 +16,9 @@ from orbit_core.assets.validation import validate
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_config, check_scene
 from orbit_core.dynamics.random import RandomStreams
-from orbit_core.interfaces import Approximation, ConfigurationError, Renderer, SceneLayout, World
+from orbit_core.interfaces import Approximation, ConfigurationError, Renderer, SceneLayout, Sensor, World
 from orbit_core.scene import CameraSpec, Entity, Scene
-from orbit_core.sensors import SensorContext, TimedSensor, create_sensor
+from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.clock import Clock
 from orbit_core.world.entities import SimulatedObject, SimulatedRobot
 from orbit_core.world.markers import SimulatedMarker, identity_poses
@@ -100,9 +100,10 @@ class SimulatedWorld(World):
 
     def _add_sensors(self) -> None:
         context = SensorContext(self.engine, self.layout, self.physics_dt, self.random, lambda: self.renderer)
-        self.sensors: dict[str, TimedSensor] = {spec.name: create_sensor(spec, context) for spec in self.scene.sensors}
+        self._timed = {spec.name: create_sensor(spec, context) for spec in self.scene.sensors}
+        self.sensors: Mapping[str, Sensor] = self._timed
         # The engine runs in stretches that end where a sensor is due.
-        periods = [sensor.period for sensor in self.sensors.values() if sensor.period is not None]
+        periods = [sensor.period for sensor in self._timed.values() if sensor.period is not None]
         self._stretch = math.gcd(*periods) if periods else None
 
     @property
@@ -146,7 +147,7 @@ class SimulatedWorld(World):
                 stretch = min(steps, self._stretch - self.clock.steps % self._stretch)
             self._step_engine(stretch)
             self.clock.advance(stretch)
-            for sensor in self.sensors.values():
+            for sensor in self._timed.values():
                 sensor.advance(stretch)
             steps -= stretch
 
@@ -162,12 +163,12 @@ class SimulatedWorld(World):
         self.random.reset(env_ids)
         self.engine.reset(env_ids)
         self.actuators.reset(env_ids)
-        for sensor in self.sensors.values():
+        for sensor in self._timed.values():
             sensor.reset(env_ids)
         self.clock.touch()
 
     def save_state(self) -> WorldState:
-        sensors = {name: sensor.save_state() for name, sensor in self.sensors.items()}
+        sensors = {name: sensor.save_state() for name, sensor in self._timed.items()}
         return WorldState(
             self.engine.save_state(),
             self.actuators.save_state(),
@@ -180,7 +181,7 @@ class SimulatedWorld(World):
     def load_state(self, state: WorldState) -> None:
         self.engine.load_state(state.engine)
         self.actuators.load_state(state.actuators)
-        for name, sensor in self.sensors.items():
+        for name, sensor in self._timed.items():
             sensor.load_state(state.sensors[name])
         self.random.load_state(state.random)
         self.marker_poses.copy_(state.markers)
