@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import torch
-from orbit_core.assets.catalogue import robot
 from torch import Tensor
 
+from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import cabinet
 from orbit_core.dynamics.transforms import quat_from_euler, quat_rotate
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, field
 
 import torch
-from orbit_core.assets.catalogue import robot
 from torch import Tensor
 
+from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import box
 from orbit_core.dynamics.transforms import quat_from_euler
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
