@@ -1,0 +1,47 @@
+# make demo    a Franka lifts cubes on MuJoCo; the video lands in out/lift.mp4
+# make view    the same, live in the browser
+# make test    style, types and all tests
+# Each sets up the environment in .venv first, as far as it needs it.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+SOURCES := pyproject.toml plugins/orbit-mujoco/pyproject.toml constraints.txt
+CODE := orbit_core orbit_tasks plugins tests benchmarks assets
+
+.PHONY: demo view test lint types unit clean
+
+demo: $(VENV)/.ready
+	$(BIN)/orbit run Lift --backend mujoco --num-envs 16 --episodes 64 --agent expert --video out/lift.mp4
+
+view: $(VENV)/.ready
+	$(BIN)/orbit view Lift --backend mujoco
+
+test: $(VENV)/.ready-dev lint types unit
+
+lint: $(VENV)/.ready-dev
+	$(BIN)/ruff check $(CODE)
+	$(BIN)/ruff format --check $(CODE)
+
+types: $(VENV)/.ready-dev
+	$(BIN)/basedpyright
+
+unit: $(VENV)/.ready-dev
+	$(BIN)/pytest -n auto --cov --cov-report=term:skip-covered --cov-fail-under=90
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.ready: $(VENV)/bin/python $(SOURCES)
+	sh tools/system_packages.sh graphics
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[mujoco,robots,usd,mjcf,viewer,video]"
+	touch $@
+
+$(VENV)/.ready-dev: $(VENV)/.ready
+	sh tools/system_packages.sh graphics browser
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[mujoco,robots,usd,mjcf,viewer,video,plots,dev]"
+	$(BIN)/pip install --quiet --no-deps --editable plugins/orbit-mujoco
+	touch $@
+
+clean:
+	rm -rf $(VENV) out
