@@ -1,0 +1,103 @@
+"""Imports point one way, plugins see the contract alone, and the core knows no engine."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+CORE = ROOT / "orbit_core"
+
+# Each package may import those of lower rank, and its own.
+RANKS = {
+    "scene": 0,
+    "interfaces": 1,
+    "backends": 2,
+    "dynamics": 2,
+    "assets": 2,
+    "actuators": 3,
+    "sensors": 3,
+    "agent": 3,
+    "motion": 3,
+    "world": 4,
+    "tasks": 5,
+    "viewer": 6,
+    "learning": 7,
+    "cli": 8,
+}
+# Newton is also a person and a unit: only the module or the name in quotes is the engine.
+ENGINES = re.compile(
+    r"""(?i:\b(mujoco|bullet|pybullet|sapien|warp|physx)\b)|import newton\b|\bnewton\.|["']newton["']"""
+)
+
+
+def imported_packages(path: Path) -> set[str]:
+    """Names below ``orbit_core`` that a file imports, types included."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            modules = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.Import):
+            modules = [alias.name for alias in node.names]
+        else:
+            continue
+        found |= {module.split(".")[1] for module in modules if module.startswith("orbit_core.")}
+    return found & {*RANKS, "conformance"}
+
+
+def core_files() -> list[Path]:
+    return sorted(CORE.rglob("*.py"))
+
+
+def test_every_package_of_the_core_has_a_rank() -> None:
+    packages = {path.relative_to(CORE).parts[0].removesuffix(".py") for path in core_files()} - {"__init__"}
+    assert packages == set(RANKS)
+
+
+@pytest.mark.parametrize("package", RANKS)
+def test_imports_point_down(package: str) -> None:
+    files = [path for path in core_files() if path.relative_to(CORE).parts[0].removesuffix(".py") == package]
+    wrong = {
+        f"{path.relative_to(ROOT)} imports {other}"
+        for path in files
+        for other in imported_packages(path)
+        if other != package and RANKS[other] >= RANKS[package]
+    }
+    assert not wrong
+
+
+def test_a_plugin_imports_the_contract_alone() -> None:
+    wrong = {
+        f"{path.relative_to(ROOT)} imports {package}"
+        for path in (ROOT / "plugins").glob("orbit-*/orbit_*/**/*.py")
+        for package in imported_packages(path)
+        if package not in {"interfaces", "scene"}
+    }
+    assert not wrong
+
+
+def test_neither_core_nor_tasks_name_an_engine() -> None:
+    # A file format is no engine, though one is named after its parser; and the schemas of USD bear their maker's name.
+    formats = {"mjcf.py", "usd.py", "usd_writer.py", "usd_geometry.py"}
+    named = [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+        for folder in (CORE, ROOT / "orbit_tasks")
+        for path in sorted(folder.rglob("*.py"))
+        if path.name not in formats
+        for number, line in enumerate(path.read_text().splitlines(), start=1)
+        if ENGINES.search(line)
+    ]
+    assert not named
+
+
+@pytest.mark.parametrize("module", ["orbit_core", "orbit_core.scene", "orbit_core.backends", "orbit_core.tasks"])
+def test_importing_is_light(module: str) -> None:
+    heavy = ["torch", "mujoco", "pxr", "trimesh", "viser", "tyro", "gymnasium", "imageio", "matplotlib"]
+    code = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
