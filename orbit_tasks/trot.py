@@ -12,6 +12,7 @@ from torch import Tensor
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.interfaces import ConfigurationError, Node, Port
+from orbit_core.motion import JointPosition
 from orbit_core.tasks import common
 
 if TYPE_CHECKING:
@@ -37,7 +38,12 @@ class TrotGenerator(Node):
 
     def __init__(self, world: SimulatedWorld, task: VelocityFlat, gait: Gait | None = None) -> None:
         self.name = "policy"
-        (self._generator,) = task.generators
+        generator = task.generators[0]
+        if not isinstance(generator, JointPosition):
+            raise ConfigurationError(
+                f"the trot generator gives joint positions: action '{task.action}' does not take them"
+            )
+        self._generator = generator
         self.outputs = (Port("action", (self._generator.command_size,)),)
         self._task = task
         self._gait = gait or Gait()
@@ -66,7 +72,7 @@ class TrotGenerator(Node):
             jacobian = self._tree.jacobian(poses, foot)[:, :3]
             error = wanted[:, index] - self._tree.frame_pose(poses, foot)[:, :3]
             self._positions += (torch.linalg.pinv(jacobian) @ error[..., None]).squeeze(-1)
-        return {"action": self._generator.encode_joints(self._positions)}
+        return {"action": self._generator.encode_positions(self._positions[:, self._generator.joints])}
 
     def _foot_targets(self) -> Tensor:
         """(N, 4, 3) in the trunk's frame."""
