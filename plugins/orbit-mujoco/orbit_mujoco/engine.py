@@ -1,0 +1,238 @@
+"""N environments of one scene on MuJoCo's batched stepper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import mujoco.batch
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import Approximation, Engine, RayHits, SceneLayout, SimulationError
+from orbit_mujoco.config import MujocoConfig
+from orbit_mujoco.model import build_model
+from orbit_mujoco.parameters import Parameters
+from orbit_mujoco.probes import ContactMeter, WrenchMeter
+from orbit_mujoco.state import DERIVED_STAGE, Rows, State, block
+
+_NO_STAGE = mujoco.mjtStage.mjSTAGE_NONE.value
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Everything that the continuation depends on."""
+
+    rows: npt.NDArray[np.float64]
+    parameters: dict[str, npt.NDArray]
+    tensors: tuple[Tensor, ...]
+    """Commands, then what the last step measured."""
+
+
+class MujocoEngine(Engine):
+    """Holds one MjData per environment, whose derived fields are current after each step.
+
+    A step ends with MuJoCo's position and velocity stages, with which the next step begins, so they cost nothing.
+    """
+
+    def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: MujocoConfig) -> None:
+        super().__init__(layout, num_envs, device)
+        built = build_model(layout, config)
+        # Warnings come as SimulationError; MuJoCo would write them to the terminal and to a file as well.
+        mujoco.set_mju_user_warning(_ignore)
+        self._model, self._addresses, self._report = built.model, built.addresses, built.report
+        self._batch = mujoco.batch.Batch(built.model, num_envs, config.threads, persistent=True)
+        self._state = State(self._batch, built.addresses)
+        self._parameters = Parameters(self._batch, built.addresses)
+        self._sensordata = self._batch.bind("sensordata")
+        self._contacts = ContactMeter(layout, self._sensordata)
+        self._wrenches = WrenchMeter(layout, self._sensordata)
+        self._actuator_force = self._batch.bind("actuator_force")
+        self._joint_efforts = torch.zeros(self._actuator_force.shape)
+        self._ctrl, self._xfrc_applied = self._batch.bind("ctrl"), self._batch.bind("xfrc_applied")
+        self._damping_part = np.zeros(self._ctrl.shape)
+        self._home = self.position_targets[:1].clone()
+        self.reset()
+
+    # Time ------------------------------------------------------------------------------------------------------------
+
+    def step(self, steps: int) -> None:
+        self._parameters.settle()
+        self._write_commands()
+        try:
+            if self._contacts.queries:
+                self._contacts.clear()
+                for _ in range(steps):
+                    self._batch.step(nstep=1, stage=DERIVED_STAGE)
+                    self._contacts.add()
+                self._contacts.average(steps)
+            else:
+                self._batch.step(nstep=steps, stage=DERIVED_STAGE)
+        except mujoco.batch.SimulationError as error:
+            raise SimulationError(f"MuJoCo failed in environments {_shown(error.ids)}: {error}") from error
+        np.copyto(self._joint_efforts.numpy(), self._actuator_force, casting="same_kind")
+        self._wrenches.read()
+        self._state.invalidate()
+        if self._batch.warning.any():
+            self._raise_warnings()
+
+    @property
+    def _commands(self) -> tuple[Tensor, ...]:
+        return self.position_targets, self.velocity_targets, self.efforts
+
+    @property
+    def _measurements(self) -> tuple[Tensor, ...]:
+        """What the last step left: MuJoCo's own rows do not hold it."""
+        return self._joint_efforts, self._contacts.forces, self._wrenches.wrenches
+
+    def _write_commands(self) -> None:
+        np.multiply(self.position_targets.numpy(), self._parameters.stiffness, out=self._ctrl)
+        np.multiply(self.velocity_targets.numpy(), self._parameters.damping, out=self._damping_part)
+        np.add(self._ctrl, self._damping_part, out=self._ctrl)
+        np.add(self._ctrl, self.efforts.numpy(), out=self._ctrl)
+
+    def _raise_warnings(self) -> None:
+        counts = self._batch.warning[..., 1]
+        warning = int(np.flatnonzero(counts.any(axis=0))[0])
+        environments = np.flatnonzero(counts[:, warning])
+        text = mujoco.mju_warningText(warning, int(self._batch.warning[environments[0], warning, 0]))
+        raise SimulationError(
+            f"environments {_shown(environments)} diverged: {text.strip()}; reset them, and use a smaller physics_dt, "
+            "softer drives or larger masses"
+        )
+
+    # State -----------------------------------------------------------------------------------------------------------
+
+    @property
+    def joint_positions(self) -> Tensor:
+        return self._state.joint_positions
+
+    @property
+    def joint_velocities(self) -> Tensor:
+        return self._state.joint_velocities
+
+    @property
+    def joint_efforts(self) -> Tensor:
+        return self._joint_efforts
+
+    @property
+    def link_poses(self) -> Tensor:
+        return self._state.link_poses
+
+    @property
+    def link_velocities(self) -> Tensor:
+        return self._state.link_velocities
+
+    def write_joint_state(
+        self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
+    ) -> None:
+        self._state.write_joints(joints.numpy(), _array(positions), _array(velocities), _rows(env_ids))
+
+    def write_root_state(
+        self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor | None = None
+    ) -> None:
+        self._state.write_root(entity, _array(pose), _array(velocity), _rows(env_ids))
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        rows = _rows(env_ids)
+        self._batch.reset(None if env_ids is None else np.sort(env_ids.numpy()), keyframe=0, stage=_NO_STAGE)
+        self.position_targets[rows] = self._home
+        self.velocity_targets[rows] = 0.0
+        self.efforts[rows] = 0.0
+        for measured in self._measurements:
+            measured[rows] = 0.0
+        self._state.mark_written(rows)
+
+    # Measurements ----------------------------------------------------------------------------------------------------
+
+    @property
+    def contact_forces(self) -> Tensor:
+        return self._contacts.forces
+
+    @property
+    def joint_wrenches(self) -> Tensor:
+        return self._wrenches.wrenches
+
+    def cast_rays(
+        self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None = None
+    ) -> RayHits:
+        ids = np.arange(self.num_envs) if env_ids is None else env_ids.numpy()
+        order = np.argsort(ids)  # the batch takes its environments in ascending order
+        distances, geoms, normals = self._batch.ray(
+            origins.numpy()[order], directions.numpy()[order], ids=ids[order], normal=True
+        )
+        missed = (geoms < 0) | (distances > max_distance)
+        distances[missed], geoms[missed], normals[missed] = np.inf, -1, 0.0
+        back = np.argsort(order)
+        return RayHits(
+            torch.from_numpy(distances[back].astype(np.float32)),
+            torch.from_numpy(normals[back].astype(np.float32)),
+            torch.from_numpy(self._addresses.link_of_geom[geoms[back]]),
+        )
+
+    # Parameters per environment --------------------------------------------------------------------------------------
+
+    def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
+        self._xfrc_applied[block(_rows(env_ids), self._addresses.bodies[links.numpy()])] = wrenches.numpy()
+
+    def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_masses(links.numpy(), masses.numpy(), _rows(env_ids))
+
+    def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_centers_of_mass(links.numpy(), centers.numpy(), _rows(env_ids))
+
+    def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_friction(links.numpy(), coefficients.numpy(), _rows(env_ids))
+
+    def set_drive_gains(
+        self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
+    ) -> None:
+        self._parameters.set_drive_gains(joints.numpy(), stiffness.numpy(), damping.numpy(), _rows(env_ids))
+
+    def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_gravity(gravity.numpy(), _rows(env_ids))
+
+    # Snapshots and the rest ------------------------------------------------------------------------------------------
+
+    def save_state(self) -> Snapshot:
+        return Snapshot(
+            self._batch.state.copy(),
+            self._parameters.save(),
+            tuple(tensor.clone() for tensor in (*self._commands, *self._measurements)),
+        )
+
+    def load_state(self, state: Snapshot) -> None:
+        self._batch.reset(stage=_NO_STAGE)  # forgets warnings
+        self._batch.state[...] = state.rows
+        self._parameters.load(state.parameters)
+        for own, saved in zip((*self._commands, *self._measurements), state.tensors, strict=True):
+            own.copy_(saved)
+        self._state.mark_written(slice(None))
+
+    @property
+    def build_report(self) -> tuple[Approximation, ...]:
+        return self._report
+
+    @property
+    def native(self) -> tuple[mujoco.MjModel, mujoco.batch.Batch]:
+        """The model and the batch."""
+        return self._model, self._batch
+
+
+def _ignore(message: str) -> None:
+    """MuJoCo's warnings are read from its counters."""
+
+
+def _rows(env_ids: Tensor | None) -> Rows:
+    return slice(None) if env_ids is None else env_ids.numpy()
+
+
+def _array(values: Tensor | None) -> npt.NDArray[np.float32] | None:
+    return None if values is None else values.numpy()
+
+
+def _shown(environments: npt.NDArray) -> str:
+    """The first few numbers of a list."""
+    return ", ".join(map(str, environments[:8])) + (", ..." if len(environments) > 8 else "")

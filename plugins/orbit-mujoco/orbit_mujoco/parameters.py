@@ -1,0 +1,91 @@
+"""Physical parameters that differ between environments.
+
+A field of the model is given a value per environment when it is first set. Constants that follow from masses are
+computed anew, once, before they are next needed.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from mujoco.batch import Batch
+
+from orbit_mujoco.addresses import Addresses
+from orbit_mujoco.state import FloatArray, Rows, block
+
+Indices = npt.NDArray[np.int64]
+
+
+class Parameters:
+    """Sets and remembers the per-environment fields of the model."""
+
+    def __init__(self, batch: Batch, addresses: Addresses) -> None:
+        self._batch = batch
+        self._model: mujoco.MjModel = batch.model
+        self._addresses = addresses
+        self._fields: dict[str, npt.NDArray] = {}
+        self._nominal: dict[str, npt.NDArray] = {}
+        self._constants_due = np.zeros(batch.nsim, dtype=bool)
+        self.stiffness: FloatArray = -self._model.actuator_biasprm[:, 1]
+        """(J,) or (N, J) of the drives."""
+        self.damping: FloatArray = -self._model.actuator_biasprm[:, 2]
+        """(J,) or (N, J)"""
+
+    def settle(self) -> None:
+        """Compute what follows from the masses that were set."""
+        if self._constants_due.any():
+            self._batch.set_const(self._constants_due)
+            self._constants_due.fill(False)
+
+    def set_masses(self, links: Indices, masses: FloatArray, rows: Rows) -> None:
+        bodies = self._addresses.bodies[links]
+        index = block(rows, bodies)
+        scale = masses / self._model.body_mass[bodies]
+        self._field("body_mass")[index] = masses
+        self._field("body_inertia")[index] = self._model.body_inertia[bodies] * scale[..., None]
+        self._constants_due[rows] = True
+
+    def set_centers_of_mass(self, links: Indices, centers: FloatArray, rows: Rows) -> None:
+        self._field("body_ipos")[block(rows, self._addresses.bodies[links])] = centers
+        self._constants_due[rows] = True
+
+    def set_friction(self, links: Indices, coefficients: FloatArray, rows: Rows) -> None:
+        friction = self._field("geom_friction")
+        for column, link in enumerate(links):
+            index = (*block(rows, self._addresses.geoms(int(link))), 0)
+            friction[index] = coefficients[:, column, None]
+
+    def set_drive_gains(self, joints: Indices, stiffness: FloatArray, damping: FloatArray, rows: Rows) -> None:
+        driven = self._model.actuator_gainprm[joints, 0] > 0  # a mimic joint has no drive of its own
+        index = block(rows, joints[driven])
+        bias = self._field("actuator_biasprm")
+        bias[(*index, 1)] = -stiffness[:, driven]
+        bias[(*index, 2)] = -damping[:, driven]
+        self._read_gains()
+
+    def set_gravity(self, gravity: FloatArray, rows: Rows) -> None:
+        self._field("opt.gravity")[rows] = gravity
+
+    def save(self) -> dict[str, npt.NDArray]:
+        """Copies of the fields that differ between environments."""
+        return {name: values.copy() for name, values in self._fields.items()}
+
+    def load(self, saved: dict[str, npt.NDArray]) -> None:
+        """Return to what :meth:`save` gave; fields that it lacks return to the scene's values."""
+        for name in {*saved, *self._fields}:
+            self._field(name)[...] = saved.get(name, self._nominal.get(name))
+        if {"body_mass", "body_ipos"} & self._fields.keys():
+            self._constants_due.fill(True)
+        if "actuator_biasprm" in self._fields:
+            self._read_gains()
+
+    def _field(self, name: str) -> npt.NDArray:
+        if name not in self._fields:
+            self._fields[name] = self._batch.expand(name)
+            self._nominal[name] = self._fields[name][0].copy()
+        return self._fields[name]
+
+    def _read_gains(self) -> None:
+        bias = self._fields["actuator_biasprm"]
+        self.stiffness, self.damping = -bias[:, :, 1], -bias[:, :, 2]

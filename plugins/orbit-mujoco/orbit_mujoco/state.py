@@ -1,0 +1,147 @@
+"""Reads and writes positions and velocities: MuJoCo's rows in double precision, the contract's tensors in single.
+
+A tensor is filled when it is first read after a step or a write. Poses and velocities of links follow the joints only
+when MuJoCo computes them, so environments that were written to are brought up to date first.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+from mujoco.batch import Batch
+from torch import Tensor
+
+from orbit_mujoco.addresses import Addresses, columns
+from orbit_mujoco.rotations import rotate, rotate_inverse
+
+FloatArray = npt.NDArray[np.floating]
+Rows = slice | npt.NDArray[np.int64]
+"""Environments: all, or indices."""
+
+DERIVED_STAGE = mujoco.mjtStage.mjSTAGE_VEL.value
+
+
+class State:
+    """The kinematic state of every environment."""
+
+    def __init__(self, batch: Batch, addresses: Addresses) -> None:
+        self._batch = batch
+        self._addresses = addresses
+        num_envs, joints, links = batch.nsim, len(addresses.joint_positions), len(addresses.bodies)
+        self._qpos, self._qvel = batch.bind("qpos"), batch.bind("qvel")
+        self._mocap_pos, self._mocap_quat = batch.bind("mocap_pos"), batch.bind("mocap_quat")
+        self._xpos, self._xquat = batch.bind("xpos"), batch.bind("xquat")
+        self._cvel, self._subtree_com = batch.bind("cvel"), batch.bind("subtree_com")
+        self._position_columns = columns(addresses.joint_positions)
+        self._velocity_columns = columns(addresses.joint_velocities)
+        self._bodies, self._roots = columns(addresses.bodies), columns(addresses.roots)
+        self._joint_positions = torch.zeros(num_envs, joints)
+        self._joint_velocities = torch.zeros(num_envs, joints)
+        self._link_poses = torch.zeros(num_envs, links, 7)
+        self._link_velocities = torch.zeros(num_envs, links, 6)
+        self._spins, self._offsets = np.zeros((2, num_envs, links, 3))
+        self._current: set[str] = set()
+        self._written = np.zeros(num_envs, dtype=bool)
+
+    def invalidate(self) -> None:
+        """After a step: every tensor is out of date, and MuJoCo's derived fields are current."""
+        self._current.clear()
+        self._written.fill(False)
+
+    def mark_written(self, rows: Rows) -> None:
+        """After a write: derived fields of ``rows`` are out of date too."""
+        self._current.clear()
+        self._written[rows] = True
+
+    # Reading ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def joint_positions(self) -> Tensor:
+        if self._claim("joint_positions"):
+            np.copyto(self._joint_positions.numpy(), self._qpos[:, self._position_columns], casting="same_kind")
+        return self._joint_positions
+
+    @property
+    def joint_velocities(self) -> Tensor:
+        if self._claim("joint_velocities"):
+            np.copyto(self._joint_velocities.numpy(), self._qvel[:, self._velocity_columns], casting="same_kind")
+        return self._joint_velocities
+
+    @property
+    def link_poses(self) -> Tensor:
+        if self._claim("link_poses"):
+            self._derive()
+            poses, quaternions = self._link_poses.numpy(), self._xquat[:, self._bodies]
+            np.copyto(poses[..., :3], self._xpos[:, self._bodies], casting="same_kind")
+            sign = np.copysign(1.0, quaternions[..., :1])
+            np.multiply(quaternions, sign, out=poses[..., 3:], casting="same_kind")
+        return self._link_poses
+
+    @property
+    def link_velocities(self) -> Tensor:
+        """``cvel`` is angular, then linear velocity at the centre of mass of the tree: move it to the link's origin."""
+        if self._claim("link_velocities"):
+            self._derive()
+            velocities, spatial = self._link_velocities.numpy(), self._cvel[:, self._bodies]
+            np.subtract(self._xpos[:, self._bodies], self._subtree_com[:, self._roots], out=self._offsets)
+            np.copyto(self._spins, spatial[..., :3])
+            swept = torch.linalg.cross(torch.from_numpy(self._spins), torch.from_numpy(self._offsets))
+            np.add(spatial[..., 3:], swept.numpy(), out=velocities[..., :3], casting="same_kind")
+            np.copyto(velocities[..., 3:], spatial[..., :3], casting="same_kind")
+        return self._link_velocities
+
+    def _claim(self, name: str) -> bool:
+        """Whether a tensor must be filled; it counts as filled from now on."""
+        if name in self._current:
+            return False
+        self._current.add(name)
+        return True
+
+    def _derive(self) -> None:
+        if self._written.any():
+            self._batch.forward(self._written, stage=DERIVED_STAGE)
+            self._written.fill(False)
+
+    # Writing ---------------------------------------------------------------------------------------------------------
+
+    def write_joints(
+        self, joints: npt.NDArray[np.int64], positions: FloatArray | None, velocities: FloatArray | None, rows: Rows
+    ) -> None:
+        if positions is not None:
+            self._qpos[block(rows, self._addresses.joint_positions[joints])] = positions
+        if velocities is not None:
+            self._qvel[block(rows, self._addresses.joint_velocities[joints])] = velocities
+        self.mark_written(rows)
+
+    def write_root(self, entity: int, pose: FloatArray | None, velocity: FloatArray | None, rows: Rows) -> None:
+        """A free root's angular velocity is in its own axes, so that a new pose alone must turn it."""
+        mocap = self._addresses.mocaps[entity]
+        if mocap >= 0:
+            if pose is not None:
+                self._mocap_pos[rows, mocap] = pose[:, :3]
+                self._mocap_quat[rows, mocap] = _normalized(pose[:, 3:])
+        else:
+            start, speed = self._addresses.root_positions[entity], self._addresses.root_velocities[entity]
+            linear, angular = slice(speed, speed + 3), slice(speed + 3, speed + 6)
+            orientation = slice(start + 3, start + 7)
+            spin = rotate(self._qpos[rows, orientation], self._qvel[rows, angular])
+            if pose is not None:
+                self._qpos[rows, start : start + 3] = pose[:, :3]
+                self._qpos[rows, orientation] = _normalized(pose[:, 3:])
+            if velocity is not None:
+                self._qvel[rows, linear] = velocity[:, :3]
+                spin = velocity[:, 3:].astype(np.float64)
+            self._qvel[rows, angular] = rotate_inverse(self._qpos[rows, orientation], spin)
+        self.mark_written(rows)
+
+
+def block(rows: Rows, indices: npt.NDArray[np.int64]) -> tuple[Rows, npt.NDArray[np.int64]]:
+    """The index of ``indices`` (k,) in each of ``rows``."""
+    return (rows, indices) if isinstance(rows, slice) else (rows[:, None], indices)
+
+
+def _normalized(quaternions: FloatArray) -> npt.NDArray[np.float64]:
+    quaternions = quaternions.astype(np.float64)
+    return quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True)
