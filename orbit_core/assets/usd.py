@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from orbit_core.assets.inertia import MassProperties, combine, mass_properties
-from orbit_core.assets.usd_geometry import Placement, Units, attribute, label, read_shape, require_usd
+from orbit_core.assets.usd_geometry import Placement, Units, attribute, label, pxr, read_shape
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, Mimic, Pose, Shape
 from orbit_core.scene.pose import FloatArray, Vector3
@@ -45,12 +45,10 @@ def read_usd(path: str | Path) -> Articulation:
         AssetError: the file cannot be opened, holds several articulations, a loop, or a joint or shape of a kind that
             ORBIT lacks, or USD is not installed.
     """
-    require_usd()
-    from pxr import Tf, Usd
-
+    usd = pxr()
     try:
-        stage = Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
+        stage = usd.Usd.Stage.Open(str(path))
+    except usd.Tf.ErrorException as error:
         raise AssetError(f"{path} is no USD file that can be opened: {error}") from None
     return _Reader(stage, Path(path)).read()
 
@@ -99,21 +97,19 @@ class _Reader:
         return articulation if _in_order(articulation) else sort_links(articulation)
 
     def _collect(self) -> None:
-        from pxr import Usd, UsdGeom, UsdPhysics
-
         stray = []
-        for prim in Usd.PrimRange(self.stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
+        for prim in pxr().Usd.PrimRange(self.stage.GetPseudoRoot(), pxr().Usd.TraverseInstanceProxies()):
             path = str(prim.GetPath())
             owner = self.owners.get(str(prim.GetPath().GetParentPath()), "/")
-            if prim.HasAPI(UsdPhysics.RigidBodyAPI) and attribute(prim, "physics:rigidBodyEnabled", True):
+            if prim.HasAPI(pxr().UsdPhysics.RigidBodyAPI) and attribute(prim, "physics:rigidBodyEnabled", True):
                 self.bodies[path] = prim
                 owner = path
             self.owners[path] = owner
-            if prim.IsA(UsdPhysics.Joint):
+            if prim.IsA(pxr().UsdPhysics.Joint):
                 self.joints.append(prim)
-            elif prim.IsA(UsdGeom.Gprim) or attribute(prim, FRAME, False):
+            elif prim.IsA(pxr().UsdGeom.Gprim) or attribute(prim, FRAME, False):
                 self.parts.setdefault(owner, []).append(prim)
-                stray += [path] if owner == "/" and prim.HasAPI(UsdPhysics.CollisionAPI) else []
+                stray += [path] if owner == "/" and prim.HasAPI(pxr().UsdPhysics.CollisionAPI) else []
         if stray and self.bodies:
             self.notes.append(f"colliders outside every rigid body are left out: {', '.join(stray)}")
         if not self.bodies:
@@ -186,12 +182,10 @@ class _Reader:
         return reached, parent_edge
 
     def _root(self, edges: list[_Edge]) -> str:
-        from pxr import UsdPhysics
-
         if "/" in self.bodies:
             return "/"
         children = {edge.bodies[1] for edge in edges}
-        marked = [path for path, prim in self.bodies.items() if prim.HasAPI(UsdPhysics.ArticulationRootAPI)]
+        marked = [path for path, prim in self.bodies.items() if prim.HasAPI(pxr().UsdPhysics.ArticulationRootAPI)]
         parentless = [path for path in self.bodies if path not in children]
         return [*marked, *self.fixed_to_world, *parentless, *self.bodies][0]
 
@@ -199,17 +193,15 @@ class _Reader:
         return label(self.bodies[path]) if path != "/" else WORLD
 
     def _link(self, path: str) -> Link:
-        from pxr import UsdGeom, UsdPhysics
-
         body = self.bodies[path]
         collisions: list[Shape] = []
         visuals: list[Shape] = []
         solids: list[MassProperties] = []
         for prim in self.parts.get(path, []):
-            if not prim.IsA(UsdGeom.Gprim):
+            if not prim.IsA(pxr().UsdGeom.Gprim):
                 continue
-            collides = prim.HasAPI(UsdPhysics.CollisionAPI) and attribute(prim, "physics:collisionEnabled", True)
-            imageable = UsdGeom.Imageable(prim)
+            collides = prim.HasAPI(pxr().UsdPhysics.CollisionAPI) and attribute(prim, "physics:collisionEnabled", True)
+            imageable = pxr().UsdGeom.Imageable(prim)
             drawn = imageable.ComputePurpose() != "guide" and imageable.ComputeVisibility() != "invisible"
             shape = read_shape(prim, body, self.units, self.notes) if collides or drawn else None
             if shape is None:
@@ -238,11 +230,9 @@ class _Reader:
 
     def _solid(self, prim: Any, body: Any, shape: Shape) -> MassProperties:
         """What a collider weighs: by its own mass, or the density of itself, its body, or its material."""
-        from pxr import UsdShade
-
         if (mass := attribute(prim, "physics:mass", 0.0)) > 0:
             return mass_properties(shape.geometry, mass=mass * self.units.mass).placed(shape.pose)
-        material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
+        material = pxr().UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
         sources = (prim, body, *([material.GetPrim()] if material else []))
         densities = [attribute(source, "physics:density", 0.0) for source in sources]
         authored = next((value for value in densities if value > 0), None)
@@ -330,11 +320,9 @@ class _Reader:
 
     def _self_collisions(self) -> bool:
         """As the articulation's root says; UsdPhysics itself lets all bodies collide that no joint connects."""
-        from pxr import UsdPhysics
-
         if len(self.bodies) == 1:
             return False
-        roots = [prim for prim in self.stage.Traverse() if prim.HasAPI(UsdPhysics.ArticulationRootAPI)]
+        roots = [prim for prim in self.stage.Traverse() if prim.HasAPI(pxr().UsdPhysics.ArticulationRootAPI)]
         names = ("newton:selfCollisionEnabled", "physxArticulation:enabledSelfCollisions")
         values = [attribute(root, name) for root in roots for name in names]
         return next((bool(value) for value in values if value is not None), True)
@@ -351,10 +339,8 @@ class _Reader:
 
 
 def _semantic_label(prim: Any) -> str:
-    from pxr import UsdSemantics
-
-    for taxonomy in UsdSemantics.LabelsAPI.GetDirectTaxonomies(prim):
-        if labels := UsdSemantics.LabelsAPI(prim, taxonomy).GetLabelsAttr().Get():
+    for taxonomy in pxr().UsdSemantics.LabelsAPI.GetDirectTaxonomies(prim):
+        if labels := pxr().UsdSemantics.LabelsAPI(prim, taxonomy).GetLabelsAttr().Get():
             return str(labels[0])
     return ""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import importlib
 import math
 from dataclasses import dataclass, replace
 from typing import Any
@@ -33,19 +35,24 @@ _SHEAR = 1e-4
 """Relative; stages hold most numbers in single precision."""
 
 
-def require_usd() -> None:
-    """Import USD, and the schemas of joint friction, armature and mimic joints before USD first looks any schema up.
+@functools.cache
+def pxr() -> Any:
+    """USD's package ``pxr``, which has no types, with the modules used here imported.
+
+    Newton's schemas of joint friction, armature and mimic joints must register before USD first looks any schema up.
 
     Raises:
         AssetError: they are not installed.
     """
     try:
-        import newton_usd_schemas  # noqa: F401
-        from pxr import Usd  # noqa: F401
+        importlib.import_module("newton_usd_schemas")
+        for module in ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdPhysics", "UsdSemantics", "UsdShade", "Vt"):
+            importlib.import_module(f"pxr.{module}")
     except ImportError as error:
         raise AssetError(
             f'USD files need the packages usd-core and newton-usd-schemas: pip install "orbit-core[usd]" ({error})'
         ) from None
+    return importlib.import_module("pxr")
 
 
 def attribute(prim: Any, name: str, default: Any = None) -> Any:
@@ -74,12 +81,10 @@ class Units:
 
     @staticmethod
     def of(stage: Any) -> Units:
-        from pxr import UsdGeom, UsdPhysics
-
-        upright = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
+        upright = pxr().UsdGeom.GetStageUpAxis(stage) == pxr().UsdGeom.Tokens.z
         return Units(
-            UsdGeom.GetStageMetersPerUnit(stage),
-            UsdPhysics.GetStageKilogramsPerUnit(stage),
+            pxr().UsdGeom.GetStageMetersPerUnit(stage),
+            pxr().UsdPhysics.GetStageKilogramsPerUnit(stage),
             Pose() if upright else Pose.from_euler(math.pi / 2, 0.0, 0.0),
         )
 
@@ -138,12 +143,10 @@ def read_shape(prim: Any, body: Any, units: Units, notes: list[str]) -> Shape | 
     Raises:
         AssetError: no engine has a shape like it.
     """
-    from pxr import UsdGeom
-
     placement = Placement.of(prim, body, units)
     kind = prim.GetTypeName()
     if kind == "Mesh":
-        geometry: Geometry | None = _mesh(UsdGeom.Mesh(prim), placement, notes)
+        geometry: Geometry | None = _mesh(pxr().UsdGeom.Mesh(prim), placement, notes)
         pose = placement.pose
     else:
         geometry = _primitive(prim, kind, placement)
@@ -210,10 +213,8 @@ def _mesh_collision(prim: Any, notes: list[str]) -> MeshCollision:
 
 def read_material(prim: Any, units: Units) -> PhysicsMaterial:
     """The physics material bound to a prim; the default one where none is."""
-    from pxr import UsdPhysics, UsdShade
-
-    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
-    if not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
+    material, _ = pxr().UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+    if not material or not material.GetPrim().HasAPI(pxr().UsdPhysics.MaterialAPI):
         return PhysicsMaterial()
     source = material.GetPrim()
     read = PhysicsMaterial(
@@ -235,14 +236,12 @@ def read_material(prim: Any, units: Units) -> PhysicsMaterial:
 
 def read_color(prim: Any) -> Color:
     """A prim's display colour, or else the diffuse colour of the preview surface bound to it, or else grey."""
-    from pxr import UsdGeom, UsdShade
-
-    gprim = UsdGeom.Gprim(prim)
+    gprim = pxr().UsdGeom.Gprim(prim)
     colors = gprim.GetDisplayColorPrimvar().Get()
     if colors:
         opacities = gprim.GetDisplayOpacityPrimvar().Get()
         return _color(colors[0], opacities[0] if opacities else 1.0)
-    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+    material, _ = pxr().UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
     surface = material.ComputeSurfaceSource()[0] if material else None
     if surface:
         diffuse, opacity = surface.GetInput("diffuseColor"), surface.GetInput("opacity")
@@ -259,11 +258,9 @@ def _color(rgb: Any, alpha: float) -> Color:
 
 def _world_matrix(prim: Any, length: float) -> FloatArray:
     """The prim's transform (4, 4) in the stage, acting on columns, translation in metres."""
-    from pxr import Usd, UsdGeom
-
     if prim.IsPseudoRoot():
         return np.diag((length, length, length, 1.0))
-    matrix = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())).T
+    matrix = np.array(pxr().UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(pxr().Usd.TimeCode.Default())).T
     matrix[:3] *= length
     return matrix
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from orbit_core.assets.inertia import principal_axes
 from orbit_core.assets.usd import FRAME
-from orbit_core.assets.usd_geometry import require_usd
+from orbit_core.assets.usd_geometry import pxr
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import (
     Articulation,
@@ -42,7 +42,6 @@ def write_usd(articulation: Articulation, path: str | Path) -> None:
         AssetError: the file's suffix is another, a link collides but has no mass, a shape is of a kind that USD lacks,
             or USD is not installed.
     """
-    require_usd()
     if Path(path).suffix not in (".usda", ".usdc", ".usd"):
         raise AssetError(f"{path} is to be a USD file: name it *.usda, *.usdc or *.usd")
     writer = _Writer(articulation)
@@ -52,20 +51,16 @@ def write_usd(articulation: Articulation, path: str | Path) -> None:
 
 class _Writer:
     def __init__(self, articulation: Articulation) -> None:
-        from pxr import Usd
-
         self.articulation = articulation
-        self.stage: Any = Usd.Stage.CreateInMemory()
+        self.stage: Any = pxr().Usd.Stage.CreateInMemory()
         self.materials: dict[PhysicsMaterial, Any] = {}
         self.links: dict[str, Any] = {}
         self.joints: dict[str, Any] = {}
 
     def write(self) -> None:
-        from pxr import UsdGeom, UsdPhysics
-
-        UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
-        UsdGeom.SetStageUpAxis(self.stage, UsdGeom.Tokens.z)
-        UsdPhysics.SetStageKilogramsPerUnit(self.stage, 1.0)
+        pxr().UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
+        pxr().UsdGeom.SetStageUpAxis(self.stage, pxr().UsdGeom.Tokens.z)
+        pxr().UsdPhysics.SetStageKilogramsPerUnit(self.stage, 1.0)
         top = self._define(None, self.articulation.name, "Xform")
         self.stage.SetDefaultPrim(top)
         _set(top, "NewtonArticulationRootAPI", {"newton:selfCollisionEnabled": self.articulation.self_collisions})
@@ -73,13 +68,11 @@ class _Writer:
         for link in self.articulation.links:
             self.links[link.name] = self._link(top, link, poses[link.name])
         for frame in self.articulation.frames:
-            from pxr import Sdf
-
             prim = self._define(self.links[frame.link], frame.name, "Xform")
             _place(prim, frame.pose)
-            prim.CreateAttribute(FRAME, Sdf.ValueTypeNames.Bool, custom=True).Set(True)
+            prim.CreateAttribute(FRAME, pxr().Sdf.ValueTypeNames.Bool, custom=True).Set(True)
         for first, second in self.articulation.collision_exclusions:
-            pairs = UsdPhysics.FilteredPairsAPI.Apply(self.links[first]).CreateFilteredPairsRel()
+            pairs = pxr().UsdPhysics.FilteredPairsAPI.Apply(self.links[first]).CreateFilteredPairsRel()
             pairs.AddTarget(self.links[second].GetPath())
         if self.articulation.joints:
             scope = self._define(top, "joints", "Scope")
@@ -90,10 +83,8 @@ class _Writer:
 
     def _define(self, parent: Any, name: str, kind: str) -> Any:
         """A new prim below ``parent``; USD's name for it is made valid and unique, and its display name is ``name``."""
-        from pxr import Tf
-
         base = parent.GetPath() if parent else self.stage.GetPseudoRoot().GetPath()
-        valid = Tf.MakeValidIdentifier(name)
+        valid = pxr().Tf.MakeValidIdentifier(name)
         path, number = base.AppendChild(valid), 1
         while self.stage.GetPrimAtPath(path):
             path, number = base.AppendChild(f"{valid}_{number}"), number + 1
@@ -103,8 +94,6 @@ class _Writer:
         return prim
 
     def _link(self, top: Any, link: Link, pose: Pose) -> Any:
-        from pxr import Gf, UsdPhysics, UsdSemantics
-
         if link.collisions and link.mass <= 0:
             raise AssetError(
                 f"link '{link.name}' of '{self.articulation.name}' collides but has no mass: USD takes that as "
@@ -112,15 +101,15 @@ class _Writer:
             )
         prim = self._define(top, link.name, "Xform")
         _place(prim, pose)
-        UsdPhysics.RigidBodyAPI.Apply(prim)
+        pxr().UsdPhysics.RigidBodyAPI.Apply(prim)
         if link.mass > 0:
             moments, axes = principal_axes(link.inertia)
-            diagonal = Gf.Vec3f(*(float(moment) for moment in moments))
+            diagonal = pxr().Gf.Vec3f(*(float(moment) for moment in moments))
             attributes = {"mass": link.mass, "centerOfMass": link.center_of_mass, "diagonalInertia": diagonal}
             _set(prim, "PhysicsMassAPI", {f"physics:{name}": value for name, value in attributes.items()})
             prim.GetAttribute("physics:principalAxes").Set(_quatf(Pose.from_matrix(axes)))
         if link.semantic_label:
-            UsdSemantics.LabelsAPI.Apply(prim, "class").CreateLabelsAttr([link.semantic_label])
+            pxr().UsdSemantics.LabelsAPI.Apply(prim, "class").CreateLabelsAttr([link.semantic_label])
         for shape in link.collisions:
             gprim = self._shape(prim, shape)
             self._make_collider(gprim, shape)
@@ -159,14 +148,14 @@ class _Writer:
         return prim
 
     def _make_collider(self, prim: Any, shape: Shape) -> None:
-        from pxr import UsdPhysics, UsdShade
-
-        UsdPhysics.CollisionAPI.Apply(prim)
+        pxr().UsdPhysics.CollisionAPI.Apply(prim)
         if isinstance(shape.geometry, Mesh):
             triangles = shape.geometry.collision is MeshCollision.TRIANGLES
             _set(prim, "PhysicsMeshCollisionAPI", {"physics:approximation": "none" if triangles else "convexHull"})
-        material = UsdShade.Material(self._material(shape.material))
-        UsdShade.MaterialBindingAPI.Apply(prim).Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
+        material = pxr().UsdShade.Material(self._material(shape.material))
+        pxr().UsdShade.MaterialBindingAPI.Apply(prim).Bind(
+            material, pxr().UsdShade.Tokens.weakerThanDescendants, "physics"
+        )
 
     def _material(self, material: PhysicsMaterial) -> Any:
         if material in self.materials:
@@ -248,31 +237,25 @@ def _set(prim: Any, schema: str | None, attributes: dict[str, Any]) -> None:
 
 
 def _place(prim: Any, pose: Pose, scale: Vector3 | None = None) -> None:
-    from pxr import Gf, UsdGeom
-
-    transform = UsdGeom.Xformable(prim)
-    transform.AddTranslateOp().Set(Gf.Vec3d(*pose.position))
+    transform = pxr().UsdGeom.Xformable(prim)
+    transform.AddTranslateOp().Set(pxr().Gf.Vec3d(*pose.position))
     w, x, y, z = pose.orientation
-    transform.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(w, x, y, z))
+    transform.AddOrientOp(pxr().UsdGeom.XformOp.PrecisionDouble).Set(pxr().Gf.Quatd(w, x, y, z))
     if scale:
-        transform.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*scale))
+        transform.AddScaleOp(pxr().UsdGeom.XformOp.PrecisionDouble).Set(pxr().Gf.Vec3d(*scale))
 
 
 def _paint(prim: Any, shape: Shape) -> None:
-    from pxr import Gf, UsdGeom, Vt
-
-    gprim = UsdGeom.Gprim(prim)
+    gprim = pxr().UsdGeom.Gprim(prim)
     red, green, blue, alpha = shape.color
-    gprim.CreateDisplayColorAttr(Vt.Vec3fArray([Gf.Vec3f(red, green, blue)]))
+    gprim.CreateDisplayColorAttr(pxr().Vt.Vec3fArray([pxr().Gf.Vec3f(red, green, blue)]))
     if alpha != 1.0:
-        gprim.CreateDisplayOpacityAttr(Vt.FloatArray([alpha]))
+        gprim.CreateDisplayOpacityAttr(pxr().Vt.FloatArray([alpha]))
 
 
 def _quatf(pose: Pose) -> Any:
-    from pxr import Gf
-
     w, x, y, z = pose.orientation
-    return Gf.Quatf(w, x, y, z)
+    return pxr().Gf.Quatf(w, x, y, z)
 
 
 def _usd_axis(axis: Vector3) -> tuple[str, Pose]:
