@@ -1,0 +1,63 @@
+"""Action spaces by name: the tail of the agent's graph, from the policy's action to joint targets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from orbit_core.interfaces import Robot, UnknownNameError
+from orbit_core.motion.base import MotionGenerator, is_arm
+from orbit_core.motion.differential_ik import DifferentialIk, DifferentialIkConfig
+from orbit_core.motion.gripper import GripperCommand, GripperConfig
+from orbit_core.motion.joint_position import JointPosition, JointPositionConfig
+from orbit_core.motion.joint_velocity import JointVelocity, JointVelocityConfig
+
+
+def action_space(robot: Robot, name: str) -> tuple[MotionGenerator, ...]:
+    """The motion generators of an action space, in the order of the action's components.
+
+    The first moves the arm of the robot's end effector, or all driven joints where the robot is legged or has none; the
+    gripper of an arm adds one more. In ``joint_position``, one unit of action is half a radian from home for legs and a
+    quarter turn for an arm; other robots, such as hands, span their joints' limits.
+
+    Raises:
+        UnknownNameError: there is no action space of that name.
+        ConfigurationError: the robot has no end effector, and the space needs one.
+    """
+    if name not in ACTION_SPACES:
+        raise UnknownNameError("action space", name, ACTION_SPACES)
+    generators = [ACTION_SPACES[name](robot)]
+    if is_arm(robot) and robot.spec.end_effector.gripper:
+        generators.append(GripperCommand("gripper", robot, GripperConfig()))
+    return tuple(generators)
+
+
+def _joint_position(robot: Robot) -> MotionGenerator:
+    scale = math.pi / 2 if is_arm(robot) else 0.5 if robot.spec.feet else None
+    return JointPosition("joint_position", robot, JointPositionConfig(scale=scale))
+
+
+def _joint_position_relative(robot: Robot) -> MotionGenerator:
+    return JointPosition("joint_position_relative", robot, JointPositionConfig(scale=0.05, relative=True))
+
+
+def _joint_velocity(robot: Robot) -> MotionGenerator:
+    return JointVelocity("joint_velocity", robot, JointVelocityConfig())
+
+
+def _ik_absolute(robot: Robot) -> MotionGenerator:
+    config = DifferentialIkConfig(relative=False, position_scale=0.5, rotation_scale=math.pi)
+    return DifferentialIk("ik_absolute", robot, config)
+
+
+def _ik_relative(robot: Robot) -> MotionGenerator:
+    return DifferentialIk("ik_relative", robot, DifferentialIkConfig())
+
+
+ACTION_SPACES: Mapping[str, Callable[[Robot], MotionGenerator]] = {
+    "joint_position": _joint_position,
+    "joint_position_relative": _joint_position_relative,
+    "joint_velocity": _joint_velocity,
+    "ik_absolute": _ik_absolute,
+    "ik_relative": _ik_relative,
+}

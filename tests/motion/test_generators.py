@@ -1,0 +1,133 @@
+"""Motion generators one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+
+from orbit_core.dynamics.transforms import pose_multiply
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.motion import (
+    DifferentialIk,
+    DifferentialIkConfig,
+    IkMethod,
+    JointPosition,
+    JointPositionConfig,
+    JointVelocity,
+    JointVelocityConfig,
+    joint_delta,
+)
+
+MakeRobot = Callable[..., Any]
+
+
+def _random(*shape: int) -> torch.Tensor:
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(3))
+
+
+@pytest.mark.parametrize("method", [IkMethod.PSEUDO_INVERSE, IkMethod.SVD_ADAPTIVE])
+def test_exact_methods_solve_regular_systems(method: IkMethod) -> None:
+    jacobian, error = _random(8, 6, 9), 0.1 * _random(8, 6)
+    delta = joint_delta(method, jacobian, error, singular_threshold=1e-3)
+    torch.testing.assert_close((jacobian @ delta[..., None]).squeeze(-1), error, atol=1e-5, rtol=1e-4)
+
+
+def test_damped_least_squares_is_the_minimiser() -> None:
+    jacobian, error, damping = _random(8, 6, 7), _random(8, 6), 0.3
+    delta = joint_delta(IkMethod.DAMPED_LEAST_SQUARES, jacobian, error, damping)
+    gradient = (
+        jacobian.transpose(1, 2) @ (jacobian @ delta[..., None] - error[..., None]) + damping**2 * delta[..., None]
+    )
+    assert gradient.abs().max() < 1e-4
+
+
+@pytest.mark.parametrize("method", [IkMethod.DAMPED_LEAST_SQUARES, IkMethod.SVD_ADAPTIVE, IkMethod.TRANSPOSE])
+def test_singular_jacobians_give_bounded_steps(method: IkMethod) -> None:
+    jacobian = _random(8, 6, 7)
+    jacobian[:, 5] = 1e-6 * jacobian[:, 4]
+    error, damping = _random(8, 6), 0.1
+    # No singular value s amplifies by more than s / (s^2 + damping^2) <= 1 / (2 damping).
+    assert (joint_delta(method, jacobian, error, damping).norm(dim=-1) <= error.norm(dim=-1) / (2 * damping)).all()
+
+
+def test_transpose_never_increases_the_error() -> None:
+    jacobian, error = _random(16, 6, 7), _random(16, 6)
+    delta = joint_delta(IkMethod.TRANSPOSE, jacobian, error)
+    left = error - (jacobian @ delta[..., None]).squeeze(-1)
+    assert (left.norm(dim=-1) < error.norm(dim=-1)).all()
+
+
+@pytest.mark.parametrize("method", list(IkMethod))
+def test_relative_ik_moves_the_hand_by_the_command(kinematic_robot: MakeRobot, method: IkMethod) -> None:
+    robot = kinematic_robot()
+    config = DifferentialIkConfig(method=method, position_scale=0.002, rotation_scale=0.01, damping=0.01)
+    generator = DifferentialIk("ik", robot, config)
+    before = robot.frame_pose(generator.frame)[:, :3].clone()
+    command = torch.eye(4, 6)
+    targets = generator.compute({"command": command})["position_targets"]
+    robot.set_position_targets(targets, generator.joints)
+    moved = robot.frame_pose(generator.frame)[:, :3] - before
+    along = (moved[:3] * command[:3, :3]).sum(-1)
+    assert (along > (0.0 if method is IkMethod.TRANSPOSE else 0.0019)).all()
+
+
+def test_absolute_ik_command_is_a_pose_in_the_root_frame(kinematic_robot: MakeRobot) -> None:
+    robot = kinematic_robot()
+    generator = DifferentialIk("ik", robot, DifferentialIkConfig(relative=False, position_scale=0.4))
+    home = robot.frame_pose(generator.frame)
+    ahead = torch.tensor([0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]).expand(4, 7)
+    root = robot.root_pose
+    local = pose_multiply(torch.cat((-torch.zeros(4, 3), root[:, 3:]), -1), ahead)[:, :3]
+    wanted = torch.cat((home[:, :3] + local, home[:, 3:]), -1)
+    command = generator.encode(wanted, torch.ones(4, dtype=torch.bool))
+    torch.testing.assert_close(command, torch.tensor([[0.25, 0, 0, 0, 0, 0]]).expand(4, 6), atol=1e-5, rtol=0)
+
+
+def test_large_steps_are_scaled_down_as_a_whole(kinematic_robot: MakeRobot) -> None:
+    robot = kinematic_robot()
+    command = torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]).expand(4, 6)
+    deltas = []
+    for step in (0.02, 10.0):
+        config = DifferentialIkConfig(position_scale=0.1, max_joint_step=step)
+        generator = DifferentialIk("ik", robot, config)
+        deltas.append(generator.compute({"command": command})["position_targets"] - generator.positions)
+    assert deltas[0].abs().amax() == pytest.approx(0.02, abs=1e-5)
+    torch.testing.assert_close(deltas[0] / deltas[0].norm(), deltas[1] / deltas[1].norm(), atol=1e-3, rtol=1e-3)
+
+
+def test_limit_mapping_spans_lower_home_upper(kinematic_robot: MakeRobot) -> None:
+    robot = kinematic_robot()
+    generator = JointPosition("joints", robot, JointPositionConfig(scale=None))
+    for value, expected in ((-1.0, generator.lower_limits), (1.0, generator.upper_limits)):
+        targets = generator.compute({"command": torch.full((4, 7), value)})["position_targets"]
+        torch.testing.assert_close(targets, expected.expand(4, 7))
+        torch.testing.assert_close(generator.encode_positions(targets), torch.full((4, 7), value))
+
+
+def test_relative_targets_accumulate_and_start_from_the_measured_positions(kinematic_robot: MakeRobot) -> None:
+    robot = kinematic_robot()
+    generator = JointPosition("joints", robot, JointPositionConfig(scale=0.1, relative=True))
+    start = robot.q[:, :7].clone()
+    for _ in range(2):
+        targets = generator.compute({"command": torch.full((4, 7), 0.5)})["position_targets"]
+    torch.testing.assert_close(targets, start + 0.1)
+    generator.reset(torch.tensor([1]))
+    robot.q[1, :7] += 0.3  # an event after the reset
+    targets = generator.compute({"command": torch.zeros(4, 7)})["position_targets"]
+    torch.testing.assert_close(targets, start + torch.tensor([[0.1], [0.3], [0.1], [0.1]]))
+
+
+def test_relative_joint_positions_need_a_scale(kinematic_robot: MakeRobot) -> None:
+    with pytest.raises(ConfigurationError, match="scale"):
+        JointPosition("joints", kinematic_robot(), JointPositionConfig(scale=None, relative=True))
+
+
+def test_velocity_commands_scale(kinematic_robot: MakeRobot) -> None:
+    robot = kinematic_robot()
+    generator = JointVelocity("joints", robot, JointVelocityConfig(joints=("panda_joint[13]",), scale=2.0))
+    outputs = generator.compute({"command": torch.tensor([[0.5, -1.0]]).expand(4, 2)})
+    assert outputs["velocity_targets"][0].tolist() == [1.0, -2.0]
+    torch.testing.assert_close(outputs["position_targets"], robot.q[:, [0, 2]])
