@@ -1,0 +1,50 @@
+"""Every task with its expert on every backend."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from orbit_core.backends import backend_names
+from orbit_core.tasks import make
+
+# Task, robot, action space and the least success rate over one episode in each of 32 environments.
+EXPERTS = [
+    ("Reach", "franka_panda", "ik_relative", 0.96),
+    ("Reach", "franka_panda", "ik_absolute", 0.9),
+    ("Reach", "franka_panda", "joint_position", 0.9),
+    ("Reach", "ur10_robotiq_2f85", "ik_relative", 0.9),
+    ("Lift", "franka_panda", "ik_relative", 0.96),
+    ("Lift", "franka_panda", "ik_absolute", 0.9),
+    ("Lift", "franka_panda", "joint_position", 0.9),
+    ("Lift", "ur10_robotiq_2f85", "ik_relative", 0.9),
+    ("Cabinet", "franka_panda", "ik_relative", 0.96),
+]
+
+
+@pytest.mark.parametrize("backend", backend_names())
+@pytest.mark.parametrize(("task", "robot", "action", "least"), EXPERTS)
+def test_the_expert_succeeds(backend: str, task: str, robot: str, action: str, least: float) -> None:
+    environment = make(task, num_envs=32, backend=backend, seed=0, robot=robot, action=action)
+    expert = environment.expert()
+    environment.reset(seed=0)
+    ends = []
+    for _ in range(environment.max_episode_steps):
+        *_, info = environment.step(expert.compute({})["action"])
+        ends += [info["final"]] if "final" in info else []
+    success = torch.cat([end.success for end in ends]).float().mean()
+    environment.close()
+    assert success >= least
+
+
+@pytest.mark.parametrize("backend", backend_names())
+def test_the_trot_stays_on_its_feet(backend: str) -> None:
+    environment = make("Velocity-Flat", num_envs=16, backend=backend, seed=0, episode_length=5.0)
+    trot = environment.expert()
+    environment.reset(seed=0)
+    falls = torch.zeros(())
+    for _ in range(environment.max_episode_steps):
+        *_, info = environment.step(trot.compute({})["action"])
+        falls += info["final"].metrics["falls"].sum() if "final" in info else 0.0
+    environment.close()
+    assert falls <= 1
