@@ -1,0 +1,153 @@
+"""Batched rigid-body dynamics of articulations: mass matrix, gravity forces and bias forces.
+
+The algorithms are the composite-rigid-body and the recursive Newton-Euler algorithm (Featherstone, Rigid Body Dynamics
+Algorithms, 2008, chapters 5 and 6), with all spatial vectors about one point, the root link's origin, and in world
+axes. There, sums up and down the tree are products with the constant ancestry matrix, so that nothing loops over links.
+Spatial vectors are linear, then angular.
+
+The equation of motion is ``M(q) a + bias(q, v) = efforts``. Generalized velocity and its D components: of a fixed base,
+the joints' velocities; of a floating base, linear velocity of the root frame's origin and angular velocity of the
+root, both in world axes, then the joints'. Mimic joints count as free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.transforms import quat_to_matrix
+from orbit_core.dynamics.tree import child_links, joint_ancestry, link_ancestry
+from orbit_core.scene import Articulation
+
+
+class RigidBodyModel:
+    """Dynamics of one articulation in N environments.
+
+    Args:
+        articulation: the description.
+        fixed_base: whether the root link cannot move.
+        device: where tensors live.
+        armature: (J,) reflected motor inertias in place of the articulation's own.
+        gravity: m/s^2, world axes.
+    """
+
+    def __init__(
+        self,
+        articulation: Articulation,
+        fixed_base: bool,
+        device: torch.device | str = "cpu",
+        armature: Sequence[float] | None = None,
+        gravity: Sequence[float] = (0.0, 0.0, -9.81),
+    ) -> None:
+        self.kinematics = KinematicTree(articulation, device)
+        self.fixed_base = fixed_base
+        self.device = torch.device(device)
+        joints = articulation.movable_joints
+        base = 0 if fixed_base else 6
+        ancestry = link_ancestry(articulation)
+        children = [0] * base + child_links(articulation)
+        moves = np.concatenate((np.ones((len(ancestry), base), dtype=bool), joint_ancestry(articulation)), axis=1)
+        own = [joint.armature for joint in joints] if armature is None else list(armature)
+        self._children = torch.tensor(children, dtype=torch.int64, device=self.device)
+        self._moves = self._tensor(moves[:, base:])
+        self._subtree = self._tensor(ancestry.T)
+        self._above = self._tensor(np.triu(moves[children].T.astype(float), 1))
+        self._armature = self._tensor([0.0] * base + own)
+        self._gravity = self._tensor(gravity)
+        self._mass = self._tensor([[link.mass] for link in articulation.links])
+        self._center = self._tensor([link.center_of_mass for link in articulation.links])
+        self._inertia = self._tensor([link.inertia for link in articulation.links])
+
+    def mass_matrix(self, link_poses: Tensor) -> Tensor:
+        """(N, D, D), armature included, for link poses (N, L, 7)."""
+        inertias = self._spatial_inertias(link_poses)
+        composite = (self._subtree @ inertias.flatten(-2)).unflatten(-1, (6, 6))
+        subspaces = self._subspaces(link_poses)
+        forces = (composite[:, self._children] @ subspaces.unsqueeze(-1)).squeeze(-1)
+        products = subspaces @ forces.transpose(1, 2)
+        # A joint feels the composite body of a joint below it, and only along one branch.
+        upper = products * self._above
+        diagonal = products.diagonal(dim1=1, dim2=2) + self._armature
+        return upper + upper.transpose(1, 2) + torch.diag_embed(diagonal)
+
+    def gravity_forces(self, link_poses: Tensor) -> Tensor:
+        """(N, D) efforts that hold the articulation against gravity at rest."""
+        weights = (-self._gravity * self._mass).expand(link_poses.shape[0], -1, 3)
+        moments = torch.linalg.cross(self._centers(link_poses), weights)
+        return self._project(link_poses, torch.cat((weights, moments), -1))
+
+    def bias_forces(self, link_poses: Tensor, root_velocity: Tensor, joint_velocities: Tensor) -> Tensor:
+        """(N, D) efforts at zero acceleration: Coriolis and centrifugal forces plus :meth:`gravity_forces`.
+
+        Args:
+            link_poses: (N, L, 7).
+            root_velocity: (N, 6) of the root link, world axes; not used with a fixed base, which does not move.
+            joint_velocities: (N, J).
+        """
+        origin = link_poses[:, 0, :3]
+        root = torch.zeros_like(root_velocity) if self.fixed_base else root_velocity
+        joint_twists = self.kinematics.motion_subspaces(link_poses, origin) * joint_velocities[..., None]
+        twists = root[:, None] + self._moves @ joint_twists
+        base = 0 if self.fixed_base else 6
+        turning = _cross_motion(twists[:, self._children[base:]], joint_twists)
+        # With the origin's velocity held constant, the spatial acceleration of the root is that of a turning axis.
+        linear = -torch.linalg.cross(root[:, 3:], root[:, :3]) - self._gravity
+        accelerations = torch.cat((linear, torch.zeros_like(linear)), -1)[:, None] + self._moves @ turning
+        inertias = self._spatial_inertias(link_poses)
+        inertial, momenta = (inertias @ torch.stack((accelerations, twists), -1)).unbind(-1)
+        return self._project(link_poses, inertial + _cross_force(twists, momenta))
+
+    def _subspaces(self, link_poses: Tensor) -> Tensor:
+        """(N, D, 6) twist about the root's origin per unit of each generalized velocity."""
+        joints = self.kinematics.motion_subspaces(link_poses, link_poses[:, 0, :3])
+        if self.fixed_base:
+            return joints
+        return torch.cat((torch.eye(6, device=self.device).expand(joints.shape[0], 6, 6), joints), 1)
+
+    def _project(self, link_poses: Tensor, forces: Tensor) -> Tensor:
+        """(N, D) efforts that balance spatial forces (N, L, 6) on the links."""
+        carried = (self._subtree @ forces)[:, self._children]
+        return (self._subspaces(link_poses) * carried).sum(-1)
+
+    def _centers(self, link_poses: Tensor) -> Tensor:
+        """(N, L, 3) centres of mass from the root's origin, world axes."""
+        rotations = quat_to_matrix(link_poses[..., 3:])
+        return link_poses[..., :3] - link_poses[:, :1, :3] + (rotations @ self._center.unsqueeze(-1)).squeeze(-1)
+
+    def _spatial_inertias(self, link_poses: Tensor) -> Tensor:
+        """(N, L, 6, 6) about the root's origin, world axes."""
+        rotations = quat_to_matrix(link_poses[..., 3:])
+        moment = _cross_matrix(self._centers(link_poses)) * self._mass[..., None]
+        inertia = rotations @ self._inertia @ rotations.transpose(-1, -2)
+        about_origin = inertia - moment @ moment / self._mass[..., None].clamp_min(1e-12)
+        mass = (torch.eye(3, device=self.device) * self._mass[..., None]).expand_as(moment)
+        top, bottom = torch.cat((mass, -moment), -1), torch.cat((moment, about_origin), -1)
+        return torch.cat((top, bottom), -2)
+
+    def _tensor(self, values: object) -> Tensor:
+        return torch.as_tensor(np.asarray(values, dtype=np.float32), device=self.device)
+
+
+def _cross_matrix(v: Tensor) -> Tensor:
+    """(..., 3, 3): the matrix of ``u -> v x u``."""
+    x, y, z = v.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
+
+
+def _cross_motion(twist: Tensor, motion: Tensor) -> Tensor:
+    """Rate of change (..., 6) of ``motion`` as it is carried along by ``twist``."""
+    linear, angular = twist[..., :3], twist[..., 3:]
+    along = torch.linalg.cross(angular, motion[..., :3]) + torch.linalg.cross(linear, motion[..., 3:])
+    return torch.cat((along, torch.linalg.cross(angular, motion[..., 3:])), -1)
+
+
+def _cross_force(twist: Tensor, force: Tensor) -> Tensor:
+    """Rate of change (..., 6) of a spatial force or momentum as it is carried along by ``twist``."""
+    linear, angular = twist[..., :3], twist[..., 3:]
+    moment = torch.linalg.cross(angular, force[..., 3:]) + torch.linalg.cross(linear, force[..., :3])
+    return torch.cat((torch.linalg.cross(angular, force[..., :3]), moment), -1)
