@@ -1,0 +1,185 @@
+"""Small scenes with known answers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import Engine
+from orbit_core.scene import (
+    ActuatorConfig,
+    Articulation,
+    Box,
+    Joint,
+    JointType,
+    Link,
+    Mimic,
+    ObjectSpec,
+    PhysicsMaterial,
+    Plane,
+    Pose,
+    RobotSpec,
+    Scene,
+    SensorSpec,
+    Shape,
+    Sphere,
+    single_link,
+)
+from orbit_core.scene.shapes import Geometry
+
+G = 9.81
+WEIGHTLESS = (0.0, 0.0, 0.0)
+SMOOTH = PhysicsMaterial(static_friction=0.0, dynamic_friction=0.0, torsional_friction=0.0, rolling_friction=0.0)
+
+
+def cube(
+    name: str = "cube",
+    half: float = 0.05,
+    mass: float = 1.0,
+    pose: Pose | None = None,
+    material: PhysicsMaterial | None = None,
+    center_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> ObjectSpec:
+    """A free box that stands on the ground at the origin unless told otherwise."""
+    shape = Shape(Box((half, half, half)), material=material or PhysicsMaterial())
+    inertia = np.eye(3) * mass * (2 * half) ** 2 / 6
+    pose = pose or Pose((0.0, 0.0, half))
+    return ObjectSpec(name=name, articulation=single_link(name, shape, mass, inertia, center_of_mass), pose=pose)
+
+
+def ball(
+    name: str = "ball", radius: float = 0.05, mass: float = 1.0, height: float = 1.0, **material: float
+) -> ObjectSpec:
+    """A free ball whose centre is at ``height``."""
+    shape = Shape(Sphere(radius), material=PhysicsMaterial(**material))
+    articulation = single_link("ball", shape, mass, np.eye(3) * 0.4 * mass * radius**2)
+    return ObjectSpec(name="ball", articulation=articulation, pose=Pose((0.0, 0.0, height)))
+
+
+def fixed(name: str, geometry: Geometry, pose: Pose, material: PhysicsMaterial | None = None) -> ObjectSpec:
+    """An immovable thing."""
+    articulation = single_link(name, Shape(geometry, material=material or PhysicsMaterial()), 1.0, np.eye(3))
+    return ObjectSpec(name=name, articulation=articulation, pose=pose, fixed_base=True)
+
+
+def body(name: str, mass: float = 1.0, com: tuple[float, float, float] = (0.0, 0.0, 0.0), inertia: float = 0.1) -> Link:
+    """A link without shapes."""
+    return Link(name, mass, com, np.eye(3) * inertia)
+
+
+def rotor(*, inertia: float = 0.5, actuators: tuple[ActuatorConfig, ...] = (), **joint: float) -> RobotSpec:
+    """One joint about z between a fixed base and a balanced link: ``(inertia + armature) a = effort``."""
+    links = (body("base"), body("rotor", inertia=inertia))
+    joints = (Joint("spin", JointType.CONTINUOUS, "base", "rotor", **joint),)
+    return RobotSpec(
+        name="rotor", articulation=Articulation("rotor", links, joints), fixed_base=True, actuators=actuators
+    )
+
+
+def slider(*, mass: float = 2.0, actuators: tuple[ActuatorConfig, ...] = (), **joint: float) -> RobotSpec:
+    """One joint along x: ``mass a = effort``."""
+    links = (body("base"), body("carriage", mass))
+    joints = (Joint("slide", JointType.PRISMATIC, "base", "carriage", axis=(1.0, 0.0, 0.0), **joint),)
+    return RobotSpec(
+        name="slider", articulation=Articulation("slider", links, joints), fixed_base=True, actuators=actuators
+    )
+
+
+def pendulum(
+    *,
+    length: float = 0.5,
+    links: int = 2,
+    gravity_compensation: bool = False,
+    home: float = 0.0,
+    actuators: tuple[ActuatorConfig, ...] = (),
+    base: Pose | None = None,
+) -> RobotSpec:
+    """A chain about y: each link 1 kg at half its length along its own x, the next hinge at its end.
+
+    With the joints at zero the chain lies along x.
+    """  # fmt: skip
+    bodies = [body("base")] + [body(f"link{i}", 1.0, (length / 2, 0.0, 0.0), 0.01) for i in range(links)]
+    joints = [
+        Joint(
+            f"hinge{i}", JointType.CONTINUOUS, bodies[i].name, bodies[i + 1].name, axis=(0.0, 1.0, 0.0),
+            parent_pose=Pose((length if i else 0.0, 0.0, 0.0)),
+        )
+        for i in range(links)
+    ]  # fmt: skip
+    return RobotSpec(
+        name="pendulum", articulation=Articulation("pendulum", tuple(bodies), tuple(joints)), fixed_base=True,
+        gravity_compensation=gravity_compensation, home={"hinge0": home}, actuators=actuators,
+        pose=base or Pose((0.0, 0.0, 2.0)),
+    )  # fmt: skip
+
+
+def tree() -> RobotSpec:
+    """Two arms of two links each, numbered breadth first: left, right, left's tip, right's tip."""
+    names = ("trunk", "left", "right", "left_tip", "right_tip")
+    joints = tuple(
+        Joint(
+            f"{child}_joint", JointType.REVOLUTE, parent, child, parent_pose=Pose(position), axis=(0.0, 0.0, 1.0),
+            lower_limit=-3.0, upper_limit=3.0,
+        )
+        for child, parent, position in (
+            ("left", "trunk", (0.0, 0.1, 0.0)), ("right", "trunk", (0.0, -0.1, 0.0)),
+            ("left_tip", "left", (0.3, 0.0, 0.0)), ("right_tip", "right", (0.4, 0.0, 0.0)),
+        )
+    )  # fmt: skip
+    articulation = Articulation("tree", tuple(body(name) for name in names), joints)
+    return RobotSpec(name="tree", articulation=articulation, fixed_base=True, pose=Pose((0.0, 0.0, 1.0)))
+
+
+def geared(multiplier: float, offset: float, actuators: tuple[ActuatorConfig, ...] = ()) -> RobotSpec:
+    """Two balanced rotors; the second mimics the first."""
+    links = (body("base"), body("first"), body("second"))
+    joints = (
+        Joint("leader", JointType.CONTINUOUS, "base", "first"),
+        Joint("follower", JointType.CONTINUOUS, "base", "second", mimic=Mimic("leader", multiplier, offset)),
+    )
+    return RobotSpec(
+        name="geared", articulation=Articulation("geared", links, joints), fixed_base=True, actuators=actuators
+    )
+
+
+def _mounted(articulation: Articulation, actuators: tuple[ActuatorConfig, ...]) -> RobotSpec:
+    return RobotSpec(name=articulation.name, articulation=articulation, fixed_base=True, actuators=actuators)
+
+
+def scene(
+    *entities: RobotSpec | ObjectSpec,
+    sensors: tuple[SensorSpec, ...] = (),
+    gravity: tuple[float, float, float] = (0.0, 0.0, -G),
+    terrain: tuple[Shape, ...] = (Shape(Plane(), name="ground"),),
+    dt: float = 0.005,
+) -> Scene:
+    robots = tuple(entity for entity in entities if isinstance(entity, RobotSpec))
+    objects = tuple(entity for entity in entities if isinstance(entity, ObjectSpec))
+    return Scene(robots=robots, objects=objects, sensors=sensors, gravity=gravity, terrain=terrain, physics_dt=dt)
+
+
+def slope(angle: float, material: PhysicsMaterial) -> Shape:
+    """A plane that falls towards +x."""
+    return Shape(Plane(), Pose.from_axis_angle((0.0, 1.0, 0.0), angle), material, name="slope")
+
+
+def on_slope(angle: float, height: float) -> Pose:
+    """The pose of a thing that stands ``height`` above a slope through the origin."""
+    turned = Pose.from_axis_angle((0.0, 1.0, 0.0), angle)
+    return turned @ Pose((0.0, 0.0, height))
+
+
+def index(*numbers: int) -> Tensor:
+    return torch.tensor(numbers, dtype=torch.int64)
+
+
+def seconds(engine: Engine, duration: float) -> int:
+    """Physics steps in ``duration``."""
+    return round(duration / engine.layout.scene.physics_dt)
+
+
+def yaw_quaternion(angle: float) -> list[float]:
+    return [math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)]
