@@ -1,0 +1,60 @@
+"""The ``orbit`` command. Each command is a module that is imported only when it is called."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from orbit_core.interfaces.errors import OrbitError, UnknownNameError
+
+COMMANDS = {
+    "list": ("listing", "Names of all tasks, robots or backends"),
+    "info": ("info", "Everything about one task, robot or backend"),
+    "run": ("run", "Run a task's episodes with an expert, random or zero agent, and report how they went"),
+    "view": ("view", "Watch a task live in the browser"),
+    "bench": ("bench", "Measure throughput over numbers of environments"),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code: 2 for a user's mistake, told in one line; 130 when interrupted.
+
+    ``--debug``, or ORBIT_DEBUG=1 in the process's environment, shows the traceback of such a mistake.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words or os.environ.get("ORBIT_DEBUG", "") not in ("", "0")
+    words = [word for word in words if word != "--debug"]
+    try:
+        return _dispatch(words)
+    except OrbitError as error:
+        if debug:
+            raise
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+def _dispatch(words: list[str]) -> int:
+    if not words or words[0] in ("-h", "--help"):
+        print(_usage())
+        return 0
+    if words[0] == "--version":
+        from orbit_core import __version__
+
+        print(__version__)
+        return 0
+    if words[0] not in COMMANDS:
+        raise UnknownNameError("command", words[0], COMMANDS)
+    module = importlib.import_module(f"{__name__}.{COMMANDS[words[0]][0]}")
+    module.main(words[1:])
+    return 0
+
+
+def _usage() -> str:
+    lines = [f"  {name:<6} {description}" for name, (_, description) in COMMANDS.items()]
+    return "\n".join(
+        ["usage: orbit COMMAND ...", "", *lines, "", "'orbit COMMAND --help' describes a command's options."]
+    )

@@ -1,0 +1,77 @@
+"""Who acts in an environment that is not being learned in."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from orbit_core.interfaces.errors import UnknownNameError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from orbit_core.tasks.environment import Environment
+
+_OTHER_STREAM = 0x5EED
+"""Added to the environment's seed, so that random actions are not the numbers that the task itself draws."""
+
+
+class Agent(Protocol):
+    """Gives the environments' actions, one step after another."""
+
+    def act(self) -> Tensor:
+        """(N, A) the next action."""
+        ...
+
+
+class ExpertAgent:
+    """The task's scripted expert."""
+
+    def __init__(self, environment: Environment, seed: int) -> None:
+        self._expert = environment.expert()
+
+    def act(self) -> Tensor:
+        return self._expert.compute({})["action"]
+
+
+class RandomAgent:
+    """Uniform in [-1, 1], from a stream per environment: environment i does the same however many others there are."""
+
+    def __init__(self, environment: Environment, seed: int) -> None:
+        from orbit_core.dynamics.random import RandomStreams
+
+        self._streams = RandomStreams(environment.num_envs, seed + _OTHER_STREAM, environment.device)
+        self._shape = (environment.action_size,)
+
+    def act(self) -> Tensor:
+        return self._streams.uniform(self._shape, -1.0, 1.0)
+
+
+class ZeroAgent:
+    """All components zero."""
+
+    def __init__(self, environment: Environment, seed: int) -> None:
+        import torch
+
+        self._action = torch.zeros(environment.num_envs, environment.action_size, device=environment.device)
+
+    def act(self) -> Tensor:
+        return self._action
+
+
+AGENTS = {"expert": ExpertAgent, "random": RandomAgent, "zero": ZeroAgent}
+
+
+def check_agent(name: str) -> None:
+    """Refuse a name that no agent bears."""
+    if name not in AGENTS:
+        raise UnknownNameError("agent", name, AGENTS)
+
+
+def make_agent(name: str, environment: Environment, seed: int) -> Agent:
+    """The agent of that name.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    check_agent(name)
+    return AGENTS[name](environment, seed)

@@ -1,0 +1,148 @@
+"""``orbit bench``: throughput over numbers of environments."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from rich.table import Table
+
+from orbit_core.cli.agents import make_agent
+from orbit_core.cli.making import check_output, check_positive, make_environment
+from orbit_core.cli.output import console, new_table, progress_bar, write_json
+from orbit_core.cli.parsing import parse_settings
+from orbit_core.cli.runner import versions_of
+from orbit_core.cli.settings import BenchSettings
+from orbit_core.interfaces.errors import ConfigurationError
+
+_REPORTS = 10
+"""Times that a measurement reports its progress; each costs next to nothing against the steps between."""
+
+
+@dataclass(frozen=True)
+class Throughput:
+    """Of one number of environments."""
+
+    num_envs: int
+    env_steps_per_second: float
+    """Steps of single environments."""
+    milliseconds_per_step: float
+    """Of all environments together."""
+    build_seconds: float
+    peak_memory_mib: float | None
+    """Largest resident size of the process so far, smaller numbers of environments included; None if unknown."""
+
+
+def main(words: Sequence[str]) -> None:
+    """Measure, print a table, and write and draw the figures."""
+    settings = parse_settings(BenchSettings, words, "orbit bench")
+    if settings.plot is not None:
+        _require_plots()
+    with progress_bar() as bar:
+        task = bar.add_task("steps", total=settings.steps * len(settings.num_envs))
+        backend, figures = bench(settings, lambda steps: bar.advance(task, steps))
+    values = {
+        "task": settings.task,
+        "backend": backend,
+        "steps": settings.steps,
+        "seed": settings.seed,
+        "versions": versions_of(backend),
+        "throughput": [asdict(figure) for figure in figures],
+    }
+    write_json(settings.json, values)
+    if settings.plot is not None:
+        _plot(figures, f"{settings.task} on {backend}", settings.plot)
+    console().print(_table(figures, f"{settings.task} on {backend}"))
+
+
+def bench(
+    settings: BenchSettings, progress: Callable[[int], None] = lambda steps: None
+) -> tuple[str, list[Throughput]]:
+    """The backend's name, and the throughput at each number of environments, ascending.
+
+    Args:
+        settings: what to measure.
+        progress: called now and then with the number of steps made since the last call.
+
+    Raises:
+        OrbitError: of many kinds; each names the setting.
+    """
+    check_positive("steps", settings.steps)
+    check_output(settings.json, ".json")
+    check_output(settings.plot, ".png")
+    if not settings.num_envs:
+        raise ConfigurationError("num_envs must name at least one number of environments")
+    figures: list[Throughput] = []
+    backend = ""
+    for num_envs in sorted(set(settings.num_envs)):
+        start = time.perf_counter()
+        environment = make_environment(settings, num_envs)
+        try:
+            built = time.perf_counter() - start
+            backend = environment.world.backend
+            agent = make_agent("random", environment, settings.seed)
+            for _ in range(max(1, settings.steps // 10)):
+                environment.step(agent.act())
+            start = time.perf_counter()
+            reported = 0
+            for done in range(1, settings.steps + 1):
+                environment.step(agent.act())
+                if done * _REPORTS // settings.steps > reported * _REPORTS // settings.steps:
+                    progress(done - reported)
+                    reported = done
+            seconds = time.perf_counter() - start
+        finally:
+            environment.close()
+        steps = settings.steps
+        figures.append(Throughput(num_envs, num_envs * steps / seconds, 1e3 * seconds / steps, built, _peak_memory()))
+    return backend, figures
+
+
+def _peak_memory() -> float | None:
+    """MiB; None where the platform does not tell."""
+    import sys
+
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def _table(figures: list[Throughput], title: str) -> Table:
+    table = new_table("environments", "env. steps/s", "ms per step", "build (s)", "peak memory (MiB)", title=title)
+    for figure in figures:
+        memory = "unknown" if figure.peak_memory_mib is None else f"{figure.peak_memory_mib:,.0f}"
+        table.add_row(
+            f"{figure.num_envs:,}",
+            f"{figure.env_steps_per_second:,.0f}",
+            f"{figure.milliseconds_per_step:.3g}",
+            f"{figure.build_seconds:.1f}",
+            memory,
+        )
+    return table
+
+
+def _require_plots() -> None:
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise ConfigurationError('plots need matplotlib: pip install "orbit-core[plots]"') from error
+
+
+def _plot(figures: list[Throughput], title: str, path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axes = figure.add_subplot()
+    sizes = [point.num_envs for point in figures]
+    axes.plot(sizes, [point.env_steps_per_second for point in figures], marker="o")
+    axes.set(xscale="log", xlabel="environments", ylabel="environment steps per second", title=title)
+    axes.set_xticks(sizes, labels=[str(size) for size in sizes], minor=False)
+    axes.set_xticks([], minor=True)
+    axes.set_ylim(bottom=0)
+    axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=150)

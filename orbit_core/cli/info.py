@@ -1,0 +1,152 @@
+"""``orbit info``: everything about one task, robot or backend."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from orbit_core.assets.catalogue import robot_info, robot_names
+from orbit_core.backends import backend, backend_names, installable_backends
+from orbit_core.cli.output import console as make_console
+from orbit_core.cli.output import new_table
+from orbit_core.cli.parsing import parse_words
+from orbit_core.interfaces.capabilities import Capability
+from orbit_core.interfaces.errors import UnknownNameError
+from orbit_core.tasks.registry import task_entries
+
+if TYPE_CHECKING:
+    from orbit_core.scene import RobotSpec
+    from orbit_core.tasks.task import Task
+
+
+@dataclass(frozen=True)
+class InfoSettings:
+    """Everything about one task, robot or backend."""
+
+    name: Annotated[Positional[str], arg(metavar="NAME")]
+    """Of a task, robot or backend."""
+
+
+def main(words: Sequence[str]) -> None:
+    """Print what is known of a name."""
+    name = parse_words(InfoSettings, words, "orbit info").name
+    console = make_console()
+    if name in task_entries():
+        _show_task(console, name)
+    elif name in robot_names():
+        _show_robot(console, name)
+    elif name in backend_names() or name in installable_backends():
+        _show_backend(console, name)
+    else:
+        raise UnknownNameError(
+            "task, robot or backend", name, [*task_entries(), *robot_names(), *backend_names(), *installable_backends()]
+        )
+
+
+def _show_task(console: Console, name: str) -> None:
+    from orbit_core.interfaces.requirements import required_capabilities
+    from orbit_core.tasks.settings import configure
+
+    entry = task_entries()[name]
+    task = configure(entry.task_type(), {})
+    _heading(console, f"Task {name}", entry.description)
+    console.print(Text(f"\n{inspect.getdoc(type(task))}\n"))
+    fields = {field.name: field.default for field in dataclasses.fields(task) if field.init and _is_plain(field)}
+    _rows(console, "field", "default", fields.items())
+    for part in ("observations", "rewards", "terminations", "events"):
+        _line(console, part, _terms(task, part))
+    _line(console, "robots", _robots_like(task.robot))
+    needs = required_capabilities(task.scene())
+    _rows(console, "needs", "for", ((need.value, culprit) for need, culprit in needs.items()))
+
+
+def _is_plain(field: dataclasses.Field[Any]) -> bool:
+    return isinstance(field.default, bool | int | float | str | tuple)
+
+
+def _terms(task: Task, part: str) -> str:
+    collection = getattr(task, part)
+    names = [field.name for field in dataclasses.fields(collection) if getattr(collection, field.name) is not None]
+    return ", ".join(names) or "none"
+
+
+def _robots_like(name: str) -> str:
+    """The default robot of a task, then those of its kind: arms, arms with grippers, legged robots."""
+    kind = _kind(robot_info(name).load())
+    others = [other for other in robot_names() if other != name and _kind(robot_info(other).load()) == kind]
+    return ", ".join([f"{name} (default)", *others])
+
+
+def _kind(robot: RobotSpec) -> tuple[bool, bool, bool]:
+    grippers = any(effector.gripper is not None for effector in robot.end_effectors)
+    return bool(robot.end_effectors), grippers, bool(robot.feet)
+
+
+def _show_robot(console: Console, name: str) -> None:
+    entry = robot_info(name)
+    robot = entry.load()
+    body = robot.articulation
+    _heading(console, f"Robot {name}", entry.description)
+    _line(console, "source", entry.source or "ORBIT")
+    _line(console, "licence", entry.licence or "unknown")
+    _line(console, "degrees of freedom", f"{entry.dof}{'' if robot.fixed_base else ', and 6 of its free base'}")
+    _line(console, "mass", f"{body.mass:.2f} kg")
+    _line(console, "links", f"{len(body.links)}: {', '.join(body.link_names)}")
+    for effector in robot.end_effectors:
+        hand = f", gripper {', '.join(effector.gripper.joints)}" if effector.gripper else ""
+        _line(console, "end effector", f"{effector.frame}, moved by {', '.join(effector.arm_joints)}{hand}")
+    if robot.feet:
+        _line(console, "feet", ", ".join(robot.feet))
+    console.print(_joint_table(robot))
+    for group in robot.actuators:
+        values = {field.name: getattr(group, field.name) for field in dataclasses.fields(group)}
+        described = ", ".join(f"{key} {value:g}" for key, value in values.items() if isinstance(value, float))
+        _line(console, f"actuators {', '.join(group.joints)}", f"{type(group).__name__}, {described}")
+    for note in body.notes:
+        _line(console, "note", note)
+
+
+def _joint_table(robot: RobotSpec) -> Table:
+    table = new_table("joint", "type", "limits (rad, m)", "effort (N m, N)", "velocity (rad/s, m/s)")
+    for joint in robot.articulation.movable_joints:
+        kind = f"{joint.type.value}, follows {joint.mimic.joint}" if joint.mimic else joint.type.value
+        limits = f"{joint.lower_limit:.4g} to {joint.upper_limit:.4g}"
+        table.add_row(joint.name, kind, limits, f"{joint.effort_limit:.4g}", f"{joint.velocity_limit:.4g}")
+    return table
+
+
+def _show_backend(console: Console, name: str) -> None:
+    plugin = backend(name)  # one that is not installed says how to install it
+    capabilities = plugin.capabilities()
+    versions = ", ".join(f"{package} {version}" for package, version in plugin.versions().items())
+    _heading(console, f"Backend {name}", versions)
+    settings = {field.name: field.default for field in dataclasses.fields(plugin.config_type)}
+    _rows(console, "setting", "default", settings.items())
+    table = new_table("capability", "level", "how it differs, or why it is missing")
+    for capability in Capability:
+        support = capabilities[capability]
+        table.add_row(capability.value, support.level.value, support.reason)
+    console.print(table)
+
+
+def _heading(console: Console, title: str, text: str) -> None:
+    console.print(Text.assemble((title, "bold"), f": {text}"))
+
+
+def _line(console: Console, label: str, value: str) -> None:
+    console.print(Text.assemble((label, "bold"), f": {value}"))
+
+
+def _rows(console: Console, left: str, right: str, rows: Iterable[tuple[str, Any]]) -> None:
+    table = new_table(left, right)
+    for key, value in rows:
+        table.add_row(key, Text(str(value)))
+    console.print(table)

@@ -1,0 +1,64 @@
+"""``orbit list``: names, with a line on each. Imports nothing heavy: it answers at once."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from orbit_core.cli.parsing import parse_words
+from orbit_core.interfaces.errors import OrbitError, UnknownNameError
+
+
+@dataclass(frozen=True)
+class ListSettings:
+    """Names of all tasks, robots or backends."""
+
+    kind: Annotated[Positional[str], arg(metavar="{tasks,robots,backends}")]
+    """What to list."""
+
+
+def main(words: Sequence[str]) -> None:
+    """Print the names of one kind."""
+    kind = parse_words(ListSettings, words, "orbit list").kind
+    if kind not in _LISTS:
+        raise UnknownNameError("kind", kind, _LISTS)
+    rows = _LISTS[kind]()
+    width = max((len(name) for name, _ in rows), default=0)
+    for name, description in rows:
+        print(f"{name:<{width}}  {description}")
+
+
+def _tasks() -> list[tuple[str, str]]:
+    from orbit_core.tasks.registry import task_entries
+
+    return [(entry.name, entry.description) for entry in task_entries().values()]
+
+
+def _robots() -> list[tuple[str, str]]:
+    from orbit_core.assets.catalogue import robot_info, robot_names
+
+    return [(name, robot_info(name).description) for name in robot_names()]
+
+
+def _backends() -> list[tuple[str, str]]:
+    from orbit_core.backends import backend_names, installable_backends
+
+    installed = [(name, _state(name)) for name in backend_names()]
+    return installed + [(name, f"not installed: {command}") for name, command in installable_backends().items()]
+
+
+def _state(name: str) -> str:
+    from orbit_core.backends import backend
+
+    try:
+        versions = backend(name).versions()
+    except (OrbitError, importlib.metadata.PackageNotFoundError) as error:
+        return f"broken: {error}"
+    return "installed: " + ", ".join(f"{package} {version}" for package, version in versions.items())
+
+
+_LISTS = {"tasks": _tasks, "robots": _robots, "backends": _backends}

@@ -1,0 +1,45 @@
+"""How commands show and store what they found."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+_WIDTH = 140
+"""Characters of a line where the output is no terminal, so that pipes and files get whole names."""
+
+
+def console() -> Console:
+    """Where results are printed."""
+    plain = Console()
+    return plain if plain.is_terminal else Console(width=_WIDTH)
+
+
+def new_table(*headings: str, title: str | None = None) -> Table:
+    """A table with a rule under its headings; the first column, which holds names, is never cut."""
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for index, heading in enumerate(headings):
+        table.add_column(heading, no_wrap=index == 0, overflow="fold")
+    return table
+
+
+def progress_bar() -> Progress:
+    """On stderr, gone when it is done; nothing at all where stderr is no terminal."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
+def write_json(path: Path | None, values: Any) -> None:
+    """Write the values to a file, if there is one to write; the file is whole or not there."""
+    if path is None:
+        return
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(json.dumps(values, indent=2) + "\n")
+    partial.replace(path)

@@ -1,0 +1,41 @@
+"""``orbit run``: a task's episodes, and how they went."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.table import Table
+
+from orbit_core.cli.output import console, new_table, progress_bar, write_json
+from orbit_core.cli.parsing import parse_settings
+from orbit_core.cli.runner import RunResult, Statistic, run
+from orbit_core.cli.settings import RunSettings
+
+
+def main(words: Sequence[str]) -> None:
+    """Run the episodes, print a table and write the result."""
+    settings = parse_settings(RunSettings, words, "orbit run")
+    with progress_bar() as bar:
+        task = bar.add_task(f"{settings.task} episodes", total=settings.episodes)
+        result = run(settings, lambda episodes: bar.update(task, completed=episodes))
+    write_json(settings.json, result.as_json())
+    console().print(_table(result))
+
+
+def _table(result: RunResult) -> Table:
+    title = f"{result.task} on {result.backend}: {result.robot}, {result.action}, {result.agent} agent"
+    table = new_table("", "value", title=title)
+    table.add_row("episodes", f"{result.episodes} in {result.num_envs} environments, seed {result.seed}")
+    table.add_row("success rate", f"{100.0 * result.success_rate:.1f} %")
+    for name, metric in result.metrics.items():
+        table.add_row(name, _words(metric))
+    table.add_row("return", _words(result.episode_return))
+    table.add_row("episode steps", _words(result.episode_steps))
+    table.add_row("environment steps per second", f"{result.env_steps_per_second:,.0f}")
+    table.add_row("wall time", f"{result.wall_seconds:.1f} s")
+    table.add_row("versions", ", ".join(f"{name} {version}" for name, version in result.versions.items()))
+    return table
+
+
+def _words(statistic: Statistic) -> str:
+    return f"{statistic.mean:.4g} ± {statistic.deviation:.3g}"

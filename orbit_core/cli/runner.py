@@ -1,0 +1,206 @@
+"""Runs a task's episodes and sums them up; prints nothing."""
+
+from __future__ import annotations
+
+import contextlib
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from orbit_core import __version__
+from orbit_core.backends import backend
+from orbit_core.cli.agents import check_agent, make_agent
+from orbit_core.cli.making import check_output, check_positive, make_environment
+from orbit_core.cli.settings import RunSettings
+
+if TYPE_CHECKING:
+    from orbit_core.tasks.environment import Environment, EpisodeEnd
+    from orbit_core.viewer.video import VideoRecorder
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """Mean and standard deviation over the counted episodes (of those episodes themselves, not of a population)."""
+
+    mean: float
+    deviation: float
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run came to."""
+
+    task: str
+    backend: str
+    robot: str
+    action: str
+    agent: str
+    seed: int
+    num_envs: int
+    versions: dict[str, str]
+    """Of ORBIT, of what the backend depends on, of torch and of Python."""
+    episodes: int
+    success_rate: float
+    metrics: dict[str, Statistic]
+    """By name; the first leads."""
+    episode_return: Statistic
+    episode_steps: Statistic
+    env_steps_per_second: float
+    """Steps of single environments over the time spent acting and stepping; building and filming left out."""
+    wall_seconds: float
+    """From the settings to the result, building and filming included."""
+
+    def as_json(self) -> dict[str, Any]:
+        """For a file: all fields, and ``metric``, the leading one with its name."""
+        values = asdict(self)
+        name = next(iter(self.metrics))
+        values["metric"] = {"name": name, **asdict(self.metrics[name])}
+        return values
+
+
+class Tally:
+    """Counts the first ``quota`` episodes of each environment.
+
+    Environment i counts its first ``episodes // num_envs`` episodes, and one more if i < ``episodes % num_envs``. A
+    race for the first ``episodes`` to end would prefer short episodes to long ones, and so failures to successes or
+    the reverse.
+    """
+
+    def __init__(self, episodes: int, num_envs: int) -> None:
+        self._left = [episodes // num_envs + (i < episodes % num_envs) for i in range(num_envs)]
+        self.episodes = 0
+        self._wanted = episodes
+        self._success: list[bool] = []
+        self._values: dict[str, list[float]] = {}
+        self._returns: list[float] = []
+        self._steps: list[int] = []
+
+    @property
+    def complete(self) -> bool:
+        """Whether all episodes are in."""
+        return self.episodes == self._wanted
+
+    def add(self, end: EpisodeEnd) -> None:
+        """Count those of the episodes that are within their environment's quota."""
+        returns = sum(end.rewards.values()) if end.rewards else end.steps * 0.0
+        rows = [row for row, i in enumerate(end.env_ids.tolist()) if self._left[i] > 0]
+        for row in rows:
+            self._left[int(end.env_ids[row])] -= 1
+            self._success.append(bool(end.success[row]))
+            self._returns.append(float(returns[row]))  # pyright: ignore[reportIndexIssue]
+            self._steps.append(int(end.steps[row]))
+            for name, values in end.metrics.items():
+                self._values.setdefault(name, []).append(float(values[row]))
+        self.episodes += len(rows)
+
+    @property
+    def success_rate(self) -> float:
+        """In [0, 1]."""
+        return sum(self._success) / len(self._success)
+
+    def metrics(self) -> dict[str, Statistic]:
+        """Of each metric."""
+        return {name: statistic(values) for name, values in self._values.items()}
+
+    def episode_return(self) -> Statistic:
+        """Of the sum of an episode's rewards."""
+        return statistic(self._returns)
+
+    def episode_steps(self) -> Statistic:
+        """Of the number of an episode's steps."""
+        return statistic(self._steps)
+
+
+def statistic(values: list[float] | list[int]) -> Statistic:
+    """Mean and standard deviation of the values."""
+    mean = sum(values) / len(values)
+    return Statistic(mean, (sum((value - mean) ** 2 for value in values) / len(values)) ** 0.5)
+
+
+def run(settings: RunSettings, progress: Callable[[int], None] = lambda episodes: None) -> RunResult:
+    """Build the environment, run the episodes and sum them up.
+
+    Args:
+        settings: what to run.
+        progress: called with the number of episodes counted so far, after each step that ended some.
+
+    Raises:
+        OrbitError: of many kinds; each names the setting.
+    """
+    check_agent(settings.agent)
+    check_positive("episodes", settings.episodes)
+    check_output(settings.json, ".json")
+    check_output(settings.video, ".mp4")
+    start = time.perf_counter()
+    environment = make_environment(settings, settings.num_envs)
+    try:
+        tally, rate = _episodes(environment, settings, progress)
+    finally:
+        environment.close()
+    return RunResult(
+        task=settings.task or "",
+        backend=environment.world.backend,
+        robot=environment.task.robot,
+        action=environment.task.action,
+        agent=settings.agent,
+        seed=settings.seed,
+        num_envs=settings.num_envs,
+        versions=versions_of(environment.world.backend, settings.renderer),
+        episodes=tally.episodes,
+        success_rate=tally.success_rate,
+        metrics=tally.metrics(),
+        episode_return=tally.episode_return(),
+        episode_steps=tally.episode_steps(),
+        env_steps_per_second=rate,
+        wall_seconds=time.perf_counter() - start,
+    )
+
+
+def _episodes(environment: Environment, settings: RunSettings, progress: Callable[[int], None]) -> tuple[Tally, float]:
+    """Step until every environment's quota is in; also environment steps per second."""
+    tally = Tally(settings.episodes, settings.num_envs)
+    agent = make_agent(settings.agent, environment, settings.seed)
+    environment.reset()
+    seconds, steps = 0.0, 0
+    with _recording(environment, settings) as recorder:
+        while not tally.complete:
+            if recorder is not None:
+                recorder.add()
+            begin = time.perf_counter()
+            info = environment.step(agent.act())[4]
+            seconds += time.perf_counter() - begin
+            steps += environment.num_envs
+            if "final" in info:
+                tally.add(info["final"])
+                progress(tally.episodes)
+    return tally, steps / seconds
+
+
+@contextlib.contextmanager
+def _recording(environment: Environment, settings: RunSettings):
+    """The recorder of the video that the settings ask for, or None."""
+    if settings.video is None:
+        yield None
+        return
+    from orbit_core.viewer.video import VideoRecorder
+
+    recorder: VideoRecorder = VideoRecorder(environment, settings.video)
+    try:
+        yield recorder
+    except BaseException:
+        recorder.discard()
+        raise
+    recorder.close()
+
+
+def versions_of(*backends: str | None) -> dict[str, str]:
+    """Of ORBIT, Python, torch, and what the backends depend on."""
+    import torch
+
+    versions = {"orbit": __version__, "python": platform.python_version(), "torch": torch.__version__}
+    for name in backends:
+        if name is not None:
+            versions.update(backend(name).versions())
+    return versions

@@ -1,0 +1,90 @@
+"""What the commands take, as dataclasses: from them come the command line's options and a TOML file's keys."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+from tyro.conf import Positional, Suppress, UseAppendAction, arg
+
+Name = Annotated[str | None, arg(metavar="NAME")]
+File = Annotated[Path | None, arg(metavar="FILE")]
+KeyValues = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvironmentSettings:
+    """Which task, and how it is simulated."""
+
+    task: Annotated[Positional[str | None], arg(metavar="TASK")] = None
+    """Name of a task ('orbit list tasks'); may stand in the file instead."""
+    backend: Name = None
+    """Physics backend ('orbit list backends'); may be left out if only one is installed."""
+    robot: Name = None
+    """Robot of the catalogue ('orbit list robots') in the place of the task's own."""
+    action: Name = None
+    """Action space in the place of the task's own."""
+    renderer: Name = None
+    """Backend that draws; the physics backend if left out."""
+    device: Annotated[str, arg(metavar="NAME")] = "cpu"
+    """Torch device that holds all state, such as 'cpu' or 'cuda:0'."""
+    seed: int = 0
+    """Of every environment's random stream."""
+    set: KeyValues = ()
+    """A field of the task, such as cube_size=0.06 ('orbit info TASK')."""
+    setting: KeyValues = ()
+    """A setting of the physics backend, such as iterations=50 ('orbit info BACKEND')."""
+    config: File = None
+    """TOML file with the same keys as these options, and the tables [fields] and [settings]; options win over it."""
+    fields: Suppress[Mapping[str, Any]] = field(default_factory=dict)
+    """The task's fields from the file; ``set`` wins over them."""
+    settings: Suppress[Mapping[str, Any]] = field(default_factory=dict)
+    """The physics backend's settings from the file; ``setting`` wins over them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings(EnvironmentSettings):
+    """Run a task's episodes and report success, metrics, return and speed."""
+
+    num_envs: int = 16
+    """Environments stepped together."""
+    episodes: int = 200
+    """Episodes that count, divided evenly over the environments, so that short ones are not preferred."""
+    agent: Annotated[str, arg(metavar="{expert,random,zero}")] = "expert"
+    """Who acts."""
+    json: File = None
+    """Write the result here."""
+    video: File = None
+    """Write an mp4 of the first episode of up to four environments here."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewSettings(EnvironmentSettings):
+    """Watch a task live in the browser."""
+
+    num_envs: int = 1
+    """Environments stepped together."""
+    agent: Annotated[str, arg(metavar="{expert,random,zero}")] = "expert"
+    """Who acts."""
+    host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0 lets other machines watch."""
+    port: int = 8080
+    """Port to listen on."""
+    max_steps: Annotated[int | None, arg(metavar="INT")] = None
+    """Stop after that many steps; run until interrupted if left out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchSettings(EnvironmentSettings):
+    """Measure throughput over numbers of environments, with random actions."""
+
+    num_envs: tuple[int, ...] = (1, 4, 16, 64, 256)
+    """Numbers of environments to measure at."""
+    steps: int = 200
+    """Steps of all environments that are timed at each number, after a tenth as many to warm up."""
+    json: File = None
+    """Write the figures here."""
+    plot: File = None
+    """Draw the figures here, as PNG."""

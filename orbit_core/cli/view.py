@@ -1,0 +1,29 @@
+"""``orbit view``: a task live in the browser."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from orbit_core.cli.agents import check_agent, make_agent
+from orbit_core.cli.making import make_environment
+from orbit_core.cli.parsing import parse_settings
+from orbit_core.cli.settings import ViewSettings
+
+
+def main(words: Sequence[str]) -> None:
+    """Show the task until interrupted, or for ``max_steps``."""
+    settings = parse_settings(ViewSettings, words, "orbit view")
+    check_agent(settings.agent)
+    environment = make_environment(settings, settings.num_envs)
+    try:
+        from orbit_core.viewer.information import task_information
+        from orbit_core.viewer.viewer import Viewer
+
+        agent = make_agent(settings.agent, environment, settings.seed)
+        title = f"ORBIT {settings.task} on {environment.world.backend}"
+        information = task_information(environment)
+        with Viewer(environment, agent, settings.host, settings.port, title, information) as viewer:
+            print(f"watch at {viewer.url}", flush=True)
+            viewer.run(settings.max_steps)
+    finally:
+        environment.close()

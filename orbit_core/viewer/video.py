@@ -1,0 +1,141 @@
+"""Videos of an environment: frames to mp4, and a recorder of the first episode of a few environments."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Generator
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.viewer.pictures import OverviewCamera
+
+if TYPE_CHECKING:
+    from orbit_core.tasks.environment import Environment
+
+_MULTIPLE = 16
+"""Pixels; an encoder's macroblock. Other sizes would be rescaled."""
+
+
+class VideoFile:
+    """An H.264 mp4 that grows frame by frame.
+
+    It takes its name only once it is whole: an error or a crash leaves the file that was there before, or none.
+
+    Raises:
+        ConfigurationError: the encoder is not installed.
+    """
+
+    def __init__(self, path: Path, width: int, height: int, frames_per_second: float) -> None:
+        if width % _MULTIPLE or height % _MULTIPLE:
+            raise ConfigurationError(f"a video's size must be a multiple of {_MULTIPLE} pixels, not {width} x {height}")
+        try:
+            import imageio_ffmpeg
+        except ImportError as error:
+            raise ConfigurationError('videos need an encoder: pip install "orbit-core[video]"') from error
+        self._path = path
+        self._partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+        self._size = (height, width, 3)
+        stream: Generator[None, Any, None] = imageio_ffmpeg.write_frames(
+            str(self._partial),
+            (width, height),
+            fps=frames_per_second,  # pyright: ignore[reportArgumentType] - any number will do
+            macro_block_size=_MULTIPLE,
+            quality=7,
+        )
+        stream.send(None)
+        self._stream: Generator[None, Any, None] | None = stream
+
+    def add(self, frame: npt.NDArray[np.uint8]) -> None:
+        """Append a frame (height, width, 3)."""
+        if self._stream is None:
+            raise ConfigurationError(f"video {self._path} is closed: frames come before close()")
+        if frame.shape != self._size:
+            raise ConfigurationError(f"a frame of video {self._path} must be {self._size}, not {frame.shape}")
+        self._stream.send(np.ascontiguousarray(frame))
+
+    def close(self) -> None:
+        """Finish the file and give it its name; idempotent."""
+        if self._stream is not None:
+            self._end_stream()
+            self._partial.replace(self._path)
+
+    def discard(self) -> None:
+        """Give the video up; what was written of it is deleted."""
+        if self._stream is not None:
+            self._end_stream()
+        self._partial.unlink(missing_ok=True)
+
+    def __enter__(self) -> VideoFile:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):
+        if kind is None:
+            self.close()
+        else:
+            self.discard()
+
+    def _end_stream(self) -> None:
+        assert self._stream is not None
+        self._stream.close()
+        self._stream = None
+
+
+class VideoRecorder:
+    """Films the first ``environments`` of a batch side by side, from when it is made until the video is full.
+
+    The video is as long as an episode's time limit; an environment whose episode ends earlier shows its next one.
+    Call :meth:`add` before the first step and after each.
+    """
+
+    def __init__(
+        self, environment: Environment, path: Path, environments: int = 4, width: int = 480, height: int = 368
+    ) -> None:
+        count = min(environments, environment.num_envs)
+        self._rows = torch.arange(count, device=environment.device)
+        self._columns = math.ceil(math.sqrt(count))
+        lines = math.ceil(count / self._columns)
+        self._left = environment.max_episode_steps + 1
+        self._file = VideoFile(path, self._columns * width, lines * height, 1.0 / environment.step_dt)
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._file.discard)
+            self._camera = OverviewCamera(environment.world, width, height)
+            stack.pop_all()
+
+    @property
+    def full(self) -> bool:
+        """Whether the video has its length; more frames are ignored."""
+        return self._left == 0
+
+    def add(self) -> None:
+        """Film the environments' present state."""
+        if self.full:
+            return
+        self._file.add(tile(self._camera.pictures(self._rows).numpy(), self._columns))
+        self._left -= 1
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._camera.close()
+        self._file.close()
+
+    def discard(self) -> None:
+        """Give the video up."""
+        self._camera.close()
+        self._file.discard()
+
+
+def tile(pictures: npt.NDArray[np.uint8], columns: int) -> npt.NDArray[np.uint8]:
+    """Pictures (n, height, width, 3) in rows of ``columns``, the last row filled up with black."""
+    count, height, width, channels = pictures.shape
+    lines = math.ceil(count / columns)
+    grid = np.zeros((lines * columns, height, width, channels), np.uint8)
+    grid[:count] = pictures
+    grid = grid.reshape(lines, columns, height, width, channels).swapaxes(1, 2)
+    return grid.reshape(lines * height, columns * width, channels)
