@@ -33,7 +33,7 @@ CARCASS_COLOR: Color = (0.62, 0.46, 0.31, 1.0)
 FRONT_COLOR: Color = (0.86, 0.80, 0.70, 1.0)
 DRAWER_COLOR: Color = (0.75, 0.62, 0.45, 1.0)
 STEEL_COLOR: Color = (0.25, 0.27, 0.30, 1.0)
-WOOD_SURFACE = PhysicsMaterial(static_friction=0.5, dynamic_friction=0.45)
+WOOD_SURFACE = PhysicsMaterial(static_friction=0.5, dynamic_friction=0.5)
 HANDLE_SURFACE = PhysicsMaterial(static_friction=1.0, dynamic_friction=1.0)
 
 

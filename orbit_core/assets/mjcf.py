@@ -11,6 +11,7 @@ Everything is taken from the compiled model, in which defaults, units, nested fr
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -58,7 +59,7 @@ def read_mjcf(path: str | Path) -> Articulation:
             joint coupling, or MuJoCo, whose format it is, is not installed.
     """
     try:
-        import mujoco
+        mujoco: Any = importlib.import_module("mujoco")
     except ImportError:
         raise AssetError('MJCF files need the package mujoco: pip install "orbit-core[mjcf]"') from None
     try:
