@@ -1,0 +1,1 @@
+"""Watching a simulation: a live page in the browser, pictures and videos."""

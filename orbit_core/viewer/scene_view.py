@@ -1,0 +1,241 @@
+"""A scene in the browser: every link is sent once, and a frame only moves it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.interfaces import SceneLayout
+from orbit_core.scene import Plane, Shape
+from orbit_core.scene.pose import Vector3
+from orbit_core.viewer.geometry import Drawing, marker_shapes
+
+if TYPE_CHECKING:
+    from viser import BatchedGlbHandle, MeshHandle, ViserServer
+
+FloatArray = npt.NDArray[np.float32]
+
+VIEW_DIRECTION = np.array((0.76, 0.52, 0.4)) / math.hypot(0.76, 0.52, 0.4)
+"""From the scene to the camera: half from the front, half from the side, for robots that face +x."""
+FIELD_OF_VIEW = math.radians(45.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Where everything is in each of the n environments that are drawn, in its own frame."""
+
+    link_poses: FloatArray
+    """(n, L, 7) in the layout's order."""
+    marker_poses: FloatArray
+    """(n, M, 7) in the scene's order."""
+    particles: tuple[FloatArray, ...] = ()
+    """(n, P, 3) of each deformable."""
+
+
+class SceneView:
+    """Draws some environments of a scene side by side on a square grid; a single one stands at the origin.
+
+    Args:
+        server: of viser; its scene is this view's alone.
+        layout: the scene.
+        collisions: draw collision shapes in place of visual ones. A link without visual shapes shows its collision
+            shapes in either case.
+    """
+
+    def __init__(self, server: ViserServer, layout: SceneLayout, collisions: bool = False) -> None:
+        self._server = server
+        self._scene = layout.scene
+        self._collisions = collisions
+        self._drawings: list[Drawing | None] = []
+        self._layout = layout
+        self._markers = [Drawing.of(marker_shapes(marker)) for marker in layout.scene.markers]
+        planes = [shape for shape in layout.scene.terrain if isinstance(shape.geometry, Plane)]
+        solids = [shape for shape in layout.scene.terrain if not isinstance(shape.geometry, Plane)]
+        self._terrain = Drawing.of(solids) if solids else None
+        self._links_drawn: dict[int, BatchedGlbHandle] = {}
+        self._markers_drawn: list[BatchedGlbHandle] = []
+        self._particles_drawn: list[list[MeshHandle]] = []
+        self._terrain_drawn: BatchedGlbHandle | None = None
+        self._offsets = np.zeros((0, 3), dtype=np.float32)
+        self._markers_visible = True
+        server.scene.set_up_direction("+z")
+        self._light()
+        for index, plane in enumerate(planes):
+            self._draw_plane(index, plane)
+        self._draw_links()
+
+    @property
+    def count(self) -> int:
+        """How many environments are drawn."""
+        return len(self._offsets)
+
+    def update(self, frame: Frame) -> None:
+        """Move everything; what does not move costs nothing to send."""
+        if len(frame.link_poses) != self.count:
+            self._draw(frame)
+            return
+        with self._server.atomic():
+            for link, handle in self._links_drawn.items():
+                self._place(handle, frame.link_poses[:, link])
+            for index, handle in enumerate(self._markers_drawn):
+                self._place(handle, frame.marker_poses[:, index])
+            for handles, particles in zip(self._particles_drawn, frame.particles, strict=True):
+                for handle, vertices in zip(handles, particles, strict=True):
+                    handle.vertices = vertices
+
+    def show_collisions(self, collisions: bool) -> None:
+        """Draw collision shapes in place of visual ones, from the next frame on."""
+        if collisions != self._collisions:
+            self._collisions = collisions
+            self._draw_links()
+
+    def show_markers(self, visible: bool) -> None:
+        """Whether markers are drawn."""
+        self._markers_visible = visible
+        for handle in self._markers_drawn:
+            handle.visible = visible
+
+    # What is drawn
+
+    def _draw_links(self) -> None:
+        """Prepare the links' shapes; the next frame sends them."""
+        self._drawings = []
+        for link in self._layout.links:
+            shapes = link.collisions if self._collisions or not link.visuals else link.visuals
+            self._drawings.append(Drawing.of(shapes) if shapes else None)
+        self._offsets = np.zeros((0, 3), dtype=np.float32)
+
+    def _draw(self, frame: Frame) -> None:
+        """Send everything anew, for another number of environments."""
+        self._remove()
+        low, high = self._extent(frame)
+        self._offsets = _square_grid(len(frame.link_poses), spacing=1.25 * float((high - low)[:2].max()) + 0.2)
+        with self._server.atomic():
+            for link, drawing in enumerate(self._drawings):
+                if drawing:
+                    handle = self._add(f"/links/{link}", drawing, frame.link_poses[:, link])
+                    self._links_drawn[link] = handle
+            for index, drawing in enumerate(self._markers):
+                handle = self._add(f"/markers/{index}", drawing, frame.marker_poses[:, index])
+                handle.cast_shadow = False
+                handle.visible = self._markers_visible
+                self._markers_drawn.append(handle)
+            if self._terrain:
+                origin = np.tile(np.array((0, 0, 0, 1, 0, 0, 0), dtype=np.float32), (self.count, 1))
+                self._terrain_drawn = self._add("/terrain", self._terrain, origin)
+            self._particles_drawn = [
+                self._add_deformable(index, particles) for index, particles in enumerate(frame.particles)
+            ]
+        self._look_at(low + self._offsets.min(axis=0), high + self._offsets.max(axis=0))
+
+    def _remove(self) -> None:
+        for handle in (*self._links_drawn.values(), *self._markers_drawn, *chain(*self._particles_drawn)):
+            handle.remove()
+        if self._terrain_drawn is not None:
+            self._terrain_drawn.remove()
+        self._links_drawn, self._markers_drawn, self._particles_drawn = {}, [], []
+        self._terrain_drawn = None
+
+    def _add(self, name: str, drawing: Drawing, poses: FloatArray) -> BatchedGlbHandle:
+        return self._server.scene.add_batched_glb(
+            name, drawing.glb, poses[:, 3:], poses[:, :3] + self._offsets, lod="off"
+        )
+
+    def _place(self, handle: BatchedGlbHandle, poses: FloatArray) -> None:
+        handle.batched_positions = poses[:, :3] + self._offsets
+        handle.batched_wxyzs = poses[:, 3:]
+
+    def _add_deformable(self, index: int, particles: FloatArray) -> list[MeshHandle]:
+        spec = self._scene.deformables[index]
+        return [
+            self._server.scene.add_mesh_simple(
+                f"/deformables/{index}/{environment}",
+                vertices,
+                spec.mesh.faces,
+                color=_bytes(spec.color),
+                opacity=spec.color[3] if spec.color[3] < 1.0 else None,
+                side="double",
+                position=offset,
+            )
+            for environment, (vertices, offset) in enumerate(zip(particles, self._offsets, strict=True))
+        ]
+
+    def _draw_plane(self, index: int, plane: Shape) -> None:
+        color = _bytes(plane.color)
+        self._server.scene.add_grid(
+            f"/planes/{index}",
+            infinite_grid=True,
+            cell_size=0.25,
+            section_size=1.0,
+            cell_color=_mixed(color, 255, 0.25),
+            section_color=_mixed(color, 255, 0.5),
+            plane_color=color,
+            plane_opacity=1.0,
+            shadow_opacity=0.35,
+            fade_distance=30.0,
+            position=plane.pose.position,
+            wxyz=plane.pose.orientation,
+        )
+
+    # How it looks
+
+    def _light(self) -> None:
+        scene = self._server.scene
+        scene.configure_default_lights(enabled=True, cast_shadow=True)
+        sky = np.linspace((150, 178, 206), (226, 232, 238), 256).astype(np.uint8)
+        scene.set_background_image(np.repeat(sky[:, None], 2, axis=1), format="png")
+
+    def _extent(self, frame: Frame) -> tuple[FloatArray, FloatArray]:
+        """Corners of the box round all links of the first environment; of the terrain where there is no link."""
+        points = [_transformed(frame.link_poses[0, i], d.corners) for i, d in enumerate(self._drawings) if d]
+        points += [particles[0] for particles in frame.particles]
+        if not points:
+            points = [self._terrain.corners if self._terrain else np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 0.5]])]
+        everything = np.concatenate(points).astype(np.float32)
+        return everything.min(axis=0), everything.max(axis=0)
+
+    def _look_at(self, low: FloatArray, high: FloatArray) -> None:
+        """Frame a box: its circumscribed ball just fills the picture's height."""
+        center = (low + high) / 2
+        radius = max(0.05, float(np.linalg.norm(high - low)) / 2)
+        eye = center + VIEW_DIRECTION * radius / math.sin(FIELD_OF_VIEW / 2)
+        camera = self._server.initial_camera
+        camera.fov = FIELD_OF_VIEW
+        camera.position, camera.look_at = _vector(eye), _vector(center)
+        camera.near = radius / 100.0
+
+
+def _square_grid(count: int, spacing: float) -> FloatArray:
+    """(count, 3) centred on the origin, row by row."""
+    columns = math.ceil(math.sqrt(count))
+    rows = math.ceil(count / columns)
+    row, column = np.divmod(np.arange(count), columns)
+    flat = np.column_stack([row - (rows - 1) / 2, column - (columns - 1) / 2, np.zeros(count)])
+    return np.asarray(flat * spacing, dtype=np.float32)
+
+
+def _transformed(pose: FloatArray, points: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    w, u = pose[3], pose[4:]
+    turned = 2.0 * np.cross(u, points)
+    return points + w * turned + np.cross(u, turned) + pose[:3]
+
+
+def _bytes(color: Sequence[float]) -> tuple[int, int, int]:
+    r, g, b = (round(255 * channel) for channel in color[:3])
+    return (r, g, b)
+
+
+def _mixed(color: tuple[int, int, int], other: int, share: float) -> tuple[int, int, int]:
+    r, g, b = (round((1 - share) * channel + share * other) for channel in color)
+    return (r, g, b)
+
+
+def _vector(values: npt.NDArray[np.floating]) -> Vector3:
+    x, y, z = (float(value) for value in values)
+    return (x, y, z)

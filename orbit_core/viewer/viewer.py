@@ -1,0 +1,241 @@
+"""The live viewer: a simulation in this thread, a person in a browser."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from torch import Tensor
+
+from orbit_core.interfaces import ConfigurationError, Engine, Marker, SceneLayout, Sensor
+from orbit_core.scene import CameraSpec, Channel
+from orbit_core.sensors import CameraSensor
+from orbit_core.viewer.camera_pictures import picture_of
+from orbit_core.viewer.controls import Controls, Pacer, Selection
+from orbit_core.viewer.panel import Panel
+from orbit_core.viewer.scene_view import FloatArray, Frame, SceneView
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+FRAME_PERIOD = 1.0 / 30.0
+"""Seconds from one frame of the scene to the next, at the least."""
+PANEL_PERIOD = 0.2
+"""Seconds from one update of the panel's text, curve and picture to the next, at the least."""
+
+
+class ViewedWorld(Protocol):
+    """What the viewer needs of a world."""
+
+    @property
+    def layout(self) -> SceneLayout: ...
+    @property
+    def link_poses(self) -> Tensor: ...
+    @property
+    def markers(self) -> Mapping[str, Marker]: ...
+    @property
+    def sensors(self) -> Mapping[str, Sensor]: ...
+    @property
+    def engine(self) -> Engine: ...
+
+
+class ViewedEnvironment(Protocol):
+    """What the viewer needs of an environment."""
+
+    num_envs: int
+    step_dt: float
+
+    @property
+    def world(self) -> ViewedWorld: ...
+    def reset(self) -> Any: ...
+    def step(self, action: Tensor) -> tuple[Any, Tensor, Tensor, Tensor, dict[str, Any]]: ...
+
+
+class ActingAgent(Protocol):
+    """What drives the environment."""
+
+    def act(self) -> Tensor:
+        """(N, A) the next action."""
+        ...
+
+
+class Viewer:
+    """Shows an environment that an agent drives, in real time, at a web address of this computer alone.
+
+    Args:
+        env: what to show.
+        agent: gives the actions.
+        host: network address to listen at; the default is not reachable from other computers.
+        port: if taken, the next free one is used.
+        title: stands over the panel.
+        information: more rows for the panel's table, given an environment's number;
+            :func:`orbit_core.viewer.information.task_information` makes one.
+        paused: wait for the person to press play.
+
+    Raises:
+        ConfigurationError: the web server's library is not installed.
+    """
+
+    def __init__(
+        self,
+        env: ViewedEnvironment,
+        agent: ActingAgent,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        title: str = "ORBIT",
+        information: Callable[[int], Mapping[str, str]] | None = None,
+        paused: bool = False,
+    ) -> None:
+        self._env = env
+        self._agent = agent
+        self._information = information
+        self._cameras = _camera_channels(env.world)
+        self.controls = Controls(env.num_envs, paused)
+        self._server = _start_server(host, port, title)
+        self.url = f"http://{host}:{self._server.get_port()}"
+        """Where the page is."""
+        self._scene = SceneView(self._server, env.world.layout)
+        self._panel = Panel(self._server, self.controls, env.num_envs, list(self._cameras), title)
+        self._pacer = Pacer()
+        self._drawn = Selection()
+        self._frame_time = self._panel_time = -math.inf
+        self._mark = (time.perf_counter(), 0.0)
+        self.steps = 0
+        """Taken since the last reset of all environments."""
+        self._reward = 0.0
+        self._episodes = self._successes = 0
+        self._speed = 0.0
+
+    def run(self, max_steps: int | None = None) -> None:
+        """Simulate until the interrupt key, :meth:`Controls.stop`, or that many steps.
+
+        A step is one of all environments. The environment is reset first.
+        """
+        left = math.inf if max_steps is None else max_steps
+        self._reset()
+        try:
+            while left > 0 and not self.controls.stopped:
+                if self.controls.take_reset():
+                    self._reset()
+                if self.controls.take_step():
+                    self._step()
+                    left -= 1
+                    self._show(soon=self.controls.paused)
+                    self._pacer.wait(self._env.step_dt / self.controls.speed)
+                else:
+                    self._show(soon=self.controls.selection != self._drawn)
+                    self.controls.wait(0.05)
+        except KeyboardInterrupt:
+            self.controls.stop()
+        self._show(soon=True)
+
+    def close(self) -> None:
+        """Stop the web server; idempotent."""
+        self.controls.stop()
+        self._server.stop()
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    # The simulation
+
+    def _reset(self) -> None:
+        self._env.reset()
+        self.steps = 0
+        self._reward = 0.0
+        self._mark = (time.perf_counter(), 0.0)
+        self._panel.clear_reward()
+        self._show(soon=True)
+
+    def _step(self) -> None:
+        _, reward, _, _, info = self._env.step(self._agent.act())
+        self.steps += 1
+        self._reward = float(reward[self.controls.selection.first])
+        self._panel.add_reward(self.steps * self._env.step_dt, self._reward)
+        if final := info.get("final"):
+            self._episodes += len(final.success)
+            self._successes += int(final.success.sum())
+
+    # Showing it
+
+    def _show(self, soon: bool) -> None:
+        """Draw what is due; ``soon`` draws it now."""
+        now = time.perf_counter()
+        if soon or now - self._frame_time >= FRAME_PERIOD:
+            self._frame_time = now
+            self._show_scene(self.controls.selection)
+        if soon or now - self._panel_time >= PANEL_PERIOD:
+            self._panel_time = now
+            self._show_panel(now)
+
+    def _show_scene(self, selection: Selection) -> None:
+        self._scene.show_collisions(selection.collisions)
+        self._scene.show_markers(selection.markers)
+        self._scene.update(self._frame(slice(selection.first, selection.first + selection.count)))
+        self._drawn = selection
+
+    def _frame(self, rows: slice) -> Frame:
+        world = self._env.world
+        links = _array(world.link_poses[rows])
+        markers = [_array(marker.pose[rows]) for marker in world.markers.values()]
+        count = len(world.layout.scene.deformables)
+        return Frame(
+            links,
+            np.stack(markers, axis=1) if markers else np.zeros((len(links), 0, 7), dtype=np.float32),
+            tuple(_array(world.engine.particle_positions(index)[rows]) for index in range(count)),
+        )
+
+    def _show_panel(self, now: float) -> None:
+        index = self.controls.selection.first
+        seconds = self.steps * self._env.step_dt
+        self._panel.show_paused()
+        self._panel.show_status(self._status(index, seconds, now))
+        self._panel.show_reward()
+        if name := self._panel.picture:
+            camera, channel = self._cameras[name]
+            self._panel.show_picture(picture_of(channel, camera.image(channel)[index]))
+
+    def _status(self, index: int, seconds: float, now: float) -> dict[str, str]:
+        marked, simulated = self._mark
+        if now - marked >= 1.0:
+            self._speed = (seconds - simulated) / (now - marked)
+            self._mark = (now, seconds)
+        rows = {
+            "time": f"{seconds:.2f} s",
+            "step": str(self.steps),
+            "speed": f"{0.0 if self.controls.paused else self._speed:.2f} x real time",
+            "reward": f"{self._reward:.4f}",
+        }
+        if self._episodes:
+            rows["episodes"] = f"{self._episodes}, {self._successes / self._episodes:.0%} successful"
+        return rows | dict(self._information(index) if self._information else {})
+
+
+def _start_server(host: str, port: int, title: str) -> ViserServer:
+    try:
+        from viser import ViserServer
+    except ImportError:
+        raise ConfigurationError('the viewer needs viser: pip install "orbit-core[viewer]"') from None
+    return ViserServer(host, port, label=title, verbose=False)
+
+
+def _camera_channels(world: ViewedWorld) -> dict[str, tuple[CameraSensor, Channel]]:
+    return {
+        f"{name}: {channel.value}": (sensor, channel)
+        for name, sensor in world.sensors.items()
+        if isinstance(sensor, CameraSensor) and isinstance(sensor.spec, CameraSpec)
+        for channel in sensor.spec.channels
+    }
+
+
+def _array(tensor: Tensor) -> FloatArray:
+    return tensor.detach().cpu().numpy()
