@@ -6,9 +6,9 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from enum import Enum
 
-import torch
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import columns_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, Robot
 from orbit_core.scene import EndEffector
 
@@ -44,7 +44,7 @@ class MotionGenerator(Node):
         self.num_envs = robot.joint_positions.shape[0]
         self.device = robot.joint_positions.device
         self.lower_limits, self.upper_limits = robot.position_limits[self.joints].unbind(-1)
-        self._columns = _columns(self.joints, self.device)
+        self._columns = columns_of(self.joints, self.device)
 
     @abstractmethod
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
@@ -97,10 +97,3 @@ def chosen_joints(robot: Robot, patterns: Sequence[str] | None) -> list[int]:
     if patterns is not None:
         return robot.find_joints(*patterns)
     return robot.find_joints(*robot.spec.end_effector.arm_joints) if is_arm(robot) else driven_joints(robot)
-
-
-def _columns(joints: list[int], device: torch.device) -> slice | Tensor:
-    """Joints as a slice where they stand in a row: a view costs less than a gather."""
-    if joints and joints == list(range(joints[0], joints[0] + len(joints))):
-        return slice(joints[0], joints[0] + len(joints))
-    return torch.tensor(joints, dtype=torch.int64, device=device)

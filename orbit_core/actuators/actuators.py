@@ -1,0 +1,141 @@
+"""All actuators of a scene: targets in, what the engine applies out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from orbit_core.actuators.delay import CommandDelay, DelayState
+from orbit_core.actuators.models import DcMotorModel, PdModel
+from orbit_core.dynamics.random import RandomStreams
+from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout, match_names
+from orbit_core.scene import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
+
+
+@dataclass(frozen=True)
+class ActuatorState:
+    """A snapshot of the actuators; what the engine's buffers hold is in the engine's."""
+
+    effort_targets: Tensor
+    gains: tuple[tuple[Tensor, Tensor], ...]
+    delays: tuple[DelayState | None, ...]
+
+
+class Actuators:
+    """The actuators of N environments of a scene.
+
+    Robots write the targets; joints without an actuator, and those of explicit groups, have no drive in the engine.
+
+    Where no group is explicit the targets are the engine's own buffers, and a step costs nothing. Otherwise
+    :meth:`apply` must run before each physics step.
+
+    Raises:
+        ConfigurationError: a group's delay or torque-speed line cannot be.
+    """
+
+    def __init__(self, engine: Engine, layout: SceneLayout, random: RandomStreams) -> None:
+        self._engine = engine
+        groups = _group_of_joint(layout)
+        self._implicit = {joint for joint, group in groups.items() if isinstance(group, ImplicitPd)}
+        ideal = {j: g for j, g in groups.items() if isinstance(g, IdealPd) and not isinstance(g, DcMotor)}
+        motors = {j: g for j, g in groups.items() if isinstance(g, DcMotor)}
+        parts = (layout.joint_parameters, engine.num_envs, engine.device)
+        self._models: list[PdModel] = []
+        if ideal:
+            self._models.append(PdModel(list(ideal), list(ideal.values()), *parts))
+        if motors:
+            self._models.append(DcMotorModel(list(motors), list(motors.values()), *parts))
+        self._delays = [_delay([groups[joint] for joint in m.joints], engine.num_envs, random) for m in self._models]
+        self.explicit = bool(self._models)
+        """Whether :meth:`apply` has work to do."""
+        self.position_targets = engine.position_targets
+        """(N, J) rad or m"""
+        self.velocity_targets = engine.velocity_targets
+        """(N, J) rad/s or m/s"""
+        self.effort_targets = torch.zeros_like(engine.efforts) if self.explicit else engine.efforts
+        """(N, J) N m or N, added to the PD laws"""
+
+    def apply(self) -> None:
+        """Compute the efforts of explicit groups from the present joint state and hand them to the engine."""
+        engine = self._engine
+        engine.efforts.copy_(self.effort_targets)
+        positions, velocities = engine.joint_positions, engine.joint_velocities
+        for model, delay in zip(self._models, self._delays, strict=True):
+            columns = model.columns
+            targets: Sequence[Tensor] = (
+                self.position_targets[:, columns],
+                self.velocity_targets[:, columns],
+                self.effort_targets[:, columns],
+            )
+            if delay is not None:
+                targets = delay.push(torch.stack(tuple(targets))).unbind(0)
+            engine.efforts[:, columns] = model.efforts(positions[:, columns], velocities[:, columns], targets)
+
+    def set_gains(
+        self, joints: Sequence[int], stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
+    ) -> None:
+        """Stiffness and damping (n, k) of some joints of the scene, whoever computes their PD law. They outlast resets.
+
+        Raises:
+            ConfigurationError: a joint has no actuator.
+            UnsupportedCapabilityError: the engine cannot change the gains of its drives.
+        """
+        native = [column for column, joint in enumerate(joints) if joint in self._implicit]
+        if native:
+            indices = torch.tensor([joints[column] for column in native], device=self._engine.device)
+            self._engine.set_drive_gains(indices, stiffness[:, native], damping[:, native], env_ids)
+        explicit = {joint: (model, i) for model in self._models for i, joint in enumerate(model.joints)}
+        rows = slice(None) if env_ids is None else env_ids
+        for column, joint in enumerate(joints):
+            if joint in explicit:
+                model, index = explicit[joint]
+                model.stiffness[rows, index] = stiffness[:, column]
+                model.damping[rows, index] = damping[:, column]
+            elif joint not in self._implicit:
+                name = self._engine.layout.joints[joint].name
+                raise ConfigurationError(f"joint '{name}' has no actuator whose gains could be set: give it a group")
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        """Forget efforts and delayed commands. Call it after the engine's reset, which sets the other targets."""
+        self.effort_targets[slice(None) if env_ids is None else env_ids] = 0.0
+        for delay in self._delays:
+            if delay is not None:
+                delay.reset(env_ids)
+
+    def save_state(self) -> ActuatorState:
+        """A detached copy."""
+        gains = tuple((model.stiffness.clone(), model.damping.clone()) for model in self._models)
+        delays = tuple(None if delay is None else delay.save_state() for delay in self._delays)
+        return ActuatorState(self.effort_targets.clone(), gains, delays)
+
+    def load_state(self, state: ActuatorState) -> None:
+        """Return to a saved state."""
+        self.effort_targets.copy_(state.effort_targets)
+        for model, (stiffness, damping) in zip(self._models, state.gains, strict=True):
+            model.stiffness.copy_(stiffness)
+            model.damping.copy_(damping)
+        for delay, saved in zip(self._delays, state.delays, strict=True):
+            if delay is not None and saved is not None:
+                delay.load_state(saved)
+
+
+def _group_of_joint(layout: SceneLayout) -> dict[int, ActuatorConfig]:
+    """Joint of the scene -> the group that drives it, in joint order."""
+    groups: dict[int, ActuatorConfig] = {}
+    for entity in layout.entities:
+        names = entity.spec.articulation.joint_names
+        for shared in entity.spec.actuators:
+            group = replace(shared)  # an object of its own for each robot, so that delays are drawn for each
+            for joint in match_names(group.joints, names, "joint", f"an actuator group of '{entity.name}'"):
+                groups[entity.joints.start + joint] = group
+    return dict(sorted(groups.items()))
+
+
+def _delay(groups: Sequence[ActuatorConfig], num_envs: int, random: RandomStreams) -> CommandDelay | None:
+    delayed = [group for group in groups if isinstance(group, IdealPd)]
+    if all(group.min_delay == group.max_delay == 0 for group in delayed):
+        return None
+    return CommandDelay(delayed, num_envs, random)
