@@ -70,15 +70,14 @@ def cached_articulation(model: Model) -> Articulation:
     versions = {package: sources.installed_version(package) for package in model.packages}
     missing = [package for package, version in versions.items() if version is None]
     fingerprint = model.fingerprint()
+    if missing and not path.exists():
+        raise sources.missing_package(missing[0])
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
         current = manifest["fingerprint"] == fingerprint
         if missing or (current and manifest["packages"] == versions):
             articulation = _decode(manifest["articulation"], cache_folder())
             return articulation if current else _with_note(articulation, missing[0])
-    except FileNotFoundError:
-        if missing:
-            raise sources.missing_package(missing[0]) from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         if missing:
             raise AssetError(

@@ -122,7 +122,7 @@ def robot_info(name: str) -> RobotEntry:
     return robots().entry(name)
 
 
-def robot(name: str, **overrides: Any) -> RobotSpec:
+def robot(name: str, /, **overrides: Any) -> RobotSpec:
     """The robot of that name, with fields of :class:`~orbit_core.scene.RobotSpec` replaced by ``overrides``.
 
     Raises:

@@ -41,7 +41,7 @@ def attach(
             frames=base.frames + other.frames,
             self_collisions=base.self_collisions or other.self_collisions,
             collision_exclusions=base.collision_exclusions + other.collision_exclusions,
-            notes=base.notes + other.notes,
+            notes=tuple(dict.fromkeys(base.notes + other.notes)),
         )
     )
 

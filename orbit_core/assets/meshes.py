@@ -34,7 +34,7 @@ def load_mesh(path: Path | str, scale: Vector3 = (1.0, 1.0, 1.0)) -> Mesh:
 
 
 def load_parts(path: Path | str, scale: Vector3 = (1.0, 1.0, 1.0)) -> tuple[MeshPart, ...]:
-    """As :func:`load_mesh`, one part per colour in the file.
+    """As :func:`load_mesh`, one part per colour in the file; a texture counts as its median colour.
 
     Raises:
         AssetError: as :func:`load_mesh`.
@@ -107,6 +107,12 @@ def _mesh(vertices: Any, faces: Any) -> Mesh:
 def _color(geometry: Any) -> Color | None:
     if not geometry.visual.defined:
         return None
-    source = getattr(geometry.visual, "material", geometry.visual)
-    r, g, b, a = (round(float(channel) / 255.0, 4) for channel in source.main_color)
+    material = getattr(geometry.visual, "material", None)
+    if material is None:
+        color = geometry.visual.main_color
+    elif any(getattr(material, name, None) is not None for name in ("baseColorTexture", "image")):
+        color = np.median(geometry.visual.to_color().vertex_colors, axis=0)
+    else:
+        color = material.main_color
+    r, g, b, a = (round(float(channel) / 255.0, 4) for channel in color)
     return (r, g, b, a)

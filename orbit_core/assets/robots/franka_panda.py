@@ -26,7 +26,7 @@ HAND = ImplicitPd(joints=("panda_finger_joint1",), stiffness=2000.0, damping=100
 
 
 def build() -> RobotSpec:
-    """The arm at the home pose, hand pointing down in front of it and open.
+    """The arm before its base, the open hand tilted 46 degrees forward from straight down.
 
     The end effector's frame lies between the finger pads, 0.1034 m out of ``panda_hand``.
     """

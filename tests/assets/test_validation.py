@@ -1,0 +1,126 @@
+"""Descriptions that cannot be simulated are refused, naming the culprit; sound ones pass unchanged."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from orbit_core.assets.validation import sort_links, validate, validate_entity
+from orbit_core.interfaces.errors import AssetError
+from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, Mimic, ObjectSpec
+
+INERTIA = np.diag([0.01, 0.02, 0.02])
+
+
+def link(name: str, **changes: Any) -> Link:
+    return replace(Link(name, 1.0, inertia=INERTIA), **changes)
+
+
+def joint(name: str, parent: str, child: str, **changes: Any) -> Joint:
+    return replace(Joint(name, JointType.REVOLUTE, parent, child), **changes)
+
+
+def chain(**changes: Any) -> Articulation:
+    links = (link("base"), link("upper"), link("lower"))
+    joints = (joint("shoulder", "base", "upper"), joint("elbow", "upper", "lower"))
+    return replace(Articulation("arm", links, joints), **changes)
+
+
+def with_joint(**changes: Any) -> Articulation:
+    shoulder, elbow = chain().joints
+    return chain(joints=(shoulder, replace(elbow, **changes)))
+
+
+def with_link(**changes: Any) -> Articulation:
+    base, upper, lower = chain().links
+    return chain(links=(base, upper, replace(lower, **changes)))
+
+
+def test_sound_articulation_is_returned_as_it_is() -> None:
+    articulation = chain()
+    assert validate(articulation) is articulation
+
+
+def test_axes_get_unit_length() -> None:
+    assert validate(with_joint(axis=(0.0, 3.0, 4.0))).joints[1].axis == pytest.approx((0.0, 0.6, 0.8))
+
+
+@pytest.mark.parametrize(
+    ("articulation", "message"),
+    [
+        (chain(links=()), "no link"),
+        (chain(links=(link("base"), link("base"), link("lower"))), "'base'"),
+        (chain(joints=(joint("j", "base", "upper"), joint("j", "upper", "lower"))), "two joints share the name 'j'"),
+        (chain(frames=(Frame("upper", "base"),)), "share the name 'upper'"),
+        (chain(frames=(Frame("tip", "nowhere"),)), "unknown link 'nowhere'"),
+        (chain(collision_exclusions=(("base", "nowhere"),)), "unknown link 'nowhere'"),
+        (with_joint(parent="nowhere"), "unknown parent link 'nowhere'"),
+        (with_joint(child="nowhere"), "unknown child link 'nowhere'"),
+        (chain(joints=chain().joints[:1]), "several roots, 'base', 'lower'"),
+        (chain(joints=(joint("a", "lower", "upper"), joint("b", "upper", "lower"))), "cycle"),
+        (chain(joints=(*chain().joints, joint("again", "base", "lower"))), "link 'lower' has two parents"),
+        (chain(joints=chain().joints[::-1]), "sort_links"),
+        (with_joint(axis=(0.0, 0.0, 0.0)), "axis of zero length"),
+        (with_joint(axis=(0.0, math.nan, 0.0)), "not finite"),
+        (with_joint(lower_limit=1.0, upper_limit=-1.0), "lower limit 1.0 above upper limit -1.0"),
+        (with_joint(lower_limit=math.nan), "limit"),
+        (with_joint(damping=-1.0), "damping -1.0"),
+        (with_joint(effort_limit=math.nan), "effort_limit nan"),
+        (with_joint(mimic=Mimic("nowhere")), "does not exist"),
+        (with_joint(mimic=Mimic("elbow")), "itself"),
+        (with_link(mass=-1.0), "mass -1.0"),
+        (with_link(mass=math.nan), "mass nan"),
+        (with_link(mass=0.0), "'lower' moves but has no mass"),
+        (with_link(inertia=np.diag([0.01, 0.02, -0.01])), "not all positive"),
+        (with_link(inertia=np.diag([0.01, 0.02, 0.04])), "exceeds the sum"),
+        (with_link(inertia=np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])), "not symmetric"),
+        (with_link(inertia=np.full((3, 3), math.nan)), "not finite"),
+    ],
+)
+def test_faults_are_named(articulation: Articulation, message: str) -> None:
+    with pytest.raises(AssetError, match=message) as caught:
+        validate(articulation)
+    assert str(caught.value).startswith("'arm': ")
+
+
+def test_mimic_of_fixed_or_mimicking_joint_is_refused() -> None:
+    shoulder, elbow = chain().joints
+    follower = replace(elbow, mimic=Mimic("shoulder"))
+    validate(chain(joints=(shoulder, follower)))
+    with pytest.raises(AssetError, match="which is fixed"):
+        validate(chain(joints=(replace(shoulder, type=JointType.FIXED), follower)))
+    three = chain(
+        links=(*chain().links, link("hand")),
+        joints=(shoulder, follower, joint("wrist", "lower", "hand", mimic=Mimic("elbow"))),
+    )
+    with pytest.raises(AssetError, match="itself mimics 'shoulder'"):
+        validate(three)
+
+
+def test_inertia_is_judged_per_rigid_body() -> None:
+    odd_sensor = with_link(mass=0.01, inertia=np.diag([1e-6, 1e-6, 4e-6]))
+    with pytest.raises(AssetError, match="'lower'"):
+        validate(odd_sensor)
+    shoulder, elbow = odd_sensor.joints
+    validate(replace(odd_sensor, joints=(shoulder, replace(elbow, type=JointType.FIXED))))
+
+
+def test_sort_links_is_depth_first_and_keeps_the_given_order_of_children() -> None:
+    names = ("right", "base", "tip", "left")
+    joints = (joint("c", "left", "tip"), joint("a", "base", "right"), joint("b", "base", "left"))
+    ordered = sort_links(Articulation("tree", tuple(link(name) for name in names), joints))
+    assert ordered.link_names == ("base", "right", "left", "tip")
+    assert [joint.child for joint in ordered.joints] == ["right", "left", "tip"]
+    validate(ordered)
+
+
+def test_a_free_root_needs_mass() -> None:
+    base, *others = chain().links
+    articulation = chain(links=(replace(base, mass=0.0), *others))
+    validate_entity(ObjectSpec(name="thing", articulation=articulation, fixed_base=True))
+    with pytest.raises(AssetError, match="fixed_base=True"):
+        validate_entity(ObjectSpec(name="thing", articulation=articulation))
