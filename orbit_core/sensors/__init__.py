@@ -14,7 +14,7 @@ from orbit_core.sensors.rays import RayCaster
 from orbit_core.sensors.timed import TimedSensor
 
 __all__ = [
-    "CameraSensor", "ContactSensor", "ContactTimer", "ForceTorqueSensor", "FrameSensor", "ImuSensor", "JointSensor", "RayCaster",
-    "SensorContext", "TimedSensor", "create_sensor", "grid_pattern", "intrinsic_matrix", "lidar_pattern",
+    "CameraSensor", "ContactSensor", "ContactTimer", "ForceTorqueSensor", "FrameSensor", "ImuSensor", "JointSensor",
+    "RayCaster", "SensorContext", "TimedSensor", "create_sensor", "grid_pattern", "intrinsic_matrix", "lidar_pattern",
     "point_cloud", "project",
 ]  # fmt: skip

@@ -32,6 +32,10 @@ class MujocoConfig:
     """Time constant (s) and damping ratio of contacts."""
     contact_solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)
     """Impedance of contacts: least, greatest, width (m), midpoint, power."""
+    shadow_size: int = 1024
+    """Width of the renderer's shadow map in pixels; 0 draws no shadows, 4096 suits videos."""
+    antialiasing: int = 0
+    """Samples per pixel of colour images; 4 suits videos."""
 
     def __post_init__(self) -> None:
         for name, known in (("integrator", INTEGRATORS), ("solver", SOLVERS), ("cone", CONES)):

@@ -1,0 +1,228 @@
+"""Pictures of a scene from poses alone, with MuJoCo's OpenGL renderer."""
+
+from __future__ import annotations
+
+import atexit
+import math
+import weakref
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image, Renderer, SceneLayout
+from orbit_core.scene import CameraSpec, Channel
+from orbit_mujoco.config import MujocoConfig
+from orbit_mujoco.renderer_context import create_context
+from orbit_mujoco.renderer_markers import MAX_GEOMS, add_markers
+from orbit_mujoco.renderer_model import SUN, build_model, quaternion_matrix, shape_count
+from orbit_mujoco.renderer_rays import trace
+
+_COLOR_FLAGS = (mujoco.mjtRndFlag.mjRND_SKYBOX, mujoco.mjtRndFlag.mjRND_CULL_FACE)
+_ID_FLAGS = (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR, mujoco.mjtRndFlag.mjRND_CULL_FACE)
+_SUN_DISTANCE = 6.0
+
+_Array = npt.NDArray[Any]
+_open_renderers: weakref.WeakSet[MujocoRenderer] = weakref.WeakSet()
+
+
+class MujocoRenderer(Renderer):
+    """Draws a scene with lights, shadows and a sky.
+
+    Depth, links and normals take transparent shapes for solid ones, and belong to the surface at each pixel's centre.
+    Asked for normals, the renderer casts a ray through each pixel and gives the exact normals of the faces, with
+    depth and links from the same rays. Markers are seen in colour alone.
+
+    An OpenGL context belongs to one thread: use a renderer in the thread that made it.
+    """
+
+    def __init__(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: MujocoConfig) -> None:
+        """Build the model to draw from, with buffers for the largest of the cameras.
+
+        Raises:
+            ConfigurationError: no OpenGL works here; says what to install.
+        """
+        self._layout = layout
+        self._size = (max((c.width for c in cameras), default=1), max((c.height for c in cameras), default=1))
+        self._far = max((camera.far for camera in cameras), default=1.0)
+        self._shadows = config.shadow_size > 0
+        self._model = build_model(layout, self._size, self._far, max(config.shadow_size, 1), config.antialiasing)
+        self._data = mujoco.MjData(self._model)
+        mujoco.mj_forward(self._model, self._data)
+        bodies = self._model.geom_bodyid
+        links = np.where(bodies > 0, bodies - 1, TERRAIN)
+        self._link_of_geom = np.concatenate(((BACKGROUND,), links)).astype(np.int32)  # at the geom's index plus one
+        # A colour pass serves for depth where it draws the same surfaces as an id pass, once a pixel.
+        self._color_has_depth = config.antialiasing == 0 and bool(np.all(self._model.geom_rgba[:, 3] == 1.0))
+        self._context = create_context(*self._size)
+        self._context.make_current()
+        self._buffers = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._buffers)
+        self._buffers.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        capacity = shape_count(layout) + MAX_GEOMS * len(layout.scene.markers)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=max(capacity, 1))
+        self._option = mujoco.MjvOption()
+        self._view = mujoco.MjvCamera()
+        self._update_scene()
+        self._link_of_code = self._codes()
+        self._closed = False
+        _open_renderers.add(self)
+        # Registered after EGL's own farewell, this runs before it.
+        atexit.unregister(_close_all)
+        atexit.register(_close_all)
+
+    def render(
+        self,
+        camera: CameraSpec,
+        camera_poses: Tensor,
+        link_poses: Tensor,
+        channels: Sequence[Channel],
+        marker_poses: Tensor | None = None,
+    ) -> Image:
+        self._check(camera)
+        wanted = set(channels)
+        segmented = not wanted.isdisjoint((Channel.INSTANCE, Channel.SEMANTIC))
+        colored = Channel.RGB in wanted
+        scene = (camera, _numpy(camera_poses), _numpy(link_poses))
+        rgb = depth = normals = links = None
+        if Channel.NORMALS in wanted:
+            depth, links, normals = self._trace(*scene)
+        elif segmented or (
+            Channel.DEPTH in wanted and not (colored and self._color_has_depth and marker_poses is None)
+        ):
+            depth, links = self._draw_ids(*scene)
+        if colored:
+            rgb, color_depth = self._draw_colors(*scene, None if marker_poses is None else _numpy(marker_poses))
+            depth = color_depth if depth is None else depth
+        device = link_poses.device
+        return Image(
+            rgb=_tensor(rgb, device),
+            depth=_tensor(depth, device) if Channel.DEPTH in wanted else None,
+            normals=_tensor(normals, device),
+            links=_tensor(links, device) if segmented else None,
+        )
+
+    def close(self) -> None:
+        if self._closed:
+            return
+        self._closed = True
+        _open_renderers.discard(self)
+        self._context.make_current()
+        self._buffers.free()
+        self._context.free()
+
+    # Kinds of pictures, (n, H, W, channels) --------------------------------------------------------------------------
+
+    def _trace(self, camera: CameraSpec, cameras: _Array, links: _Array) -> tuple[_Array, _Array, _Array]:
+        shape = (len(cameras), camera.height, camera.width)
+        depth, normals = np.empty((*shape, 1), np.float32), np.empty((*shape, 3), np.float32)
+        geoms = np.empty((*shape, 1), np.int32)
+        for i, pose in enumerate(cameras):
+            self._place(links[i])
+            trace(self._model, self._data, camera, pose, depth[i], normals[i], geoms[i])
+        return depth, self._link_of_geom[geoms + 1], normals
+
+    def _draw_ids(self, camera: CameraSpec, cameras: _Array, links: _Array) -> tuple[_Array, _Array]:
+        colors, heights = self._canvas(camera, len(cameras))
+        for i, pose in enumerate(cameras):
+            self._place(links[i])
+            self._aim(camera, pose)
+            self._draw(camera, _ID_FLAGS, colors[i], heights[i])
+        # An id is spread over the three colours; OpenGL's rows count from below.
+        codes = colors[:, ::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
+        return _metric_depth(heights, camera), self._link_of_code[codes][..., None]
+
+    def _draw_colors(
+        self, camera: CameraSpec, cameras: _Array, links: _Array, markers: _Array | None
+    ) -> tuple[_Array, _Array]:
+        flags = _COLOR_FLAGS + ((mujoco.mjtRndFlag.mjRND_SHADOW,) if self._shadows else ())
+        colors, heights = self._canvas(camera, len(cameras))
+        for i, pose in enumerate(cameras):
+            self._place(links[i])
+            self._aim(camera, pose)
+            if markers is not None:
+                add_markers(self._scene, self._layout.scene.markers, markers[i])
+            self._draw(camera, flags, colors[i], heights[i])
+        return np.ascontiguousarray(colors[:, ::-1]), _metric_depth(heights, camera)
+
+    # One environment -------------------------------------------------------------------------------------------------
+
+    def _place(self, links: _Array) -> None:
+        self._data.mocap_pos[:] = links[:, :3]
+        self._data.mocap_quat[:] = links[:, 3:]
+        mujoco.mj_kinematics(self._model, self._data)
+
+    def _aim(self, camera: CameraSpec, pose: _Array) -> None:
+        self._update_scene()
+        rotation = quaternion_matrix(pose[3:])
+        top = camera.near * math.tan(0.5 * camera.vertical_fov)
+        for eye in self._scene.camera:
+            eye.pos, eye.forward, eye.up = pose[:3], -rotation[:, 2], rotation[:, 1]
+            eye.frustum_near, eye.frustum_far, eye.frustum_center = camera.near, camera.far, 0.0
+            eye.frustum_top, eye.frustum_bottom = top, -top
+            eye.frustum_width = top * camera.width / camera.height
+        # Shadows reach around the sun's axis: point it at the middle of what moves.
+        middle = self._data.mocap_pos.mean(0) if self._model.nmocap else np.zeros(3)
+        for light in self._scene.lights[: self._scene.nlight]:
+            if light.castshadow:
+                light.pos = middle - _SUN_DISTANCE * SUN
+
+    def _update_scene(self) -> None:
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(self._model, self._data, self._option, None, self._view, everything, self._scene)
+
+    def _draw(self, camera: CameraSpec, flags: tuple[mujoco.mjtRndFlag, ...], colors: _Array, heights: _Array) -> None:
+        self._scene.flags[:] = 0
+        self._scene.flags[[int(flag) for flag in flags]] = 1
+        self._context.make_current()
+        rectangle = mujoco.MjrRect(0, 0, camera.width, camera.height)
+        mujoco.mjr_render(rectangle, self._scene, self._buffers)
+        mujoco.mjr_readPixels(colors, heights, rectangle, self._buffers)
+
+    # The rest --------------------------------------------------------------------------------------------------------
+
+    def _canvas(self, camera: CameraSpec, count: int) -> tuple[_Array, _Array]:
+        shape = (count, camera.height, camera.width)
+        return np.empty((*shape, 3), np.uint8), np.empty(shape, np.float32)
+
+    def _codes(self) -> npt.NDArray[np.int32]:
+        """The link of each number in an id picture; zero stands for nothing."""
+        links = np.full(self._scene.ngeom + 1, BACKGROUND, np.int32)
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            links[geom.segid + 1] = self._link_of_geom[geom.objid + 1]
+        return links
+
+    def _check(self, camera: CameraSpec) -> None:
+        if self._closed:
+            raise ConfigurationError("the renderer is closed: make another")
+        width, height = self._size
+        if camera.width > width or camera.height > height or camera.far > self._far:
+            raise ConfigurationError(
+                f"camera '{camera.name}' is larger or sees farther than those that the renderer was made with "
+                f"({width}x{height}, {self._far:g} m): make the renderer with it"
+            )
+
+
+def _metric_depth(heights: _Array, camera: CameraSpec) -> _Array:
+    """Metres (n, H, W, 1) from OpenGL's reversed depth: 1 at the near plane, 0 at the far plane and beyond it."""
+    near, far = np.float32(camera.near), np.float32(camera.far)
+    heights = heights[:, ::-1, :, None]
+    return np.where(heights > 0.0, near * far / (near + heights * (far - near)), np.float32(np.inf))
+
+
+def _numpy(poses: Tensor) -> npt.NDArray[np.float64]:
+    return poses.detach().cpu().numpy().astype(np.float64)
+
+
+def _tensor(array: _Array | None, device: torch.device) -> Tensor | None:
+    return None if array is None else torch.from_numpy(array).to(device)
+
+
+def _close_all() -> None:
+    """Free what is open before the interpreter's modules are gone, when EGL would complain."""
+    for renderer in list(_open_renderers):
+        renderer.close()
