@@ -116,12 +116,13 @@ def _capsule(r: float, h: float) -> tuple[float, FloatArray, FloatArray]:
 def _mesh(mesh: Mesh) -> tuple[float, FloatArray, FloatArray]:
     import trimesh
 
-    solid = trimesh.Trimesh(mesh.vertices, mesh.faces)
+    vertices = np.asarray(mesh.vertices, dtype=float)
+    if len(vertices) == 0 or np.linalg.matrix_rank(vertices - vertices.mean(0), tol=1e-6) < 3:
+        raise AssetError(f"a mesh of {len(mesh.faces)} faces lies in a plane and has no volume: give it thickness")
+    solid = trimesh.Trimesh(vertices, mesh.faces)
     if not (solid.is_watertight and solid.is_winding_consistent and solid.volume > 0):
         solid = solid.convex_hull
     volume = float(solid.volume)
-    if volume <= 0:
-        raise AssetError(f"a mesh of {len(mesh.faces)} faces encloses no volume: close its surface")
     return volume, np.asarray(solid.center_mass, dtype=float), np.asarray(solid.moment_inertia, dtype=float) / volume
 
 
