@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-import numpy.typing as npt
-
+from orbit_core.assets.inertia import MassProperties, combine
 from orbit_core.scene import Articulation, Frame, Joint, Link, Pose, Shape
 
 
@@ -34,21 +32,6 @@ def merge_fixed_links(articulation: Articulation) -> Articulation:
     )
 
 
-def combine_inertia(
-    bodies: list[tuple[float, npt.NDArray[np.float64], npt.NDArray[np.float64]]],
-) -> tuple[float, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Mass (kg), centre of mass (3,) and inertia (3, 3) about it of bodies given the same way, all in the same axes."""
-    mass = sum(body[0] for body in bodies)
-    if mass == 0:
-        return 0.0, np.zeros(3), np.zeros((3, 3))
-    center = sum((m * c for m, c, _ in bodies), np.zeros(3)) / mass
-    inertia = np.zeros((3, 3))
-    for m, c, own in bodies:
-        d = c - center
-        inertia += own + m * (d @ d * np.eye(3) - np.outer(d, d))
-    return mass, center, inertia
-
-
 def _hosts(articulation: Articulation) -> dict[str, tuple[str, Pose]]:
     """For each link the link that it ends up in, and its pose there."""
     hosts: dict[str, tuple[str, Pose]] = {}
@@ -67,17 +50,13 @@ def _combine(members: list[tuple[Link, Pose]]) -> Link:
     host = members[0][0]
     if len(members) == 1:
         return host
-    bodies = []
-    for link, pose in members:
-        rotation = pose.rotation_matrix()
-        bodies.append((link.mass, pose.transform(link.center_of_mass), rotation @ link.inertia @ rotation.T))
-    mass, center, inertia = combine_inertia(bodies)
-    x, y, z = (float(value) for value in center)
+    bodies = [MassProperties(link.mass, link.center_of_mass, link.inertia).placed(pose) for link, pose in members]
+    body = combine(bodies) if any(part.mass for part in bodies) else bodies[0]
     return replace(
         host,
-        mass=mass,
-        center_of_mass=(x, y, z),
-        inertia=inertia,
+        mass=body.mass,
+        center_of_mass=body.center_of_mass,
+        inertia=body.inertia,
         collisions=tuple(_moved(shape, pose) for link, pose in members for shape in link.collisions),
         visuals=tuple(_moved(shape, pose) for link, pose in members for shape in link.visuals),
     )

@@ -41,6 +41,8 @@ def validate(articulation: Articulation) -> Articulation:
         _check_mimic(articulation, joint)
     if any(new is not old for new, old in zip(joints, articulation.joints, strict=True)):
         articulation = replace(articulation, joints=joints)
+    for link in articulation.links:
+        _check_finite(articulation, link)
     merged = merge_fixed_links(articulation)
     for link in merged.links:
         _check_inertia(articulation, link, may_be_massless=link is merged.root)
@@ -199,11 +201,14 @@ def _check_mimic(articulation: Articulation, joint: Joint) -> None:
     )
 
 
-def _check_inertia(articulation: Articulation, link: Link, *, may_be_massless: bool) -> None:
+def _check_finite(articulation: Articulation, link: Link) -> None:
     if not (math.isfinite(link.mass) and link.mass >= 0):
         raise _error(articulation, f"link '{link.name}' has mass {link.mass}: give a finite mass that is not negative")
     if not (np.isfinite(link.inertia).all() and np.isfinite(link.center_of_mass).all()):
         raise _error(articulation, f"link '{link.name}' has an inertia or centre of mass that is not finite: mend it")
+
+
+def _check_inertia(articulation: Articulation, link: Link, *, may_be_massless: bool) -> None:
     if link.mass == 0:
         if may_be_massless:
             return

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orbit_core.assets.merge import combine_inertia, merge_fixed_links
+from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.validation import validate
 from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, Pose, Shape, Sphere
 
@@ -53,13 +53,17 @@ def link_poses(articulation: Articulation, positions: dict[str, float]) -> dict[
     return poses
 
 
-def _rigid_body_sum(articulation: Articulation, positions: dict[str, float]) -> tuple[float, np.ndarray, np.ndarray]:
-    bodies = []
+def _spatial_inertia(articulation: Articulation, positions: dict[str, float]) -> np.ndarray:
+    """Mass, first and second moments of all links as one matrix (4, 4) in the root's axes: they add up plainly."""
+    total = np.zeros((4, 4))
+    poses = link_poses(articulation, positions)
     for link in articulation.links:
-        pose = link_poses(articulation, positions)[link.name]
-        rotation = pose.rotation_matrix()
-        bodies.append((link.mass, pose.transform(link.center_of_mass), rotation @ link.inertia @ rotation.T))
-    return combine_inertia(bodies)
+        own = np.zeros((4, 4))
+        own[:3, :3] = 0.5 * np.trace(link.inertia) * np.eye(3) - link.inertia
+        center = np.array([*link.center_of_mass, 1.0])
+        matrix = poses[link.name].matrix()
+        total += matrix @ (own + link.mass * np.outer(center, center)) @ matrix.T
+    return total
 
 
 def _shape_positions(articulation: Articulation, positions: dict[str, float]) -> dict[str, tuple[float, ...]]:
@@ -75,8 +79,7 @@ def test_merging_keeps_mass_inertia_shapes_and_frames(tree: Articulation, values
     positions = {f"joint{index + 1}": value for index, value in enumerate(values)}
     merged = validate(merge_fixed_links(tree))
     assert all(joint.movable for joint in merged.joints)
-    for before, after in zip(_rigid_body_sum(tree, positions), _rigid_body_sum(merged, positions), strict=True):
-        np.testing.assert_allclose(after, before, atol=1e-9)
+    np.testing.assert_allclose(_spatial_inertia(merged, positions), _spatial_inertia(tree, positions), atol=1e-9)
     before, after = _shape_positions(tree, positions), _shape_positions(merged, positions)
     for name, position in before.items():
         np.testing.assert_allclose(after[name], position, atol=1e-9)

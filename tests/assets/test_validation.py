@@ -109,6 +109,13 @@ def test_inertia_is_judged_per_rigid_body() -> None:
     validate(replace(odd_sensor, joints=(shoulder, replace(elbow, type=JointType.FIXED))))
 
 
+def test_a_fixed_link_may_not_take_mass_away() -> None:
+    shoulder, elbow = chain().joints
+    fixed = replace(elbow, type=JointType.FIXED)
+    with pytest.raises(AssetError, match="'lower' has mass -0"):
+        validate(replace(with_link(mass=-0.5), joints=(shoulder, fixed)))
+
+
 def test_sort_links_is_depth_first_and_keeps_the_given_order_of_children() -> None:
     names = ("right", "base", "tip", "left")
     joints = (joint("c", "left", "tip"), joint("a", "base", "right"), joint("b", "base", "left"))
