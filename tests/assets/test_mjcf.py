@@ -49,7 +49,8 @@ def link_poses(articulation: Articulation, positions: dict[str, float]) -> dict[
 
 @pytest.mark.filterwarnings("ignore:compiler attribute")
 @pytest.mark.parametrize("path", [*GYMNASIUM_MODELS, HAND], ids=lambda path: path.stem)
-def test_links_stand_where_the_engine_puts_them(path: Path) -> None:
+def test_links_stand_where_the_engine_puts_them(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo logs its warnings where it runs
     articulation = validate(read_mjcf(path))
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
