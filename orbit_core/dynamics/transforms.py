@@ -126,7 +126,9 @@ def quat_yaw(q: Tensor) -> Tensor:
 
 def quat_distance(a: Tensor, b: Tensor) -> Tensor:
     """The angle (...) in radians between rotations."""
-    return 2.0 * torch.acos((a * b).sum(-1).abs().clamp(max=1.0))
+    # The chord between the unit quaternions, and not the cosine of their angle, which is blind near zero in float32.
+    chord = torch.minimum((a - b).norm(dim=-1), (a + b).norm(dim=-1))
+    return 4.0 * torch.asin(0.5 * chord)
 
 
 def rotation_error(current: Tensor, target: Tensor) -> Tensor:

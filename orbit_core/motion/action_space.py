@@ -9,6 +9,7 @@ from orbit_core.interfaces import Robot, UnknownNameError
 from orbit_core.motion.base import MotionGenerator, is_arm
 from orbit_core.motion.differential_ik import DifferentialIk, DifferentialIkConfig
 from orbit_core.motion.gripper import GripperCommand, GripperConfig
+from orbit_core.motion.joint_effort import JointEffort, JointEffortConfig
 from orbit_core.motion.joint_position import JointPosition, JointPositionConfig
 from orbit_core.motion.joint_velocity import JointVelocity, JointVelocityConfig
 
@@ -45,6 +46,10 @@ def _joint_velocity(robot: Robot) -> MotionGenerator:
     return JointVelocity("joint_velocity", robot, JointVelocityConfig())
 
 
+def _joint_effort(robot: Robot) -> MotionGenerator:
+    return JointEffort("joint_effort", robot, JointEffortConfig())
+
+
 def _ik_absolute(robot: Robot) -> MotionGenerator:
     config = DifferentialIkConfig(relative=False, position_scale=0.5, rotation_scale=math.pi)
     return DifferentialIk("ik_absolute", robot, config)
@@ -58,6 +63,7 @@ ACTION_SPACES: Mapping[str, Callable[[Robot], MotionGenerator]] = {
     "joint_position": _joint_position,
     "joint_position_relative": _joint_position_relative,
     "joint_velocity": _joint_velocity,
+    "joint_effort": _joint_effort,
     "ik_absolute": _ik_absolute,
     "ik_relative": _ik_relative,
 }

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 
-from orbit_core.dynamics.transforms import pose_multiply
+from orbit_core.dynamics.rigid_body import RigidBodyModel
+from orbit_core.dynamics.transforms import pose_error, pose_multiply
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.motion import (
     DifferentialIk,
     DifferentialIkConfig,
     IkMethod,
+    JointEffort,
+    JointEffortConfig,
     JointPosition,
     JointPositionConfig,
     JointVelocity,
@@ -131,3 +135,38 @@ def test_velocity_commands_scale(kinematic_robot: MakeRobot) -> None:
     outputs = generator.compute({"command": torch.tensor([[0.5, -1.0]]).expand(4, 2)})
     assert outputs["velocity_targets"][0].tolist() == [1.0, -2.0]
     torch.testing.assert_close(outputs["position_targets"], robot.q[:, [0, 2]])
+
+
+def test_efforts_scale_with_the_joints_limits(kinematic_robot: MakeRobot) -> None:
+    robot = kinematic_robot()
+    generator = JointEffort("joints", robot, JointEffortConfig())
+    outputs = generator.compute({"command": torch.full((4, 7), -0.5)})
+    limits = torch.tensor([joint.effort_limit for joint in robot.joints[:7]])
+    torch.testing.assert_close(outputs["effort_targets"], (-0.5 * limits).expand(4, 7))
+    torch.testing.assert_close(outputs["position_targets"], robot.q[:, :7])
+
+
+def test_unlimited_efforts_need_a_scale(kinematic_robot: MakeRobot) -> None:
+    robot = kinematic_robot()
+    unlimited = replace(robot.joints[2], effort_limit=float("inf"))
+    joints = tuple(unlimited if joint is robot.joints[2] else joint for joint in robot.joints)
+    robot._spec = replace(robot.spec, actuators=(), articulation=replace(robot.spec.articulation, joints=joints))
+    with pytest.raises(ConfigurationError, match=unlimited.name):
+        JointEffort("joints", robot, JointEffortConfig())
+
+
+def test_encoded_efforts_bring_the_hand_to_a_pose(kinematic_robot: MakeRobot) -> None:
+    robot = kinematic_robot()
+    generator = JointEffort("joints", robot, JointEffortConfig())
+    model = RigidBodyModel(robot.spec.articulation, fixed_base=True, gravity=(0.0, 0.0, 0.0))
+    frame, dt, arm = robot.spec.end_effector.frame, 0.01, slice(0, 7)
+    goal = robot.frame_pose(frame).clone()
+    goal[:, :3] += torch.tensor([[0.1, 0.0, -0.1], [-0.05, 0.1, 0.1], [0.0, -0.15, 0.05], [0.05, 0.1, 0.0]])
+    for _ in range(250):
+        command = generator.encode(goal, torch.ones(4, dtype=torch.bool))
+        efforts = generator.compute({"command": command})["effort_targets"]
+        poses = robot.link_poses
+        bias = model.bias_forces(poses, robot.root_velocity, robot.v)[:, arm]
+        robot.v[:, arm] += dt * torch.linalg.solve(model.mass_matrix(poses)[:, arm, arm], efforts - bias)
+        robot.q[:, arm] += dt * robot.v[:, arm]
+    assert pose_error(robot.frame_pose(frame), goal).abs().max() < 5e-3

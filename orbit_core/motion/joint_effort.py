@@ -1,0 +1,80 @@
+"""Commands are joint efforts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.rigid_body import RigidBodyModel
+from orbit_core.interfaces import ConfigurationError, Robot
+from orbit_core.motion.base import JointTarget, MotionGenerator, chosen_joints
+from orbit_core.motion.pursuit import towards_pose
+
+_PURSUIT_FREQUENCY = 6.0
+"""rad/s: of the critically damped motion that an expert asks for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointEffortConfig:
+    """``effort target = scale * command``.
+
+    Position and velocity targets are put at the measured state at every turn, so that a drive with gains resists only
+    what changes between two turns; a drive meant for efforts has none.
+    """
+
+    joints: tuple[str, ...] | None = None
+    """Regular expressions over joint names (full match); None takes an arm's, or all that are driven elsewhere."""
+    scale: float | None = None
+    """N m or N; None takes each joint's effort limit."""
+
+
+class JointEffort(MotionGenerator):
+    """One command a joint, :class:`JointEffortConfig`."""
+
+    def __init__(self, name: str, robot: Robot, config: JointEffortConfig) -> None:
+        joints = chosen_joints(robot, config.joints)
+        super().__init__(name, robot, joints, len(joints), tuple(JointTarget))
+        self.config = config
+        scales = _effort_limits(robot, joints) if config.scale is None else [config.scale] * len(joints)
+        self._scale = torch.tensor(scales, device=self.device)
+        self._model: RigidBodyModel | None = None
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        return {
+            JointTarget.POSITION.value: self.positions,
+            JointTarget.VELOCITY.value: self.velocities,
+            JointTarget.EFFORT.value: self._scale * inputs["command"],
+        }
+
+    def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
+        """Computed torque: the efforts that accelerate the joints towards ``pose``, with the base and all others held.
+
+        Drives and passive damping are not in the model.
+        """
+        robot, frequency = self.robot, _PURSUIT_FREQUENCY
+        displacement = towards_pose(robot, self.joints, pose)
+        acceleration = frequency**2 * displacement - 2.0 * frequency * self.velocities
+        if self._model is None:
+            gravity = (0.0, 0.0, 0.0) if robot.spec.gravity_compensation else (0.0, 0.0, -9.81)
+            self._model = RigidBodyModel(robot.spec.articulation, True, self.device, gravity=gravity)
+        mass = self._model.mass_matrix(robot.link_poses)[:, self.joints][:, :, self.joints]
+        bias = self._model.bias_forces(robot.link_poses, robot.root_velocity, robot.joint_velocities)[:, self.joints]
+        efforts = (mass @ acceleration.unsqueeze(-1)).squeeze(-1) + bias
+        return (efforts / self._scale).clamp(-1.0, 1.0)
+
+
+def _effort_limits(robot: Robot, joints: list[int]) -> list[float]:
+    limits = {joint: robot.joints[joint].effort_limit for joint in joints}
+    for group in robot.spec.actuators:
+        if group.effort_limit is not None:
+            limits.update(dict.fromkeys(robot.find_joints(*group.joints), group.effort_limit))
+    for joint in joints:
+        if not 0.0 < limits[joint] < float("inf"):
+            raise ConfigurationError(
+                f"joint '{robot.joint_names[joint]}' of '{robot.name}' has effort limit {limits[joint]}, which scales "
+                "no command: give JointEffortConfig a scale"
+            )
+    return [limits[joint] for joint in joints]
