@@ -34,6 +34,7 @@ class GeomBuilder:
             condim=contact.condim,
             solref=contact.solref,
             solimp=contact.solimp,
+            solmix=contact.solmix,
         )
         match shape.geometry:
             case Box(half_extents):

@@ -1,8 +1,9 @@
 """Materials as MuJoCo's contact parameters.
 
 MuJoCo gives a pair the larger of each friction coefficient and of ``condim``, the contract's own rule. Its contacts are
-spring-dampers in acceleration: ``solref = (-k, -b)`` asks for the acceleration ``-k depth - b velocity``. Where one
-shape of a pair gives that form, it overrides the other's default, and of two the stiffer and more damped parts win.
+spring-dampers in acceleration: with impedance d and ``solref = (-k, -b)`` a body that would accelerate with a0 does so
+with ``(1 - d) a0 - k depth - b velocity``. Where one shape of a pair gives that form, it overrides the other's
+default, and of two the stiffer and more damped parts win.
 """
 
 from __future__ import annotations
@@ -11,11 +12,15 @@ import math
 from dataclasses import dataclass
 
 from orbit_core.interfaces import Approximation
-from orbit_core.scene import Capsule, Cylinder, PhysicsMaterial, Shape, Sphere
+from orbit_core.scene import Capsule, Compliance, Cylinder, PhysicsMaterial, Shape, Sphere
 from orbit_mujoco.config import MujocoConfig
 
 STEPS_PER_BOUNCE = 16
 """Physics steps that a rebound lasts, enough for the integrator to resolve it."""
+SOFT_IMPEDANCE = 0.1
+"""Of a compliant contact: the share of a load that it cancels outright rather than by giving way."""
+OVERRIDING = 1e6
+"""Weight of an impedance that is to hold whatever the other shape's is."""
 
 
 @dataclass(frozen=True)
@@ -26,18 +31,21 @@ class ContactParameters:
     condim: int
     solref: tuple[float, float]
     solimp: tuple[float, float, float, float, float]
+    solmix: float = 1.0
+    """Weight of ``solimp`` against the other shape's."""
 
 
 def contact_parameters(shape: Shape, mass: float, rolls: bool, dt: float, config: MujocoConfig) -> ContactParameters:
     """Contact parameters of a shape on a body of ``mass`` kg; ``rolls`` says whether the body is free to roll."""
     material = shape.material
     friction = (material.dynamic_friction, material.torsional_friction, material.rolling_friction)
-    solref, solimp = config.contact_solref, config.contact_solimp
+    condim = _condim(shape, rolls)
     if material.compliance:
-        solref = (-material.compliance.stiffness / mass, -material.compliance.damping / mass)
-    elif material.restitution:
-        solref, solimp = _rebound(material.restitution, dt), (0.99, 0.99, 0.001, 0.5, 2.0)
-    return ContactParameters(friction, _condim(shape, rolls), solref, solimp)
+        spring = _spring(material.compliance, mass)
+        return ContactParameters(friction, condim, spring, _impedance(SOFT_IMPEDANCE), OVERRIDING)
+    if material.restitution:
+        return ContactParameters(friction, condim, _rebound(material.restitution, dt), _impedance(0.99), OVERRIDING)
+    return ContactParameters(friction, condim, config.contact_solref, config.contact_solimp)
 
 
 def approximations(shape: Shape, subject: str) -> list[Approximation]:
@@ -51,7 +59,8 @@ def approximations(shape: Shape, subject: str) -> list[Approximation]:
     if material.compliance:
         asked = f"stiffness {material.compliance.stiffness} N/m, damping {material.compliance.damping} N s/m"
         got = "these values where a single body of this link's mass meets an immovable one"
-        found.append(Approximation(subject, asked, got, "MuJoCo scales contact stiffness with the effective mass"))
+        why = "MuJoCo scales contact stiffness with the effective mass, and damps sliding as it damps the normal"
+        found.append(Approximation(subject, asked, got, why))
     elif material.restitution:
         got = f"a rebound of {STEPS_PER_BOUNCE} steps; where both shapes ask for one, the weaker"
         found.append(
@@ -68,6 +77,17 @@ def _condim(shape: Shape, rolls: bool) -> int:
     if material.rolling_friction > PhysicsMaterial.rolling_friction:
         return 6
     return 4 if material.torsional_friction else 3
+
+
+def _impedance(value: float) -> tuple[float, float, float, float, float]:
+    """The same at every depth."""
+    return (value, value, 0.001, 0.5, 2.0)
+
+
+def _spring(compliance: Compliance, mass: float) -> tuple[float, float]:
+    """At rest under gravity ``(1 - d) g = k depth``, which is to be ``stiffness depth / mass``."""
+    scale = (1 - SOFT_IMPEDANCE) / mass
+    return (-compliance.stiffness * scale, -compliance.damping * scale)
 
 
 def _rebound(restitution: float, dt: float) -> tuple[float, float]:

@@ -186,7 +186,7 @@ class _Builder:
 
     def _add_mimic(self, number: int, driver: int, joint: Joint) -> None:
         assert joint.mimic is not None
-        data = np.zeros(11)
+        data = np.zeros(mujoco.mjNEQDATA)
         data[:2] = joint.mimic.offset, joint.mimic.multiplier
         self.spec.add_equality(
             type=mujoco.mjtEq.mjEQ_JOINT,

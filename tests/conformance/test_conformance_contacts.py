@@ -1,0 +1,291 @@
+"""Contact: forces, friction, restitution, and who may touch whom."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import TERRAIN, Capability, Engine
+from orbit_core.scene import (
+    Articulation,
+    Box,
+    Compliance,
+    ContactSensorSpec,
+    HeightField,
+    Joint,
+    JointType,
+    Link,
+    Mesh,
+    PhysicsMaterial,
+    Plane,
+    Pose,
+    RobotSpec,
+    Shape,
+    Sphere,
+)
+
+from .conftest import MakeEngine, Needs
+from .scenes import SMOOTH, WEIGHTLESS, G, ball, cube, fixed, index, on_slope, scene, seconds, slope
+
+
+def contact(entity: str = "cube", filters: tuple[str, ...] = ()) -> tuple[ContactSensorSpec]:
+    return (ContactSensorSpec(name="contact", entity=entity, filters=filters),)
+
+
+def test_a_resting_cube_bears_its_weight(make_engine: MakeEngine, needs: Needs) -> None:
+    """1 %, upwards, nothing sideways; and it stands on the ground within 1 mm."""
+    needs(Capability.CONTACT_FORCES)
+    engine = make_engine(scene(cube(mass=2.0), sensors=contact()), num_envs=2)
+    engine.step(200)
+    engine.step(4)
+    expected = torch.tensor([0.0, 0.0, 2.0 * G]).expand(2, 1, 3)
+    torch.testing.assert_close(engine.contact_forces, expected, rtol=0.01, atol=0.05)
+    assert engine.link_poses[0, 0, 2] == pytest.approx(0.05, abs=1e-3)
+
+
+def test_forces_of_a_stack_are_told_apart(make_engine: MakeEngine, needs: Needs) -> None:
+    """A 1 kg cube under one of 2 kg: 3 g from the ground, -2 g from the other; 2 %."""
+    needs(Capability.CONTACT_FORCES)
+    upper = cube("upper", mass=2.0, pose=Pose((0.0, 0.0, 0.15)))
+    bystander = cube("bystander", pose=Pose((1.0, 0.0, 0.05)))
+    sensors = contact(filters=("terrain", "upper", "bystander"))
+    engine = make_engine(scene(cube(), upper, bystander, sensors=sensors))
+    engine.step(400)
+    engine.step(4)
+    expected = torch.tensor([1.0, 3.0, -2.0, 0.0]) * G
+    torch.testing.assert_close(engine.contact_forces[0, :, 2], expected, rtol=0.02, atol=0.05)
+
+
+def test_force_is_the_mean_over_the_step(make_engine: MakeEngine, needs: Needs) -> None:
+    """A falling ball is stopped: the mean force times the time is the change of momentum plus the weight's; 1 %."""
+    needs(Capability.CONTACT_FORCES)
+    engine = make_engine(scene(ball(height=0.1), sensors=contact("ball"), dt=0.002))
+    speed = 0.0
+    for _ in range(10):
+        engine.step(20)
+        momentum = engine.link_velocities[0, 0, 2].item() - speed
+        speed += momentum
+        assert engine.contact_forces[0, 0, 2].item() * 0.04 == pytest.approx(momentum + G * 0.04, rel=0.01, abs=1e-3)
+
+
+def test_force_is_zero_after_a_reset_until_the_next_step(make_engine: MakeEngine, needs: Needs) -> None:
+    needs(Capability.CONTACT_FORCES)
+    engine = make_engine(scene(cube(), sensors=contact()), num_envs=2)
+    engine.step(100)
+    engine.reset(index(1))
+    assert engine.contact_forces[1].abs().max() == 0
+    assert engine.contact_forces[0, 0, 2] > 5
+    engine.step(100)
+    assert engine.contact_forces[1, 0, 2] == pytest.approx(G, rel=0.01)
+
+
+def material(friction: float) -> PhysicsMaterial:
+    return PhysicsMaterial(static_friction=friction, dynamic_friction=friction)
+
+
+@pytest.mark.parametrize(("friction", "offset"), [(0.3, -0.02), (0.3, 0.02), (0.8, -0.02), (0.8, 0.02)])
+def test_a_slope_holds_up_to_the_angle_of_friction(
+    make_engine: MakeEngine, needs: Needs, friction: float, offset: float
+) -> None:
+    """Below ``atan(mu)`` a cube creeps by under 5 mm in 1 s; above it slides with ``g (sin - mu cos)`` within 15 %."""
+    needs(Capability.FRICTION)
+    angle = math.atan(friction) + offset
+    block = cube(material=material(friction), pose=on_slope(angle, 0.05))
+    engine = make_engine(scene(block, terrain=(slope(angle, material(0.0)),)))
+    engine.step(seconds(engine, 0.2))
+    before, speed = engine.link_poses[0, 0, :3].clone(), engine.link_velocities[0, 0, :3].norm().item()
+    engine.step(seconds(engine, 1.0))
+    moved = (engine.link_poses[0, 0, :3] - before).norm().item()
+    acceleration = G * (math.sin(angle) - friction * math.cos(angle))
+    if offset < 0:
+        assert moved < 0.005
+    else:
+        assert moved == pytest.approx(speed + acceleration / 2, rel=0.15)
+
+
+def test_friction_is_alike_in_every_direction(make_engine: MakeEngine, needs: Needs) -> None:
+    """A cube pushed off at 1 m/s slides ``v^2 / (2 mu g)`` along x and along the diagonal; 3 %."""
+    needs(Capability.FRICTION)
+    engine = make_engine(
+        scene(cube(material=material(0.4)), terrain=(Shape(Plane(), material=material(0.4)),)), num_envs=2
+    )
+    engine.step(20)
+    diagonal = math.sqrt(0.5)
+    velocity = torch.tensor([[1.0, 0, 0, 0, 0, 0], [diagonal, diagonal, 0, 0, 0, 0]])
+    engine.write_root_state(0, None, velocity)
+    before = engine.link_poses[:, 0, :2].clone()
+    engine.step(150)
+    slid = (engine.link_poses[:, 0, :2] - before).norm(dim=-1)
+    torch.testing.assert_close(slid, torch.full((2,), 1 / (2 * 0.4 * G)), rtol=0.03, atol=0)
+
+
+def friction_felt(engine: Engine) -> Tensor:
+    """Coefficient from how far a cube slides that is pushed off at 1 m/s: ``v^2 / (2 mu g)``."""
+    engine.step(20)
+    before = engine.link_poses[:, 0, 0].clone()
+    engine.write_root_state(0, None, torch.tensor([[1.0, 0, 0, 0, 0, 0]] * engine.num_envs))
+    engine.step(250)
+    return 1 / (2 * G * (engine.link_poses[:, 0, 0] - before))
+
+
+@pytest.mark.parametrize(("one", "other"), [(0.0, 0.5), (0.5, 0.0), (0.5, 0.2)])
+def test_a_pair_takes_the_larger_friction(make_engine: MakeEngine, needs: Needs, one: float, other: float) -> None:
+    """5 %."""
+    needs(Capability.FRICTION)
+    engine = make_engine(scene(cube(material=material(one)), terrain=(Shape(Plane(), material=material(other)),)))
+    assert friction_felt(engine)[0] == pytest.approx(0.5, rel=0.05)
+
+
+def test_torsional_friction_stops_a_spinning_ball(make_engine: MakeEngine, needs: Needs) -> None:
+    """``I d(omega)/dt = -mu m g`` with mu in metres; 5 %."""
+    needs(Capability.TORSIONAL_FRICTION)
+    spinner = ball(height=0.05, torsional_friction=0.005, rolling_friction=0.0)
+    engine = make_engine(scene(spinner, terrain=(Shape(Plane(), material=SMOOTH),)))
+    engine.step(20)
+    engine.write_root_state(0, None, torch.tensor([[0.0, 0, 0, 0, 0, 20.0]]))
+    engine.step(40)
+    expected = 20.0 - 0.005 * G * 0.2 / (0.4 * 0.05**2)
+    assert engine.link_velocities[0, 0, 5] == pytest.approx(expected, rel=0.05)
+
+
+def test_rolling_friction_slows_a_rolling_ball(make_engine: MakeEngine, needs: Needs) -> None:
+    """A ball rolling at v loses ``(5/7) mu g / r`` per second; 5 %."""
+    needs(Capability.ROLLING_FRICTION)
+    engine = make_engine(scene(ball(height=0.05, rolling_friction=0.001)))
+    engine.step(20)
+    engine.write_root_state(0, None, torch.tensor([[1.0, 0, 0, 0, 20.0, 0]]))
+    engine.step(200)
+    assert engine.link_velocities[0, 0, 0] == pytest.approx(1.0 - 5 / 7 * 0.001 * G / 0.05, rel=0.05)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.8])
+def test_restitution_sets_the_rebound(make_engine: MakeEngine, needs: Needs, restitution: float) -> None:
+    """Speed after over speed before the impact, 0.08."""
+    needs(Capability.RESTITUTION)
+    engine = make_engine(scene(ball(height=0.5, restitution=restitution), dt=0.002))
+    fastest_down = fastest_up = 0.0
+    for _ in range(500):
+        engine.step(1)
+        speed = engine.link_velocities[0, 0, 2].item()
+        fastest_down = min(fastest_down, speed)
+        if engine.link_poses[0, 0, 2] > 0.05:
+            fastest_up = max(fastest_up, speed)
+    assert fastest_up / -fastest_down == pytest.approx(restitution, abs=0.08)
+
+
+def test_compliant_contact_gives_way(make_engine: MakeEngine, needs: Needs) -> None:
+    """A resting ball sinks by ``m g / k``; 10 %."""
+    needs(Capability.COMPLIANT_CONTACT)
+    soft = PhysicsMaterial(compliance=Compliance(1000.0, 100.0))
+    shape = ball(height=0.05)
+    link = shape.articulation.root
+    link = dataclasses.replace(link, collisions=(Shape(Sphere(0.05), material=soft),))
+    soft_ball = dataclasses.replace(shape, articulation=Articulation("ball", (link,)))
+    engine = make_engine(scene(soft_ball))
+    engine.step(400)
+    assert 0.05 - engine.link_poses[0, 0, 2].item() == pytest.approx(G / 1000.0, rel=0.1)
+
+
+def test_convex_meshes_collide(make_engine: MakeEngine, needs: Needs) -> None:
+    """A tetrahedron's face rests on the ground within 1 mm."""
+    needs(Capability.CONVEX_MESHES)
+    corners = 0.1 * np.array([[0, 0, 1], [0.94, 0, -0.33], [-0.47, 0.82, -0.33], [-0.47, -0.82, -0.33]])
+    mesh = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]))
+    solid = cube("solid", pose=Pose((0.0, 0.0, 0.04)))
+    link = dataclasses.replace(solid.articulation.root, collisions=(Shape(mesh),))
+    engine = make_engine(scene(dataclasses.replace(solid, articulation=Articulation("solid", (link,)))))
+    engine.step(300)
+    assert engine.link_poses[0, 0, 2] == pytest.approx(0.033, abs=1e-3)
+
+
+def test_height_fields_collide_where_their_heights_say(make_engine: MakeEngine, needs: Needs) -> None:
+    """Balls on the two halves of a step: rows run along y, columns along x; 2 mm."""
+    needs(Capability.HEIGHT_FIELDS)
+    heights = np.zeros((21, 41))
+    heights[:, 25:] = 0.3  # x > 0.5
+    heights[:5] = -0.2  # y < -0.5
+    field = Shape(HeightField(heights, (4.0, 2.0)), Pose((0.0, 0.0, 0.1)))
+    engine = make_engine(scene(ball(radius=0.05), terrain=(field,)), num_envs=3)
+    pose = torch.tensor([[-1.0, 0.5, 0.2], [1.5, 0.5, 0.5], [1.5, -0.9, 0.0]])
+    engine.write_root_state(0, torch.cat((pose, torch.tensor([[1.0, 0, 0, 0]] * 3)), -1), None)
+    engine.step(300)
+    torch.testing.assert_close(engine.link_poses[:, 0, 2], torch.tensor([0.15, 0.45, -0.05]), rtol=0, atol=2e-3)
+
+
+def test_environments_do_not_touch(make_engine: MakeEngine) -> None:
+    """Bodies of different environments pass through each other: each falls as if it were alone."""
+    alone = make_engine(scene(cube(pose=Pose((0.0, 0.0, 1.0)))))
+    many = make_engine(scene(cube(pose=Pose((0.0, 0.0, 1.0)))), num_envs=5)
+    for engine in (alone, many):
+        engine.step(150)
+    torch.testing.assert_close(many.link_poses, alone.link_poses.expand(5, 1, 7), rtol=0, atol=1e-6)
+
+
+def folding_arm(self_collisions: bool, exclusions: tuple[tuple[str, str], ...] = ()) -> RobotSpec:
+    """Three bars, hinged end to end, each overlapping the next; the third can fold onto the first."""
+
+    def bar(name: str) -> Link:
+        shape = Shape(Box((0.15, 0.02, 0.02)), Pose((0.15, 0.0, 0.0)))
+        return Link(name, 1.0, (0.15, 0.0, 0.0), np.eye(3) * 0.01, (shape,), (shape,))
+
+    joints = tuple(
+        Joint(f"j{i}", JointType.CONTINUOUS, f"bar{i}", f"bar{i + 1}", Pose((0.3, 0.0, 0.0))) for i in range(2)
+    )
+    articulation = Articulation("arm", tuple(bar(f"bar{i}") for i in range(3)), joints, (), self_collisions, exclusions)
+    return RobotSpec(name="arm", articulation=articulation, fixed_base=True, pose=Pose((0.0, 0.0, 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("self_collisions", "exclusions", "touches"),
+    [(True, (), True), (False, (), False), (True, (("bar2", "bar0"),), False)],
+)
+def test_who_may_touch_within_an_articulation(
+    make_engine: MakeEngine, needs: Needs, self_collisions: bool, exclusions: tuple[tuple[str, str], ...], touches: bool
+) -> None:
+    """Neighbours never touch; others only where asked and not excluded."""
+    needs(Capability.CONTACT_FORCES)
+    if self_collisions:
+        needs(Capability.SELF_COLLISIONS)
+    engine = make_engine(scene(folding_arm(self_collisions, exclusions), sensors=contact("arm"), gravity=WEIGHTLESS))
+    engine.step(2)
+    assert engine.contact_forces.abs().max() == 0
+    # An equilateral fold: the end of the third bar lies in the first.
+    angle = 2 * math.pi / 3
+    engine.write_joint_state(index(0, 1), torch.tensor([[angle, angle]]), None)
+    engine.step(2)
+    assert (engine.contact_forces.abs().max() > 0) == touches
+
+
+def test_an_articulation_without_self_collisions_still_meets_others(make_engine: MakeEngine, needs: Needs) -> None:
+    needs(Capability.CONTACT_FORCES)
+    block = fixed("block", Box((0.05, 0.05, 0.05)), Pose((0.6, 0.06, 1.0)))
+    engine = make_engine(scene(folding_arm(False), block, sensors=contact("arm", ("block",)), gravity=WEIGHTLESS))
+    engine.step(2)
+    forces = engine.contact_forces[0].reshape(3, 2, 3)
+    assert forces[1, 0, 1] < -1
+    torch.testing.assert_close(forces[1:, 0], forces[1:, 1])
+    assert forces[0].abs().max() == 0
+
+
+def test_a_fixed_thing_stops_a_falling_one(make_engine: MakeEngine) -> None:
+    table = fixed("table", Box((0.5, 0.5, 0.02)), Pose((0.0, 0.0, 0.48)))
+    engine = make_engine(scene(cube(pose=Pose((0.2, 0.1, 0.56))), table))
+    engine.step(200)
+    assert engine.link_poses[0, 0, 2] == pytest.approx(0.55, abs=1e-3)
+
+
+def test_friction_per_environment(make_engine: MakeEngine, needs: Needs) -> None:
+    """Set on the cube, then on the terrain; the pair takes the larger; 5 %."""
+    needs(Capability.RANDOMIZE_FRICTION)
+    engine = make_engine(
+        scene(cube(material=material(0.1)), terrain=(Shape(Plane(), material=material(0.1)),)), num_envs=4
+    )
+    engine.set_friction(index(0), torch.tensor([[0.5], [0.3]]), index(1, 2))
+    engine.set_friction(index(TERRAIN), torch.tensor([[0.6]]), index(3))
+    engine.reset()
+    torch.testing.assert_close(friction_felt(engine), torch.tensor([0.1, 0.5, 0.3, 0.6]), rtol=0.05, atol=0)

@@ -1,0 +1,69 @@
+"""Rays against shapes of known distance. 1e-4 m."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from orbit_core.interfaces import BACKGROUND, TERRAIN, Capability
+from orbit_core.scene import Box, Pose, Sphere
+
+from .conftest import MakeEngine, Needs
+from .scenes import WEIGHTLESS, cube, fixed, index, scene, yaw_quaternion
+
+TOLERANCE = {"rtol": 0, "atol": 1e-4}
+
+
+@pytest.fixture(autouse=True)
+def rays_needed(needs: Needs) -> None:
+    needs(Capability.RAY_CASTS)
+
+
+def test_distances_normals_and_what_was_hit(make_engine: MakeEngine) -> None:
+    """Down on the ground, on a ball at 45 degrees, on a box's face, and into nothing."""
+    round_thing = fixed("ball", Sphere(0.5), Pose((5.0, 0.0, 1.0)))
+    box = fixed("box", Box((0.5, 0.5, 0.5)), Pose((0.0, 5.0, 0.5)))
+    engine = make_engine(scene(round_thing, box), num_envs=2)
+    origins = torch.tensor([[0.0, 0.0, 2.0], [5.0 + 0.5 * math.sqrt(0.5), 0.0, 3.0], [0.0, 3.0, 0.5], [0.0, 0.0, 2.0]])
+    directions = torch.tensor([[0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    hits = engine.cast_rays(origins.expand(2, 4, 3), directions.expand(2, 4, 3), 10.0)
+    for env in range(2):
+        expected = torch.tensor([2.0, 2.0 - 0.5 * math.sqrt(0.5), 1.5, torch.inf])
+        torch.testing.assert_close(hits.distances[env], expected, **TOLERANCE)
+        diagonal = math.sqrt(0.5)
+        normals = torch.tensor([[0.0, 0.0, 1.0], [diagonal, 0.0, diagonal], [0.0, -1.0, 0.0], [0.0, 0.0, 0.0]])
+        torch.testing.assert_close(hits.normals[env], normals, rtol=0, atol=1e-3)
+        assert hits.links[env].tolist() == [TERRAIN, 0, 1, BACKGROUND]
+
+
+def test_beyond_the_greatest_distance_there_is_nothing(make_engine: MakeEngine) -> None:
+    engine = make_engine(scene(cube()))
+    origins, down = torch.tensor([[[0.5, 0.0, 2.0]]]), torch.tensor([[[0.0, 0.0, -1.0]]])
+    near, far = engine.cast_rays(origins, down, 1.9), engine.cast_rays(origins, down, 2.1)
+    assert near.distances.isinf().all()
+    assert near.links.tolist() == [[BACKGROUND]]
+    assert near.normals.abs().max() == 0
+    assert far.distances[0, 0] == pytest.approx(2.0, abs=1e-4)
+
+
+def test_rays_see_what_was_just_written_in_their_own_environment(make_engine: MakeEngine) -> None:
+    engine = make_engine(scene(cube(half=0.1), gravity=WEIGHTLESS), num_envs=3)
+    poses = torch.tensor([[0.0, 0.0, z, *yaw_quaternion(0.3)] for z in (0.5, 1.0, 1.5)])
+    engine.write_root_state(0, poses, None)
+    before = engine.link_poses.clone()
+    origins, down = torch.tensor([0.0, 0.0, 3.0]).expand(2, 1, 3), torch.tensor([0.0, 0.0, -1.0]).expand(2, 1, 3)
+    hits = engine.cast_rays(origins, down, 10.0, index(2, 0))
+    torch.testing.assert_close(hits.distances[:, 0], torch.tensor([1.4, 2.4]), **TOLERANCE)
+    assert torch.equal(engine.link_poses, before)
+
+
+def test_casting_rays_changes_nothing(make_engine: MakeEngine, needs: Needs) -> None:
+    needs(Capability.DETERMINISTIC)
+    looking, blind = make_engine(scene(cube())), make_engine(scene(cube()))
+    for _ in range(10):
+        looking.step(3)
+        looking.cast_rays(torch.tensor([[[0.0, 0.0, 2.0]]]), torch.tensor([[[0.0, 0.0, -1.0]]]), 5.0)
+        blind.step(3)
+    assert torch.equal(looking.link_poses, blind.link_poses)
