@@ -8,15 +8,17 @@ import torch
 from torch import Tensor
 
 from orbit_core.assets.catalogue import robot
-from orbit_core.assets.objects import cabinet
+from orbit_core.assets.objects import SolidOptions, box, cabinet
 from orbit_core.dynamics.transforms import quat_from_euler, quat_rotate
-from orbit_core.scene import MarkerShape, MarkerSpec, Scene
+from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
 from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, common
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
 
 DRAWER = "drawer_joint"
 HANDLE = "drawer_handle"
+PLINTH = 0.18
+"""Height in metres of what the cabinet stands on."""
 
 
 @once_per_state
@@ -66,7 +68,8 @@ def place_cabinet(world: SimulatedWorld, task: Cabinet, env_ids: Tensor) -> None
 def sample_goal(world: SimulatedWorld, task: Cabinet, env_ids: Tensor) -> None:
     """15 to 30 cm."""
     task.goal[env_ids] = world.random.uniform((), 0.15, 0.3, env_ids)
-    world.markers["goal"].set_pose(_shifted(world, task, -task.goal)[env_ids], env_ids)
+    handle = handle_pose(world, task)[env_ids]
+    world.markers["goal"].set_pose(_moved_in(handle, handle[:, :3], -task.goal[env_ids]), env_ids)
 
 
 def at_handle(world: SimulatedWorld, task: Cabinet) -> Tensor:
@@ -76,19 +79,21 @@ def at_handle(world: SimulatedWorld, task: Cabinet) -> Tensor:
 
 def before_handle(world: SimulatedWorld, task: Cabinet) -> Tensor:
     """(N, 7) twelve centimetres in front of the handle."""
-    return _shifted(world, task, torch.full_like(task.goal, -0.12))
-
-
-def pulled_handle(world: SimulatedWorld, task: Cabinet) -> Tensor:
-    """(N, 7) where the handle is when the drawer is at its goal."""
-    return _shifted(world, task, opening(world, task) - task.goal)
-
-
-def _shifted(world: SimulatedWorld, task: Cabinet, along: Tensor) -> Tensor:
     handle = handle_pose(world, task)
-    offset = torch.zeros_like(handle[:, :3])
-    offset[:, 2] = along
-    return torch.cat((handle[:, :3] + quat_rotate(handle[:, 3:], offset), handle[:, 3:]), dim=1)
+    return _moved_in(handle, handle[:, :3], torch.full_like(task.goal, -0.12))
+
+
+def pulled(world: SimulatedWorld, task: Cabinet) -> Tensor:
+    """(N, 7) the hand moved by what the drawer lacks, however the bar sits in it."""
+    position = common.hand_pose(world, task)[:, :3]
+    return _moved_in(handle_pose(world, task), position, opening(world, task) - task.goal)
+
+
+def _moved_in(handle: Tensor, position: Tensor, distance: Tensor) -> Tensor:
+    """(n, 7) oriented like the handle, at ``position`` (n, 3) moved into the cabinet by ``distance`` (n,)."""
+    along = torch.zeros_like(position)
+    along[:, 2] = distance
+    return torch.cat((position + quat_rotate(handle[:, 3:], along), handle[:, 3:]), dim=1)
 
 
 @dataclass
@@ -142,9 +147,11 @@ class Cabinet(Task):
     """(N,) metres that the drawer is to be open."""
 
     def scene(self) -> Scene:
+        # The arm reaches the handle with a level hand only where it is at shoulder height.
+        plinth = SolidOptions(mass=10.0, fixed_base=True, pose=Pose((0.88, 0.0, 0.5 * PLINTH)))
         return Scene(
             robots=(robot(self.robot, name=common.ROBOT),),
-            objects=(cabinet(),),
+            objects=(cabinet(pose=Pose((0.88, 0.0, PLINTH))), box("plinth", size=(0.62, 0.62, PLINTH), **plinth)),
             terrain=(common.floor(),),
             markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.12),),
             physics_dt=self.physics_dt,
@@ -169,6 +176,6 @@ class Cabinet(Task):
                 Phase(before_handle, position_tolerance=0.02, timeout=3.0),
                 Phase(at_handle, position_tolerance=0.008, timeout=1.5),
                 Phase(at_handle, gripper_open=False, dwell=0.4, timeout=0.5),
-                Phase(pulled_handle, gripper_open=False),
+                Phase(pulled, gripper_open=False),
             ),
         )

@@ -22,77 +22,95 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Gait:
-    """Period (s), height of the swing (m), and the feedback on velocity of Raibert's foot placement (s).
+    """Timing and size of the steps.
 
-    Raibert, Legged Robots That Balance, MIT Press 1986: a foot lands half a stance ahead of the hip, plus a gain times
-    the error of the velocity.
+    Placement after Raibert, Legged Robots That Balance, MIT Press 1986: a foot lands half a stance ahead of its neutral
+    place, plus ``velocity_gain`` times the error of the velocity.
     """
 
-    period: float = 0.5
-    swing_height: float = 0.1
-    velocity_gain: float = 0.05
+    period: float = 0.4
+    """Seconds for a step of each foot."""
+    stance: float = 0.6
+    """Part of the period that a foot is on the ground."""
+    swing_height: float = 0.08
+    """Metres."""
+    velocity_gain: float = 0.1
+    """Seconds."""
 
 
 class TrotGenerator(Node):
-    """Gives the action whose joint targets put each foot where the gait wants it, in the trunk's frame."""
+    """Gives the action whose joint targets put each foot where the gait wants it, in the trunk's frame.
+
+    Drives of a walking robot are soft: targets lie beyond the wanted positions by what the robot's weight, shared by the
+    feet on the ground, deflects them.
+    """
 
     def __init__(self, world: SimulatedWorld, task: VelocityFlat, gait: Gait | None = None) -> None:
         self.name = "policy"
         generator = task.generators[0]
         if not isinstance(generator, JointPosition):
-            raise ConfigurationError(
-                f"the trot generator gives joint positions: action '{task.action}' does not take them"
-            )
+            raise ConfigurationError(f"a trot gives joint positions: action '{task.action}' does not take them")
         self._generator = generator
-        self.outputs = (Port("action", (self._generator.command_size,)),)
+        self.outputs = (Port("action", (generator.command_size,)),)
         self._task = task
         self._gait = gait or Gait()
         self._robot = common.robot_of(world)
         self._feet = self._robot.spec.feet
         if len(self._feet) != 4:
             raise ConfigurationError(f"a trot needs a robot with four feet; '{task.robot}' has {len(self._feet)}")
-        self._tree = KinematicTree(self._robot.spec.articulation, world.device)
-        root = torch.tensor([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], device=world.device)
-        self._root = root.expand(world.num_envs, 7)
+        articulation = self._robot.spec.articulation
+        self._tree = KinematicTree(articulation, world.device)
+        self._root = torch.tensor([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], device=world.device).expand(world.num_envs, 7)
         self._positions = self._robot.home_positions.repeat(world.num_envs, 1)
         poses = self._tree.forward(self._root[:1], self._positions[:1])
-        self._stance = torch.cat([self._tree.frame_pose(poses, foot)[:, None, :3] for foot in self._feet], dim=1)
-        # Feet on opposite corners of the trunk swing together.
-        self._offset = 0.5 * (self._stance[0, :, 0] * self._stance[0, :, 1] > 0).float()
+        self._neutral = torch.cat([self._tree.frame_pose(poses, foot)[:, None, :3] for foot in self._feet], dim=1)
+        # Feet on opposite corners of the trunk step together.
+        self._offset = 0.5 * (self._neutral[0, :, 0] * self._neutral[0, :, 1] > 0).float()
+        stiffness = self._robot.spec.actuators[0].stiffness
+        self._load_per_stiffness = -articulation.mass * world.scene.gravity[2] / stiffness
+
+    def memory(self) -> Mapping[str, Tensor]:
+        return {"positions": self._positions}
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         self._positions[slice(None) if env_ids is None else env_ids] = self._robot.home_positions
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         self.reset((self._task.episode_step == 0).nonzero().squeeze(-1))
-        wanted = self._foot_targets()
+        phase = torch.remainder(self._time()[:, None] / self._gait.period + self._offset, 1.0)
+        standing = phase < self._gait.stance
+        load = self._load_per_stiffness * standing / standing.sum(1, keepdim=True).clamp_min(1)
+        wanted = self._foot_positions(phase, standing)
         # One Newton step a turn follows a path that moves by millimetres a turn.
         poses = self._tree.forward(self._root, self._positions)
+        deflection = torch.zeros_like(self._positions)
         for index, foot in enumerate(self._feet):
             jacobian = self._tree.jacobian(poses, foot)[:, :3]
             error = wanted[:, index] - self._tree.frame_pose(poses, foot)[:, :3]
             self._positions += (torch.linalg.pinv(jacobian) @ error[..., None]).squeeze(-1)
-        return {"action": self._generator.encode_positions(self._positions[:, self._generator.joints])}
+            deflection -= jacobian[:, 2] * load[:, index, None]
+        targets = self._positions + deflection
+        return {"action": self._generator.encode_positions(targets[:, self._generator.joints])}
 
-    def _foot_targets(self) -> Tensor:
+    def _time(self) -> Tensor:
+        return self._task.episode_step * (self._task.physics_dt * self._task.decimation)
+
+    def _foot_positions(self, phase: Tensor, standing: Tensor) -> Tensor:
         """(N, 4, 3) in the trunk's frame."""
-        gait, command = self._gait, self._task.command
-        time = self._task.episode_step * (self._task.physics_dt * self._task.decimation)
-        phase = torch.remainder(time[:, None] / gait.period + self._offset, 1.0)
-        swinging = phase < 0.5
-        progress = torch.remainder(2.0 * phase, 1.0)
-        velocity = self._ground_velocity(command)
-        half_stride = 0.25 * gait.period * velocity
-        # A foot in stance moves back under the trunk at the commanded velocity; one in swing returns ahead.
-        along = torch.where(swinging, -torch.cos(torch.pi * progress), 1.0 - 2.0 * progress)
-        error = velocity - self._ground_velocity(self._measured())
-        offset = along[..., None] * half_stride - (gait.velocity_gain * swinging * progress)[..., None] * error
-        height = gait.swing_height * swinging * torch.sin(torch.pi * progress)
-        return self._stance + torch.cat((offset, height[..., None]), dim=2)
+        gait = self._gait
+        progress = torch.where(standing, phase / gait.stance, (phase - gait.stance) / (1.0 - gait.stance))
+        velocity = self._ground_velocity(self._task.command)
+        half_stride = 0.5 * gait.stance * gait.period * velocity
+        # On the ground a foot moves back under the trunk at the commanded velocity; in the air it returns ahead.
+        along = torch.where(standing, 1.0 - 2.0 * progress, -torch.cos(torch.pi * progress))
+        error = self._ground_velocity(self._measured()) - velocity
+        placement = (gait.velocity_gain * torch.where(standing, 1.0 - progress, progress))[..., None] * error
+        height = torch.where(standing, 0.0, gait.swing_height * torch.sin(torch.pi * progress))
+        return self._neutral + torch.cat((along[..., None] * half_stride + placement, height[..., None]), dim=2)
 
     def _ground_velocity(self, motion: Tensor) -> Tensor:
         """(N, 4, 2) of the trunk's points above the feet, for planar motion (N, 3)."""
-        x, y = self._stance[..., 0], self._stance[..., 1]
+        x, y = self._neutral[..., 0], self._neutral[..., 1]
         turn = torch.stack((-y, x), dim=2) * motion[:, None, 2:]
         return motion[:, None, :2] + turn
 

@@ -151,7 +151,7 @@ class VelocityEvents:
 class VelocityFlat(Task):
     """Forward, sideways and turning velocities are commanded for one episode, in the trunk's own axes.
 
-    Succeeds when the robot has not fallen and both errors, averaged over the episode after the first second, are within
+    Succeeds when the robot has not fallen and both errors, averaged over the episode, are within
     tolerance. Metrics: those errors, and falls. In place of an expert stands a trot generator.
     """
 
@@ -177,7 +177,7 @@ class VelocityFlat(Task):
     down: Tensor = field(init=False)
     """(3,) in the world's axes."""
     errors: Tensor = field(init=False)
-    """(N, 2) linear and yaw error summed since the first second."""
+    """(N, 2) linear and yaw error summed over the episode."""
 
     def scene(self) -> Scene:
         return Scene(
@@ -193,20 +193,17 @@ class VelocityFlat(Task):
         self.command = torch.zeros(world.num_envs, 3, device=world.device)
         self.errors = torch.zeros(world.num_envs, 2, device=world.device)
         self.down = torch.tensor([0.0, 0.0, -1.0], device=world.device)
-        self.settling = round(1.0 / (self.physics_dt * self.decimation))
 
     def reset(self, env_ids: Tensor | None) -> None:
         super().reset(env_ids)
         self.errors[slice(None) if env_ids is None else env_ids] = 0.0
 
     def advance(self, world: SimulatedWorld) -> None:
-        both = torch.stack((linear_error(world, self), yaw_error(world, self)), dim=1)
-        self.errors += both * (self.episode_step > self.settling)[:, None]
+        self.errors += torch.stack((linear_error(world, self), yaw_error(world, self)), dim=1)
 
     def mean_errors(self) -> Tensor:
-        """(N, 2) m/s and rad/s; infinite for an episode that ended within the first second."""
-        steps = (self.episode_step - self.settling)[:, None]
-        return torch.where(steps > 0, self.errors / steps, torch.inf)
+        """(N, 2) m/s and rad/s."""
+        return self.errors / self.episode_step[:, None]
 
     def success(self, world: SimulatedWorld) -> Tensor:
         tolerances = torch.tensor([self.linear_tolerance, self.yaw_tolerance], device=self.device)

@@ -62,7 +62,7 @@ class RobotSpec(Entity):
 
     end_effectors: tuple[EndEffector, ...] = ()
     feet: tuple[str, ...] = ()
-    """Links of a legged robot that are meant to touch the ground."""
+    """Frames of a legged robot where it is meant to touch the ground."""
     licence: str = ""
     source: str = ""
     """The package that the model comes from."""

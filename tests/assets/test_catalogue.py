@@ -145,7 +145,7 @@ def test_home_poses() -> None:
     assert math.degrees(math.acos(-approach[2])) == pytest.approx(45.6, abs=0.1)
     anymal = robot("anymal_c")
     poses = home_poses(anymal)
-    heights = [anymal.pose.position[2] + poses[foot.replace("SHANK", "FOOT")].position[2] for foot in anymal.feet]
+    heights = [anymal.pose.position[2] + poses[foot].position[2] for foot in anymal.feet]
     assert all(0.0 < height < 0.1 for height in heights)
 
 

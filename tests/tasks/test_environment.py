@@ -45,10 +45,10 @@ def test_a_step_gives_batched_tensors(reach: Environment) -> None:
 
 def test_the_time_limit_truncates_and_begins_anew_in_the_same_step() -> None:
     environment = make("Reach", num_envs=2, backend=BACKEND, episode_length=0.1)
-    first, _ = environment.reset(seed=0)
+    environment.reset(seed=0)
     action = torch.zeros(2, environment.action_size)
     for _ in range(4):
-        _, _, terminated, truncated, info = environment.step(action)
+        _, _, _, truncated, _ = environment.step(action)
         assert not truncated.any()
     observation, _, terminated, truncated, info = environment.step(action)
     assert truncated.all()

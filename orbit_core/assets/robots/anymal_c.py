@@ -26,7 +26,7 @@ def build() -> RobotSpec:
         home=HOME,
         actuators=(LEGS,),
         semantic_label="robot",
-        feet=("LF_SHANK", "RF_SHANK", "LH_SHANK", "RH_SHANK"),
+        feet=("LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT"),
         licence=LICENCE,
         source=SOURCE,
     )
