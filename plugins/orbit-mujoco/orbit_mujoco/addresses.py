@@ -1,5 +1,8 @@
 """Where the layout's links and joints stand in the model."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is an extension module without type information.
+
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -1,5 +1,8 @@
 """N environments of one scene on MuJoCo's batched stepper."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is an extension module without type information.
+
 from __future__ import annotations
 
 from dataclasses import dataclass

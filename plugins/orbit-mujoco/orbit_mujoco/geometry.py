@@ -1,5 +1,8 @@
 """Collision shapes as MuJoCo geoms."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is an extension module without type information.
+
 from __future__ import annotations
 
 import mujoco

@@ -5,6 +5,9 @@ Every movable joint has an actuator of its own number: ``force = ctrl - stiffnes
 effort limit, with ``ctrl = stiffness target + damping velocity target + effort``.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is an extension module without type information.
+
 from __future__ import annotations
 
 from dataclasses import dataclass

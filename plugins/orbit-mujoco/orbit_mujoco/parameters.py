@@ -4,6 +4,9 @@ A field of the model is given a value per environment when it is first set. Cons
 computed anew, once, before they are next needed.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is an extension module without type information.
+
 from __future__ import annotations
 
 import mujoco

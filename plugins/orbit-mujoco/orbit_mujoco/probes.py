@@ -1,5 +1,8 @@
 """Sensors in the model that measure contact forces and joint wrenches, and how to read them."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is an extension module without type information.
+
 from __future__ import annotations
 
 import mujoco

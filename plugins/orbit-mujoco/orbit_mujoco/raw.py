@@ -3,6 +3,9 @@
 The yardstick of ``benchmarks/overhead.py``.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is an extension module without type information.
+
 from __future__ import annotations
 
 import mujoco

@@ -4,6 +4,9 @@ A tensor is filled when it is first read after a step or a write. Poses and velo
 when MuJoCo computes them, so environments that were written to are brought up to date first.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is an extension module without type information.
+
 from __future__ import annotations
 
 import mujoco
