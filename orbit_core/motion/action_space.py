@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
-from orbit_core.interfaces import Robot, UnknownNameError
-from orbit_core.motion.base import MotionGenerator, is_arm
+from orbit_core.interfaces import Robot, UnknownNameError, match_names
+from orbit_core.motion.base import MotionGenerator, commanded_joints, is_arm
 from orbit_core.motion.differential_ik import DifferentialIk, DifferentialIkConfig
 from orbit_core.motion.gripper import GripperCommand, GripperConfig
 from orbit_core.motion.joint_effort import JointEffort, JointEffortConfig
 from orbit_core.motion.joint_position import JointPosition, JointPositionConfig
 from orbit_core.motion.joint_velocity import JointVelocity, JointVelocityConfig
+from orbit_core.scene import ActuatorConfig, RobotSpec
 
 
 def action_space(robot: Robot, name: str) -> tuple[MotionGenerator, ...]:
@@ -28,13 +31,41 @@ def action_space(robot: Robot, name: str) -> tuple[MotionGenerator, ...]:
     if name not in ACTION_SPACES:
         raise UnknownNameError("action space", name, ACTION_SPACES)
     generators = [ACTION_SPACES[name](robot)]
-    if is_arm(robot) and robot.spec.end_effector.gripper:
+    if is_arm(robot.spec) and robot.spec.end_effector.gripper:
         generators.append(GripperCommand("gripper", robot, GripperConfig()))
     return tuple(generators)
 
 
+def with_drives_for(spec: RobotSpec, name: str) -> RobotSpec:
+    """The robot with drives that suit an action space.
+
+    For ``joint_velocity`` the commanded joints' drives lose their stiffness, for ``joint_effort`` their damping too, so
+    that nothing works against the command. Other spaces, and other joints, keep the drives as they are.
+    """
+    if name not in _WITHOUT:
+        return spec
+    names = spec.articulation.joint_names
+    commanded = {names[joint] for joint in commanded_joints(spec)}
+    groups: list[ActuatorConfig] = []
+    for group in spec.actuators:
+        matched = [names[j] for j in match_names(group.joints, names, "joint", f"'{spec.name}'")]
+        changed = tuple(re.escape(joint) for joint in matched if joint in commanded)
+        kept = tuple(re.escape(joint) for joint in matched if joint not in commanded)
+        if changed:
+            groups.append(replace(group, joints=changed, **_WITHOUT[name]))
+        if kept:
+            groups.append(replace(group, joints=kept))
+    return replace(spec, actuators=tuple(groups))
+
+
+_WITHOUT: Mapping[str, Mapping[str, float]] = {
+    "joint_velocity": {"stiffness": 0.0},
+    "joint_effort": {"stiffness": 0.0, "damping": 0.0},
+}
+
+
 def _joint_position(robot: Robot) -> MotionGenerator:
-    scale = math.pi / 2 if is_arm(robot) else 0.5 if robot.spec.feet else None
+    scale = math.pi / 2 if is_arm(robot.spec) else 0.5 if robot.spec.feet else None
     return JointPosition("joint_position", robot, JointPositionConfig(scale=scale))
 
 

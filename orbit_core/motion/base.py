@@ -9,8 +9,8 @@ from enum import Enum
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import columns_of
-from orbit_core.interfaces import ConfigurationError, Node, Port, Robot
-from orbit_core.scene import EndEffector
+from orbit_core.interfaces import ConfigurationError, Node, Port, Robot, match_names
+from orbit_core.scene import EndEffector, RobotSpec
 
 
 class JointTarget(Enum):
@@ -81,19 +81,21 @@ def end_effector_of(robot: Robot) -> EndEffector:
     return robot.spec.end_effector
 
 
-def is_arm(robot: Robot) -> bool:
+def is_arm(spec: RobotSpec) -> bool:
     """Whether the robot is there for its end effector; a robot with feet is there to walk."""
-    return bool(robot.spec.end_effectors) and not robot.spec.feet
+    return bool(spec.end_effectors) and not spec.feet
 
 
-def driven_joints(robot: Robot) -> list[int]:
-    """Indices of the joints that have an actuator and do not follow another joint."""
-    driven = {joint for group in robot.spec.actuators for joint in robot.find_joints(*group.joints)}
-    return sorted(joint for joint in driven if robot.joints[joint].mimic is None)
+def commanded_joints(spec: RobotSpec) -> list[int]:
+    """Indices of the joints that actions move: an arm's, elsewhere all that have an actuator and follow no other."""
+    articulation = spec.articulation
+    patterns = [pattern for group in spec.actuators for pattern in group.joints]
+    if is_arm(spec):
+        patterns = list(spec.end_effector.arm_joints)
+    joints = match_names(patterns, articulation.joint_names, "joint", f"'{spec.name}'")
+    return [joint for joint in joints if articulation.movable_joints[joint].mimic is None]
 
 
 def chosen_joints(robot: Robot, patterns: Sequence[str] | None) -> list[int]:
-    """Indices of the joints that match; if None, of the arm's, or of all that are driven if the robot is no arm."""
-    if patterns is not None:
-        return robot.find_joints(*patterns)
-    return robot.find_joints(*robot.spec.end_effector.arm_joints) if is_arm(robot) else driven_joints(robot)
+    """Indices of the joints that match; :func:`commanded_joints` if None."""
+    return commanded_joints(robot.spec) if patterns is None else robot.find_joints(*patterns)

@@ -9,9 +9,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from orbit_core.assets.catalogue import robot as catalogue_robot
 from orbit_core.dynamics.transforms import pose_error, quat_from_rotation_vector, quat_multiply
-from orbit_core.interfaces import UnknownNameError
-from orbit_core.motion import ACTION_SPACES, Actuate, MotionGenerator, action_space
+from orbit_core.interfaces import SceneLayout, UnknownNameError
+from orbit_core.motion import ACTION_SPACES, Actuate, MotionGenerator, action_space, with_drives_for
+from orbit_core.scene import Scene
 
 MakeRobot = Callable[..., Any]
 OPEN = torch.tensor([True, False, True, False])
@@ -81,3 +83,16 @@ def test_targets_stay_within_limits(kinematic_robot: MakeRobot, name: str) -> No
 def test_unknown_action_space_suggests_a_known_one(kinematic_robot: MakeRobot) -> None:
     with pytest.raises(UnknownNameError, match="ik_relative"):
         action_space(kinematic_robot(), "ik_relativ")
+
+
+@pytest.mark.parametrize(("name", "stiffness", "damping"), [("joint_velocity", 0, 80), ("joint_effort", 0, 0)])
+def test_drives_do_not_work_against_commands(name: str, stiffness: float, damping: float) -> None:
+    spec = catalogue_robot("franka_panda")
+    adapted = with_drives_for(spec, name)
+    parameters = SceneLayout.of(Scene(robots=(adapted,))).joint_parameters
+    before = SceneLayout.of(Scene(robots=(spec,))).joint_parameters
+    assert parameters.drive_stiffness[:7].tolist() == [stiffness] * 7
+    assert parameters.drive_damping[:7].tolist() == [damping] * 7
+    assert parameters.drive_stiffness[7:].tolist() == before.drive_stiffness[7:].tolist()
+    assert parameters.effort_limit.tolist() == before.effort_limit.tolist()
+    assert with_drives_for(spec, "ik_relative") is spec

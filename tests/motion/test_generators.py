@@ -159,10 +159,10 @@ def test_encoded_efforts_bring_the_hand_to_a_pose(kinematic_robot: MakeRobot) ->
     robot = kinematic_robot()
     generator = JointEffort("joints", robot, JointEffortConfig())
     model = RigidBodyModel(robot.spec.articulation, fixed_base=True, gravity=(0.0, 0.0, 0.0))
-    frame, dt, arm = robot.spec.end_effector.frame, 0.01, slice(0, 7)
+    frame, dt, arm = robot.spec.end_effector.frame, 0.02, slice(0, 7)
     goal = robot.frame_pose(frame).clone()
     goal[:, :3] += torch.tensor([[0.1, 0.0, -0.1], [-0.05, 0.1, 0.1], [0.0, -0.15, 0.05], [0.05, 0.1, 0.0]])
-    for _ in range(250):
+    for _ in range(80):
         command = generator.encode(goal, torch.ones(4, dtype=torch.bool))
         efforts = generator.compute({"command": command})["effort_targets"]
         poses = robot.link_poses
