@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.table import Table
 
@@ -17,8 +18,8 @@ from orbit_core.cli.runner import versions_of
 from orbit_core.cli.settings import BenchSettings
 from orbit_core.interfaces.errors import ConfigurationError
 
-_REPORTS = 10
-"""Times that a measurement reports its progress; each costs next to nothing against the steps between."""
+if TYPE_CHECKING:
+    from orbit_core.tasks.environment import Environment
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,6 @@ class Throughput:
     """Steps of single environments."""
     milliseconds_per_step: float
     """Of all environments together."""
-    build_seconds: float
     peak_memory_mib: float | None
     """Largest resident size of the process so far, smaller numbers of environments included; None if unknown."""
 
@@ -64,7 +64,7 @@ def bench(
 
     Args:
         settings: what to measure.
-        progress: called now and then with the number of steps made since the last call.
+        progress: called with the number of timed steps made since the last call.
 
     Raises:
         OrbitError: of many kinds; each names the setting.
@@ -77,27 +77,27 @@ def bench(
     figures: list[Throughput] = []
     backend = ""
     for num_envs in sorted(set(settings.num_envs)):
-        start = time.perf_counter()
         environment = make_environment(settings, num_envs)
         try:
-            built = time.perf_counter() - start
             backend = environment.world.backend
-            agent = make_agent("random", environment, settings.seed)
-            for _ in range(max(1, settings.steps // 10)):
-                environment.step(agent.act())
-            start = time.perf_counter()
-            reported = 0
-            for done in range(1, settings.steps + 1):
-                environment.step(agent.act())
-                if done * _REPORTS // settings.steps > reported * _REPORTS // settings.steps:
-                    progress(done - reported)
-                    reported = done
-            seconds = time.perf_counter() - start
+            figures.append(_measure(environment, settings, progress))
         finally:
             environment.close()
-        steps = settings.steps
-        figures.append(Throughput(num_envs, num_envs * steps / seconds, 1e3 * seconds / steps, built, _peak_memory()))
     return backend, figures
+
+
+def _measure(environment: Environment, settings: BenchSettings, progress: Callable[[int], None]) -> Throughput:
+    agent = make_agent("random", environment, settings.seed)
+    for _ in range(max(1, settings.steps // 10)):
+        environment.step(agent.act())
+    seconds = 0.0
+    for _ in range(settings.steps):
+        start = time.perf_counter()
+        environment.step(agent.act())
+        seconds += time.perf_counter() - start
+        progress(1)
+    steps, num_envs = settings.steps, environment.num_envs
+    return Throughput(num_envs, num_envs * steps / seconds, 1e3 * seconds / steps, _peak_memory())
 
 
 def _peak_memory() -> float | None:
@@ -113,14 +113,13 @@ def _peak_memory() -> float | None:
 
 
 def _table(figures: list[Throughput], title: str) -> Table:
-    table = new_table("environments", "env. steps/s", "ms per step", "build (s)", "peak memory (MiB)", title=title)
+    table = new_table("environments", "env. steps/s", "ms per step", "peak memory (MiB)", title=title)
     for figure in figures:
         memory = "unknown" if figure.peak_memory_mib is None else f"{figure.peak_memory_mib:,.0f}"
         table.add_row(
             f"{figure.num_envs:,}",
             f"{figure.env_steps_per_second:,.0f}",
             f"{figure.milliseconds_per_step:.3g}",
-            f"{figure.build_seconds:.1f}",
             memory,
         )
     return table

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from orbit_core.backends import backend, default_backend
 from orbit_core.cli.settings import EnvironmentSettings
-from orbit_core.cli.values import defaults_of, overridden
+from orbit_core.cli.values import check_values, defaults_of, parse_values
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.tasks.registry import task_entries, task_entry
 
@@ -38,13 +39,28 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environmen
         raise ConfigurationError(
             f"device '{settings.device}' is no torch device: use 'cpu', 'cuda' or 'cuda:0'"
         ) from None
-    fields = overridden(settings.fields, settings.set, defaults_of(entry.task_type()), "--set", f"task {entry.name}")
+    if device.type == "cpu":
+        # The layer's tensors are small: a second thread gains nothing and contends with the engine's own for the cores.
+        torch.set_num_threads(1)
+    fields = _merged(settings, settings.fields, settings.set, entry.task_type(), "field", f"task {entry.name}")
     chosen = {"robot": settings.robot, "action": settings.action}
     fields.update({key: value for key, value in chosen.items() if value is not None})
-    own = overridden(
-        settings.settings, settings.setting, defaults_of(plugin.config_type), "--setting", f"backend '{name}'"
-    )
+    own = _merged(settings, settings.settings, settings.setting, plugin.config_type, "setting", f"backend '{name}'")
     return make(entry.name, num_envs, name, device, settings.seed, settings.renderer, own, **fields)
+
+
+def _merged(
+    settings: EnvironmentSettings,
+    from_file: Mapping[str, Any],
+    pairs: Sequence[str],
+    owner_type: type,
+    kind: str,
+    owner: str,
+) -> dict[str, Any]:
+    """The command line's ``key=value`` over the file's table."""
+    defaults = defaults_of(owner_type)
+    table = check_values(from_file, defaults, kind, f"{owner}, table [{kind}s] of {settings.config}")
+    return {**table, **parse_values(pairs, defaults, kind, owner)}
 
 
 def check_output(path: Path | None, suffix: str) -> None:

@@ -16,8 +16,14 @@ def main(words: Sequence[str]) -> None:
     """Run the episodes, print a table and write the result."""
     settings = parse_settings(RunSettings, words, "orbit run")
     with progress_bar() as bar:
-        task = bar.add_task(f"{settings.task} episodes", total=settings.episodes)
-        result = run(settings, lambda episodes: bar.update(task, completed=episodes))
+        counting = bar.add_task(f"{settings.task} episodes", total=settings.episodes)
+        filming = bar.add_task("video, %", total=100, visible=settings.video is not None)
+
+        def show(episodes: int, filmed: float) -> None:
+            bar.update(counting, completed=episodes)
+            bar.update(filming, completed=round(100.0 * filmed))
+
+        result = run(settings, show)
     write_json(settings.json, result.as_json())
     console().print(_table(result))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -54,10 +54,8 @@ class RunResult:
 
     def as_json(self) -> dict[str, Any]:
         """For a file: all fields, and ``metric``, the leading one with its name."""
-        values = asdict(self)
-        name = next(iter(self.metrics))
-        values["metric"] = {"name": name, **asdict(self.metrics[name])}
-        return values
+        name, leading = next(iter(self.metrics.items()))
+        return {**asdict(self), "metric": {"name": name, **asdict(leading)}}
 
 
 class Tally:
@@ -119,12 +117,16 @@ def statistic(values: list[float] | list[int]) -> Statistic:
     return Statistic(mean, (sum((value - mean) ** 2 for value in values) / len(values)) ** 0.5)
 
 
-def run(settings: RunSettings, progress: Callable[[int], None] = lambda episodes: None) -> RunResult:
+Progress = Callable[[int, float], None]
+"""Takes the number of episodes counted so far and, in [0, 1], how much of the video is filmed."""
+
+
+def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: None) -> RunResult:
     """Build the environment, run the episodes and sum them up.
 
     Args:
         settings: what to run.
-        progress: called with the number of episodes counted so far, after each step that ended some.
+        progress: called after each step.
 
     Raises:
         OrbitError: of many kinds; each names the setting.
@@ -158,11 +160,11 @@ def run(settings: RunSettings, progress: Callable[[int], None] = lambda episodes
     )
 
 
-def _episodes(environment: Environment, settings: RunSettings, progress: Callable[[int], None]) -> tuple[Tally, float]:
+def _episodes(environment: Environment, settings: RunSettings, progress: Progress) -> tuple[Tally, float]:
     """Step until every environment's quota is in; also environment steps per second."""
     tally = Tally(settings.episodes, settings.num_envs)
     agent = make_agent(settings.agent, environment, settings.seed)
-    environment.reset()
+    environment.reset(settings.seed)
     seconds, steps = 0.0, 0
     with _recording(environment, settings) as recorder:
         while not tally.complete:
@@ -174,19 +176,19 @@ def _episodes(environment: Environment, settings: RunSettings, progress: Callabl
             steps += environment.num_envs
             if "final" in info:
                 tally.add(info["final"])
-                progress(tally.episodes)
+            progress(tally.episodes, 0.0 if recorder is None else recorder.filmed)
     return tally, steps / seconds
 
 
 @contextlib.contextmanager
-def _recording(environment: Environment, settings: RunSettings):
+def _recording(environment: Environment, settings: RunSettings) -> Iterator[VideoRecorder | None]:
     """The recorder of the video that the settings ask for, or None."""
     if settings.video is None:
         yield None
         return
     from orbit_core.viewer.video import VideoRecorder
 
-    recorder: VideoRecorder = VideoRecorder(environment, settings.video)
+    recorder = VideoRecorder(environment, settings.video)
     try:
         yield recorder
     except BaseException:

@@ -19,35 +19,39 @@ def defaults_of(kind: type) -> dict[str, Any]:
     }
 
 
-def overridden(
-    base: Mapping[str, Any], pairs: Sequence[str], defaults: Mapping[str, Any], option: str, owner: str
-) -> dict[str, Any]:
-    """``base`` with each ``key=value`` over it; all values of the types of ``defaults``.
+def check_values(values: Mapping[str, Any], defaults: Mapping[str, Any], kind: str, owner: str) -> dict[str, Any]:
+    """Values of a file, each of the type of its default.
 
     Args:
-        base: values from a file.
-        pairs: from the command line.
+        values: by key.
         defaults: by key; what may be set.
-        option: that the pairs came with, for messages.
+        kind: what messages call a key.
         owner: what the keys belong to, for messages.
+
+    Raises:
+        ConfigurationError: a value is not of its default's type.
+        UnknownNameError: a key is unknown; names the nearest.
+    """
+    for key in values:
+        if key not in defaults:
+            raise UnknownNameError(kind, key, defaults, owner)
+    return {key: _checked(key, value, defaults[key], owner) for key, value in values.items()}
+
+
+def parse_values(pairs: Sequence[str], defaults: Mapping[str, Any], kind: str, owner: str) -> dict[str, Any]:
+    """The same from texts ``key=value`` of the command line.
 
     Raises:
         ConfigurationError: a pair has no ``=``, or a value is not of its default's type.
         UnknownNameError: a key is unknown; names the nearest.
     """
-    values = dict(base)
+    values: dict[str, Any] = {}
     for pair in pairs:
         key, equals, text = pair.partition("=")
         if not equals:
-            raise ConfigurationError(f"{option} takes key=value, not '{pair}'")
-        if key not in defaults:
-            raise UnknownNameError("field", key, defaults, owner)
-        values[key] = _value(text, defaults[key])
-    for key, value in values.items():
-        if key not in defaults:
-            raise UnknownNameError("field", key, defaults, owner)
-        values[key] = _checked(key, value, defaults[key], owner)
-    return values
+            raise ConfigurationError(f"a {kind} of {owner} is set as key=value, not '{pair}'")
+        values[key] = _value(text, defaults.get(key))
+    return check_values(values, defaults, kind, owner)
 
 
 def _value(text: str, default: Any) -> Any:

@@ -91,7 +91,7 @@ class VideoRecorder:
     """Films the first ``environments`` of a batch side by side, from when it is made until the video is full.
 
     The video is as long as an episode's time limit; an environment whose episode ends earlier shows its next one.
-    Call :meth:`add` before the first step and after each.
+    Call :meth:`add` before each step.
     """
 
     def __init__(
@@ -101,12 +101,17 @@ class VideoRecorder:
         self._rows = torch.arange(count, device=environment.device)
         self._columns = math.ceil(math.sqrt(count))
         lines = math.ceil(count / self._columns)
-        self._left = environment.max_episode_steps + 1
+        self._length = self._left = environment.max_episode_steps
         self._file = VideoFile(path, self._columns * width, lines * height, 1.0 / environment.step_dt)
         with contextlib.ExitStack() as stack:
             stack.callback(self._file.discard)
             self._camera = OverviewCamera(environment.world, width, height)
             stack.pop_all()
+
+    @property
+    def filmed(self) -> float:
+        """Part of the video that is filmed, in [0, 1]."""
+        return 1.0 - self._left / self._length
 
     @property
     def full(self) -> bool:
