@@ -158,5 +158,4 @@ def _material(color: Color) -> Any:
         metallicFactor=0.0,
         roughnessFactor=0.6,
         alphaMode="OPAQUE" if color[3] >= 1.0 else "BLEND",
-        doubleSided=True,
     )

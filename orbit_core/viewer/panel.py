@@ -39,7 +39,8 @@ class Panel:
         self._server = server
         self._controls = controls
         self._reward: deque[tuple[float, float]] = deque(maxlen=_HISTORY)
-        server.gui.configure_theme(control_layout="collapsible", show_logo=False, show_share_button=False)
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.gui.main_panel.dock_right()
         server.gui.set_panel_label(title)
         self._status = server.gui.add_markdown("")
         self._add_buttons()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float32]
 
-VIEW_DIRECTION = np.array((0.76, 0.52, 0.4)) / math.hypot(0.76, 0.52, 0.4)
-"""From the scene to the camera: half from the front, half from the side, for robots that face +x."""
+VIEW_DIRECTION = np.array((0.35, 0.83, 0.43)) / math.hypot(0.35, 0.83, 0.43)
+"""From the scene to the camera: from the left of a robot that faces +x, so that it does not hide its work."""
 FIELD_OF_VIEW = math.radians(45.0)
 
 
@@ -114,7 +114,7 @@ class SceneView:
     def _draw(self, frame: Frame) -> None:
         """Send everything anew, for another number of environments."""
         self._remove()
-        low, high = self._extent(frame)
+        low, high = self._extent(frame, range(len(self._drawings)))
         self._offsets = _square_grid(len(frame.link_poses), spacing=1.25 * float((high - low)[:2].max()) + 0.2)
         with self._server.atomic():
             for link, drawing in enumerate(self._drawings):
@@ -132,6 +132,7 @@ class SceneView:
             self._particles_drawn = [
                 self._add_deformable(index, particles) for index, particles in enumerate(frame.particles)
             ]
+        low, high = self._extent(frame, self._focus)
         self._look_at(low + self._offsets.min(axis=0), high + self._offsets.max(axis=0))
 
     def _remove(self) -> None:
@@ -187,13 +188,23 @@ class SceneView:
 
     def _light(self) -> None:
         scene = self._server.scene
-        scene.configure_default_lights(enabled=True, cast_shadow=True)
+        scene.configure_default_lights(enabled=False)
+        scene.add_light_directional("/lights/sun", intensity=2.2, cast_shadow=True, position=(1.0, -0.9, 2.4))
+        scene.add_light_directional("/lights/fill", intensity=0.5, position=(-0.5, 1.0, 0.6))
+        scene.configure_environment_map("warehouse", environment_intensity=0.35)
         sky = np.linspace((150, 178, 206), (226, 232, 238), 256).astype(np.uint8)
         scene.set_background_image(np.repeat(sky[:, None], 2, axis=1), format="png")
 
-    def _extent(self, frame: Frame) -> tuple[FloatArray, FloatArray]:
-        """Corners of the box round all links of the first environment; of the terrain where there is no link."""
-        points = [_transformed(frame.link_poses[0, i], d.corners) for i, d in enumerate(self._drawings) if d]
+    @property
+    def _focus(self) -> list[int]:
+        """Links that the camera is to show: all but those of fixed things that do not move, such as tables."""
+        entities = [e for e in self._layout.entities if not e.spec.fixed_base or e.spec.articulation.movable_joints]
+        return [link for entity in entities for link in range(entity.links.start, entity.links.stop)]
+
+    def _extent(self, frame: Frame, links: Iterable[int]) -> tuple[FloatArray, FloatArray]:
+        """Corners of the box round these links and all deformables of the first environment, or else the terrain."""
+        drawn = [(link, drawing) for link in links if (drawing := self._drawings[link])]
+        points = [_transformed(frame.link_poses[0, link], drawing.corners) for link, drawing in drawn]
         points += [particles[0] for particles in frame.particles]
         if not points:
             points = [self._terrain.corners if self._terrain else np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 0.5]])]
@@ -201,10 +212,10 @@ class SceneView:
         return everything.min(axis=0), everything.max(axis=0)
 
     def _look_at(self, low: FloatArray, high: FloatArray) -> None:
-        """Frame a box: its circumscribed ball just fills the picture's height."""
+        """Frame a box: the ball round it, which it does not fill, reaches a little beyond the picture's height."""
         center = (low + high) / 2
         radius = max(0.05, float(np.linalg.norm(high - low)) / 2)
-        eye = center + VIEW_DIRECTION * radius / math.sin(FIELD_OF_VIEW / 2)
+        eye = center + VIEW_DIRECTION * 0.9 * radius / math.sin(FIELD_OF_VIEW / 2)
         camera = self._server.initial_camera
         camera.fov = FIELD_OF_VIEW
         camera.position, camera.look_at = _vector(eye), _vector(center)

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
+
 from orbit_core.interfaces import Marker, SceneLayout
 from orbit_core.scene import (
     Box,
@@ -22,7 +24,6 @@ from orbit_core.scene import (
     Sphere,
     single_link,
 )
-from torch import Tensor
 
 
 def _thing(name: str, shape: Shape, pose: Pose) -> ObjectSpec:
