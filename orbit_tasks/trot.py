@@ -38,8 +38,8 @@ class TrotGenerator(Node):
     """Gives the action whose joint targets put each foot where the gait wants it, in the trunk's frame.
 
     Drives of a walking robot are soft: targets lie beyond the wanted positions by what the robot's weight, shared by
-    the feet on the ground, deflects them. The gait keeps its balance, but falls short of fast commands: it is a start to
-    compare policies with, no expert.
+    the feet on the ground, deflects them. The gait keeps its balance, but falls short of fast commands: it is something
+    to compare policies with, no expert.
     """
 
     def __init__(self, world: SimulatedWorld, task: VelocityFlat, gait: Gait | None = None) -> None:
