@@ -223,6 +223,9 @@ class MujocoEngine(Engine):
         """The model and the batch."""
         return self._model, self._batch
 
+    def close(self) -> None:
+        vars(self).clear()  # the batch, its threads and memory go with the last array that views them
+
 
 def _ignore(message: str) -> None:
     """MuJoCo's warnings are read from its counters."""

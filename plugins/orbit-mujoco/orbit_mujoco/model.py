@@ -61,6 +61,9 @@ class _Builder:
         self.spec = mujoco.MjSpec()
         self.report: list[Approximation] = []
         self._set_options()
+        if config.cone == "pyramidal":
+            why = "the setting 'cone' asks for a pyramid: friction is up to 30 % weaker between a contact's axes"
+            self.report.append(Approximation("contacts", "the same friction in every direction", "a pyramid", why))
         self._geoms = GeomBuilder(self.spec)
         for shape in layout.scene.terrain:
             contact = contact_parameters(shape, 1.0, False, layout.scene.physics_dt, config)
@@ -110,6 +113,7 @@ class _Builder:
                     self._add_joint(bodies[link.name], entity, joint, next(joints))
             self._fill_body(bodies[link.name], entity, link)
         self._exclude_pairs(entity)
+        self._report_joints(entity)
 
     def _add_root(self, entity: EntityLayout, number: int) -> mujoco.MjsBody:
         pose = entity.spec.pose
@@ -182,10 +186,21 @@ class _Builder:
         if joint.mimic:
             names = entity.spec.articulation.joint_names
             self._add_mimic(number, entity.joints.start + names.index(joint.mimic.joint), joint)
-        if np.isfinite(parameters.velocity_limit[number]):
-            asked = f"velocity limit {parameters.velocity_limit[number]:.4g}"
+
+    def _report_joints(self, entity: EntityLayout) -> None:
+        parameters, joints = self.layout.joint_parameters, self.layout.joints
+        numbers = range(entity.joints.start, entity.joints.stop)
+        fast = [joints[number].name for number in numbers if np.isfinite(parameters.velocity_limit[number])]
+        if fast:
             why = "MuJoCo does not limit the velocity of a joint"
-            self.report.append(Approximation(f"joint '{joint.name}' of '{entity.name}'", asked, "none", why))
+            asked = f"velocity limits of joints {', '.join(fast)}"
+            self.report.append(Approximation(f"'{entity.name}'", asked, "no limits", why))
+        stiff = parameters.drive_stiffness + parameters.drive_damping > 0
+        for number in numbers:
+            if stiff[number] and joints[number].mimic:
+                subject = f"joint '{joints[number].name}' of '{entity.name}'"
+                why = "it mimics another joint, whose drive moves both"
+                self.report.append(Approximation(subject, "a drive of its own", "no drive", why))
 
     def _add_mimic(self, number: int, driver: int, joint: Joint) -> None:
         assert joint.mimic is not None
