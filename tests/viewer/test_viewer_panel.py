@@ -1,0 +1,94 @@
+"""What the viewer sends beside rigid links: cloth, and what cameras see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from viser import ViserServer
+
+from orbit_core.interfaces import SceneLayout
+from orbit_core.scene import CameraSpec, Channel, Cloth, Mesh, Scene
+from orbit_core.sensors import CameraSensor
+from orbit_core.viewer.scene_view import Frame, SceneView
+from orbit_core.viewer.viewer import Viewer
+
+
+class PaintedCamera(CameraSensor):
+    """Sees a uniform grey, darker in each further environment."""
+
+    def __init__(self) -> None:
+        self.spec = CameraSpec(name="wrist", channels=(Channel.RGB, Channel.DEPTH))
+
+    def image(self, channel: Channel) -> Tensor:
+        value = torch.arange(4)[:, None, None, None].expand(4, 6, 8, 3)
+        return (200 - 10 * value).to(torch.uint8)
+
+
+@pytest.fixture
+def server() -> Iterator[ViserServer]:
+    server = ViserServer("127.0.0.1", 8170, verbose=False)
+    yield server
+    server.stop()
+
+
+def test_the_panel_shows_what_the_chosen_environments_camera_sees(fakes: ModuleType) -> None:
+    environment = fakes.FakeEnvironment(num_envs=4)
+    environment.world.sensors = {"wrist": PaintedCamera()}
+    with Viewer(environment, fakes.FakeAgent(), port=8170) as viewer:
+        panel: Any = viewer._panel
+        assert panel.picture == "wrist: rgb"
+        assert tuple(panel._picture_choice.options) == ("wrist: rgb", "wrist: depth", "none")
+        viewer.run(max_steps=1)
+        assert (panel._picture.image == 200).all()
+        viewer.controls.select(first=3)
+        viewer.run(max_steps=1)
+        assert panel._picture.image.shape == (6, 8, 3)
+        assert (panel._picture.image == 170).all()
+
+
+def test_the_panel_tells_of_the_chosen_environment(fakes: ModuleType) -> None:
+    environment = fakes.FakeEnvironment(num_envs=4)
+    agent, information = fakes.FakeAgent(), lambda index: {"height": f"{index} m"}
+    with Viewer(environment, agent, port=8170, information=information) as viewer:
+        viewer.controls.select(first=2)
+        viewer.run(max_steps=3)
+        panel: Any = viewer._panel
+        assert "| height | 2 m |" in panel._status.content
+        assert "| step | 3 |" in panel._status.content
+        seconds, rewards = panel._plot.data
+        assert np.allclose(seconds, [0.02, 0.04, 0.06])
+        assert np.allclose(rewards, np.sin(np.array([1, 2, 3]) * 0.05))
+
+
+def test_cloth_is_drawn_by_its_particles(server: ViserServer) -> None:
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=np.float32)
+    cloth = Cloth("sheet", Mesh(vertices, np.array([[0, 1, 2]])), mass=0.1)
+    view = SceneView(server, SceneLayout.of(Scene(deformables=(cloth,))))
+    links, markers = np.zeros((2, 0, 7), dtype=np.float32), np.zeros((2, 0, 7), dtype=np.float32)
+    view.update(Frame(links, markers, (np.stack([vertices, vertices]),)))
+    fallen = vertices - np.array([0, 0, 1], dtype=np.float32)
+    view.update(Frame(links, markers, (np.stack([vertices, fallen]),)))
+    first, second = view._particles_drawn[0]
+    assert np.array_equal(first.vertices, vertices)
+    assert np.array_equal(second.vertices, fallen)
+    assert not np.array_equal(first.position, second.position), "environments stand apart"
+
+
+def test_collision_shapes_replace_visual_ones(fakes: ModuleType, server: ViserServer) -> None:
+    world = fakes.FakeEnvironment(num_envs=1).world
+    view = SceneView(server, world.layout)
+    frame = Frame(world.link_poses.numpy(), np.zeros((1, 2, 7), dtype=np.float32) + np.eye(7, dtype=np.float32)[3])
+    view.update(frame)
+    drawn = dict(view._links_drawn)
+    view.show_collisions(True)
+    view.show_markers(False)
+    view.update(frame)
+    assert set(view._links_drawn) == set(drawn)
+    assert all(view._links_drawn[link] is not drawn[link] for link in drawn)
+    assert not any(handle.visible for handle in view._markers_drawn)
