@@ -1,5 +1,7 @@
 """Pictures of a scene from poses alone, with MuJoCo's OpenGL renderer."""
 
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 import atexit

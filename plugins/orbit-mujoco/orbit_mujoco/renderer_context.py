@@ -35,10 +35,13 @@ def create_context(width: int, height: int) -> GlContext:
     for platform in (wanted,) if wanted else _HEADLESS:
         loaded = set(sys.modules)
         try:
-            return _context_class(platform)(width, height)
+            context = _context_class(platform)(width, height)
         except Exception as error:  # PyOpenGL raises AttributeError, ImportError, TypeError or its own errors
             failures.append(f"{platform} ({error})")
             _forget(platform, loaded)
+        else:
+            os.environ["MUJOCO_GL"] = platform  # MuJoCo's C library looks there for where to find OpenGL
+            return context
     raise ConfigurationError(
         f"MuJoCo cannot draw here, for no OpenGL works: {'; '.join(failures)}. Install the Debian packages libegl1 and "
         "libegl-mesa0, or libosmesa6"

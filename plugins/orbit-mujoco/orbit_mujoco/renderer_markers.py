@@ -1,5 +1,7 @@
 """Markers as MuJoCo scene geoms, which no model holds."""
 
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from collections.abc import Sequence

@@ -1,5 +1,7 @@
 """A scene's looks as a MuJoCo model: every link a body whose pose is set from outside."""
 
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 import mujoco

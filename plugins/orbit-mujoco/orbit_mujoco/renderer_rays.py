@@ -1,5 +1,7 @@
 """Depth, geoms and exact normals by a ray through each pixel's centre."""
 
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 import math
