@@ -19,13 +19,13 @@ from orbit_core.tasks.task import Task
 from orbit_core.viewer.pictures import OverviewCamera
 
 
-def observation_space(environment: Environment) -> spaces.Dict:
+def observation_space(environment: Environment) -> spaces.Space[Any]:
     """Of one environment: a box per observation group."""
     box = spaces.Box(-np.inf, np.inf, (environment.observation_size,), np.float32)
     return spaces.Dict({"policy": box})
 
 
-def action_space(environment: Environment) -> spaces.Box:
+def action_space(environment: Environment) -> spaces.Space[Any]:
     """Of one environment: components in [-1, 1]."""
     return spaces.Box(-1.0, 1.0, (environment.action_size,), np.float32)
 
@@ -37,6 +37,8 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
     episode ended, ``info["final_obs"]`` (N, ...) holds its last observation, ``info["_final_obs"]`` (N,) says where,
     and ``info["final_info"]`` holds success and metrics.
     """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
 
     def __init__(self, task: str | Task, num_envs: int = 1, render_mode: str | None = None, **keywords: Any) -> None:
         self.environment = make(task, num_envs=num_envs, **keywords)
@@ -81,6 +83,8 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
 
 class SingleEnvironment(gymnasium.Env[dict[str, npt.NDArray[np.float32]], npt.NDArray[np.float32]]):
     """One environment, with NumPy arrays; it waits for ``reset`` after an episode, as Gymnasium's do."""
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
 
     def __init__(self, task: str | Task, render_mode: str | None = None, **keywords: Any) -> None:
         self.environment = make(task, num_envs=1, **keywords)

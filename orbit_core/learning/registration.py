@@ -1,20 +1,22 @@
-"""Gives every task a Gymnasium id, ``orbit/<Task>-v0``. Loaded when gymnasium is imported, so it imports little."""
+"""Gives every task a Gymnasium id, ``orbit/<Task>-v0``."""
 
 from __future__ import annotations
 
+import gymnasium
+
+from orbit_core.tasks.registry import task_entries
+
 
 def register() -> None:
-    """Entry point of the group ``gymnasium.envs``: register all tasks with Gymnasium."""
-    import gymnasium
-
-    from orbit_core.tasks.registry import task_entries
-
+    """Register all tasks with Gymnasium, each once."""
     for name in task_entries():
+        identity = f"orbit/{name}-v0"
+        if identity in gymnasium.registry:
+            continue
+        # No max_episode_steps: the environment holds the time limit itself.
         gymnasium.register(
-            id=f"orbit/{name}-v0",
+            id=identity,
             entry_point="orbit_core.learning.gymnasium:SingleEnvironment",
             vector_entry_point="orbit_core.learning.gymnasium:VectorEnvironment",
             kwargs={"task": name},
-            # The environment holds the time limit itself, checks its own input, and returns tensors of its own device.
-            max_episode_steps=None,
         )

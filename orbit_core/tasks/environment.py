@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -14,7 +14,8 @@ from torch import Tensor
 from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
 from orbit_core.backends import default_backend
 from orbit_core.interfaces import ConfigurationError, Node, NonFiniteError, Port, ShapeError
-from orbit_core.motion import Actuate, action_space
+from orbit_core.motion import Actuate, action_space, with_drives_for
+from orbit_core.scene import Scene
 from orbit_core.tasks.common import ROBOT
 from orbit_core.tasks.registry import task_entry
 from orbit_core.tasks.settings import configure
@@ -71,7 +72,9 @@ class Environment:
     ) -> None:
         self.task = task = copy.deepcopy(task)
         merged = {**task.backend_presets.get(backend, {}), **(settings or {})}
-        self.world = SimulatedWorld(task.scene(), num_envs, backend, merged, device, seed, renderer)
+        self.world = SimulatedWorld(
+            _driven(task.scene(), task.action), num_envs, backend, merged, device, seed, renderer
+        )
         self.num_envs = num_envs
         self.device = self.world.device
         self.step_dt = task.physics_dt * task.decimation
@@ -243,6 +246,12 @@ class Environment:
 
 def _no_policy(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
     raise ConfigurationError("the environment's agent is cut at its policy: actions come from outside")
+
+
+def _driven(scene: Scene, action: str) -> Scene:
+    """The scene with the task's robot driven as the action space needs it."""
+    robots = tuple(with_drives_for(spec, action) if spec.name == ROBOT else spec for spec in scene.robots)
+    return replace(scene, robots=robots)
 
 
 def _whole_steps(episode_length: float, step_dt: float) -> int:

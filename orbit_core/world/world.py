@@ -12,7 +12,7 @@ from torch import Tensor
 
 from orbit_core.actuators import Actuators
 from orbit_core.assets.merge import merge_fixed_links
-from orbit_core.assets.validation import validate
+from orbit_core.assets.validation import validate_entity
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_config, check_scene
 from orbit_core.dynamics.random import RandomStreams
@@ -104,6 +104,8 @@ class SimulatedWorld(World):
         self.sensors: Mapping[str, Sensor] = self._timed
         # The engine runs in stretches that end where a sensor is due.
         periods = [sensor.period for sensor in self._timed.values() if sensor.period is not None]
+        if self.actuators.explicit and self.layout.contact_queries:
+            periods.append(1)  # the engine is stepped one by one, and averages contact forces over each call
         self._stretch = math.gcd(*periods) if periods else None
 
     @property
@@ -141,6 +143,8 @@ class SimulatedWorld(World):
         return self.engine.native
 
     def step(self, steps: int = 1) -> None:
+        for sensor in self._timed.values():
+            sensor.begin_step()
         while steps > 0:
             stretch = steps
             if self._stretch is not None:
@@ -205,7 +209,8 @@ def _prepared(scene: Scene) -> Scene:
 
 
 def _prepared_entity(entity: _EntityType) -> _EntityType:
-    articulation = validate(entity.articulation)
+    validate_entity(entity)
+    articulation = entity.articulation
     if any(not joint.movable for joint in articulation.joints):
         articulation = merge_fixed_links(articulation)
     return replace(entity, articulation=articulation)

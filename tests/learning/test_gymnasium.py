@@ -11,6 +11,7 @@ import torch
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
+import orbit_core.learning
 from orbit_core.backends import backend_names
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.tasks import task_entries
@@ -19,6 +20,7 @@ BACKEND = backend_names()[0]
 
 
 def test_every_task_has_an_id() -> None:
+    orbit_core.learning.register()  # again: harmless
     assert {f"orbit/{name}-v0" for name in task_entries()} <= set(gymnasium.registry)
 
 
@@ -44,7 +46,7 @@ def test_a_vector_environment_gives_tensors_and_resets_in_the_same_step() -> Non
     assert isinstance(observation["policy"], torch.Tensor)
     for _ in range(5):
         action = torch.as_tensor(environment.action_space.sample())
-        observation, reward, terminated, truncated, info = environment.step(action)
+        observation, reward, _, truncated, info = environment.step(action)
     assert truncated.all()
     assert info["_final_obs"].all()
     assert info["final_obs"]["policy"].shape == observation["policy"].shape

@@ -73,7 +73,8 @@ def test_an_environment_does_the_same_whatever_their_number(task: str) -> None:
         observation_few, reward_few, *_ = few.step(action[:2])
         observation_many, reward_many, *_ = many.step(action)
         torch.testing.assert_close(observation_few["policy"], observation_many["policy"][:2], rtol=0, atol=0)
-        torch.testing.assert_close(reward_few, reward_many[:2], rtol=0, atol=0)
+        # A sum over terms may be ordered otherwise for another number of columns.
+        torch.testing.assert_close(reward_few, reward_many[:2], rtol=1e-5, atol=1e-8)
     few.close(), many.close()
 
 
