@@ -1,0 +1,201 @@
+"""The real command in a process of its own: what it prints, writes and returns."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from orbit_core.backends import backend, backend_names
+from orbit_core.interfaces import Capability
+from orbit_core.tasks import task_entries
+
+BACKEND = backend_names()[0]
+PROGRAM = [sys.executable, "-c", "import sys; from orbit_core.cli import main; sys.exit(main())"]
+SHORT = ["--backend", BACKEND, "--agent", "zero", "--set", "episode_length=0.04"]
+
+
+def orbit(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "ORBIT_DEBUG": "", **variables}
+    return subprocess.run([*PROGRAM, *words], capture_output=True, text=True, timeout=120, env=environment)
+
+
+def printed(*words: str) -> str:
+    done = orbit(*words)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("kind", ["tasks", "robots", "backends"])
+def test_lists_load_no_tensor_library_and_no_engine(kind: str):
+    script = (
+        "import sys; from orbit_core.cli import main; code = main(['list', sys.argv[1]]);"
+        "heavy = {'torch', sys.argv[2], 'trimesh', 'pxr', 'gymnasium', 'viser'} & set(sys.modules);"
+        "sys.exit(f'loaded {heavy}' if heavy else code)"
+    )
+    done = subprocess.run([sys.executable, "-c", script, kind, BACKEND], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    names = {"tasks": list(task_entries()), "robots": ["franka_panda"], "backends": [BACKEND]}[kind]
+    for name in names:
+        assert f"\n{name} " in f"\n{done.stdout}"
+
+
+def test_backends_are_listed_with_versions():
+    text = printed("list", "backends")
+    for package, version in backend(BACKEND).versions().items():
+        assert f"{package} {version}" in text
+
+
+def test_info_of_a_task():
+    text = printed("info", "Lift")
+    for word in ("Lift", "cube_size", "0.05", "hand_to_cube", "action_rate", "franka_panda", "native PD drives"):
+        assert word in text
+
+
+def test_info_of_a_robot():
+    text = printed("info", "franka_panda")
+    for word in ("Apache-2.0", "example-robot-data", "panda_joint7", "panda_hand_tcp", "ImplicitPd", "armature"):
+        assert word in text
+
+
+def test_info_of_a_backend_shows_every_capability_with_its_reason():
+    text = " ".join(printed("info", BACKEND).split())
+    capabilities = backend(BACKEND).capabilities()
+    for capability in Capability:
+        words = capability.value.split()[0]
+        assert words in text
+        assert all(word in text for word in capabilities[capability].reason.split())
+
+
+def test_run_writes_its_result(tmp_path: Path):
+    path = tmp_path / "result.json"
+    text = printed("run", "Lift", *SHORT, "--num-envs", "2", "--episodes", "3", "--json", str(path))
+    result = json.loads(path.read_text())
+    assert result["episodes"] == 3
+    assert result["episode_steps"] == {"mean": 2.0, "deviation": 0.0}
+    assert "success rate" in text
+    assert result["metric"]["name"] in text
+
+
+def test_run_from_a_file(tmp_path: Path):
+    file, path = tmp_path / "run.toml", tmp_path / "result.json"
+    file.write_text(
+        f'task = "Lift"\nbackend = "{BACKEND}"\nnum_envs = 2\nepisodes = 2\nagent = "zero"\njson = "{path}"\n'
+        "[fields]\nepisode_length = 0.04\n"
+    )
+    printed("run", "--config", str(file), "--seed", "4")
+    result = json.loads(path.read_text())
+    assert (result["num_envs"], result["seed"]) == (2, 4)
+
+
+def test_run_films_a_video(tmp_path: Path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    if not backend(BACKEND).capabilities().has(Capability.RGB):
+        pytest.skip("the backend draws nothing")
+    path = tmp_path / "lift.mp4"
+    printed("run", "Lift", *SHORT, "--num-envs", "2", "--episodes", "2", "--video", str(path))
+    assert imageio_ffmpeg.count_frames_and_secs(str(path))[0] == 2
+
+
+def test_bench_measures_each_size(tmp_path: Path):
+    figures, plot = tmp_path / "bench.json", tmp_path / "bench.png"
+    words = ["--backend", BACKEND, "--num-envs", "4", "1", "--steps", "5", "--json", str(figures), "--plot", str(plot)]
+    text = printed("bench", "Lift", *words)
+    result = json.loads(figures.read_text())
+    assert [row["num_envs"] for row in result["throughput"]] == [1, 4]
+    assert all(row["env_steps_per_second"] > 0 for row in result["throughput"])
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert "ms per step" in text
+
+
+def test_view_serves_a_page():
+    pytest.importorskip("viser")
+    text = printed("view", "Lift", *SHORT, "--max-steps", "3")
+    assert "watch at http://127.0.0.1:" in text
+
+
+MISTAKES = [
+    (["lst"], "did you mean 'list'"),
+    (["list", "task"], "did you mean 'tasks'"),
+    (["info", "Lft"], "did you mean 'Lift'"),
+    (["info", "frank_panda"], "did you mean 'franka_panda'"),
+    (["info"], "NAME"),
+    (["run"], "name a task"),
+    (["run", "Lft"], "did you mean 'Lift'"),
+    (["run", "Lift", "--num-env", "3"], "did you mean '--num-envs'"),
+    (["run", "Lift", "--num-envs", "many"], "--num-envs"),
+    (["run", "Lift", "--episodes", "0"], "episodes must be at least 1"),
+    (["run", "Lift", "--agent", "exprt"], "did you mean 'expert'"),
+    (["run", "Lift", "--backend", "physx9"], "unknown backend 'physx9'"),
+    (["run", "Lift", "--json", "/nowhere/a.json"], "there is no folder /nowhere"),
+    (["run", "Lift", "--video", "a.gif"], "must end in .mp4"),
+    (["run", "--config", "/nowhere/a.toml"], "/nowhere/a.toml"),
+    (["bench", "Lift", "--steps", "0"], "steps must be at least 1"),
+    (["view", "Lift", "--agent", "nobody"], "unknown agent 'nobody'"),
+    (["run", "Lift", "--robot", "franka"], "did you mean 'franka_panda'"),
+]
+BUILT_MISTAKES = [
+    (["--num-envs", "0"], "num_envs must be at least 1"),
+    (["--action", "ik_relativ"], "did you mean 'ik_relative'"),
+    (["--device", "gpu"], "device 'gpu'"),
+    (["--renderer", "crayons"], "unknown backend 'crayons'"),
+    (["--set", "cube_siz=1"], "did you mean 'cube_size'"),
+    (["--set", "cube_size"], "key=value"),
+    (["--set", "cube_size=big"], "cube_size = 'big'"),
+    (["--setting", "nothing_of_the_kind=1"], "unknown setting 'nothing_of_the_kind'"),
+]
+
+
+def assert_one_line(code: int, out: str, err: str, named: str) -> None:
+    assert code == 2
+    assert out == ""
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    assert named in err
+
+
+@pytest.mark.parametrize(("words", "named"), MISTAKES, ids=[" ".join(words) for words, _ in MISTAKES])
+def test_a_mistake_is_told_in_one_line(words: list[str], named: str):
+    done = orbit(*words)
+    assert_one_line(done.returncode, done.stdout, done.stderr, named)
+
+
+@pytest.mark.parametrize(("words", "named"), BUILT_MISTAKES, ids=[" ".join(words) for words, _ in BUILT_MISTAKES])
+def test_a_mistake_in_the_environment_is_told_in_one_line(
+    words: list[str], named: str, capfd: pytest.CaptureFixture[str]
+):
+    """In this process: the modules that these load are heavy."""
+    from orbit_core.cli import main
+
+    code = main(["run", "Lift", "--backend", BACKEND, *words])
+    assert_one_line(code, *capfd.readouterr(), named)
+
+
+@pytest.mark.parametrize(("words", "variables"), [(["--debug"], {}), ([], {"ORBIT_DEBUG": "1"})])
+def test_debugging_shows_where_a_mistake_was_found(words: list[str], variables: dict[str, str]):
+    done = orbit("run", "Lft", *words, **variables)
+    assert done.returncode == 1
+    assert "Traceback" in done.stderr
+    assert "UnknownNameError" in done.stderr
+
+
+def test_help_names_every_command_and_option():
+    assert "view" in printed("--help")
+    text = printed("run", "--help")
+    for option in ("--num-envs", "--episodes", "--config", "--setting"):
+        assert option in text
+
+
+def test_an_interrupt_is_quiet():
+    words = ["run", "Lift", "--backend", BACKEND, "--num-envs", "1", "--episodes", "100000", "--agent", "zero"]
+    process = subprocess.Popen([*PROGRAM, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    time.sleep(6.0)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out, err) == (130, "", "")

@@ -1,0 +1,124 @@
+"""The runner: whose episodes count, and what a run reports."""
+
+from __future__ import annotations
+
+import json
+import statistics
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from orbit_core.backends import backend_names
+from orbit_core.cli.runner import Tally, run, statistic
+from orbit_core.cli.settings import RunSettings
+from orbit_core.interfaces import UnknownNameError
+from orbit_core.tasks.environment import EpisodeEnd
+
+BACKEND = backend_names()[0]
+
+
+def end_of(env_ids: list[int], success: bool, length: int) -> EpisodeEnd:
+    count = len(env_ids)
+    return EpisodeEnd(
+        env_ids=torch.tensor(env_ids),
+        observation={},
+        success=torch.full((count,), success),
+        metrics={"distance": torch.tensor(env_ids, dtype=torch.float32)},
+        rewards={"a": torch.full((count,), 1.0), "b": torch.full((count,), 0.5)},
+        steps=torch.full((count,), length),
+    )
+
+
+@given(episodes=st.integers(1, 40), num_envs=st.integers(1, 12))
+@settings(max_examples=40, deadline=None)
+def test_every_environment_counts_its_share(episodes: int, num_envs: int):
+    tally = Tally(episodes, num_envs)
+    for _ in range(-(-episodes // num_envs)):
+        assert not tally.complete
+        tally.add(end_of(list(range(num_envs)), True, 5))
+    assert tally.complete
+    assert tally.episodes == episodes
+
+
+@given(data=st.data(), num_envs=st.integers(2, 6), each=st.integers(1, 4))
+@settings(max_examples=40, deadline=None)
+def test_short_episodes_are_not_preferred(data: st.DataObject, num_envs: int, each: int):
+    """Failing environments end their episodes much faster; the success rate must not care in which order they end."""
+    failing = num_envs // 2
+    tally = Tally(num_envs * each, num_envs)
+    ends = [env for env in range(num_envs) for _ in range(each * (10 if env < failing else 1))]
+    for env in data.draw(st.permutations(ends)):
+        tally.add(end_of([env], success=env >= failing, length=1 if env < failing else 10))
+    assert tally.complete
+    assert tally.success_rate == pytest.approx((num_envs - failing) / num_envs)
+
+
+def test_the_return_is_the_sum_of_all_terms():
+    tally = Tally(2, 2)
+    tally.add(end_of([0, 1], True, 5))
+    assert tally.episode_return().mean == 1.5
+    assert tally.metrics()["distance"].mean == 0.5
+    assert tally.metrics()["distance"].deviation == 0.5
+    assert tally.episode_steps().mean == 5
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=20))
+@settings(max_examples=40, deadline=None)
+def test_mean_and_deviation(values: list[float]):
+    result = statistic(values)
+    assert result.mean == pytest.approx(statistics.fmean(values), abs=1e-6)
+    assert result.deviation == pytest.approx(statistics.pstdev(values), abs=1e-3)
+
+
+def lift(num_envs: int, episodes: int, agent: str = "random") -> RunSettings:
+    return RunSettings(
+        task="Lift",
+        backend=BACKEND,
+        num_envs=num_envs,
+        episodes=episodes,
+        agent=agent,
+        set=("cube_size=0.06",),
+        fields={"episode_length": 0.1, "cube_size": 0.05},
+    )
+
+
+def test_a_run_counts_exactly_and_reports_itself():
+    shown: list[int] = []
+    result = run(lift(num_envs=3, episodes=7), lambda episodes, filmed: shown.append(episodes))
+    assert result.episodes == 7
+    assert result.episode_steps.mean == 5
+    assert shown == sorted(shown)
+    assert shown[-1] == 7
+    report = json.loads(json.dumps(result.as_json(), allow_nan=False))
+    assert (report["task"], report["backend"], report["agent"], report["num_envs"]) == ("Lift", BACKEND, "random", 3)
+    assert {"orbit", "torch", "python"} < set(report["versions"])
+    assert report["metric"]["name"] == next(iter(report["metrics"]))
+    assert report["env_steps_per_second"] > 0
+
+
+def test_the_same_seed_runs_the_same():
+    first, second = run(lift(2, 4)), run(lift(2, 4))
+    assert first.metrics == second.metrics
+    assert first.episode_return == second.episode_return
+
+
+def test_random_actions_do_not_depend_on_the_number_of_environments():
+    from orbit_core.cli.agents import RandomAgent
+    from orbit_core.cli.making import make_environment
+
+    actions = []
+    for num_envs in (1, 3):
+        environment = make_environment(lift(num_envs, 1), num_envs)
+        agent = RandomAgent(environment, seed=5)
+        actions.append(torch.stack([agent.act()[0] for _ in range(4)]))
+        environment.close()
+    torch.testing.assert_close(actions[0], actions[1])
+    assert actions[0].abs().max() <= 1.0
+    assert actions[0].std() > 0.3
+
+
+def test_an_unknown_agent_is_refused_before_anything_is_built():
+    with pytest.raises(UnknownNameError, match="did you mean 'expert'"):
+        run(lift(1, 1, agent="exprt"))
