@@ -21,6 +21,7 @@ from orbit_core.scene import (
     JointType,
     Link,
     Mesh,
+    MeshCollision,
     PhysicsMaterial,
     Plane,
     Pose,
@@ -201,6 +202,35 @@ def test_convex_meshes_collide(make_engine: MakeEngine, needs: Needs) -> None:
     engine = make_engine(scene(dataclasses.replace(solid, articulation=Articulation("solid", (link,)))))
     engine.step(300)
     assert engine.link_poses[0, 0, 2] == pytest.approx(0.033, abs=1e-3)
+
+
+def tray(half: float, height: float) -> Mesh:
+    """An open box with its floor at z = 0, seen from inside."""
+    corners = [
+        (x, y, z) for z in (0.0, height) for x, y in ((-half, -half), (half, -half), (half, half), (-half, half))
+    ]
+    faces = [(0, 1, 2), (0, 2, 3)]
+    for i in range(4):
+        j = (i + 1) % 4
+        faces += [(i, i + 4, j + 4), (i, j + 4, j)]
+    return Mesh(np.array(corners), np.array(faces), MeshCollision.TRIANGLES)
+
+
+def test_static_triangle_meshes_may_be_hollow(make_engine: MakeEngine, needs: Needs) -> None:
+    """A ball rolls into the middle of a tray's floor and its wall, not onto the hull; 2 mm."""
+    needs(Capability.TRIANGLE_MESHES)
+    basin = fixed("tray", tray(0.2, 0.3), Pose((1.0, 0.0, 0.5)))
+    engine = make_engine(scene(ball(), basin))
+    engine.write_root_state(
+        0, torch.tensor([[1.0, 0.01, 0.7, 1.0, 0, 0, 0]]), torch.tensor([[0.3, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    )
+    engine.step(100)
+    assert engine.link_poses[0, 0, 2] == pytest.approx(0.55, abs=2e-3)
+    furthest = 0.0
+    for _ in range(50):
+        engine.step(5)
+        furthest = max(furthest, engine.link_poses[0, 0, 0].item())
+    assert furthest == pytest.approx(1.15, abs=2e-3)
 
 
 def test_height_fields_collide_where_their_heights_say(make_engine: MakeEngine, needs: Needs) -> None:

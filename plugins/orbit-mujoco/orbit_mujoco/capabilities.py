@@ -2,8 +2,6 @@
 
 from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
 
-_HULLS = "MuJoCo collides the convex hull of a mesh: split the mesh into convex pieces, or use a height field"
-
 CAPABILITIES = Capabilities(
     {
         Capability.ARTICULATIONS: EXACT,
@@ -32,8 +30,12 @@ CAPABILITIES = Capabilities(
             "stiffness scales with the effective mass: as asked where a single body meets an immovable one"
         ),
         Capability.CONVEX_MESHES: EXACT,
-        Capability.TRIANGLE_MESHES: unsupported(_HULLS),
-        Capability.DYNAMIC_TRIANGLE_MESHES: unsupported(_HULLS),
+        Capability.TRIANGLE_MESHES: approximate(
+            "each triangle is a prism that reaches 10 mm inward, so thinner walls become as thick"
+        ),
+        Capability.DYNAMIC_TRIANGLE_MESHES: unsupported(
+            "MuJoCo collides the convex hull of a moving mesh: split the mesh into convex pieces"
+        ),
         Capability.HEIGHT_FIELDS: EXACT,
         Capability.CONTACT_FORCES: EXACT,
         Capability.JOINT_WRENCHES: EXACT,

@@ -48,7 +48,7 @@ def contact_parameters(shape: Shape, mass: float, rolls: bool, dt: float, config
     return ContactParameters(friction, condim, config.contact_solref, config.contact_solimp)
 
 
-def approximations(shape: Shape, subject: str) -> list[Approximation]:
+def material_approximations(shape: Shape, subject: str) -> list[Approximation]:
     """What of the shape's material MuJoCo does not take as it is."""
     material = shape.material
     found: list[Approximation] = []

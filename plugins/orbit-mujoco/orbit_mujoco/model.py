@@ -18,11 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, AssetError, EntityLayout, SceneLayout
-from orbit_core.scene import Joint, JointType, Link
+from orbit_core.scene import Joint, JointType, Link, Shape
 from orbit_mujoco.addresses import Addresses, body_name, joint_name
 from orbit_mujoco.config import MujocoConfig
-from orbit_mujoco.geometry import GeomBuilder
-from orbit_mujoco.materials import approximations, contact_parameters
+from orbit_mujoco.geometry import GeomBuilder, geometry_approximations
+from orbit_mujoco.materials import contact_parameters, material_approximations
 from orbit_mujoco.probes import add_contact_sensors, add_wrench_sensors
 
 _UNLIMITED = 1e10
@@ -66,9 +66,7 @@ class _Builder:
             self.report.append(Approximation("contacts", "the same friction in every direction", "a pyramid", why))
         self._geoms = GeomBuilder(self.spec)
         for shape in layout.scene.terrain:
-            contact = contact_parameters(shape, 1.0, False, layout.scene.physics_dt, config)
-            self._geoms.add(self.spec.worldbody, shape, contact, f"terrain shape '{shape.name}'")
-            self.report += approximations(shape, f"terrain shape '{shape.name}'")
+            self._add_shape(self.spec.worldbody, shape, 1.0, False, f"terrain shape '{shape.name}'")
         for entity in layout.entities:
             self._add_entity(entity)
         for index in range(len(layout.joints)):
@@ -141,9 +139,12 @@ class _Builder:
             self._report_inertia(inertia, subject)
         rolls = len(entity.spec.articulation.links) == 1 and not entity.spec.fixed_base
         for shape in link.collisions:
-            contact = contact_parameters(shape, link.mass or 1.0, rolls, self.layout.scene.physics_dt, self.config)
-            self._geoms.add(body, shape, contact, subject)
-            self.report += approximations(shape, subject)
+            self._add_shape(body, shape, link.mass or 1.0, rolls, subject)
+
+    def _add_shape(self, body: mujoco.MjsBody, shape: Shape, mass: float, rolls: bool, subject: str) -> None:
+        contact = contact_parameters(shape, mass, rolls, self.layout.scene.physics_dt, self.config)
+        self._geoms.add(body, shape, contact, subject)
+        self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject)
 
     def _report_inertia(self, inertia: npt.NDArray[np.float64], subject: str) -> None:
         a, b, c = np.linalg.eigvalsh(inertia)
