@@ -52,7 +52,7 @@ def _set_visuals(spec: mujoco.MjSpec, size: tuple[int, int], far: float, shadow_
     spec.stat.extent = 1.0  # the lengths below count in extents
     visual.map.zfar, visual.map.znear = far, 0.01
     visual.map.shadowclip = SHADOW_RADIUS
-    visual.headlight.ambient, visual.headlight.diffuse = (0.34, 0.34, 0.36), (0.20, 0.20, 0.20)
+    visual.headlight.ambient, visual.headlight.diffuse = (0.38, 0.38, 0.40), (0.20, 0.20, 0.20)
     visual.headlight.specular = (0.05, 0.05, 0.05)
     spec.add_texture(
         name="sky",
