@@ -178,4 +178,6 @@ class Cabinet(Task):
                 Phase(at_handle, gripper_open=False, dwell=0.4, timeout=0.5),
                 Phase(pulled, gripper_open=False),
             ),
+            position_lead=0.05,  # a stronger pull takes the fingers off the bar
+            rotation_lead=0.2,
         )
