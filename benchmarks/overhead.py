@@ -24,15 +24,13 @@ from typing import Any
 
 import torch
 import tyro
-from rich.console import Console
-from rich.table import Table
 from stopwatch import timed_parts
 
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import default_backend
 from orbit_core.cli.agents import RandomAgent
 from orbit_core.cli.making import check_output
-from orbit_core.cli.output import write_json
+from orbit_core.cli.output import console, new_table, write_json
 from orbit_core.cli.runner import versions_of
 from orbit_core.tasks import Environment, make
 
@@ -162,18 +160,18 @@ def _parts(environment: Environment, agent: RandomAgent, steps: int) -> dict[str
     return {part: 1e3 * seconds / steps for part, seconds in sorted(watch.seconds.items(), key=lambda item: -item[1])}
 
 
-def _print(console: Console, figures: list[Overhead], title: str) -> None:
-    table = Table("environments", "ratio", "quartiles", "env. steps/s", "raw", "fastest raw way", title=title)
+def _print(figures: list[Overhead], title: str) -> None:
+    table = new_table("environments", "ratio", "quartiles", "env. steps/s", "raw", "fastest raw way", title=title)
     for f in figures:
         quartiles = f"{f.ratio_quartiles[0]:.3f} to {f.ratio_quartiles[1]:.3f}"
         rates = f"{f.env_steps_per_second:,.0f}", f"{f.raw_env_steps_per_second:,.0f}"
         table.add_row(f"{f.num_envs:,}", f"{f.ratio:.3f}", quartiles, *rates, f.raw)
-    console.print(table)
+    console().print(table)
     parts = list(dict.fromkeys(part for f in figures for part in f.parts_milliseconds))
-    table = Table("ms per step", *(f"{f.num_envs:,} envs" for f in figures))
+    table = new_table("ms per step", *(f"{f.num_envs:,} envs" for f in figures))
     for part in parts:
         table.add_row(part, *(f"{f.parts_milliseconds.get(part, 0.0):.4f}" for f in figures))
-    console.print(table)
+    console().print(table)
 
 
 def _plot(figures: list[Overhead], title: str, path: Path) -> None:
@@ -206,7 +204,7 @@ def main(settings: Settings) -> None:
     name = settings.backend or default_backend()
     figures = [measure(settings, num_envs) for num_envs in settings.sweep or (settings.num_envs,)]
     title = f"{settings.task} on {name}"
-    _print(Console(), figures, title)
+    _print(figures, title)
     values = {"task": settings.task, "backend": name, "versions": versions_of(name), "cores": os.cpu_count()}
     values["block_steps"], values["blocks"] = settings.block_steps, settings.blocks
     values["overhead"] = [asdict(figure) for figure in figures]
