@@ -164,7 +164,7 @@ def test_rolling_friction_slows_a_rolling_ball(make_engine: MakeEngine, needs: N
     assert engine.link_velocities[0, 0, 0] == pytest.approx(1.0 - 5 / 7 * 0.001 * G / 0.05, rel=0.05)
 
 
-@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.8])
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.8, 0.95])
 def test_restitution_sets_the_rebound(make_engine: MakeEngine, needs: Needs, restitution: float) -> None:
     """Speed after over speed before the impact, 0.08."""
     needs(Capability.RESTITUTION)

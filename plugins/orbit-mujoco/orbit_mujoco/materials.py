@@ -15,8 +15,10 @@ from orbit_core.interfaces import Approximation
 from orbit_core.scene import Capsule, Compliance, Cylinder, PhysicsMaterial, Shape, Sphere
 from orbit_mujoco.config import MujocoConfig
 
-STEPS_PER_BOUNCE = 16
+STEPS_PER_BOUNCE = 8
 """Physics steps that a rebound lasts, enough for the integrator to resolve it."""
+_MOST_DAMPED = 1.3
+"""Damping ratio above which the integrator would not follow; it rebounds at a tenth of the speed."""
 SOFT_IMPEDANCE = 0.1
 """Of a compliant contact: the share of a load that it cancels outright rather than by giving way."""
 OVERRIDING = 1e6
@@ -91,11 +93,21 @@ def _spring(compliance: Compliance, mass: float) -> tuple[float, float]:
 
 
 def _rebound(restitution: float, dt: float) -> tuple[float, float]:
-    """The spring-damper whose half period ends at ``-restitution`` times the speed of impact.
+    """The spring-damper that throws back at ``restitution`` times the speed of impact."""
+    least, greatest = 0.0, _MOST_DAMPED
+    for _ in range(40):
+        ratio = (least + greatest) / 2
+        least, greatest = (ratio, greatest) if _restitution(ratio) > restitution else (least, ratio)
+    frequency = math.pi / (STEPS_PER_BOUNCE * dt)
+    return (-frequency * frequency, -2 * greatest * frequency)
 
-    A linear spring-damper of damping ratio z rebounds with ``exp(-pi z / sqrt(1 - z^2))``.
-    """
-    logarithm = math.log(min(restitution, 1.0))
-    ratio = -logarithm / math.hypot(math.pi, logarithm)
-    frequency = math.pi / (STEPS_PER_BOUNCE * dt * math.sqrt(1 - ratio * ratio))
-    return (-frequency * frequency, -2 * ratio * frequency)
+
+def _restitution(ratio: float) -> float:
+    """Of a linear spring-damper of that damping ratio that pushes but does not pull (Schwager and Poeschel, 2007)."""
+    if abs(ratio - 1) < 1e-6:
+        return math.exp(-2)
+    if ratio < 1:
+        angle = math.asin(ratio)
+        return math.exp(-math.tan(angle) * (math.pi - 2 * angle))
+    root = math.sqrt(ratio * ratio - 1)
+    return math.exp(-ratio / root * math.log((ratio + root) / (ratio - root)))
