@@ -29,7 +29,7 @@ from stopwatch import timed_parts
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import default_backend
 from orbit_core.cli.agents import RandomAgent
-from orbit_core.cli.making import check_output
+from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, write_json
 from orbit_core.cli.runner import versions_of
 from orbit_core.tasks import Environment, make

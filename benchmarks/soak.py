@@ -19,7 +19,7 @@ from rich.progress import Progress
 
 from orbit_core.backends import default_backend
 from orbit_core.cli.agents import RandomAgent
-from orbit_core.cli.making import check_output
+from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.runner import versions_of
 from orbit_core.interfaces import OrbitError

@@ -55,6 +55,5 @@ def _dispatch(words: list[str]) -> int:
 
 def _usage() -> str:
     lines = [f"  {name:<6} {description}" for name, (_, description) in COMMANDS.items()]
-    return "\n".join(
-        ["usage: orbit COMMAND ...", "", *lines, "", "'orbit COMMAND --help' describes a command's options."]
-    )
+    hint = "'orbit COMMAND --help' describes a command's options; --debug shows where an error arose."
+    return "\n".join(["usage: orbit [--version] COMMAND ...", "", *lines, "", hint])

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from orbit_core.cli.agents import make_agent
-from orbit_core.cli.making import check_output, check_positive, make_environment
+from orbit_core.cli.checks import check_output, check_positive
+from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.runner import versions_of

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orbit_core.backends import backend, default_backend
@@ -40,7 +39,8 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environmen
             f"device '{settings.device}' is no torch device: use 'cpu', 'cuda' or 'cuda:0'"
         ) from None
     if device.type == "cpu":
-        # The layer's tensors are small: a second thread gains nothing and contends with the engine's own for the cores.
+        # The layer's tensors are small: more threads gain nothing at 64 environments, and where the engine's own
+        # threads or other programs hold the cores, waiting for each other makes them several times slower.
         torch.set_num_threads(1)
     fields = _merged(settings, settings.fields, settings.set, entry.task_type(), "field", f"task {entry.name}")
     chosen = {"robot": settings.robot, "action": settings.action}
@@ -61,21 +61,3 @@ def _merged(
     defaults = defaults_of(owner_type)
     table = check_values(from_file, defaults, kind, f"{owner}, table [{kind}s] of {settings.config}")
     return {**table, **parse_values(pairs, defaults, kind, owner)}
-
-
-def check_output(path: Path | None, suffix: str) -> None:
-    """Refuse a file that could not be written, before the work whose result it is to hold."""
-    if path is None:
-        return
-    if path.suffix != suffix:
-        raise ConfigurationError(f"the name of output file {path} must end in {suffix}")
-    if not path.parent.is_dir():
-        raise ConfigurationError(f"cannot write {path}: there is no folder {path.parent}")
-    if path.is_dir():
-        raise ConfigurationError(f"cannot write {path}: it is a folder")
-
-
-def check_positive(name: str, value: int) -> None:
-    """Refuse a number below one."""
-    if value < 1:
-        raise ConfigurationError(f"{name} must be at least 1, not {value}")

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from orbit_core import __version__
 from orbit_core.backends import backend
 from orbit_core.cli.agents import check_agent, make_agent
-from orbit_core.cli.making import check_output, check_positive, make_environment
+from orbit_core.cli.checks import check_output, check_positive
+from orbit_core.cli.making import make_environment
 from orbit_core.cli.settings import RunSettings
 
 if TYPE_CHECKING:

@@ -1,0 +1,28 @@
+"""What can be known to be wrong before any work is done."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from orbit_core.interfaces.errors import ConfigurationError
+
+
+def check_output(path: Path | None, suffix: str) -> None:
+    """Refuse a file that could not be written, before the work whose result it is to hold."""
+    if path is None:
+        return
+    if path.suffix != suffix:
+        raise ConfigurationError(f"the name of output file {path} must end in {suffix}")
+    if not path.parent.is_dir():
+        raise ConfigurationError(f"cannot write {path}: there is no folder {path.parent}")
+    if not os.access(path.parent, os.W_OK):
+        raise ConfigurationError(f"cannot write {path}: folder {path.parent} is read-only for this user")
+    if path.is_dir():
+        raise ConfigurationError(f"cannot write {path}: it is a folder")
+
+
+def check_positive(name: str, value: int) -> None:
+    """Refuse a number below one."""
+    if value < 1:
+        raise ConfigurationError(f"{name} must be at least 1, not {value}")
