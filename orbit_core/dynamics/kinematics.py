@@ -62,6 +62,30 @@ class PointJacobian:
         return torch.cat((linear, axes), -1).permute(1, 2, 0)
 
 
+class FixedFrame:
+    """A frame at a constant pose in a link: its world pose from the link's, by two matrix products.
+
+    Args:
+        offset: position and quaternion (w, x, y, z) of the frame in the link.
+        device: where poses live.
+    """
+
+    def __init__(self, offset: Sequence[float], device: torch.device) -> None:
+        position, (w, x, y, z) = np.asarray(offset[:3], dtype=np.float64), offset[3:]
+        # A row (link's quaternion) times this matrix is the product of the two quaternions.
+        right = [[w, x, y, z], [-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]]
+        self._position = torch.as_tensor(_rotated(position), dtype=torch.float32, device=device)
+        self._rotation = torch.tensor(right, dtype=torch.float32, device=device)
+
+    def __call__(self, link_pose: Tensor) -> Tensor:
+        """(N, 7), w >= 0, for link poses (N, 7)."""
+        link = link_pose[:, 3:]
+        products = (link.unsqueeze(-1) * link.unsqueeze(-2)).flatten(1)
+        rotation = link @ self._rotation
+        sign = torch.where(rotation[:, :1] < 0.0, -1.0, 1.0)
+        return torch.cat((torch.addmm(link_pose[:, :3], products, self._position), rotation * sign), 1)
+
+
 class KinematicTree:
     """Kinematics of one articulation, fixed or floating alike: the root's pose and velocity are inputs.
 

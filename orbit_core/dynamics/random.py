@@ -24,6 +24,8 @@ class RandomStreams:
         self._episode = torch.full((num_envs,), -1, dtype=torch.int64, device=device)
         self._count = torch.zeros(num_envs, dtype=torch.int64, device=device)
         self._key = torch.zeros(num_envs, dtype=torch.int64, device=device)
+        self._stream = torch.zeros(num_envs, dtype=torch.int64, device=device)
+        """Hash of key and episode."""
         self._envs = torch.arange(num_envs, dtype=torch.int64, device=device)
         self.seed(seed)
 
@@ -32,13 +34,13 @@ class RandomStreams:
         ids = self._envs if env_ids is None else env_ids
         self._key[ids] = _mix(_mix(torch.full_like(ids, seed) + _INCREMENT) + ids * _INCREMENT)
         self._episode[ids] = -1
-        self._count[ids] = 0
+        self._begin_stream(ids)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Begin the next episode's stream; what the last episode drew does not matter to it."""
         ids = self._envs if env_ids is None else env_ids
         self._episode[ids] += 1
-        self._count[ids] = 0
+        self._begin_stream(ids)
 
     def uniform(
         self,
@@ -71,13 +73,21 @@ class RandomStreams:
         """Return to a saved state."""
         for own, saved in zip((self._key, self._episode, self._count), state, strict=True):
             own.copy_(saved)
+        self._stream.copy_(self._stream_of(self._envs))
+
+    def _begin_stream(self, ids: Tensor) -> None:
+        self._stream[ids] = self._stream_of(ids)
+        self._count[ids] = 0
+
+    def _stream_of(self, ids: Tensor) -> Tensor:
+        return _mix(self._key[ids] + self._episode[ids] * _INCREMENT)
 
     def _bits(self, draws: int, env_ids: Tensor | None) -> Tensor:
         ids = self._envs if env_ids is None else env_ids
-        stream = _mix(self._key[ids] + self._episode[ids] * _INCREMENT)
-        counter = self._count[ids, None] + torch.arange(1, draws + 1, device=self.device)
-        self._count[ids] += draws
-        return _mix(stream[:, None] + counter * _INCREMENT)
+        count = self._count[ids]
+        self._count[ids] = count + draws
+        counter = count[:, None] + torch.arange(1, draws + 1, device=self.device)
+        return _mix(self._stream[ids, None] + counter * _INCREMENT)
 
 
 def _mix(z: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from orbit_core.tasks.settings import configure
 from orbit_core.tasks.task import Task
 from orbit_core.tasks.terms import EventTerm, EventTime, ObservationTerm, RewardTerm, TerminationTerm, terms_of
 from orbit_core.world import SimulatedWorld
+from orbit_core.world.threads import SingleThreaded
 
 Observation = dict[str, Tensor]
 
@@ -87,6 +89,7 @@ class Environment:
         self.reward_sums = torch.zeros(len(self.reward_terms), num_envs, device=self.device)
         """(terms, N) each reward term's contribution to the episode so far."""
         self._all = torch.arange(num_envs, device=self.device)
+        self._never = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         task.generators = action_space(self.world.robots[ROBOT], task.action)
         self.action_size = sum(generator.command_size for generator in task.generators)
         task.last_action = torch.zeros(num_envs, self.action_size, device=self.device)
@@ -103,8 +106,9 @@ class Environment:
         """Begin new episodes in some environments; with a seed, start their random streams anew."""
         if seed is not None:
             self.world.random.seed(seed, env_ids)
-        self._begin(env_ids)
-        return self._observe(), {}
+        with SingleThreaded():
+            self._begin(env_ids)
+            return self._observe(), {}
 
     def step(self, action: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
         """One step of all environments.
@@ -118,6 +122,10 @@ class Environment:
             ShapeError: the action is not (N, A).
             NonFiniteError: the action holds a NaN or infinite number; names environment and component.
         """
+        with SingleThreaded():
+            return self._step(action)
+
+    def _step(self, action: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
         self._check(action)
         action = action.clamp(-1.0, 1.0)
         self._cut.act({"action": action})
@@ -211,10 +219,8 @@ class Environment:
         return values.sum(0)
 
     def _terminated(self) -> Tensor:
-        terminated = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-        for term in self.termination_terms.values():
-            terminated |= term.function(self.world, self.task)
-        return terminated
+        ends = [term.function(self.world, self.task) for term in self.termination_terms.values()]
+        return functools.reduce(torch.logical_or, ends, self._never)
 
     def _finish(self, ended: Tensor) -> EpisodeEnd:
         """What ended, before it is reset."""

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from orbit_core.actuators import Actuators
-from orbit_core.dynamics.kinematics import PointJacobian
-from orbit_core.dynamics.transforms import pose_multiply, quat_rotate
+from orbit_core.dynamics.kinematics import FixedFrame, PointJacobian
+from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import (
     Engine,
     EntityLayout,
@@ -21,16 +21,18 @@ from orbit_core.interfaces import (
     UnknownNameError,
     match_names,
 )
-from orbit_core.scene import Entity, Joint, RobotSpec
+from orbit_core.scene import Entity, Frame, Joint, Pose, RobotSpec
 from orbit_core.world.clock import Clock
 
 
 @dataclass(frozen=True)
 class _FrameHandle:
-    """A frame resolved to its link's index within the entity and its constant pose (7,) there, None at the link."""
+    """A frame resolved to its link's index within the entity, and its constant pose there; None at the link itself."""
 
     link: int
     offset: Tensor | None
+    """(3,) position in the link."""
+    pose_of: FixedFrame | None
 
 
 class SimulatedObject(Object):
@@ -93,8 +95,8 @@ class SimulatedObject(Object):
         if pose is None or version != self._clock.version:
             frame = self._frame(name)
             pose = self._engine.link_poses[:, self.layout.root_link + frame.link]
-            if frame.offset is not None:
-                pose = pose_multiply(pose, frame.offset)
+            if frame.pose_of is not None:
+                pose = frame.pose_of(pose)
             self._frame_poses[name] = (self._clock.version, pose)
         return pose
 
@@ -103,7 +105,7 @@ class SimulatedObject(Object):
         velocity = self._engine.link_velocities[:, self.layout.root_link + frame.link]
         if frame.offset is None:
             return velocity
-        arm = quat_rotate(self._engine.link_poses[:, self.layout.root_link + frame.link, 3:], frame.offset[:3])
+        arm = quat_rotate(self._engine.link_poses[:, self.layout.root_link + frame.link, 3:], frame.offset)
         return torch.cat((velocity[:, :3] + torch.linalg.cross(velocity[:, 3:], arm), velocity[:, 3:]), -1)
 
     def jacobian(self, frame: str, joints: Sequence[int] | None = None) -> Tensor:
@@ -166,6 +168,76 @@ class SimulatedObject(Object):
             self._actuators.position_targets[rows, indices] = positions
         self._clock.touch()
 
+    # Parameters per environment; they outlast resets
+
+    def set_masses(self, masses: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
+        """Masses (n, k) in kg of some links; inertias scale with them.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot.
+        """
+        indices = self._link_indices(links)
+        self._check(masses, (len(indices),), env_ids, "masses")
+        self._engine.set_masses(indices, masses, env_ids)
+
+    def set_centers_of_mass(
+        self, centers: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None
+    ) -> None:
+        """Centres of mass (n, k, 3) of some links, in their own frames.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot.
+        """
+        indices = self._link_indices(links)
+        self._check(centers, (len(indices), 3), env_ids, "centres of mass")
+        self._engine.set_centers_of_mass(indices, centers, env_ids)
+
+    def set_friction(
+        self, coefficients: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None
+    ) -> None:
+        """Friction (n, k), static and dynamic alike, of all shapes of some links.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot.
+        """
+        indices = self._link_indices(links)
+        self._check(coefficients, (len(indices),), env_ids, "friction")
+        self._engine.set_friction(indices, coefficients, env_ids)
+
+    def set_wrenches(self, wrenches: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
+        """Force at the centre of mass and torque, (n, k, 6), world axes, on some links until set again or reset.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot.
+        """
+        indices = self._link_indices(links)
+        self._check(wrenches, (len(indices), 6), env_ids, "wrenches")
+        self._engine.set_wrenches(indices, wrenches, env_ids)
+        self._clock.touch()
+
+    def set_gains(
+        self,
+        stiffness: Tensor,
+        damping: Tensor,
+        joints: Sequence[int] | None = None,
+        env_ids: Tensor | None = None,
+    ) -> None:
+        """Stiffness and damping (n, k) of the actuators of some joints, implicit and explicit alike.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot.
+            ConfigurationError: a joint has no actuator.
+        """
+        chosen = list(range(len(self.joint_names))) if joints is None else list(joints)
+        self._check(stiffness, (len(chosen),), env_ids, "stiffness")
+        self._check(damping, (len(chosen),), env_ids, "damping")
+        start = self.layout.joints.start
+        self._actuators.set_gains([start + joint for joint in chosen], stiffness, damping, env_ids)
+
+    def _link_indices(self, links: Sequence[int] | None) -> Tensor:
+        chosen = list(range(len(self.link_names))) if links is None else list(links)
+        return torch.tensor(chosen, device=self._engine.device) + self.layout.root_link
+
     def _with_followers(
         self, chosen: list[int], positions: Tensor | None, velocities: Tensor | None
     ) -> tuple[list[int], Tensor | None, Tensor | None]:
@@ -195,11 +267,15 @@ class SimulatedObject(Object):
             except KeyError:
                 known = [*self.link_names, *(frame.name for frame in articulation.frames)]
                 raise UnknownNameError("frame", name, known, f"'{self.name}'") from None
-            values = (*frame.pose.position, *frame.pose.orientation)
-            identity = values == (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-            offset = None if identity else torch.tensor(values, dtype=torch.float32, device=self._engine.device)
-            handle = self._frames[name] = _FrameHandle(self.link_names.index(frame.link), offset)
+            handle = self._frames[name] = self._resolved(frame)
         return handle
+
+    def _resolved(self, frame: Frame) -> _FrameHandle:
+        link, device = self.link_names.index(frame.link), self._engine.device
+        if frame.pose == Pose():
+            return _FrameHandle(link, None, None)
+        offset = torch.tensor(frame.pose.position, dtype=torch.float32, device=device)
+        return _FrameHandle(link, offset, FixedFrame((*frame.pose.position, *frame.pose.orientation), device))
 
     def _check(self, value: Tensor, shape: tuple[int, ...], env_ids: Tensor | None, what: str) -> None:
         expected = (self._engine.num_envs if env_ids is None else len(env_ids), *shape)

@@ -16,7 +16,7 @@ from orbit_core.assets.validation import validate_entity
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_config, check_scene
 from orbit_core.dynamics.random import RandomStreams
-from orbit_core.interfaces import Approximation, ConfigurationError, Renderer, SceneLayout, Sensor, World
+from orbit_core.interfaces import TERRAIN, Approximation, ConfigurationError, Renderer, SceneLayout, Sensor, World
 from orbit_core.scene import CameraSpec, Entity, Scene
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.clock import Clock
@@ -99,8 +99,9 @@ class SimulatedWorld(World):
         }
 
     def _add_sensors(self) -> None:
-        context = SensorContext(self.engine, self.layout, self.physics_dt, self.random, lambda: self.renderer)
-        self._timed = {spec.name: create_sensor(spec, context) for spec in self.scene.sensors}
+        parts = (self.engine, self.layout, self.physics_dt, self.random, lambda: self.renderer)
+        self._sensing = SensorContext(*parts)
+        self._timed = {spec.name: create_sensor(spec, self._sensing) for spec in self.scene.sensors}
         self.sensors: Mapping[str, Sensor] = self._timed
         # The engine runs in stretches that end where a sensor is due.
         periods = [sensor.period for sensor in self._timed.values() if sensor.period is not None]
@@ -162,6 +163,23 @@ class SimulatedWorld(World):
         for _ in range(steps):
             self.actuators.apply()
             self.engine.step(1)
+
+    def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
+        """Gravity (n, 3) in m/s^2 of some environments, for good.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot.
+        """
+        self.engine.set_gravity(gravity, env_ids)
+        self._sensing.gravity[slice(None) if env_ids is None else env_ids] = gravity
+
+    def set_terrain_friction(self, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
+        """Friction (n,), static and dynamic alike, of all terrain shapes.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot.
+        """
+        self.engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], env_ids)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         self.random.reset(env_ids)
