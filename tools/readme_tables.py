@@ -1,0 +1,67 @@
+"""Fills in the parts of the documentation that come from the code: the capability table, and quoted files.
+
+    python tools/readme_tables.py          rewrite the README and the pages of docs/
+
+A part stands between ``<!-- capabilities -->`` or ``<!-- file: PATH -->`` and ``<!-- end -->``.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from orbit_core.backends import backend, backend_names
+from orbit_core.interfaces import Capability, Level
+
+ROOT = Path(__file__).parents[1]
+_PART = re.compile(
+    r"(?P<start><!-- (?P<kind>capabilities|file: (?P<path>\S+)) -->\n).*?(?P<end><!-- end -->)", re.DOTALL
+)
+
+
+def pages() -> list[Path]:
+    """The README files and all pages."""
+    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("plugins/*/README.md"))]
+
+
+def updated(text: str) -> str:
+    """A page with its generated parts as the code has them now."""
+
+    def part(match: re.Match[str]) -> str:
+        content = quoted_file(match["path"]) if match["path"] else capability_table()
+        return match["start"] + content + match["end"]
+
+    return _PART.sub(part, text)
+
+
+def capability_table() -> str:
+    """Every capability, and each installed backend's level with its reason."""
+    names = backend_names()
+    rows = [f"| capability | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
+    for capability in Capability:
+        cells = [_cell(name, capability) for name in names]
+        rows.append(f"| {capability.value} | {' | '.join(cells)} |")
+    return "\n".join(rows) + "\n"
+
+
+def quoted_file(path: str) -> str:
+    """A Python file of the repository as a block of code."""
+    return f"```python\n{(ROOT / path).read_text(encoding='utf-8')}```\n"
+
+
+def _cell(name: str, capability: Capability) -> str:
+    support = backend(name).capabilities()[capability]
+    if support.level is Level.EXACT:
+        return "yes"
+    word = "approximate" if support.level is Level.APPROXIMATE else "no"
+    return f"**{word}**: {support.reason}"
+
+
+def main() -> None:
+    """Rewrite all pages."""
+    for page in pages():
+        page.write_text(updated(page.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
