@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
+from torch.linalg import vector_norm
 
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import SolidOptions, box, cabinet
-from orbit_core.dynamics.transforms import quat_from_euler, quat_rotate
+from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
 from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, common
 from orbit_core.tasks.terms import once_per_state
@@ -46,8 +47,8 @@ def goal_distance(world: SimulatedWorld, task: Cabinet) -> Tensor:
 
 def reaching(world: SimulatedWorld, task: Cabinet) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the handle."""
-    distance = (handle_pose(world, task)[:, :3] - common.hand_pose(world, task)[:, :3]).norm(dim=1)
-    return 1.0 - torch.tanh(distance * 5.0)
+    distance = vector_norm(handle_pose(world, task)[:, :3] - common.hand_pose(world, task)[:, :3], dim=1)
+    return common.nearness(distance, 0.2)
 
 
 def opened(world: SimulatedWorld, task: Cabinet) -> Tensor:
@@ -62,7 +63,7 @@ def place_cabinet(world: SimulatedWorld, task: Cabinet, env_ids: Tensor) -> None
     zero = torch.zeros_like(u[:, 0])
     nominal = torch.tensor(cabinet.spec.pose.position, device=world.device)
     position = nominal + torch.stack((0.05 * u[:, 0], 0.05 * u[:, 1], zero), dim=1)
-    cabinet.set_root_pose(torch.cat((position, quat_from_euler(zero, zero, 0.1 * u[:, 2])), dim=1), env_ids)
+    cabinet.set_root_pose(torch.cat((position, common.turned(0.1 * u[:, 2])), dim=1), env_ids)
 
 
 def sample_goal(world: SimulatedWorld, task: Cabinet, env_ids: Tensor) -> None:
@@ -135,7 +136,7 @@ class Cabinet(Task):
     """
 
     robot: str = "franka_panda"
-    action: str = "ik_relative"
+    action: str = "joint_position"
     episode_length: float = 8.0
     tolerance: float = 0.02
     """Metres."""

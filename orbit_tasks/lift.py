@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
+from torch.linalg import vector_norm
 
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import box
-from orbit_core.dynamics.transforms import quat_from_euler
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
 from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, TerminationTerm, common
 from orbit_core.tasks.terms import once_per_state
@@ -32,7 +32,7 @@ def hand_to_cube(world: SimulatedWorld, task: Lift) -> Tensor:
 @once_per_state
 def goal_distance(world: SimulatedWorld, task: Lift) -> Tensor:
     """(N,) between cube and goal."""
-    return (task.goal - cube_pose(world, task)[:, :3]).norm(dim=1)
+    return vector_norm(task.goal - cube_pose(world, task)[:, :3], dim=1)
 
 
 def dropped(world: SimulatedWorld, task: Lift) -> Tensor:
@@ -42,7 +42,7 @@ def dropped(world: SimulatedWorld, task: Lift) -> Tensor:
 
 def reaching(world: SimulatedWorld, task: Lift) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the cube."""
-    return 1.0 - torch.tanh(hand_to_cube(world, task).norm(dim=1) * 10.0)
+    return common.nearness(vector_norm(hand_to_cube(world, task), dim=1), 0.1)
 
 
 @once_per_state
@@ -53,7 +53,7 @@ def lifted(world: SimulatedWorld, task: Lift) -> Tensor:
 
 def tracking(world: SimulatedWorld, task: Lift, scale: float) -> Tensor:
     """(N,) in [0, 1]: how near a lifted cube is to the goal."""
-    return lifted(world, task) * (1.0 - torch.tanh(goal_distance(world, task) / scale))
+    return lifted(world, task) * common.nearness(goal_distance(world, task), scale)
 
 
 def place_cube(world: SimulatedWorld, task: Lift, env_ids: Tensor) -> None:
@@ -61,7 +61,7 @@ def place_cube(world: SimulatedWorld, task: Lift, env_ids: Tensor) -> None:
     u = world.random.uniform((3,), env_ids=env_ids)
     zero = torch.zeros(len(env_ids), device=world.device)
     position = torch.stack((0.4 + 0.2 * u[:, 0], 0.5 * u[:, 1] - 0.25, zero + 0.5 * task.cube_size), dim=1)
-    rotation = quat_from_euler(zero, zero, math.pi * (2.0 * u[:, 2] - 1.0))
+    rotation = common.turned(math.pi * (2.0 * u[:, 2] - 1.0))
     world.objects["cube"].set_root_pose(torch.cat((position, rotation), dim=1), env_ids)
 
 
@@ -135,7 +135,7 @@ class Lift(Task):
     """
 
     robot: str = "franka_panda"
-    action: str = "ik_relative"
+    action: str = "joint_position"
     episode_length: float = 5.0
     cube_size: float = 0.05
     """Metres, the edge."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
+from torch.linalg import vector_norm
 
 from orbit_core.assets.catalogue import robot
 from orbit_core.dynamics.transforms import pose_error, quat_from_euler, quat_multiply
@@ -24,18 +25,18 @@ def goal_error(world: SimulatedWorld, task: Reach) -> Tensor:
 @once_per_state
 def position_error(world: SimulatedWorld, task: Reach) -> Tensor:
     """(N,) metres."""
-    return goal_error(world, task)[:, :3].norm(dim=1)
+    return vector_norm(goal_error(world, task)[:, :3], dim=1)
 
 
 @once_per_state
 def rotation_error(world: SimulatedWorld, task: Reach) -> Tensor:
     """(N,) radians."""
-    return goal_error(world, task)[:, 3:].norm(dim=1)
+    return vector_norm(goal_error(world, task)[:, 3:], dim=1)
 
 
 def near(world: SimulatedWorld, task: Reach) -> Tensor:
     """(N,) in [0, 1]: 1 at the goal, falling within a decimetre."""
-    return 1.0 - torch.tanh(position_error(world, task) * 10.0)
+    return common.nearness(position_error(world, task), 0.1)
 
 
 def sample_goal(world: SimulatedWorld, task: Reach, env_ids: Tensor) -> None:
@@ -86,7 +87,7 @@ class Reach(Task):
     """
 
     robot: str = "franka_panda"
-    action: str = "ik_relative"
+    action: str = "joint_position"
     episode_length: float = 4.0
     position_tolerance: float = 0.02
     """Metres."""

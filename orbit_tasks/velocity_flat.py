@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
+from torch.linalg import vector_norm
 
 from orbit_core.assets.catalogue import robot
-from orbit_core.dynamics.transforms import quat_from_euler, quat_rotate_inverse
+from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.scene import ContactSensorSpec, MarkerShape, MarkerSpec, Scene
 from orbit_core.sensors import ContactSensor
 from orbit_core.tasks import EventTerm, ObservationTerm, RewardTerm, Task, TerminationTerm, common
@@ -50,7 +51,7 @@ def command(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
 @once_per_state
 def linear_error(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
     """(N,) m/s."""
-    return (task.command[:, :2] - linear_velocity(world, task)[:, :2]).norm(dim=1)
+    return vector_norm(task.command[:, :2] - linear_velocity(world, task)[:, :2], dim=1)
 
 
 @once_per_state
@@ -76,17 +77,17 @@ def bouncing(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
 
 def rolling(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
     """(N,) squared roll and pitch rates."""
-    return angular_velocity(world, task)[:, :2].square().sum(1)
+    return common.squared_norm(angular_velocity(world, task)[:, :2])
 
 
 def tilt(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
     """(N,) squared sine of the tilt."""
-    return projected_gravity(world, task)[:, :2].square().sum(1)
+    return common.squared_norm(projected_gravity(world, task)[:, :2])
 
 
 def effort(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
     """(N,) sum of squared joint efforts."""
-    return common.robot_of(world).joint_efforts.square().sum(1)
+    return common.squared_norm(common.robot_of(world).joint_efforts)
 
 
 @once_per_state
@@ -102,9 +103,8 @@ def place_robot(world: SimulatedWorld, task: VelocityFlat, env_ids: Tensor) -> N
     """At home height, facing anywhere, joints around their home."""
     trunk = common.robot_of(world)
     yaw = world.random.uniform((), -torch.pi, torch.pi, env_ids)
-    zero = torch.zeros_like(yaw)
     position = torch.tensor(trunk.spec.pose.position, device=world.device).expand(len(env_ids), 3)
-    trunk.set_root_pose(torch.cat((position, quat_from_euler(zero, zero, yaw)), dim=1), env_ids)
+    trunk.set_root_pose(torch.cat((position, common.turned(yaw)), dim=1), env_ids)
     common.randomize_robot_start(0.05)(world, task, env_ids)
 
 

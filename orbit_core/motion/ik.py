@@ -8,6 +8,7 @@ Manipulators through Kinematically Singular Configurations (1988), for damping t
 
 from __future__ import annotations
 
+import functools
 from enum import Enum
 
 import torch
@@ -45,9 +46,14 @@ def joint_delta(
 def damped_least_squares(jacobian: Tensor, error: Tensor, damping: float) -> Tensor:
     """``J^T (J J^T + lambda^2 I)^-1 e`` (N, k), by Cholesky's factors of the 6 x 6 matrices."""
     transposed = jacobian.transpose(1, 2)
-    regular = damping**2 * torch.eye(jacobian.shape[1], device=jacobian.device)
+    regular = _scaled_identity(jacobian.shape[1], damping**2, jacobian.device)
     factors, _ = torch.linalg.cholesky_ex(torch.baddbmm(regular, jacobian, transposed))
     return torch.bmm(transposed, torch.cholesky_solve(error.unsqueeze(-1), factors)).squeeze(-1)
+
+
+@functools.lru_cache(maxsize=64)
+def _scaled_identity(size: int, scale: float, device: torch.device) -> Tensor:
+    return scale * torch.eye(size, device=device)
 
 
 def _damped_least_squares(jacobian: Tensor, error: Tensor, damping: float, _: float) -> Tensor:

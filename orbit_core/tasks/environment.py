@@ -210,13 +210,12 @@ class Environment:
 
     def _reward_weights(self) -> Tensor:
         weights = [term.weight * self.step_dt for term in self.reward_terms.values()]
-        return torch.tensor(weights, device=self.device)[:, None]
+        return torch.tensor(weights, device=self.device)
 
     def _reward(self) -> Tensor:
         values = torch.stack([term.function(self.world, self.task) for term in self.reward_terms.values()])
-        values *= self._weights
-        self.reward_sums += values
-        return values.sum(0)
+        self.reward_sums.addcmul_(values, self._weights[:, None])
+        return self._weights @ values
 
     def _terminated(self) -> Tensor:
         ends = [term.function(self.world, self.task) for term in self.termination_terms.values()]

@@ -129,14 +129,16 @@ class State:
             start, speed = self._addresses.root_positions[entity], self._addresses.root_velocities[entity]
             linear, angular = slice(speed, speed + 3), slice(speed + 3, speed + 6)
             orientation = slice(start + 3, start + 7)
-            spin = rotate(self._qpos[rows, orientation], self._qvel[rows, angular])
+            turning = velocity is not None or self._qvel[rows, angular].any()
+            spin = rotate(self._qpos[rows, orientation], self._qvel[rows, angular]) if turning else None
             if pose is not None:
                 self._qpos[rows, start : start + 3] = pose[:, :3]
                 self._qpos[rows, orientation] = _normalized(pose[:, 3:])
             if velocity is not None:
                 self._qvel[rows, linear] = velocity[:, :3]
                 spin = velocity[:, 3:].astype(np.float64)
-            self._qvel[rows, angular] = rotate_inverse(self._qpos[rows, orientation], spin)
+            if spin is not None:
+                self._qvel[rows, angular] = rotate_inverse(self._qpos[rows, orientation], spin)
         self.mark_written(rows)
 
 
