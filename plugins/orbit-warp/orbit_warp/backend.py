@@ -1,0 +1,38 @@
+"""What the plugin registers. Warp is imported only when an engine or a renderer is made."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from orbit_core.interfaces import Backend, Capabilities, ConfigurationError
+from orbit_warp.capabilities import CAPABILITIES
+from orbit_warp.config import WarpConfig
+
+if TYPE_CHECKING:
+    import torch
+
+    from orbit_core.interfaces import Engine, SceneLayout
+
+_DEVICES = ("cpu", "cuda")
+
+
+class WarpBackend(Backend):
+    """MuJoCo's dynamics in Warp kernels, on ``cpu`` or ``cuda``."""
+
+    name: ClassVar[str] = "warp"
+    config_type: ClassVar[type] = WarpConfig
+
+    def capabilities(self) -> Capabilities:
+        return CAPABILITIES
+
+    def versions(self) -> dict[str, str]:
+        import importlib.metadata
+
+        return {name: importlib.metadata.version(name) for name in ("warp-lang", "mujoco-warp", "mujoco")}
+
+    def create_engine(self, layout: SceneLayout, num_envs: int, device: torch.device, config: WarpConfig) -> Engine:
+        if device.type not in _DEVICES:
+            raise ConfigurationError(f"backend 'warp' simulates on devices 'cpu' and 'cuda', not on '{device}'")
+        from orbit_warp.engine import WarpEngine
+
+        return WarpEngine(layout, num_envs, device, config)

@@ -1,0 +1,67 @@
+"""Sizes of the buffers of contacts and constraints, from what of the scene can touch."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is an extension module without type information.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import numpy.typing as npt
+
+from orbit_warp.config import WarpConfig
+
+_LEAST_CONTACTS = 16
+_CONTACTS_OF_BODY = 16
+"""Of a single free body: two faces full of contacts, and as many candidates again."""
+_CONTACTS_OF_GEOM = 3
+"""Of a shape of an articulation, as candidates: few of them touch at a time."""
+
+
+@dataclass(frozen=True)
+class BufferSizes:
+    """Contacts per environment (on average) and constraint rows in any one environment."""
+
+    nconmax: int
+    njmax: int
+
+
+def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpConfig) -> BufferSizes:
+    """What the settings say, or what the scene is likely to need, never more than it can."""
+    pairs = device_model.nxn_geom_pair_filtered.numpy()
+    possible = int(_contacts_of_pairs(model, pairs).sum()) if len(pairs) else 0
+    touching = np.unique(pairs) if len(pairs) else np.zeros(0, dtype=int)
+    moving = touching[model.body_mocapid[model.geom_bodyid[touching]] < 0]
+    moving = moving[model.geom_bodyid[moving] > 0]
+    tree_sizes = np.bincount(model.body_rootid, minlength=model.nbody)
+    alone = tree_sizes[model.body_rootid[model.geom_bodyid[moving]]] == 1
+    bodies = len(np.unique(model.geom_bodyid[moving[alone]]))
+    likely = max(_CONTACTS_OF_BODY * bodies + _CONTACTS_OF_GEOM * int((~alone).sum()), _LEAST_CONTACTS)
+    if model.nhfield:
+        likely *= 4  # a height field offers every cell under a shape
+    nconmax = config.nconmax or max(min(possible, likely), 1)
+    condim = int(model.geom_condim[touching].max(initial=1))
+    rows = condim if config.cone == "elliptic" else max(2 * (condim - 1), 1)
+    always = int(np.count_nonzero(model.dof_frictionloss)) + int(np.count_nonzero(model.jnt_limited)) + model.neq
+    # Contacts share one pool; rows do not, so that an environment with more contacts than the average needs room.
+    contacts = min(possible, 2 * nconmax)
+    return BufferSizes(nconmax, config.njmax or max(always + rows * contacts, 1))
+
+
+def _contacts_of_pairs(model: mujoco.MjModel, pairs: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
+    """At most, of each pair of shapes (P, 2), by their types."""
+    kind = mujoco.mjtGeom
+    types = model.geom_type[pairs]
+
+    def has(geom: mujoco.mjtGeom) -> npt.NDArray[np.bool_]:
+        return (types == geom).any(axis=1)
+
+    most = np.full(len(pairs), 8)
+    most[has(kind.mjGEOM_PLANE)] = 4
+    most[has(kind.mjGEOM_CAPSULE)] = 2
+    most[has(kind.mjGEOM_SPHERE)] = 1
+    most[has(kind.mjGEOM_HFIELD)] = 50
+    return most

@@ -1,0 +1,251 @@
+"""N environments of one scene on MuJoCo-Warp."""
+
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false
+# MuJoCo is an extension module without type information, and Warp's arrays carry theirs at run time.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import mujoco_warp as mjw
+import torch
+import warp as wp
+from torch import Tensor
+
+from orbit_core.interfaces import Approximation, AssetError, Engine, RayHits, SceneLayout
+from orbit_warp.buffers import buffer_sizes
+from orbit_warp.config import WarpConfig
+from orbit_warp.contacts import ContactMeter
+from orbit_warp.faults import Faults
+from orbit_warp.graphs import Graphs
+from orbit_warp.kernels import reset_state, reset_tensors, write_commands
+from orbit_warp.model import BuiltModel, build_model
+from orbit_warp.parameters import Parameters
+from orbit_warp.rays import RayCaster
+from orbit_warp.state import State
+
+
+@dataclass(frozen=True)
+class Native:
+    """MuJoCo-Warp's own objects."""
+
+    host_model: mujoco.MjModel
+    model: mjw.Model
+    data: mjw.Data
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Everything that the continuation depends on."""
+
+    tensors: tuple[Tensor, ...]
+    parameters: dict[str, Tensor]
+
+
+class WarpEngine(Engine):
+    """Holds all environments in MuJoCo-Warp's arrays; a step is one recorded graph.
+
+    The graph writes the commands, takes the physics steps, adds up contact forces, notes faults, and brings poses and
+    velocities up to date. Nothing in it waits for the host.
+    """
+
+    def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: WarpConfig) -> None:
+        super().__init__(layout, num_envs, device)
+        wp.config.log_level = wp.LOG_WARNING  # Graphs tells what the user should know
+        wp.init()
+        wp.config.quiet = True
+        wp.init()
+        built = build_model(layout, config)
+        self._report, addresses = built.report, built.addresses
+        self._graphs = Graphs(device, config.capture)
+        with self._graphs.stream():
+            self._model = _on_device(built, config)
+            sizes = buffer_sizes(built.model, self._model, config)
+            self._data = mjw.make_data(built.model, nworld=num_envs, nconmax=sizes.nconmax, njmax=sizes.njmax)
+            self._native = Native(built.model, self._model, self._data)
+            self._state = State(layout, addresses, self._native, self._graphs)
+            self._contacts = ContactMeter(layout, addresses, self._model, self._data)
+            self._faults = Faults(self._data, sizes, config)
+            self._home_qpos = wp.array(built.model.key_qpos[0], dtype=float)
+            self._home_mocap_pos = wp.array(built.model.key_mpos[0].reshape(-1, 3), dtype=wp.vec3)
+            self._home_mocap_quat = wp.array(built.model.key_mquat[0].reshape(-1, 4), dtype=wp.quat)
+        self._parameters = Parameters(layout, addresses, self._model, self._data, self._graphs)
+        self._rays = RayCaster(layout, addresses, self._native, self._graphs)
+        self._bodies = torch.as_tensor(addresses.bodies, device=device)
+        self._all = torch.arange(num_envs, device=device)
+        self._commands = (self.position_targets, self.velocity_targets, self.efforts)
+        self._warp_commands = tuple(wp.from_torch(command) for command in self._commands)
+        self._home_targets = wp.from_torch(self.position_targets[0].clone())
+        self._joint_efforts = wp.to_torch(self._data.actuator_force)
+        self._contact_forces = wp.to_torch(self._contacts.forces)
+        self._wrenches = wp.to_torch(self._data.sensordata).unflatten(1, (-1, 6)) if layout.wrench_links else None
+        self._applied = wp.to_torch(self._data.xfrc_applied)
+        self.reset()
+
+    # Time ------------------------------------------------------------------------------------------------------------
+
+    def step(self, steps: int) -> None:
+        self._faults.report()  # on a GPU: of the step before
+        self._parameters.settle()
+        self._graphs.run(("step", steps), lambda: self._take(steps))
+        self._state.mark_current()
+        if self.device.type == "cpu":
+            self._faults.report()
+
+    def _take(self, steps: int) -> None:
+        data = self._data
+        self._faults.begin()
+        self._contacts.clear()
+        if self.layout.joints:
+            inputs = [*self._warp_commands, self._model.actuator_biasprm]
+            wp.launch(write_commands, dim=data.ctrl.shape, inputs=inputs, outputs=[data.ctrl])
+        for _ in range(steps):
+            mjw.step(self._model, data)
+            self._contacts.add(steps)
+        self._faults.note()
+        self._state.derive()
+
+    @property
+    def overflows(self) -> int:
+        """Steps so far in which a buffer of contacts or constraints was full."""
+        return self._faults.overflows
+
+    # State -----------------------------------------------------------------------------------------------------------
+
+    @property
+    def joint_positions(self) -> Tensor:
+        return self._state.joint_positions
+
+    @property
+    def joint_velocities(self) -> Tensor:
+        return self._state.joint_velocities
+
+    @property
+    def joint_efforts(self) -> Tensor:
+        return self._joint_efforts
+
+    @property
+    def link_poses(self) -> Tensor:
+        return self._state.link_poses
+
+    @property
+    def link_velocities(self) -> Tensor:
+        return self._state.link_velocities
+
+    def write_joint_state(
+        self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
+    ) -> None:
+        self._state.write_joints(joints, positions, velocities, _rows(env_ids))
+
+    def write_root_state(
+        self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor | None = None
+    ) -> None:
+        self._state.write_root(entity, pose, velocity, self._all if env_ids is None else env_ids)
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        ids = wp.from_torch((self._all if env_ids is None else env_ids).contiguous())
+        data = self._data
+        with self._graphs.stream():
+            wp.launch(
+                reset_state,
+                dim=len(ids),
+                inputs=[ids, self._home_qpos, self._home_mocap_pos, self._home_mocap_quat],
+                outputs=[
+                    data.qpos, data.qvel, data.qacc_warmstart, data.mocap_pos, data.mocap_quat, data.xfrc_applied,
+                    data.time, data.overflow,
+                ],
+            )  # fmt: skip
+            wp.launch(
+                reset_tensors,
+                dim=len(ids),
+                inputs=[ids, self._home_targets],
+                outputs=[*self._warp_commands, data.actuator_force, self._contacts.forces, data.sensordata],
+            )
+        self._state.mark_written()
+
+    # Measurements ----------------------------------------------------------------------------------------------------
+
+    @property
+    def contact_forces(self) -> Tensor:
+        return self._contact_forces
+
+    @property
+    def joint_wrenches(self) -> Tensor:
+        if self._wrenches is None:
+            return torch.zeros(self.num_envs, 0, 6, device=self.device)
+        return self._wrenches
+
+    def cast_rays(
+        self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None = None
+    ) -> RayHits:
+        self._state.refresh()
+        return self._rays.cast(origins, directions, max_distance, env_ids)
+
+    # Parameters per environment --------------------------------------------------------------------------------------
+
+    def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
+        rows = self._all if env_ids is None else env_ids
+        self._applied[rows[:, None], self._bodies[links]] = wrenches
+
+    def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_masses(links, masses, _rows(env_ids))
+        self._state.mark_written()
+
+    def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_centers_of_mass(links, centers, _rows(env_ids))
+        self._state.mark_written()
+
+    def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_friction(links, coefficients, _rows(env_ids))
+
+    def set_drive_gains(
+        self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
+    ) -> None:
+        self._parameters.set_drive_gains(joints, stiffness, damping, _rows(env_ids))
+
+    def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_gravity(gravity, _rows(env_ids))
+
+    # Snapshots and the rest ------------------------------------------------------------------------------------------
+
+    @property
+    def _saved(self) -> tuple[Tensor, ...]:
+        data = self._data
+        arrays = (data.qpos, data.qvel, data.qacc_warmstart, data.mocap_pos, data.mocap_quat, data.time, data.sensordata)
+        tensors = tuple(wp.to_torch(array) for array in arrays if array.size)
+        return (*tensors, *self._commands, self._applied, self._joint_efforts, self._contact_forces)
+
+    def save_state(self) -> Snapshot:
+        return Snapshot(tuple(tensor.clone() for tensor in self._saved), self._parameters.save())
+
+    def load_state(self, state: Snapshot) -> None:
+        self._parameters.load(state.parameters)
+        for own, saved in zip(self._saved, state.tensors, strict=True):
+            own.copy_(saved)
+        self._state.mark_written()
+
+    @property
+    def build_report(self) -> tuple[Approximation, ...]:
+        return self._report
+
+    @property
+    def native(self) -> Native:
+        return self._native
+
+    def close(self) -> None:
+        vars(self).clear()  # the arrays go with the last tensor that views them
+
+
+def _on_device(built: BuiltModel, config: WarpConfig) -> mjw.Model:
+    try:
+        model = mjw.put_model(built.model)
+    except (NotImplementedError, ValueError) as error:
+        raise AssetError(f"MuJoCo-Warp refuses the scene: {error}") from error
+    model.opt.warn_overflow = 0  # faults are noted and raised, not printed
+    model.opt.deterministic = int(mjw.DeterminismType.ALL if config.deterministic else mjw.DeterminismType.NONE)
+    return model
+
+
+def _rows(env_ids: Tensor | None) -> Tensor | slice:
+    return slice(None) if env_ids is None else env_ids

@@ -1,0 +1,97 @@
+"""What went wrong in a step: numbers that are not finite, and buffers that were full.
+
+A kernel notes it on the device. On a CPU the note is read after the step. On a GPU it travels to the host by itself and
+is read when the next step begins, so that no step waits for it: an error comes one step late.
+"""
+
+# pyright: reportArgumentType=false
+
+from __future__ import annotations
+
+import warnings
+
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+from mujoco_warp import OverflowType
+
+from orbit_core.interfaces import SimulationError
+from orbit_warp.buffers import BufferSizes
+from orbit_warp.config import WarpConfig
+from orbit_warp.kernels import DIVERGED_BIT, note_faults
+
+_CONTACTS = int(
+    OverflowType.BROADPHASE | OverflowType.NARROWPHASE | OverflowType.CCD | OverflowType.HFIELD
+)  # fmt: skip
+_ROWS = int(OverflowType.NEFC | OverflowType.NJMAX_NNZ)
+
+
+class Faults:
+    """Notes and reports the faults of each step."""
+
+    def __init__(self, data: mjw.Data, sizes: BufferSizes, config: WarpConfig) -> None:
+        self._data, self._sizes = data, sizes
+        self._raise_overflows = config.overflow == "error"
+        self._on_gpu = data.qpos.device.is_cuda
+        with wp.ScopedDevice(data.qpos.device):
+            self._faults = wp.zeros(data.nworld, dtype=int)
+            self._summary = wp.zeros(2, dtype=int)
+        self._seen = wp.zeros(2, dtype=int, device="cpu", pinned=self._on_gpu) if self._on_gpu else self._summary
+        self._note = self._seen.numpy()
+        self.overflows = 0
+        """Steps in which a buffer was full; on a GPU the last step's is counted when the next begins."""
+        self._warned = False
+
+    def begin(self) -> None:
+        """Forget the last step's."""
+        self._summary.zero_()
+
+    def note(self) -> None:
+        """Collect the step's faults; nothing waits."""
+        data = self._data
+        wp.launch(
+            note_faults,
+            dim=data.nworld,
+            inputs=[data.qpos, data.qvel, _CONTACTS | _ROWS],
+            outputs=[data.overflow, self._faults, self._summary],
+        )
+        if self._on_gpu:
+            wp.copy(self._seen, self._summary)
+
+    def report(self) -> None:
+        """Raise or count what was noted, once.
+
+        Raises:
+            SimulationError: environments diverged, or a buffer was full and the settings make that an error.
+        """
+        fault = int(self._note[0])
+        if not fault:
+            return
+        self._note[:] = 0
+        faults = self._faults.numpy()
+        if fault & DIVERGED_BIT:
+            raise SimulationError(
+                f"environments {_shown(np.flatnonzero(faults & DIVERGED_BIT))} diverged: a position or velocity is not "
+                "finite; reset them, and use a smaller physics_dt, softer drives or larger masses"
+            )
+        self.overflows += 1
+        message = self._overflow_message(fault, np.flatnonzero(faults))
+        if self._raise_overflows:
+            raise SimulationError(message)
+        if not self._warned:
+            self._warned = True
+            warnings.warn(f"{message}; this is said once, and counted", RuntimeWarning, stacklevel=3)
+
+    def _overflow_message(self, fault: int, environments: np.ndarray) -> str:
+        if fault & _CONTACTS:
+            size = self._sizes.nconmax
+            what, setting = f"{size} contacts per environment are too few: some were lost", f"nconmax={2 * size}"
+        else:
+            size = self._sizes.njmax
+            what, setting = f"{size} constraint rows are too few: some were lost", f"njmax={2 * size}"
+        return f"{what} in environments {_shown(environments)}; use WarpConfig({setting}), or settings {setting}"
+
+
+def _shown(environments: np.ndarray) -> str:
+    """The first few numbers of a list."""
+    return ", ".join(map(str, environments[:8])) + (", ..." if len(environments) > 8 else "")

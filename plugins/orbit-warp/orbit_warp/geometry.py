@@ -1,0 +1,124 @@
+"""Collision shapes as MuJoCo geoms."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is an extension module without type information.
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.interfaces import Approximation, ConfigurationError
+from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, MeshCollision, Plane, Pose, Shape, Sphere
+from orbit_warp.materials import ContactParameters
+
+PRISM_DEPTH = 0.01
+"""Metres that each triangle of a surface reaches inward."""
+_GROUND_DEPTH = 0.1
+"""Metres of ground below the lowest point of a height field."""
+_LEAST_WIDTH = 1e-5
+"""Metres; narrower triangles are left out."""
+_Part = tuple[mujoco.mjtGeom, tuple[float, float, float], str, Pose]
+"""A geom's type, size, asset and pose."""
+
+
+class GeomBuilder:
+    """Adds geoms to a specification; a mesh that several shapes share is stored once."""
+
+    def __init__(self, spec: mujoco.MjSpec) -> None:
+        self._spec = spec
+        self._hulls: dict[Mesh, str] = {}
+
+    def add(self, body: mujoco.MjsBody, shape: Shape, contact: ContactParameters, name: str) -> None:
+        """Add ``shape`` to ``body``; ``name`` is for messages.
+
+        Raises:
+            ConfigurationError: MuJoCo has no such shape.
+        """
+        for kind, size, asset, pose in self._parts(body, shape, name):
+            body.add_geom(
+                type=kind,
+                size=size,
+                meshname=asset if kind == mujoco.mjtGeom.mjGEOM_MESH else "",
+                hfieldname=asset if kind == mujoco.mjtGeom.mjGEOM_HFIELD else "",
+                pos=pose.position,
+                quat=pose.orientation,
+                friction=contact.friction,
+                condim=contact.condim,
+                solref=contact.solref,
+                solimp=contact.solimp,
+                solmix=contact.solmix,
+            )
+
+    def _parts(self, body: mujoco.MjsBody, shape: Shape, name: str) -> Iterator[_Part]:
+        """The geoms that make up a shape: one, but for a surface of triangles."""
+        pose = shape.pose
+        match shape.geometry:
+            case Box(half_extents):
+                yield mujoco.mjtGeom.mjGEOM_BOX, half_extents, "", pose
+            case Sphere(radius):
+                yield mujoco.mjtGeom.mjGEOM_SPHERE, (radius, 0, 0), "", pose
+            case Capsule(radius, half_length):
+                yield mujoco.mjtGeom.mjGEOM_CAPSULE, (radius, half_length, 0), "", pose
+            case Cylinder(radius, half_length):
+                yield mujoco.mjtGeom.mjGEOM_CYLINDER, (radius, half_length, 0), "", pose
+            case Plane():
+                yield mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 1), "", pose
+            case Mesh(collision=MeshCollision.CONVEX_HULL) as mesh:
+                yield mujoco.mjtGeom.mjGEOM_MESH, (0, 0, 0), self._hull(mesh), pose
+            case Mesh() as mesh if body.mocap or body == self._spec.worldbody:
+                for prism in _prisms(mesh):
+                    yield mujoco.mjtGeom.mjGEOM_MESH, (0, 0, 0), self._asset(prism), pose
+            case HeightField() as field:
+                lowest = Pose((0.0, 0.0, float(np.min(field.heights))))
+                yield mujoco.mjtGeom.mjGEOM_HFIELD, (0, 0, 0), self._height_field(field), pose @ lowest
+            case other:
+                raise ConfigurationError(f"MuJoCo cannot collide the {type(other).__name__} of {name} as it is")
+
+    def _hull(self, mesh: Mesh) -> str:
+        if mesh not in self._hulls:
+            self._hulls[mesh] = self._asset(np.asarray(mesh.vertices, dtype=np.float64))
+        return self._hulls[mesh]
+
+    def _asset(self, vertices: npt.NDArray[np.float64]) -> str:
+        """The convex hull of ``vertices``: MuJoCo makes it of vertices that come without faces."""
+        mesh = self._spec.add_mesh(
+            name=f"mesh{len(self._spec.meshes)}",
+            uservert=vertices.ravel(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
+        )
+        return mesh.name
+
+    def _height_field(self, field: HeightField) -> str:
+        heights = np.asarray(field.heights, dtype=np.float64)
+        span = max(float(np.ptp(heights)), 1e-6)
+        asset = self._spec.add_hfield(
+            name=f"height_field{len(self._spec.hfields)}",
+            nrow=heights.shape[0],
+            ncol=heights.shape[1],
+            size=(field.size[0] / 2, field.size[1] / 2, span, _GROUND_DEPTH),
+            userdata=((heights - heights.min()) / span).ravel(),
+        )
+        return asset.name
+
+
+def geometry_approximations(shape: Shape, subject: str) -> list[Approximation]:
+    """What of the shape's geometry MuJoCo does not take as it is."""
+    if not (isinstance(shape.geometry, Mesh) and shape.geometry.collision is MeshCollision.TRIANGLES):
+        return []
+    got = f"prisms that reach {1000 * PRISM_DEPTH:.0f} mm inward"
+    return [Approximation(subject, "a surface of triangles", got, "MuJoCo's meshes are convex")]
+
+
+def _prisms(mesh: Mesh) -> Iterator[npt.NDArray[np.float64]]:
+    """Corners (6, 3) of each triangle and of the same triangle ``PRISM_DEPTH`` further in."""
+    triangles = np.asarray(mesh.vertices, dtype=np.float64)[mesh.faces]
+    edges = triangles - np.roll(triangles, 1, axis=1)
+    normals = np.cross(edges[:, 1], edges[:, 2])
+    areas = np.linalg.norm(normals, axis=-1)
+    wide = areas > _LEAST_WIDTH * np.linalg.norm(edges, axis=-1).max(axis=-1)
+    inward = -PRISM_DEPTH * normals[wide] / areas[wide, None]
+    yield from np.concatenate((triangles[wide], triangles[wide] + inward[:, None]), axis=1)

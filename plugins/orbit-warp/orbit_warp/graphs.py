@@ -1,0 +1,91 @@
+"""Sequences of launches, recorded once and replayed as a graph, on a CPU and on a GPU alike.
+
+Torch and Warp share the stream: whatever is issued here runs after what Torch was told before, and before what it is
+told next, without any waiting on the host.
+"""
+
+# pyright: reportArgumentType=false
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+import time
+from collections.abc import Callable, Hashable, Iterator
+
+import torch
+import warp as wp
+
+_SILENT_FOR = 4.0
+"""Seconds of compilation before the user is told of it."""
+
+
+class Graphs:
+    """The recordings of one engine, by key."""
+
+    def __init__(self, device: torch.device, capture: bool) -> None:
+        self.device = wp.device_from_torch(device)
+        self._torch_device = device
+        self._capture = capture
+        self._recorded: dict[Hashable, wp.Graph] = {}
+        self._streams: dict[int, wp.Stream] = {}
+        self._own = wp.Stream(self.device) if self.device.is_cuda else None
+
+    def run(self, key: Hashable, launches: Callable[[], None]) -> None:
+        """Do what ``launches`` does: replayed if it was recorded under ``key`` before, and recorded now if not.
+
+        In a stream that is being captured by the caller the launches become part of the caller's graph.
+        """
+        with self.stream() as stream:
+            if not self._capture or (stream is not None and stream.is_capturing):
+                launches()
+                return
+            if key not in self._recorded:
+                with _announced(self.device):
+                    self._recorded[key] = self._record(launches, stream)
+            wp.capture_launch(self._recorded[key], stream=stream)
+
+    def forget(self) -> None:
+        """Drop all recordings: an array that they use was replaced."""
+        self._recorded.clear()
+
+    @contextlib.contextmanager
+    def stream(self) -> Iterator[wp.Stream | None]:
+        """Warp's launches go to Torch's current stream, which a GPU's caller may have set."""
+        if not self.device.is_cuda:
+            with wp.ScopedDevice(self.device):
+                yield None
+            return
+        current = torch.cuda.current_stream(self._torch_device)
+        if current.cuda_stream not in self._streams:
+            self._streams[current.cuda_stream] = wp.stream_from_torch(current)
+        stream = self._streams[current.cuda_stream]
+        with wp.ScopedDevice(self.device), wp.ScopedStream(stream, sync_enter=False):
+            yield stream
+
+    def _record(self, launches: Callable[[], None], stream: wp.Stream | None) -> wp.Graph:
+        if self._own is None:
+            with wp.ScopedCapture(device=self.device) as capture:
+                launches()
+        else:  # the default stream cannot be captured
+            self._own.wait_stream(stream)
+            with wp.ScopedStream(self._own, sync_enter=False), wp.ScopedCapture(stream=self._own) as capture:
+                launches()
+        return capture.graph
+
+
+@contextlib.contextmanager
+def _announced(device: wp.Device) -> Iterator[None]:
+    """Tell the user when compilation takes long, and what it took."""
+    begun = time.perf_counter()
+    what = f"orbit-warp: compiling kernels for {device}, kept in {wp.config.kernel_cache_dir} (about a minute, once)"
+    timer = threading.Timer(_SILENT_FOR, lambda: print(what, file=sys.stderr, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+    if (taken := time.perf_counter() - begun) > _SILENT_FOR:
+        print(f"orbit-warp: compiled in {taken:.0f} s", file=sys.stderr, flush=True)

@@ -1,0 +1,212 @@
+"""What ORBIT adds to MuJoCo-Warp's own kernels: commands in, state, contact forces and faults out, resets.
+
+Each is one launch over environments (and links or contacts); quaternions are (w, x, y, z), as MuJoCo-Warp stores them
+in ``wp.quat``.
+"""
+
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
+
+from __future__ import annotations
+
+import warp as wp
+from mujoco_warp._src.types import vec10f
+
+DIVERGED_BIT = 1 << 30
+"""Of a fault: a number is not finite. The lower bits are MuJoCo-Warp's ``OverflowType``."""
+_DIVERGED = wp.constant(DIVERGED_BIT)
+
+
+@wp.func
+def rotate(q: wp.quat, v: wp.vec3) -> wp.vec3:
+    u = wp.vec3(q[1], q[2], q[3])
+    t = 2.0 * wp.cross(u, v)
+    return v + q[0] * t + wp.cross(u, t)
+
+
+@wp.func
+def conjugate(q: wp.quat) -> wp.quat:
+    return wp.quat(q[0], -q[1], -q[2], -q[3])
+
+
+@wp.kernel(enable_backward=False)
+def write_commands(
+    position_targets: wp.array2d(dtype=float),
+    velocity_targets: wp.array2d(dtype=float),
+    efforts: wp.array2d(dtype=float),
+    biasprm: wp.array2d(dtype=vec10f),
+    ctrl: wp.array2d(dtype=float),
+):
+    """``ctrl = stiffness target + damping velocity target + effort``; the actuator subtracts the state's part."""
+    env, joint = wp.tid()
+    bias = biasprm[env % biasprm.shape[0], joint]
+    drive = -bias[1] * position_targets[env, joint] - bias[2] * velocity_targets[env, joint]
+    ctrl[env, joint] = drive + efforts[env, joint]
+
+
+@wp.kernel(enable_backward=False)
+def read_joints(
+    position_columns: wp.array(dtype=int),
+    velocity_columns: wp.array(dtype=int),
+    qpos: wp.array2d(dtype=float),
+    qvel: wp.array2d(dtype=float),
+    positions: wp.array2d(dtype=float),
+    velocities: wp.array2d(dtype=float),
+):
+    env, joint = wp.tid()
+    positions[env, joint] = qpos[env, position_columns[joint]]
+    velocities[env, joint] = qvel[env, velocity_columns[joint]]
+
+
+@wp.kernel(enable_backward=False)
+def read_links(
+    bodies: wp.array(dtype=int),
+    roots: wp.array(dtype=int),
+    xpos: wp.array2d(dtype=wp.vec3),
+    xquat: wp.array2d(dtype=wp.quat),
+    cvel: wp.array2d(dtype=wp.spatial_vector),
+    subtree_com: wp.array2d(dtype=wp.vec3),
+    poses: wp.array3d(dtype=float),
+    velocities: wp.array3d(dtype=float),
+):
+    """``cvel`` is angular, then linear velocity at the centre of mass of the tree: move it to the link's origin."""
+    env, link = wp.tid()
+    body = bodies[link]
+    position, q = xpos[env, body], xquat[env, body]
+    sign = float(1.0)
+    if q[0] < 0.0:
+        sign = -1.0
+    spatial = cvel[env, body]
+    spin = wp.spatial_top(spatial)
+    linear = wp.spatial_bottom(spatial) + wp.cross(spin, position - subtree_com[env, roots[link]])
+    for i in range(3):
+        poses[env, link, i] = position[i]
+        velocities[env, link, i] = linear[i]
+        velocities[env, link, 3 + i] = spin[i]
+    for i in range(4):
+        poses[env, link, 3 + i] = sign * q[i]
+
+
+@wp.kernel(enable_backward=False)
+def write_root(
+    env_ids: wp.array(dtype=wp.int64),
+    mocap: int,
+    position_start: int,
+    velocity_start: int,
+    with_pose: bool,
+    with_velocity: bool,
+    pose: wp.array2d(dtype=float),
+    velocity: wp.array2d(dtype=float),
+    qpos: wp.array2d(dtype=float),
+    qvel: wp.array2d(dtype=float),
+    mocap_pos: wp.array2d(dtype=wp.vec3),
+    mocap_quat: wp.array2d(dtype=wp.quat),
+):
+    """A free root's angular velocity is in its own axes, so that a new pose alone must turn it."""
+    row = wp.tid()
+    env = int(env_ids[row])
+    orientation = wp.quat(0.0, 0.0, 0.0, 0.0)
+    if with_pose:
+        orientation = wp.normalize(wp.quat(pose[row, 3], pose[row, 4], pose[row, 5], pose[row, 6]))
+    if mocap >= 0:
+        if with_pose:
+            mocap_pos[env, mocap] = wp.vec3(pose[row, 0], pose[row, 1], pose[row, 2])
+            mocap_quat[env, mocap] = orientation
+        return
+    p, v = position_start, velocity_start
+    old = wp.quat(qpos[env, p + 3], qpos[env, p + 4], qpos[env, p + 5], qpos[env, p + 6])
+    spin = rotate(old, wp.vec3(qvel[env, v + 3], qvel[env, v + 4], qvel[env, v + 5]))
+    if with_pose:
+        for i in range(3):
+            qpos[env, p + i] = pose[row, i]
+        for i in range(4):
+            qpos[env, p + 3 + i] = orientation[i]
+    else:
+        orientation = old
+    if with_velocity:
+        spin = wp.vec3(velocity[row, 3], velocity[row, 4], velocity[row, 5])
+        for i in range(3):
+            qvel[env, v + i] = velocity[row, i]
+    local = rotate(conjugate(orientation), spin)
+    for i in range(3):
+        qvel[env, v + 3 + i] = local[i]
+
+
+@wp.kernel(enable_backward=False)
+def reset_state(
+    env_ids: wp.array(dtype=wp.int64),
+    home_qpos: wp.array(dtype=float),
+    home_mocap_pos: wp.array(dtype=wp.vec3),
+    home_mocap_quat: wp.array(dtype=wp.quat),
+    qpos: wp.array2d(dtype=float),
+    qvel: wp.array2d(dtype=float),
+    warm_start: wp.array2d(dtype=float),
+    mocap_pos: wp.array2d(dtype=wp.vec3),
+    mocap_quat: wp.array2d(dtype=wp.quat),
+    wrenches: wp.array2d(dtype=wp.spatial_vector),
+    time: wp.array(dtype=float),
+    overflow: wp.array(dtype=int),
+):
+    env = int(env_ids[wp.tid()])
+    for i in range(qpos.shape[1]):
+        qpos[env, i] = home_qpos[i]
+    for i in range(qvel.shape[1]):
+        qvel[env, i] = 0.0
+        warm_start[env, i] = 0.0
+    for i in range(mocap_pos.shape[1]):
+        mocap_pos[env, i] = home_mocap_pos[i]
+        mocap_quat[env, i] = home_mocap_quat[i]
+    for i in range(wrenches.shape[1]):
+        wrenches[env, i] = wp.spatial_vector()
+    time[env] = 0.0
+    overflow[env] = 0
+
+
+@wp.kernel(enable_backward=False)
+def reset_tensors(
+    env_ids: wp.array(dtype=wp.int64),
+    home_targets: wp.array(dtype=float),
+    position_targets: wp.array2d(dtype=float),
+    velocity_targets: wp.array2d(dtype=float),
+    efforts: wp.array2d(dtype=float),
+    joint_efforts: wp.array2d(dtype=float),
+    contact_forces: wp.array2d(dtype=wp.vec3),
+    sensordata: wp.array2d(dtype=float),
+):
+    """Commands to their defaults, measurements to zero."""
+    env = int(env_ids[wp.tid()])
+    for i in range(home_targets.shape[0]):
+        position_targets[env, i] = home_targets[i]
+        velocity_targets[env, i] = 0.0
+        efforts[env, i] = 0.0
+        joint_efforts[env, i] = 0.0
+    for i in range(contact_forces.shape[1]):
+        contact_forces[env, i] = wp.vec3()
+    for i in range(sensordata.shape[1]):
+        sensordata[env, i] = 0.0
+
+
+@wp.kernel(enable_backward=False)
+def note_faults(
+    qpos: wp.array2d(dtype=float),
+    qvel: wp.array2d(dtype=float),
+    watched: int,
+    overflow: wp.array(dtype=int),
+    faults: wp.array(dtype=int),
+    summary: wp.array(dtype=int),
+):
+    """Faults of the step just taken, per environment and over all; ``watched`` are the overflows that count."""
+    env = wp.tid()
+    fault = overflow[env] & watched
+    overflow[env] = 0
+    total = float(0.0)
+    for i in range(qpos.shape[1]):
+        total += wp.abs(qpos[env, i])
+    for i in range(qvel.shape[1]):
+        total += wp.abs(qvel[env, i])
+    if not wp.isfinite(total):
+        fault = fault | _DIVERGED
+    faults[env] = fault
+    if fault != 0:
+        wp.atomic_or(summary, 0, fault)
+        wp.atomic_add(summary, 1, 1)

@@ -1,0 +1,110 @@
+"""Physical parameters that differ between environments.
+
+A field of the model is given a value per environment when it is first set, after which recordings that use it are made
+anew. Constants that follow from masses are computed once, before they are next needed.
+"""
+
+from __future__ import annotations
+
+import mujoco_warp as mjw
+import numpy as np
+import torch
+import warp as wp
+from torch import Tensor
+
+from orbit_core.interfaces import TERRAIN, SceneLayout
+from orbit_warp.addresses import Addresses
+from orbit_warp.graphs import Graphs
+from orbit_warp.materials import LEAST_FRICTION
+
+_OF_MASS = ("body_mass", "body_inertia", "body_ipos", "body_subtreemass", "body_invweight0", "dof_invweight0")
+
+
+class Parameters:
+    """Sets and remembers the per-environment fields of the model."""
+
+    def __init__(
+        self, layout: SceneLayout, addresses: Addresses, model: mjw.Model, data: mjw.Data, graphs: Graphs
+    ) -> None:
+        self._model, self._data, self._graphs = model, data, graphs
+        device = wp.device_to_torch(data.qpos.device)
+        self._bodies = torch.as_tensor(addresses.bodies, device=device)
+        links = addresses.link_of_geom[:-1]
+        self._link_of_geom = torch.as_tensor(np.where(links == TERRAIN, len(layout.links), links), device=device)
+        self._links = len(layout.links)
+        self._driven = torch.as_tensor([joint.mimic is None for joint in layout.joints], device=device)
+        self._fields: dict[str, Tensor] = {}
+        self._nominal: dict[str, Tensor] = {}
+        self._constants_due = False
+
+    def settle(self) -> None:
+        """Compute what follows from the masses that were set."""
+        if self._constants_due:
+            with self._graphs.stream():
+                mjw.set_const(self._model, self._data)
+            self._constants_due = False
+
+    def set_masses(self, links: Tensor, masses: Tensor, rows: Tensor | slice) -> None:
+        self._expand_masses()
+        bodies = self._bodies[links]
+        index = _block(rows, bodies)
+        scale = masses / self._nominal["body_mass"][bodies]
+        self._fields["body_mass"][index] = masses
+        self._fields["body_inertia"][index] = self._nominal["body_inertia"][bodies] * scale[..., None]
+        self._constants_due = True
+
+    def set_centers_of_mass(self, links: Tensor, centers: Tensor, rows: Tensor | slice) -> None:
+        self._expand_masses()
+        self._fields["body_ipos"][_block(rows, self._bodies[links])] = centers
+        self._constants_due = True
+
+    def set_friction(self, links: Tensor, coefficients: Tensor, rows: Tensor | slice) -> None:
+        friction = self._field("geom_friction")
+        columns = torch.full((self._links + 1,), -1, device=friction.device)
+        columns[torch.where(links < 0, self._links, links)] = torch.arange(len(links), device=friction.device)
+        column = columns[self._link_of_geom]
+        asked = coefficients.clamp_min(LEAST_FRICTION)[:, column.clamp_min(0)]
+        friction[rows, :, 0] = torch.where(column >= 0, asked, friction[rows, :, 0])
+
+    def set_drive_gains(self, joints: Tensor, stiffness: Tensor, damping: Tensor, rows: Tensor | slice) -> None:
+        bias = self._field("actuator_biasprm")
+        index = _block(rows, joints)
+        driven = self._driven[joints]  # a mimic joint has no drive of its own
+        for number, gains in ((1, stiffness), (2, damping)):
+            bias[(*index, number)] = torch.where(driven, -gains, 0.0)
+
+    def set_gravity(self, gravity: Tensor, rows: Tensor | slice) -> None:
+        self._field("opt.gravity")[rows] = gravity
+
+    def save(self) -> dict[str, Tensor]:
+        """Copies of the fields that differ between environments."""
+        self.settle()
+        return {name: values.clone() for name, values in self._fields.items()}
+
+    def load(self, saved: dict[str, Tensor]) -> None:
+        """Return to what :meth:`save` gave; fields that it lacks return to the scene's values."""
+        for name in {*saved, *self._fields}:
+            self._field(name).copy_(saved.get(name, self._nominal.get(name)))
+        self._constants_due = False
+
+    def _expand_masses(self) -> None:
+        for name in _OF_MASS:
+            self._field(name)
+
+    def _field(self, name: str) -> Tensor:
+        """The field with a value per environment, as a tensor that shares its memory."""
+        if name not in self._fields:
+            owner, attribute = (self._model.opt, name[4:]) if name.startswith("opt.") else (self._model, name)
+            shared: wp.array = getattr(owner, attribute)
+            values = np.repeat(shared.numpy()[:1], self._data.nworld, axis=0)
+            expanded = wp.array(values, dtype=shared.dtype, device=shared.device)
+            setattr(owner, attribute, expanded)
+            self._graphs.forget()
+            self._fields[name] = wp.to_torch(expanded)
+            self._nominal[name] = self._fields[name][0].clone()
+        return self._fields[name]
+
+
+def _block(rows: Tensor | slice, indices: Tensor) -> tuple[Tensor | slice, Tensor]:
+    """The index of ``indices`` (k,) in each of ``rows``."""
+    return (rows, indices) if isinstance(rows, slice) else (rows[:, None], indices)

@@ -1,0 +1,74 @@
+"""Rays against collision shapes, each environment's against its own."""
+
+# pyright: reportArgumentType=false
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import mujoco_warp as mjw
+import torch
+import warp as wp
+from mujoco_warp._src.types import vec6f
+from torch import Tensor
+
+from orbit_core.interfaces import RayHits, SceneLayout
+from orbit_warp.addresses import Addresses
+from orbit_warp.graphs import Graphs
+
+if TYPE_CHECKING:
+    from orbit_warp.engine import Native
+
+_EVERY_GROUP = (-1.0,) * 6
+
+
+class RayCaster:
+    """Casts the same number of rays in every environment; buffers are kept per number."""
+
+    def __init__(self, layout: SceneLayout, addresses: Addresses, native: Native, graphs: Graphs) -> None:
+        self._model, self._data, self._graphs = native.model, native.data, graphs
+        self._device = wp.device_to_torch(native.data.qpos.device)
+        self._link_of_geom = torch.as_tensor(addresses.link_of_geom, device=self._device)
+        self._buffers: dict[int, _Buffers] = {}
+
+    def cast(self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None) -> RayHits:
+        rays = origins.shape[1]
+        if rays not in self._buffers:
+            self._buffers[rays] = _Buffers(self._data.nworld, rays, self._device)
+        buffers = self._buffers[rays]
+        rows = slice(None) if env_ids is None else env_ids
+        buffers.origins[rows] = origins
+        buffers.directions[rows] = directions
+        self._graphs.run(("rays", rays), lambda: self._launch(buffers))
+        distances, normals = buffers.distances[rows], buffers.normals[rows]
+        missed = (distances < 0) | (distances > max_distance)
+        # The last entry of the table stands for nothing.
+        links = self._link_of_geom[torch.where(missed, -1, buffers.geoms[rows].long())]
+        return RayHits(
+            torch.where(missed, torch.inf, distances), torch.where(missed[..., None], 0.0, normals), links
+        )
+
+    def _launch(self, buffers: _Buffers) -> None:
+        mjw.rays(
+            self._model,
+            self._data,
+            wp.from_torch(buffers.origins, dtype=wp.vec3),
+            wp.from_torch(buffers.directions, dtype=wp.vec3),
+            vec6f(*_EVERY_GROUP),
+            True,
+            wp.from_torch(buffers.excluded),
+            wp.from_torch(buffers.distances),
+            wp.from_torch(buffers.geoms),
+            wp.from_torch(buffers.normals, dtype=wp.vec3),
+        )
+
+
+class _Buffers:
+    def __init__(self, envs: int, rays: int, device: torch.device) -> None:
+        self.origins = torch.zeros(envs, rays, 3, device=device)
+        self.directions = torch.zeros(envs, rays, 3, device=device)
+        self.directions[..., 2] = 1.0
+        self.excluded = torch.full((rays,), -1, dtype=torch.int32, device=device)
+        self.distances = torch.zeros(envs, rays, device=device)
+        self.geoms = torch.zeros(envs, rays, dtype=torch.int32, device=device)
+        self.normals = torch.zeros(envs, rays, 3, device=device)

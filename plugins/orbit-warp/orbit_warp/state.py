@@ -1,0 +1,140 @@
+"""Positions and velocities, read and written.
+
+What MuJoCo-Warp holds as the contract asks for it is handed out as it lies; poses and velocities of links are derived
+by the step's own graph, or, after a write, when they are next read.
+"""
+
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import mujoco_warp as mjw
+import torch
+import warp as wp
+from torch import Tensor
+
+from orbit_core.interfaces import SceneLayout
+from orbit_warp.addresses import Addresses, columns
+from orbit_warp.graphs import Graphs
+from orbit_warp.kernels import read_joints, read_links, write_root
+
+if TYPE_CHECKING:
+    from orbit_warp.engine import Native
+
+
+class State:
+    """The state of all environments."""
+
+    def __init__(self, layout: SceneLayout, addresses: Addresses, native: Native, graphs: Graphs) -> None:
+        self._model, self._data, self._graphs = native.model, native.data, graphs
+        self._addresses = addresses
+        data, envs = native.data, native.data.nworld
+        device = wp.device_to_torch(data.qpos.device)
+        self._qpos, self._qvel = wp.to_torch(data.qpos), wp.to_torch(data.qvel)
+        self._position_columns = torch.as_tensor(addresses.joint_positions, device=device)
+        self._velocity_columns = torch.as_tensor(addresses.joint_velocities, device=device)
+        places = columns(addresses.joint_positions), columns(addresses.joint_velocities)
+        self._gathered = not all(isinstance(place, slice) for place in places)
+        if self._gathered:
+            self._joint_positions = torch.zeros(envs, len(layout.joints), device=device)
+            self._joint_velocities = torch.zeros_like(self._joint_positions)
+        else:
+            self._joint_positions, self._joint_velocities = self._qpos[:, places[0]], self._qvel[:, places[1]]
+        self._link_poses = torch.zeros(envs, len(layout.links), 7, device=device)
+        self._link_velocities = torch.zeros(envs, len(layout.links), 6, device=device)
+        self._bodies = wp.array(addresses.bodies, dtype=int)
+        self._roots = wp.array(addresses.roots, dtype=int)
+        self._joint_addresses = [wp.array(a, dtype=int) for a in (addresses.joint_positions, addresses.joint_velocities)]
+        self._no_rows = wp.zeros((1, 7), dtype=float)
+        self._current = False
+
+    def mark_written(self) -> None:
+        """What is derived no longer holds."""
+        self._current = False
+
+    def mark_current(self) -> None:
+        """:meth:`derive` was run by a graph."""
+        self._current = True
+
+    def refresh(self) -> None:
+        """Derive what a write left behind."""
+        if not self._current:
+            self._graphs.run("derive", self.derive)
+            self._current = True
+
+    def derive(self) -> None:
+        """Launch what brings poses and velocities up to date."""
+        data = self._data
+        mjw.kinematics(self._model, data)
+        mjw.com_pos(self._model, data)
+        mjw.com_vel(self._model, data)
+        if self._link_poses.numel():
+            wp.launch(
+                read_links,
+                dim=self._link_poses.shape[:2],
+                inputs=[self._bodies, self._roots, data.xpos, data.xquat, data.cvel, data.subtree_com],
+                outputs=[wp.from_torch(self._link_poses), wp.from_torch(self._link_velocities)],
+            )
+        if self._gathered:
+            wp.launch(
+                read_joints,
+                dim=self._joint_positions.shape,
+                inputs=[*self._joint_addresses, data.qpos, data.qvel],
+                outputs=[wp.from_torch(self._joint_positions), wp.from_torch(self._joint_velocities)],
+            )
+
+    # Reading ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def joint_positions(self) -> Tensor:
+        if self._gathered:
+            self.refresh()
+        return self._joint_positions
+
+    @property
+    def joint_velocities(self) -> Tensor:
+        if self._gathered:
+            self.refresh()
+        return self._joint_velocities
+
+    @property
+    def link_poses(self) -> Tensor:
+        self.refresh()
+        return self._link_poses
+
+    @property
+    def link_velocities(self) -> Tensor:
+        self.refresh()
+        return self._link_velocities
+
+    # Writing ---------------------------------------------------------------------------------------------------------
+
+    def write_joints(
+        self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, rows: Tensor | slice
+    ) -> None:
+        rows = rows if isinstance(rows, slice) else rows[:, None]
+        if positions is not None:
+            self._qpos[rows, self._position_columns[joints]] = positions
+        if velocities is not None:
+            self._qvel[rows, self._velocity_columns[joints]] = velocities
+        self.mark_written()
+
+    def write_root(self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor) -> None:
+        data, addresses = self._data, self._addresses
+        places = (addresses.mocaps[entity], addresses.root_positions[entity], addresses.root_velocities[entity])
+        with self._graphs.stream():
+            wp.launch(
+                write_root,
+                dim=len(env_ids),
+                inputs=[
+                    wp.from_torch(env_ids.contiguous()), *map(int, places), pose is not None, velocity is not None,
+                    self._rows(pose), self._rows(velocity),
+                ],
+                outputs=[data.qpos, data.qvel, data.mocap_pos, data.mocap_quat],
+            )  # fmt: skip
+        self.mark_written()
+
+    def _rows(self, values: Tensor | None) -> wp.array:
+        return self._no_rows if values is None else wp.from_torch(values.contiguous())
