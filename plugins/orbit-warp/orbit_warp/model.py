@@ -91,6 +91,8 @@ class _Builder:
         option.impratio = config.impratio
         # Which links may touch is written out pair by pair.
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+        # Two boxes meet by MuJoCo's own analytic test: the general one misses boxes that overlap symmetrically.
+        option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
 
     # Bodies ----------------------------------------------------------------------------------------------------------
 
