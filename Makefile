@@ -12,6 +12,7 @@ CODE := orbit_core orbit_tasks plugins tests benchmarks assets
 .PHONY: demo view test lint types unit clean
 
 demo: $(VENV)/.ready
+	@mkdir -p out
 	$(BIN)/orbit run Lift --backend mujoco --num-envs 16 --episodes 64 --agent expert --video out/lift.mp4
 
 view: $(VENV)/.ready
