@@ -1,0 +1,71 @@
+"""The arrays that core and simulations share, each with a row per environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.interfaces import SceneLayout
+
+FloatArray = npt.NDArray[np.float32]
+Shapes = dict[str, tuple[int, ...]]
+
+
+@dataclass(eq=False)
+class Buffers:
+    """Commands, then what the engine measures. Particles of all deformables stand one after another."""
+
+    position_targets: FloatArray
+    velocity_targets: FloatArray
+    efforts: FloatArray
+    joint_positions: FloatArray
+    joint_velocities: FloatArray
+    joint_efforts: FloatArray
+    link_poses: FloatArray
+    link_velocities: FloatArray
+    contact_forces: FloatArray
+    joint_wrenches: FloatArray
+    particle_positions: FloatArray
+    particle_velocities: FloatArray
+
+    def rows(self, start: int, stop: int) -> Buffers:
+        """Views of some environments."""
+        return Buffers(**{field.name: getattr(self, field.name)[start:stop] for field in fields(self)})
+
+
+def shapes_of(layout: SceneLayout, num_envs: int) -> Shapes:
+    """The shape of each buffer."""
+    joints, links = len(layout.joints), len(layout.links)
+    particles = sum(len(deformable.mesh.vertices) for deformable in layout.scene.deformables)
+    per_joint = dict.fromkeys(
+        ("position_targets", "velocity_targets", "efforts", "joint_positions", "joint_velocities", "joint_efforts"),
+        (num_envs, joints),
+    )
+    return per_joint | {
+        "link_poses": (num_envs, links, 7),
+        "link_velocities": (num_envs, links, 6),
+        "contact_forces": (num_envs, len(layout.contact_queries), 3),
+        "joint_wrenches": (num_envs, len(layout.wrench_links), 6),
+        "particle_positions": (num_envs, particles, 3),
+        "particle_velocities": (num_envs, particles, 3),
+    }
+
+
+def private_buffers(shapes: Shapes) -> Buffers:
+    """Buffers of this process alone."""
+    return Buffers(**{name: np.zeros(shape, dtype=np.float32) for name, shape in shapes.items()})
+
+
+def shared_buffers(shapes: Shapes, path: Path) -> Buffers:
+    """Buffers in a file that several processes map; its memory goes with the last of them, whatever its name does."""
+    size = sum(int(np.prod(shape)) for shape in shapes.values())
+    block = np.memmap(path, dtype=np.float32, mode="r+" if path.exists() else "w+", shape=(max(size, 1),))
+    arrays, start = {}, 0
+    for name, shape in shapes.items():
+        stop = start + int(np.prod(shape))
+        arrays[name] = np.asarray(block[start:stop]).reshape(shape)
+        start = stop
+    return Buffers(**arrays)

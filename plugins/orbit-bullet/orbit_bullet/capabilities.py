@@ -1,0 +1,55 @@
+"""What Bullet does of the contract, and why not more."""
+
+from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
+
+CAPABILITIES = Capabilities(
+    {
+        Capability.ARTICULATIONS: EXACT,
+        Capability.FLOATING_BASE: EXACT,
+        Capability.IMPLICIT_DRIVES: EXACT,
+        Capability.EFFORT_LIMITS: EXACT,
+        Capability.VELOCITY_LIMITS: unsupported("Bullet does not limit the velocity of single joints"),
+        Capability.JOINT_DAMPING: EXACT,
+        Capability.JOINT_FRICTION: EXACT,
+        Capability.ARMATURE: EXACT,
+        Capability.MIMIC_JOINTS: EXACT,
+        Capability.SELF_COLLISIONS: EXACT,
+        Capability.GRAVITY_COMPENSATION: EXACT,
+        Capability.FRICTION: approximate(
+            "Bullet multiplies the coefficients of a pair: exact where factors give every pair its larger one, and the "
+            "nearest products elsewhere"
+        ),
+        Capability.STATIC_FRICTION: approximate("one coefficient of sliding friction, the dynamic one"),
+        Capability.TORSIONAL_FRICTION: unsupported("not connected: contacts at several points resist turning"),
+        Capability.ROLLING_FRICTION: unsupported("not connected"),
+        Capability.RESTITUTION: approximate(
+            "Bullet multiplies the values of a pair, as with friction; impacts below a threshold do not rebound"
+        ),
+        Capability.COMPLIANT_CONTACT: approximate("stiffness and damping act at each contact point"),
+        Capability.CONVEX_MESHES: EXACT,
+        Capability.TRIANGLE_MESHES: EXACT,
+        Capability.DYNAMIC_TRIANGLE_MESHES: unsupported(
+            "Bullet collides triangle meshes that stand still: split the mesh into convex pieces"
+        ),
+        Capability.HEIGHT_FIELDS: EXACT,
+        Capability.CONTACT_FORCES: EXACT,
+        Capability.JOINT_WRENCHES: EXACT,
+        Capability.EXTERNAL_WRENCHES: EXACT,
+        Capability.RAY_CASTS: EXACT,
+        Capability.RANDOMIZE_MASS: EXACT,
+        Capability.RANDOMIZE_CENTER_OF_MASS: unsupported("Bullet fixes a link's centre of mass when it loads it"),
+        Capability.RANDOMIZE_FRICTION: approximate("Bullet multiplies the coefficients of a pair, as said of friction"),
+        Capability.RANDOMIZE_GAINS: EXACT,
+        Capability.RANDOMIZE_GRAVITY: EXACT,
+        Capability.SNAPSHOTS: EXACT,
+        Capability.DETERMINISTIC: EXACT,
+        Capability.RGB: EXACT,
+        Capability.DEPTH: EXACT,
+        Capability.NORMALS: approximate("computed from the depth image: blurred at the edges of things"),
+        Capability.SEGMENTATION: EXACT,
+        Capability.RAY_TRACED_RGB: unsupported("Bullet rasterises"),
+        Capability.GPU: unsupported("Bullet simulates on the CPU"),
+        Capability.CLOTH: unsupported("soon"),
+        Capability.SOFT_BODIES: unsupported("soon"),
+    }
+)

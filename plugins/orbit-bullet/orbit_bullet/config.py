@@ -1,0 +1,48 @@
+"""Bullet's own settings. Most are described in the PyBullet guide under ``setPhysicsEngineParameter``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from orbit_core.interfaces import ConfigurationError
+
+MOST_PER_CLIENT = 15
+"""Environments that the bits of a collision filter tell apart."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BulletConfig:
+    """Settings of the solver, of the processes that run it, and of the renderer."""
+
+    workers: int = 0
+    """Processes that share the environments; 1 simulates in this process, 0 takes one per core where it pays."""
+    envs_per_client: int = 15
+    """Environments that stand apart in one Bullet world. Scenes with deformables have a world each."""
+    solver_iterations: int = 50
+    """Of the constraint solver, per step."""
+    contact_erp: float = 0.2
+    """Share of the penetration that a step removes."""
+    contact_margin: float = 0.0005
+    """Metres of rounding around convex meshes."""
+    restitution_threshold: float = 0.05
+    """m/s; slower impacts do not rebound."""
+    renderer: str = "auto"
+    """``tiny`` draws in software, ``egl`` with OpenGL; ``auto`` takes the faster for the size of the cameras."""
+    shadows: bool = True
+    """Whether colour images have shadows."""
+
+    def __post_init__(self) -> None:
+        if self.workers < 0:
+            raise ConfigurationError(f"workers must be 0 (one per core) or more, not {self.workers}")
+        if not 1 <= self.envs_per_client <= MOST_PER_CLIENT:
+            raise ConfigurationError(
+                f"envs_per_client must be from 1 to {MOST_PER_CLIENT}, not {self.envs_per_client}"
+            )
+        for name in ("solver_iterations", "contact_erp"):
+            if getattr(self, name) <= 0:
+                raise ConfigurationError(f"{name} must be positive, not {getattr(self, name)}")
+        for name in ("contact_margin", "restitution_threshold"):
+            if getattr(self, name) < 0:
+                raise ConfigurationError(f"{name} must not be negative, but is {getattr(self, name)}")
+        if self.renderer not in ("auto", "tiny", "egl"):
+            raise ConfigurationError(f"renderer '{self.renderer}' is not one of auto, tiny, egl")

@@ -1,0 +1,79 @@
+"""Bullet itself: imported late, without its greetings on the terminal, one client a connection."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import functools
+import importlib
+import os
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+from orbit_core.interfaces import BackendNotInstalledError
+
+LAST_PYTHON = (3, 11)
+"""The newest for which pybullet has wheels."""
+
+
+@functools.cache
+def bullet() -> Any:
+    """The module ``pybullet``.
+
+    Raises:
+        BackendNotInstalledError: it is not installed; says what to install on this Python.
+    """
+    try:
+        with silence():
+            return importlib.import_module("pybullet")
+    except ModuleNotFoundError as error:
+        if error.name != "pybullet":
+            raise
+        if sys.version_info[:2] > LAST_PYTHON:
+            found = ".".join(map(str, sys.version_info[:2]))
+            remedy = f"pybullet has wheels up to Python 3.11 and this is {found}: pip install pybullet-arm64, a fork"
+        else:
+            remedy = "pip install pybullet"
+        raise BackendNotInstalledError(f"backend 'bullet' needs the module pybullet, which is missing: {remedy}") from (
+            error
+        )
+
+
+class Client:
+    """A connection of its own: every function and constant of the module, bound to it."""
+
+    def __init__(self) -> None:
+        self._module = bullet()
+        with silence():
+            self._number = self._module.connect(self._module.DIRECT)
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._module, name)
+        if callable(value):
+            value = functools.partial(value, physicsClientId=self._number)
+        setattr(self, name, value)
+        return value
+
+    def close(self) -> None:
+        """Disconnect; idempotent."""
+        if self._number >= 0:
+            self._module.disconnect(physicsClientId=self._number)
+            self._number = -1
+
+
+@contextlib.contextmanager
+def silence() -> Iterator[None]:
+    """Keep what the C++ code prints away from standard output."""
+    sys.stdout.flush()
+    flush = ctypes.CDLL(None).fflush if os.name == "posix" else lambda _: None
+    flush(None)
+    kept, nothing = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nothing, 1)
+        yield
+    finally:
+        flush(None)
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nothing)

@@ -1,0 +1,38 @@
+"""What of a scene Bullet does not take exactly, told before it is built."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbit_bullet.config import BulletConfig
+from orbit_bullet.materials import PairProducts, material_report, nominal
+from orbit_core.interfaces import Approximation, EntityLayout, SceneLayout
+
+
+def build_report(layout: SceneLayout, config: BulletConfig) -> tuple[Approximation, ...]:
+    """One line per difference."""
+    found = material_report(layout)
+    products = PairProducts(layout)
+    found += products.report("friction", nominal(layout, "dynamic_friction"))
+    found += products.report("restitution", nominal(layout, "restitution"))
+    for entity in layout.entities:
+        found += _joint_report(layout, entity)
+    return tuple(found)
+
+
+def _joint_report(layout: SceneLayout, entity: EntityLayout) -> list[Approximation]:
+    parameters, joints = layout.joint_parameters, layout.joints
+    numbers = range(entity.joints.start, entity.joints.stop)
+    found: list[Approximation] = []
+    fast = [joints[number].name for number in numbers if np.isfinite(parameters.velocity_limit[number])]
+    if fast:
+        asked = f"velocity limits of joints {', '.join(fast)}"
+        why = "Bullet does not limit the velocity of single joints"
+        found.append(Approximation(f"'{entity.name}'", asked, "no limits", why))
+    driven = parameters.drive_stiffness + parameters.drive_damping > 0
+    for number in numbers:
+        if driven[number] and joints[number].mimic:
+            subject = f"joint '{joints[number].name}' of '{entity.name}'"
+            why = "it mimics another joint, whose drive moves both"
+            found.append(Approximation(subject, "a drive of its own", "no drive", why))
+    return found

@@ -1,0 +1,37 @@
+"""Rigid transforms of arrays (..., 3) and quaternions (..., 4) as (w, x, y, z)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def rotate(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Vectors in the parent's axes."""
+    real, imaginary = quaternions[..., :1], quaternions[..., 1:]
+    swept = cross(imaginary, vectors)
+    return vectors + 2.0 * (real * swept + cross(imaginary, swept))
+
+
+def multiply(first: FloatArray, second: FloatArray) -> FloatArray:
+    """The rotation ``second``, then ``first``."""
+    a, b = first[..., :1], first[..., 1:]
+    c, d = second[..., :1], second[..., 1:]
+    real = a * c - (b * d).sum(-1, keepdims=True)
+    return np.concatenate((real, a * d + c * b + cross(b, d)), -1)
+
+
+def cross(first: FloatArray, second: FloatArray) -> FloatArray:
+    """The cross product, without the overhead of :func:`numpy.cross`."""
+    first, second = np.broadcast_arrays(first, second)
+    result = np.empty(first.shape)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        result[..., i] = first[..., j] * second[..., k] - first[..., k] * second[..., j]
+    return result
+
+
+def compose(positions: FloatArray, quaternions: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The pose ``offset`` (..., 7), given in frames at ``positions`` with ``quaternions``, in their parent."""
+    return positions + rotate(quaternions, offset[..., :3]), multiply(quaternions, offset[..., 3:])

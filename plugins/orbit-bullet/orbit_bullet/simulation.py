@@ -1,0 +1,392 @@
+"""Several environments in one Bullet world: stepped, read and written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_bullet.actuation import Actuation
+from orbit_bullet.buffers import Buffers
+from orbit_bullet.config import BulletConfig
+from orbit_bullet.contacts import ContactMeter
+from orbit_bullet.library import Client, silence
+from orbit_bullet.loads import Loads
+from orbit_bullet.materials import PairProducts, nominal
+from orbit_bullet.rotations import compose, cross, multiply, rotate
+from orbit_bullet.stage import SceneFiles, Stage
+from orbit_core.interfaces import BACKGROUND, TERRAIN, SceneLayout
+
+FloatArray = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.int64]
+RAYS_PER_CALL = 16_000
+"""Bullet's own bound is 16,384."""
+_FARTHEST = 1e5
+"""Metres from its origin at which an environment counts as diverged."""
+
+
+@dataclass(frozen=True)
+class SavedSimulation:
+    """A world's own snapshot and what stands outside it."""
+
+    state: int
+    arrays: tuple[npt.NDArray[Any], ...]
+
+
+class Simulation:
+    """K environments, numbered from ``first``; ``buffers`` are their rows."""
+
+    def __init__(
+        self, layout: SceneLayout, files: SceneFiles, first: int, buffers: Buffers, config: BulletConfig
+    ) -> None:
+        self.layout = layout
+        self.buffers = buffers
+        self.count = len(buffers.link_poses)
+        self.client = Client()
+        with silence():
+            self._set_options(config)
+            self.stage = Stage(self.client, layout, files, first, self.count, config)
+            self._actuation = Actuation(self.stage, buffers)
+        self._loads = Loads(self.stage)
+        self._products = PairProducts(layout)
+        self._friction = np.tile(nominal(layout, "dynamic_friction"), (self.count, 1))
+        self._set_restitution()
+        self._apply_friction(np.arange(self.count))
+        self._contacts = ContactMeter(self.client, layout.contact_queries, self.stage.places, buffers.contact_forces)
+        joints, links = len(layout.joints), len(layout.links)
+        self._positions, self._velocities = np.zeros((2, self.count, joints))
+        self._raw = np.zeros((self.count, links, 16))
+        """Of each link its centre of mass, frame, quaternion (x, y, z, w), and velocities at the centre of mass."""
+        self._nominal_inertias = self._inertias()
+        self._set_up_wrenches()
+        self.reset(np.arange(self.count))
+
+    def _set_options(self, config: BulletConfig) -> None:
+        self.client.setPhysicsEngineParameter(
+            fixedTimeStep=self.layout.scene.physics_dt,
+            numSolverIterations=config.solver_iterations,
+            solverResidualThreshold=0.0,
+            deterministicOverlappingPairs=1,
+            contactERP=config.contact_erp,
+            erp=config.contact_erp,
+            restitutionVelocityThreshold=config.restitution_threshold,
+            enableFileCaching=0,
+        )
+
+    # Time ------------------------------------------------------------------------------------------------------------
+
+    def step(self, steps: int) -> list[int]:
+        """Advance; the environments that diverged come back."""
+        contacts = self._contacts.active
+        if contacts:
+            self._contacts.clear()
+        self._actuation.prepare()
+        for number in range(steps):
+            if number:
+                self._read_joints(range(self.count))
+            self._actuation.apply(self._positions, self._velocities)
+            self._loads.apply()
+            self.client.stepSimulation()
+            if contacts:
+                self._contacts.add()
+        if contacts:
+            self._contacts.average(steps)
+        self._read(range(self.count))
+        np.copyto(self.buffers.joint_efforts, self._actuation.efforts(self._velocities), casting="same_kind")
+        self._read_wrenches()
+        return self._diverged()
+
+    def _diverged(self) -> list[int]:
+        poses = self.buffers.link_poses
+        if np.abs(poses).sum() < _FARTHEST:  # false for NaN as well
+            return []
+        sound = (np.abs(poses) < _FARTHEST).all(axis=(1, 2))
+        return np.flatnonzero(~sound).tolist()
+
+    # Reading ---------------------------------------------------------------------------------------------------------
+
+    def _read_joints(self, slots: range | Rows) -> None:
+        client, stage = self.client, self.stage
+        for slot in slots:
+            for entity in self.layout.entities:
+                if numbers := stage.joints[entity.index]:
+                    states = client.getJointStates(stage.bodies[slot][entity.index], numbers)
+                    self._positions[slot, entity.joints] = [state[0] for state in states]
+                    self._velocities[slot, entity.joints] = [state[1] for state in states]
+
+    def _read(self, slots: range | Rows) -> None:
+        """Fill the buffers of joints and links."""
+        self._read_joints(slots)
+        for slot in slots:
+            for entity in self.layout.entities:
+                self._read_links(slot, entity.index)
+        rows = slice(None) if isinstance(slots, range) else slots
+        raw = self._raw[rows]
+        quaternions = raw[..., [9, 6, 7, 8]]
+        positions, quaternions = compose(raw[..., 3:6], quaternions, self.stage.offsets)
+        lever = positions - raw[..., :3]
+        positions -= self.stage.origins[rows, None]
+        quaternions *= np.copysign(1.0, quaternions[..., :1])
+        buffers = self.buffers
+        buffers.link_poses[rows] = np.concatenate((positions, quaternions), -1)
+        buffers.link_velocities[rows, :, :3] = raw[..., 10:13] + cross(raw[..., 13:], lever)
+        buffers.link_velocities[rows, :, 3:] = raw[..., 13:]
+        buffers.joint_positions[rows] = self._positions[rows]
+        buffers.joint_velocities[rows] = self._velocities[rows]
+
+    def _read_links(self, slot: int, number: int) -> None:
+        client, entity = self.client, self.layout.entities[number]
+        body = self.stage.bodies[slot][number]
+        values: list[float] = []
+        indices = self.stage.links[number]
+        start = entity.links.start
+        if not entity.spec.fixed_base:
+            position, orientation = client.getBasePositionAndOrientation(body)
+            linear, angular = client.getBaseVelocity(body)
+            values += (*position, *position, *orientation, *linear, *angular)
+        else:  # the root stands still where it was put
+            start, indices = start + 1, indices[1:]
+        indices = [index for index in indices if index >= 0]
+        if indices:
+            for state in client.getLinkStates(body, indices, 1, 1):
+                values += (*state[0], *state[4], *state[5], *state[6], *state[7])
+        if values:
+            self._raw[slot, start : entity.links.stop] = np.array(values).reshape(-1, 16)
+
+    # Writing ---------------------------------------------------------------------------------------------------------
+
+    def write_joints(self, rows: Rows, joints: Rows, positions: FloatArray | None, velocities: FloatArray | None) -> None:
+        """State (n, k) of joints (k,)."""
+        if positions is not None:
+            self._positions[np.ix_(rows, joints)] = positions
+        if velocities is not None:
+            self._velocities[np.ix_(rows, joints)] = velocities
+        touched = [e for e in self.layout.entities if ((joints >= e.joints.start) & (joints < e.joints.stop)).any()]
+        for slot in rows:
+            for entity in touched:
+                self._put_joints(slot, entity.index)
+        self._read(rows)
+
+    def _put_joints(self, slot: int, number: int) -> None:
+        entity = self.layout.entities[number]
+        positions, velocities = self._positions[slot, entity.joints], self._velocities[slot, entity.joints]
+        numbers = self.stage.joints[number]
+        if numbers:
+            self.client.resetJointStatesMultiDof(
+                self.stage.bodies[slot][number], numbers, positions[:, None].tolist(), velocities[:, None].tolist()
+            )
+        self.stage.refresh(slot, number)
+
+    def write_root(self, rows: Rows, number: int, pose: FloatArray | None, velocity: FloatArray | None) -> None:
+        """Pose (n, 7) in each environment's frame and velocity (n, 6) of the root link's origin."""
+        link = self.layout.entities[number].root_link
+        pose = self.buffers.link_poses[rows, link] if pose is None else pose
+        velocity = self.buffers.link_velocities[rows, link] if velocity is None else velocity
+        self._put_root(rows, number, pose.astype(np.float64), velocity.astype(np.float64))
+        self._read(rows)
+
+    def _put_root(self, rows: Rows, number: int, pose: FloatArray, velocity: FloatArray) -> None:
+        entity, client = self.layout.entities[number], self.client
+        origin, quaternion = pose[:, :3] + self.stage.origins[rows], _normalized(pose[:, 3:])
+        inertial = self.stage.root_inertials[number]
+        if self.stage.files.anchored[number]:
+            inertial = np.array([0.0, 0, 0, 1, 0, 0, 0])
+        center, axes = compose(origin, quaternion, inertial)
+        if entity.spec.fixed_base:
+            zeros = np.zeros((len(rows), 6))
+            self._raw[rows, entity.root_link] = np.concatenate(
+                (origin, origin, quaternion[:, [1, 2, 3, 0]], zeros), -1
+            )
+        linear = velocity[:, :3] + cross(velocity[:, 3:], center - origin)
+        for index, slot in enumerate(rows):
+            body = self.stage.bodies[slot][number]
+            x, y, z, w = axes[index, [1, 2, 3, 0]].tolist()
+            client.resetBasePositionAndOrientation(body, center[index].tolist(), (x, y, z, w))
+            if not entity.spec.fixed_base:
+                client.resetBaseVelocity(body, linear[index].tolist(), velocity[index, 3:].tolist())
+            self.stage.refresh(slot, number)
+
+    def reset(self, rows: Rows) -> None:
+        """The scene's initial state."""
+        for entity in self.layout.entities:
+            pose = np.array([*entity.spec.pose.position, *entity.spec.pose.orientation], dtype=np.float64)
+            self._put_root(rows, entity.index, np.tile(pose, (len(rows), 1)), np.zeros((len(rows), 6)))
+        self._positions[rows] = self.layout.joint_parameters.home
+        self._velocities[rows] = 0.0
+        for slot in rows:
+            for entity in self.layout.entities:
+                self._put_joints(slot, entity.index)
+        if self._loads.wrenches[rows].any():
+            self._loads.wrenches[rows] = 0.0
+            self._loads.derive()
+        for name in ("joint_efforts", "contact_forces", "joint_wrenches"):
+            getattr(self.buffers, name)[rows] = 0.0
+        self._read(rows)
+
+    # Measurements ----------------------------------------------------------------------------------------------------
+
+    def _set_up_wrenches(self) -> None:
+        self._sensed = []
+        for column, link in enumerate(self.layout.wrench_links):
+            number = int(self.layout.entity_of_link[link])
+            index = self.stage.links[number][link - self.layout.entities[number].links.start]
+            self._sensed.append((column, number, index))
+            for slot in range(self.count):
+                if index >= 0:
+                    self.client.enableJointForceTorqueSensor(self.stage.bodies[slot][number], index, 1)
+
+    def _read_wrenches(self) -> None:
+        for column, number, index in self._sensed:
+            if index < 0:
+                continue  # nothing holds a free root
+            link = self.layout.wrench_links[column]
+            for slot in range(self.count):
+                reaction = self.client.getJointState(self.stage.bodies[slot][number], index)[2]
+                self.buffers.joint_wrenches[slot, column] = self._in_link_frame(slot, link, np.array(reaction))
+
+    def _in_link_frame(self, slot: int, link: int, reaction: FloatArray) -> FloatArray:
+        """Bullet's reaction, in the URDF link's frame about its centre of mass, about the link's origin in its axes."""
+        return reaction
+
+    def cast_rays(
+        self, rows: Rows, origins: FloatArray, directions: FloatArray, reach: float
+    ) -> tuple[npt.NDArray[Any], ...]:
+        """Distances (n, R), normals (n, R, 3) and links (n, R)."""
+        shape = origins.shape[:2]
+        distances, normals = np.full(shape, np.inf, np.float32), np.zeros((*shape, 3), np.float32)
+        links = np.full(shape, BACKGROUND, np.int64)
+        places = self.stage.places
+        for row, slot in enumerate(rows):
+            start = origins[row] + self.stage.origins[slot]
+            hits = self._cast(start, start + reach * directions[row].astype(np.float64), self.stage.ray_mask(slot))
+            for ray, hit in enumerate(hits):
+                if hit[0] >= 0:
+                    links[row, ray] = places[hit[0], hit[1]][1]
+                    distances[row, ray] = hit[2] * reach
+                    normals[row, ray] = hit[4]
+        return distances, normals, links
+
+    def _cast(self, start: FloatArray, end: FloatArray, mask: int) -> list[Any]:
+        hits: list[Any] = []
+        for first in range(0, len(start), RAYS_PER_CALL):
+            part = slice(first, first + RAYS_PER_CALL)
+            hits += self.client.rayTestBatch(start[part].tolist(), end[part].tolist(), collisionFilterMask=mask)
+        return hits
+
+    # Parameters per environment --------------------------------------------------------------------------------------
+
+    def _inertias(self) -> FloatArray:
+        """Principal moments (L, 3) as Bullet has them."""
+        found = []
+        for entity in self.layout.entities:
+            for index in self.stage.links[entity.index]:
+                found.append(self.client.getDynamicsInfo(self.stage.bodies[0][entity.index], index)[2])
+        return np.array(found).reshape(-1, 3)
+
+    def set_wrenches(self, rows: Rows, links: Rows, wrenches: FloatArray) -> None:
+        """(n, k, 6) of links (k,)."""
+        self._loads.wrenches[np.ix_(rows, links)] = wrenches
+        self._loads.derive()
+
+    def set_masses(self, rows: Rows, links: Rows, masses: FloatArray) -> None:
+        """(n, k) of links (k,)."""
+        self._loads.masses[np.ix_(rows, links)] = masses
+        self._apply_masses(rows, links)
+
+    def _apply_masses(self, rows: Rows, links: Rows) -> None:
+        for link in links:
+            number = int(self.layout.entity_of_link[link])
+            index = self.stage.links[number][link - self.layout.entities[number].links.start]
+            for slot in rows:
+                mass = float(self._loads.masses[slot, link])
+                moments = self._nominal_inertias[link] * (mass / self._loads.nominal_masses[link])
+                self.client.changeDynamics(
+                    self.stage.bodies[slot][number], index, mass=mass, localInertiaDiagonal=moments.tolist()
+                )
+        self._loads.derive()
+
+    def set_gravity(self, rows: Rows, gravity: FloatArray) -> None:
+        """(n, 3)"""
+        self._loads.gravity[rows] = gravity
+        self._loads.derive()
+
+    def set_gains(self, rows: Rows, joints: Rows, stiffness: FloatArray, damping: FloatArray) -> None:
+        """(n, k) of joints (k,)."""
+        with silence():
+            self._actuation.set_gains(rows, joints, stiffness, damping)
+
+    def set_friction(self, rows: Rows, links: Rows, coefficients: FloatArray) -> None:
+        """(n, k) of links (k,); TERRAIN stands for all terrain shapes."""
+        count = len(self.layout.links)
+        for column, link in enumerate(links):
+            chosen = slice(count, None) if link == TERRAIN else slice(link, link + 1)
+            self._friction[rows, chosen] = coefficients[:, column, None]
+        self._apply_friction(rows)
+
+    def _apply_friction(self, rows: Rows) -> None:
+        for slot in rows:
+            for body, link, factor in self._contact_bodies(slot, self._products.factors(self._friction[slot])):
+                self.client.changeDynamics(body, link, lateralFriction=factor)
+
+    def _set_restitution(self) -> None:
+        factors = self._products.factors(nominal(self.layout, "restitution"))
+        for slot in range(self.count):
+            for body, link, factor in self._contact_bodies(slot, factors):
+                self.client.changeDynamics(body, link, restitution=factor)
+
+    def _contact_bodies(self, slot: int, factors: FloatArray) -> list[tuple[int, int, float]]:
+        """Body, Bullet link and factor of each link that collides, then of each terrain shape."""
+        found = []
+        for entity in self.layout.entities:
+            for offset, index in enumerate(self.stage.links[entity.index]):
+                if index in self.stage.colliding[entity.index]:
+                    factor = float(factors[entity.links.start + offset])
+                    found.append((self.stage.bodies[slot][entity.index], index, factor))
+        terrain = factors[len(self.layout.links) :].tolist()
+        return found + [(body, -1, factor) for body, factor in zip(self.stage.terrain[slot], terrain, strict=True)]
+
+    # Snapshots and the rest ------------------------------------------------------------------------------------------
+
+    @property
+    def _arrays(self) -> tuple[npt.NDArray[Any], ...]:
+        buffers, loads = self.buffers, self._loads
+        return (
+            buffers.joint_efforts, buffers.contact_forces, buffers.joint_wrenches, self._raw, self._friction,
+            loads.gravity, loads.masses, loads.wrenches, self._actuation.stiffness, self._actuation.damping,
+        )  # fmt: skip
+
+    def save(self) -> SavedSimulation:
+        """Everything that the continuation depends on, but for the commands."""
+        return SavedSimulation(self.client.saveState(), tuple(array.copy() for array in self._arrays))
+
+    def load(self, saved: SavedSimulation) -> None:
+        """Return to a saved state."""
+        before = [array.copy() for array in self._arrays]
+        for own, kept in zip(self._arrays, saved.arrays, strict=True):
+            own[...] = kept
+        everything = np.arange(self.count)
+        changed = [not np.array_equal(old, new) for old, new in zip(before, self._arrays, strict=True)]
+        if changed[4]:
+            self._apply_friction(everything)
+        if changed[6]:
+            self._apply_masses(everything, np.flatnonzero((before[6] != self._loads.masses).any(axis=0)))
+        if changed[8] or changed[9]:
+            joints = np.arange(len(self.layout.joints))
+            self.set_gains(everything, joints, self._actuation.stiffness.copy(), self._actuation.damping.copy())
+        self._loads.derive()
+        self.client.restoreState(saved.state)
+        self._read(range(self.count))
+
+    def forget(self, saved: SavedSimulation) -> None:
+        """Free a snapshot that nobody holds any more."""
+        self.client.removeState(saved.state)
+
+    def close(self) -> None:
+        """Free the world."""
+        self.client.close()
+
+
+def _normalized(quaternions: FloatArray) -> FloatArray:
+    return quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True)

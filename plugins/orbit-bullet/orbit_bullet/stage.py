@@ -1,0 +1,282 @@
+"""The bodies of several environments in one Bullet world, side by side, filtered so that they never touch."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_bullet.config import BulletConfig
+from orbit_bullet.urdf import MeshFiles, child_poses, write_entity
+from orbit_core.interfaces import TERRAIN, ConfigurationError, EntityLayout, SceneLayout
+from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, MeshCollision, Plane, Pose, Shape, Sphere
+
+FloatArray = npt.NDArray[np.float64]
+SPACING = 64.0
+"""Metres between environments; a power of two keeps their positions' rounding small."""
+_ROW = 32
+"""Environments in a row."""
+_GEAR_FORCE = 1e9
+_GEAR_ERP = 0.2
+"""Share of a mimic joint's error that a step removes."""
+
+
+@dataclass(frozen=True)
+class SceneFiles:
+    """What every world of a scene is loaded from."""
+
+    folder: Path
+    entities: tuple[Path, ...]
+    anchored: tuple[bool, ...]
+    """Whether an entity's root hangs on a joint that measures what holds it."""
+    terrain: tuple[Path | None, ...]
+    """The mesh of each terrain shape, if it is one."""
+
+
+def write_scene(layout: SceneLayout, folder: Path) -> SceneFiles:
+    """Write the files of a scene."""
+    meshes = MeshFiles(folder)
+    paths, anchored = [], []
+    for entity in layout.entities:
+        anchored.append(entity.spec.fixed_base and entity.root_link in layout.wrench_links)
+        paths.append(folder / f"entity{entity.index}.urdf")
+        write_entity(entity.spec, paths[-1], meshes, anchored[-1])
+    terrain = []
+    for shape in layout.scene.terrain:
+        mesh = shape.geometry if isinstance(shape.geometry, Mesh) else None
+        hull = mesh is not None and mesh.collision is MeshCollision.CONVEX_HULL
+        terrain.append(None if mesh is None else meshes.hull(mesh) if hull else meshes.surface(mesh))
+    return SceneFiles(folder, tuple(paths), tuple(anchored), tuple(terrain))
+
+
+def origin_of(environment: int) -> FloatArray:
+    """Where an environment stands: it depends on its number alone, and so does its rounding."""
+    return np.array([SPACING * (environment % _ROW), SPACING * (environment // _ROW), 0.0])
+
+
+class Stage:
+    """K environments: which body and which link is what."""
+
+    def __init__(
+        self, client: Any, layout: SceneLayout, files: SceneFiles, first: int, count: int, config: BulletConfig
+    ) -> None:
+        self.client = client
+        self.layout = layout
+        self.files = files
+        self.config = config
+        self.count = count
+        self.origins = np.array([origin_of(first + slot) for slot in range(count)]).reshape(count, 3)
+        self.bodies: list[list[int]] = [[] for _ in range(count)]
+        """Of each slot, of each entity."""
+        self.terrain: list[list[int]] = [[] for _ in range(count)]
+        self.links: list[list[int]] = [[] for _ in layout.entities]
+        """Of each entity, the Bullet link of each link; -1 is the base."""
+        self.joints: list[list[int]] = [[] for _ in layout.entities]
+        """Of each entity, the Bullet joint of each movable joint."""
+        self.places: dict[tuple[int, int], tuple[int, int]] = {}
+        """Slot and layout link (or TERRAIN) of each body and Bullet link."""
+        self.root_inertials = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(layout.entities), 1))
+        """Of each entity, the base's centre of mass and principal axes in the root link's frame (E, 7)."""
+        self.offsets = self._link_offsets()
+        self._terrain_shapes = [
+            self._terrain_shape(shape, path) for shape, path in zip(layout.scene.terrain, files.terrain, strict=True)
+        ]
+        for slot in range(count):
+            self._add_terrain(slot)
+            for entity in layout.entities:
+                self._add_entity(slot, entity)
+
+    # Who may touch whom ----------------------------------------------------------------------------------------------
+
+    def groups(self, slot: int, static: bool) -> tuple[int, int]:
+        """Collision group and mask: two bits an environment, for what moves and what does not; bit 0 is for rays."""
+        moving, still = 1 << (2 * slot + 1), 1 << (2 * slot + 2)
+        return (still, moving | 1) if static else (moving, moving | still | 1)
+
+    def ray_mask(self, slot: int) -> int:
+        return 3 << (2 * slot + 1)
+
+    def refresh(self, slot: int, entity: int) -> None:
+        """Forget the contacts of an entity that was moved, and place it anew for the collision search."""
+        body = self.bodies[slot][entity]
+        fixed = self.layout.entities[entity].spec.fixed_base
+        for link in self.colliding[entity]:
+            static = fixed and link == self.links[entity][0]
+            self.client.setCollisionFilterGroupMask(body, link, *self.groups(slot, static))
+
+    @property
+    def colliding(self) -> list[list[int]]:
+        """Of each entity, the Bullet links that have collision shapes."""
+        return self._colliding
+
+    # Building --------------------------------------------------------------------------------------------------------
+
+    def _link_offsets(self) -> FloatArray:
+        """Of each link, its pose (L, 7) in the frame that Bullet tells of; a free root's is set when it is loaded."""
+        poses = [pose for entity in self.layout.entities for pose in child_poses(entity.spec)]
+        self._colliding: list[list[int]] = [[] for _ in self.layout.entities]
+        return np.array([(*pose.position, *pose.orientation) for pose in poses]).reshape(-1, 7)
+
+    def _add_terrain(self, slot: int) -> None:
+        client = self.client
+        for shape, (number, pose) in zip(self.layout.scene.terrain, self._terrain_shapes, strict=True):
+            body = client.createMultiBody(
+                0, number, -1, tuple(self.origins[slot] + pose.position), _xyzw(pose.orientation)
+            )
+            client.setCollisionFilterGroupMask(body, -1, *self.groups(slot, True))
+            self.places[body, -1] = (slot, TERRAIN)
+            self.terrain[slot].append(body)
+            self._set_contact(body, -1, shape)
+
+    def _terrain_shape(self, shape: Shape, path: Path | None) -> tuple[int, Pose]:
+        client, pose = self.client, shape.pose
+        match shape.geometry:
+            case Plane():
+                return client.createCollisionShape(client.GEOM_PLANE, planeNormal=(0, 0, 1)), pose
+            case Box(half_extents):
+                return client.createCollisionShape(client.GEOM_BOX, halfExtents=half_extents), pose
+            case Sphere(radius):
+                return client.createCollisionShape(client.GEOM_SPHERE, radius=radius), pose
+            case Capsule(radius, half):
+                return client.createCollisionShape(client.GEOM_CAPSULE, radius=radius, height=2 * half), pose
+            case Cylinder(radius, half):
+                return client.createCollisionShape(client.GEOM_CYLINDER, radius=radius, height=2 * half), pose
+            case HeightField() as field:
+                return self._height_field(field, pose)
+            case Mesh(collision=collision):
+                concave = collision is MeshCollision.TRIANGLES
+                flags = client.GEOM_FORCE_CONCAVE_TRIMESH if concave else 0
+                return client.createCollisionShape(client.GEOM_MESH, fileName=str(path), flags=flags), pose
+            case other:
+                raise ConfigurationError(f"Bullet cannot collide a {type(other).__name__}")
+
+    def _height_field(self, field: HeightField, pose: Pose) -> tuple[int, Pose]:
+        """Bullet centres a height field between its lowest and its highest point."""
+        heights = np.asarray(field.heights, dtype=np.float64)
+        rows, columns = heights.shape
+        scale = (field.size[0] / (columns - 1), field.size[1] / (rows - 1), 1.0)
+        number = self.client.createCollisionShape(
+            self.client.GEOM_HEIGHTFIELD,
+            meshScale=scale,
+            heightfieldData=heights.ravel().tolist(),
+            numHeightfieldRows=columns,
+            numHeightfieldColumns=rows,
+        )
+        middle = 0.5 * (float(heights.min()) + float(heights.max()))
+        return number, pose @ Pose((0.0, 0.0, middle))
+
+    def _add_entity(self, slot: int, entity: EntityLayout) -> None:
+        client, spec, number = self.client, entity.spec, entity.index
+        articulation = spec.articulation
+        flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_USE_IMPLICIT_CYLINDER
+        if articulation.self_collisions:
+            flags |= client.URDF_USE_SELF_COLLISION | client.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
+        body = client.loadURDF(
+            str(self.files.entities[number]),
+            tuple(self.origins[slot] + spec.pose.position),
+            _xyzw(spec.pose.orientation),
+            useFixedBase=spec.fixed_base,
+            flags=flags,
+        )
+        self.bodies[slot].append(body)
+        if slot == 0:
+            self._number_links(body, entity)
+        self._set_up_links(slot, body, entity)
+        self._set_up_joints(body, entity)
+
+    def _number_links(self, body: int, entity: EntityLayout) -> None:
+        client, number = self.client, entity.index
+        names = {client.getJointInfo(body, j)[12].decode(): j for j in range(client.getNumJoints(body))}
+        articulation = entity.spec.articulation
+        self.links[number] = [names.get(f"l{index}", -1) for index in range(len(articulation.links))]
+        index_of = {name: index for index, name in enumerate(articulation.link_names)}
+        self.joints[number] = [self.links[number][index_of[joint.child]] for joint in articulation.movable_joints]
+        shaped = zip(self.links[number], articulation.links, strict=True)
+        self._colliding[number] = [index for index, link in shaped if link.collisions]
+        position, orientation = client.getDynamicsInfo(body, -1)[3:5]
+        inertial = Pose(position, (orientation[3], *orientation[:3]))
+        self.root_inertials[number] = (*inertial.position, *inertial.orientation)
+        if not entity.spec.fixed_base:
+            inverse = inertial.inverse()
+            self.offsets[entity.root_link] = (*inverse.position, *inverse.orientation)
+
+    def _set_up_links(self, slot: int, body: int, entity: EntityLayout) -> None:
+        client, number = self.client, entity.index
+        undamped = {"linearDamping": 0, "angularDamping": 0, "jointDamping": 0, "maxJointVelocity": 1e6}
+        for index in range(-1, client.getNumJoints(body)):
+            client.changeDynamics(body, index, **undamped)
+        for offset, (index, link) in enumerate(
+            zip(self.links[number], entity.spec.articulation.links, strict=True)
+        ):
+            self.places[body, index] = (slot, entity.links.start + offset)
+            for shape in link.collisions:
+                self._set_contact(body, index, shape)
+        self.refresh(slot, number)
+        self._exclude_pairs(body, entity)
+
+    def _exclude_pairs(self, body: int, entity: EntityLayout) -> None:
+        articulation = entity.spec.articulation
+        if not articulation.self_collisions:
+            return
+        index_of = dict(zip(articulation.link_names, self.links[entity.index], strict=True))
+        apart = [(joint.parent, joint.child) for joint in articulation.joints] + list(articulation.collision_exclusions)
+        for first, second in apart:
+            self.client.setCollisionFilterPair(body, body, index_of[first], index_of[second], 0)
+
+    def _set_contact(self, body: int, link: int, shape: Shape) -> None:
+        if isinstance(shape.geometry, Mesh):
+            self.client.changeDynamics(body, link, collisionMargin=self.config.contact_margin)
+        if shape.material.compliance:
+            spring = shape.material.compliance
+            self.client.changeDynamics(body, link, contactStiffness=spring.stiffness, contactDamping=spring.damping)
+
+    def _set_up_joints(self, body: int, entity: EntityLayout) -> None:
+        client = self.client
+        friction = self.layout.joint_parameters.friction
+        for joint in range(client.getNumJoints(body)):
+            client.setJointMotorControl2(body, joint, client.VELOCITY_CONTROL, force=0)
+        names = entity.spec.articulation.joint_names
+        for offset, joint in enumerate(entity.spec.articulation.movable_joints):
+            number = self.joints[entity.index][offset]
+            if force := float(friction[entity.joints.start + offset]):
+                client.setJointMotorControl2(body, number, client.VELOCITY_CONTROL, targetVelocity=0, force=force)
+            if joint.mimic:
+                driver = self.joints[entity.index][names.index(joint.mimic.joint)]
+                self._add_mimic(body, driver, number, joint.mimic.multiplier, joint.mimic.offset)
+
+    def _add_mimic(self, body: int, driver: int, follower: int, multiplier: float, offset: float) -> None:
+        """A gear holds ``q_driver - q_follower / multiplier`` at ``- offset / multiplier``."""
+        if multiplier == 0.0:
+            raise ConfigurationError("Bullet has no gear of ratio zero: make a mimic joint of multiplier 0 a fixed one")
+        client = self.client
+        gear = client.createConstraint(body, driver, body, follower, client.JOINT_GEAR, [0, 0, 1], [0] * 3, [0] * 3)
+        client.changeConstraint(
+            gear,
+            gearRatio=-1.0 / multiplier,
+            maxForce=_GEAR_FORCE,
+            erp=_GEAR_ERP,
+            relativePositionTarget=-offset / multiplier,
+        )
+
+
+def split_evenly(count: int, parts: int) -> list[tuple[int, int]]:
+    """Ranges of nearly equal length."""
+    bounds = [round(count * part / parts) for part in range(parts + 1)]
+    return list(itertools.pairwise(bounds))
+
+
+def client_ranges(start: int, stop: int, most: int) -> list[tuple[int, int]]:
+    """Environments ``start`` to ``stop`` in as few worlds as may be, of nearly equal size."""
+    parts = max(1, math.ceil((stop - start) / most))
+    return [(start + a, start + b) for a, b in split_evenly(stop - start, parts)]
+
+
+def _xyzw(quaternion: Sequence[float]) -> tuple[float, float, float, float]:
+    w, x, y, z = quaternion
+    return x, y, z, w

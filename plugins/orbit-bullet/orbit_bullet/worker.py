@@ -1,0 +1,80 @@
+"""The process that simulates some of the environments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from orbit_bullet.buffers import Shapes, shared_buffers
+from orbit_bullet.config import BulletConfig
+from orbit_bullet.shard import Shard
+from orbit_bullet.stage import SceneFiles
+from orbit_core.interfaces import SceneLayout
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """What one worker simulates, and where it shares its state."""
+
+    layout: SceneLayout
+    files: SceneFiles
+    config: BulletConfig
+    start: int
+    stop: int
+    shapes: Shapes
+    memory: Path
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An exception of the worker's, for the process that asked."""
+
+    error: Exception
+
+
+def work(connection: Connection, assignment: Assignment) -> None:
+    """Build a shard, then do what is asked until the connection closes.
+
+    A request is a method's name, its arguments and whether a reply is awaited; an error of a call without reply comes
+    with the next reply.
+    """
+    try:
+        shard, failure = _build(assignment), None
+    except Exception as error:
+        connection.send(Failure(_portable(error)))
+        return
+    connection.send(None)
+    while True:
+        try:
+            method, arguments, reply = connection.recv()
+        except (EOFError, OSError, KeyboardInterrupt):
+            break
+        result: Any = None
+        try:
+            if method:
+                result = getattr(shard, method)(*arguments)
+        except Exception as error:
+            failure = failure or Failure(_portable(error))
+        if reply:
+            connection.send(failure or result)
+            failure = None
+    shard.close()
+
+
+def _build(assignment: Assignment) -> Shard:
+    buffers = shared_buffers(assignment.shapes, assignment.memory)
+    rows = buffers.rows(assignment.start, assignment.stop)
+    return Shard(assignment.layout, assignment.files, assignment.start, rows, assignment.config)
+
+
+def _portable(error: Exception) -> Exception:
+    """An exception that survives the way through a pipe."""
+    import pickle
+
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
