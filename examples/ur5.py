@@ -12,11 +12,16 @@ from orbit_core.scene import Articulation, EndEffector, ImplicitPd, RobotSpec
 from orbit_core.tasks import make
 
 SOURCE = "example-robot-data"
-HOME = {"shoulder_lift_joint": -1.2, "elbow_joint": 1.9, "wrist_1_joint": -2.3, "wrist_2_joint": -math.pi / 2}
+HOME = {  # the flange points down
+    "shoulder_lift_joint": -1.2,
+    "elbow_joint": 1.9,
+    "wrist_1_joint": -2.3,
+    "wrist_[23]_joint": -math.pi / 2,
+}
 
 
 def build() -> RobotSpec:
-    """The arm without a gripper; its tool frame is the URDF's."""
+    """The arm without a gripper. The URDF's ``tool0`` has z out of the flange."""
     return RobotSpec(
         name="ur5",
         articulation=cached_articulation(Model("ur5", articulation, (SOURCE,), "BSD")),
@@ -24,7 +29,7 @@ def build() -> RobotSpec:
         home=HOME,
         actuators=(ImplicitPd(joints=(".*",), stiffness=800.0, damping=80.0),),
         gravity_compensation=True,
-        end_effectors=(EndEffector("ee_link", (".*",)),),
+        end_effectors=(EndEffector("tool0", (".*",)),),
         semantic_label="robot",
         licence="BSD",
         source=SOURCE,

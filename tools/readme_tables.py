@@ -8,9 +8,10 @@ A part stands between ``<!-- capabilities -->`` or ``<!-- file: PATH -->`` and `
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
-from orbit_core.backends import backend, backend_names
+from orbit_core.backends import backend
 from orbit_core.interfaces import Capability, Level
 
 ROOT = Path(__file__).parents[1]
@@ -34,9 +35,20 @@ def updated(text: str) -> str:
     return _PART.sub(part, text)
 
 
+def offered_backends() -> list[str]:
+    """Names of the plugins that an extra of this distribution brings."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"].items()
+    return [name for name, needs in extras if any(need.startswith(f"orbit-{name} ") for need in needs)]
+
+
 def capability_table() -> str:
-    """Every capability, and each installed backend's level with its reason."""
-    names = backend_names()
+    """Every capability, and each offered backend's level with its reason.
+
+    Raises:
+        BackendNotInstalledError: one is not installed.
+    """
+    names = offered_backends()
     rows = [f"| capability | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
     for capability in Capability:
         cells = [_cell(name, capability) for name in names]
