@@ -1,0 +1,65 @@
+"""What SAPIEN does of the contract, and why not more."""
+
+from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
+
+_IMAGES = {
+    Capability.RGB: EXACT,
+    Capability.DEPTH: EXACT,
+    Capability.NORMALS: EXACT,
+    Capability.SEGMENTATION: EXACT,
+    Capability.RAY_TRACED_RGB: EXACT,
+}
+
+CAPABILITIES = Capabilities(
+    {
+        Capability.ARTICULATIONS: EXACT,
+        Capability.FLOATING_BASE: EXACT,
+        Capability.IMPLICIT_DRIVES: EXACT,
+        Capability.EFFORT_LIMITS: approximate(
+            "the drive's limit bounds the joint's own damping along with the drive's effort"
+        ),
+        Capability.VELOCITY_LIMITS: EXACT,
+        Capability.JOINT_DAMPING: EXACT,
+        Capability.JOINT_FRICTION: approximate(
+            "exact where no drive acts on the joint; elsewhere a damper that saturates, so that a held joint creeps"
+        ),
+        Capability.ARMATURE: EXACT,
+        Capability.MIMIC_JOINTS: approximate(
+            "the coupling is a stiff spring: it gives way slightly under load"
+        ),
+        Capability.SELF_COLLISIONS: EXACT,
+        Capability.GRAVITY_COMPENSATION: EXACT,
+        Capability.FRICTION: approximate(
+            "PhysX averages a pair's coefficients; each shape is given those whose averages come nearest to the larger "
+            "ones, exactly unless the build report says otherwise"
+        ),
+        Capability.STATIC_FRICTION: EXACT,
+        Capability.TORSIONAL_FRICTION: unsupported("PhysX 5.3 through SAPIEN has no torsional friction at points"),
+        Capability.ROLLING_FRICTION: unsupported("PhysX has no rolling friction"),
+        Capability.RESTITUTION: approximate(
+            "a pair's coefficients are averaged, as friction's are, and slow impacts do not rebound"
+        ),
+        Capability.COMPLIANT_CONTACT: unsupported("SAPIEN does not pass on the damping of PhysX's compliant contacts"),
+        Capability.CONVEX_MESHES: approximate("hulls of many vertices are simplified by PhysX's cooking"),
+        Capability.TRIANGLE_MESHES: EXACT,
+        Capability.DYNAMIC_TRIANGLE_MESHES: unsupported(
+            "PhysX moves triangle meshes on the GPU only: split the mesh into convex pieces"
+        ),
+        Capability.HEIGHT_FIELDS: EXACT,
+        Capability.CONTACT_FORCES: EXACT,
+        Capability.JOINT_WRENCHES: EXACT,
+        Capability.EXTERNAL_WRENCHES: EXACT,
+        Capability.RAY_CASTS: EXACT,
+        Capability.RANDOMIZE_MASS: EXACT,
+        Capability.RANDOMIZE_CENTER_OF_MASS: EXACT,
+        Capability.RANDOMIZE_FRICTION: approximate("averages of a pair's coefficients, as for friction"),
+        Capability.RANDOMIZE_GAINS: EXACT,
+        Capability.RANDOMIZE_GRAVITY: EXACT,
+        Capability.SNAPSHOTS: EXACT,
+        Capability.DETERMINISTIC: EXACT,
+        **_IMAGES,
+        Capability.GPU: unsupported("PhysX's GPU library is no part of SAPIEN's package: this backend steps on the CPU"),
+        Capability.CLOTH: unsupported("SAPIEN has no deformable bodies"),
+        Capability.SOFT_BODIES: unsupported("SAPIEN has no deformable bodies"),
+    }
+)

@@ -1,0 +1,58 @@
+"""SAPIEN's own settings: PhysX's solver and contacts, and the renderer's quality."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from orbit_core.interfaces import ConfigurationError
+
+TIERS = ("fast", "pbr", "rt")
+DENOISERS = ("none", "oidn", "optix")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SapienConfig:
+    """Settings of PhysX and of the renderer."""
+
+    workers: int = 2
+    """Threads of PhysX; 0 steps in the calling thread. Results do not depend on it."""
+    position_iterations: int = 15
+    """Of the solver, per step and body."""
+    velocity_iterations: int = 1
+    """Of the solver, per step and body."""
+    temporal_gauss_seidel: bool = True
+    """PhysX's TGS solver; PGS otherwise."""
+    bounce_threshold: float = 0.05
+    """Speed of approach in m/s below which contacts do not rebound."""
+    contact_offset: float = 0.01
+    """Metres at which contacts are generated, ahead of touch."""
+    max_depenetration_velocity: float = 10.0
+    """Speed in m/s with which overlapping bodies are pushed apart."""
+    tendon_stiffness: float = 1e5
+    """Of the constraint that makes a mimic joint follow, N m/rad or N/m."""
+    env_spacing: float = 8.0
+    """Metres between the environments' origins in PhysX's world; poses are given without it."""
+    shared_ground_above: int = 64
+    """Number of environments above which a level ground plane is shared by all, which is faster."""
+    tier: str = "fast"
+    """Quality of images: ``fast`` and ``pbr`` rasterise, ``rt`` traces paths."""
+    samples_per_pixel: int = 16
+    """Of tier ``rt``."""
+    path_depth: int = 6
+    """Greatest number of surfaces that a path of tier ``rt`` meets."""
+    denoiser: str = "none"
+    """Of tier ``rt``; ``oidn`` and ``optix`` need an NVIDIA GPU."""
+
+    def __post_init__(self) -> None:
+        for name, known in (("tier", TIERS), ("denoiser", DENOISERS)):
+            if getattr(self, name) not in known:
+                raise ConfigurationError(f"{name} '{getattr(self, name)}' is not one of {', '.join(known)}")
+        for name in ("workers", "velocity_iterations", "bounce_threshold", "shared_ground_above"):
+            if getattr(self, name) < 0:
+                raise ConfigurationError(f"{name} must be zero or more, not {getattr(self, name)}")
+        for name in (
+            "position_iterations", "contact_offset", "max_depenetration_velocity", "tendon_stiffness", "env_spacing",
+            "samples_per_pixel", "path_depth",
+        ):  # fmt: skip
+            if getattr(self, name) <= 0:
+                raise ConfigurationError(f"{name} must be positive, not {getattr(self, name)}")

@@ -1,0 +1,150 @@
+"""Commands as PhysX's drives and generalised forces.
+
+A joint has one drive in PhysX: an implicit spring-damper whose effort is limited. A driven joint's takes the gains and
+the effort, as a shift of its target, so that one limit bounds their sum. On a joint without gains it plays the part of
+Coulomb friction (a damper that saturates) or of the joint's damping, and efforts are generalised forces.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import SceneLayout
+from orbit_sapien.model import BuiltWorld
+
+_RIGID = 1e5
+"""Damping (N m s/rad or N s/m) of a drive that stands for friction."""
+_UNLIMITED = 3.4e38
+FloatArray = npt.NDArray[np.float64]
+
+
+class Drives:
+    """Sends to PhysX what has changed, and says what the drives did."""
+
+    def __init__(self, layout: SceneLayout, world: BuiltWorld) -> None:
+        self._layout, self._world = layout, world
+        parameters, num_envs = layout.joint_parameters, len(world.environments)
+        follower = np.array([joint.mimic is not None for joint in layout.joints], dtype=bool)
+        self._leads = ~follower
+        self._limit = torch.as_tensor(parameters.effort_limit, dtype=torch.float32)
+        self._passive, self._friction = parameters.damping, parameters.friction
+        shape = (num_envs, len(layout.joints))
+        self.stiffness = np.where(follower, 0.0, parameters.drive_stiffness) * np.ones(shape)
+        """(N, J)"""
+        self.damping = np.where(follower, 0.0, parameters.drive_damping) * np.ones(shape)
+        """(N, J)"""
+        self.efforts = torch.zeros(shape)
+        """(N, J) of drives and commands in the last step."""
+        self._inertia = _least_inertias(layout)
+        self._joints = [
+            [joint for entity in environment.entities for joint in entity.joints] for environment in world.environments
+        ]
+        self._sent = np.full((3, *shape), np.nan, np.float32)
+        self._properties = np.full((3, *shape), np.nan)
+        self._settle()
+
+    # Gains -----------------------------------------------------------------------------------------------------------
+
+    def set_gains(self, joints: npt.NDArray[np.int64], stiffness: Tensor, damping: Tensor, rows: list[int]) -> None:
+        """(n, k) of the joints (k,) that carry a drive of their own."""
+        own = self._leads[joints]
+        index = np.ix_(rows, joints[own])
+        self.stiffness[index], self.damping[index] = stiffness.numpy()[:, own], damping.numpy()[:, own]
+        self._settle()
+
+    def load_gains(self, stiffness: FloatArray, damping: FloatArray) -> None:
+        """Return to saved gains, and forget what was sent."""
+        self.stiffness[:], self.damping[:] = stiffness, damping
+        self._settle()
+        self._sent.fill(np.nan)
+
+    def forget(self, rows: list[int]) -> None:
+        """Send everything anew to these environments."""
+        self._sent[:, rows] = np.nan
+
+    def _settle(self) -> None:
+        """Give PhysX the drives that follow from the gains."""
+        driven = (self.stiffness > 0) | (self.damping > 0)
+        rubbing = ~driven & (self._friction > 0)
+        damping = np.where(rubbing, _RIGID, self.damping + self._passive)
+        limit = np.where(driven, self._limit.numpy(), np.where(rubbing, self._friction, np.inf))
+        wanted = np.stack((self.stiffness, damping, np.minimum(limit, _UNLIMITED)))
+        for row, column in zip(*np.nonzero((wanted != self._properties).any(0)), strict=True):
+            self._joints[row][column].set_drive_properties(*map(float, wanted[:, row, column]), "force")
+        self._properties = wanted
+        self._driven = torch.from_numpy(driven)
+        stiffness, gain = torch.from_numpy(self.stiffness).float(), torch.from_numpy(self.damping).float()
+        self._gains = stiffness, gain
+        sprung = stiffness > 0
+        self._effort_as_shift = torch.where(sprung, 1.0 / stiffness.clamp_min(1e-30), 0.0)
+        total = torch.from_numpy(damping).float().clamp_min(1e-30)
+        self._velocity_share = torch.where(self._driven, gain / total, 0.0)
+        self._effort_as_speed = torch.where(self._driven & ~sprung, 1.0 / total, 0.0)
+        self._direct = (~self._driven).float() * torch.as_tensor(self._leads).float()
+        # What the drive's slot has no room for is a generalised force that follows the velocity, step by step.
+        self._dragging = torch.from_numpy(np.where(rubbing, self._passive, 0.0)).float()
+        self._rubbing = torch.from_numpy(np.where(driven, self._friction, 0.0)).float()
+        self.follows_velocity = bool(self._dragging.any() or self._rubbing.any())
+        """Whether :meth:`send_forces` must be called at each physics step."""
+
+    # Commands --------------------------------------------------------------------------------------------------------
+
+    def commands(self, positions: Tensor, velocities: Tensor, efforts: Tensor) -> Tensor:
+        """(3, N, J) drive targets and generalised forces for the contract's commands."""
+        shifted = positions + efforts * self._effort_as_shift
+        speeds = velocities * self._velocity_share + efforts * self._effort_as_speed
+        # A drive without gains must not carry NaN or leftovers of targets that nothing follows.
+        shifted = torch.where(self._driven, shifted, 0.0)
+        forces = torch.clamp(efforts, -self._limit, self._limit) * self._direct
+        return torch.stack((shifted, speeds, forces))
+
+    def send(self, commands: Tensor) -> None:
+        """Write what differs from what PhysX was last told."""
+        wanted = commands.numpy()
+        changed = wanted != self._sent
+        for row, column in zip(*(indices.tolist() for indices in np.nonzero(changed[0])), strict=True):
+            self._joints[row][column].set_drive_target(float(wanted[0, row, column]))
+        for row, column in zip(*(indices.tolist() for indices in np.nonzero(changed[1])), strict=True):
+            self._joints[row][column].set_drive_velocity_target(float(wanted[1, row, column]))
+        if not self.follows_velocity:
+            self._send_forces(wanted[2], changed[2])
+        self._sent = wanted.copy()
+
+    def send_forces(self, commands: Tensor, velocities: Tensor, dt: float) -> None:
+        """Generalised forces of efforts, and of friction and damping at the present velocity."""
+        friction = torch.minimum(self._rubbing, self._inertia * velocities.abs() / dt)
+        forces = commands[2] - friction * velocities.sign() - self._dragging * velocities
+        self._send_forces(forces.numpy(), np.ones(forces.shape, dtype=bool))
+
+    def _send_forces(self, forces: npt.NDArray[np.float32], changed: npt.NDArray[np.bool_]) -> None:
+        for entity in self._layout.entities:
+            values, due = forces[:, entity.joints], changed[:, entity.joints].any(-1)
+            for row in np.flatnonzero(due).tolist():
+                native = self._world.environments[row].entities[entity.index]
+                if native.articulation is not None:
+                    native.articulation.set_qf(values[row, list(native.dof_order)])
+
+    def measure(self, targets: Tensor, speeds: Tensor, efforts: Tensor, q: Tensor, v: Tensor) -> None:
+        """Efforts of the last step: the drives' law at the state that it led to, by which PhysX integrates them."""
+        stiffness, damping = self._gains
+        total = stiffness * (targets - q) + damping * (speeds - v) + efforts
+        total = torch.where(self._driven, total, efforts * self._direct)
+        torch.clamp(total, -self._limit, self._limit, out=self.efforts)
+
+
+def _least_inertias(layout: SceneLayout) -> Tensor:
+    """(J,) the least that each joint moves: its child link about the axis, and the armature."""
+    links = {(entity.index, link.name): link for entity in layout.entities for link in entity.spec.articulation.links}
+    values: list[float] = []
+    for entity in layout.entities:
+        for joint in entity.spec.articulation.movable_joints:
+            link = links[entity.index, joint.child]
+            axis = joint.child_pose.rotation_matrix() @ np.asarray(joint.axis)
+            prismatic = joint.type.value == "prismatic"
+            values.append(link.mass if prismatic else float(axis @ np.asarray(link.inertia) @ axis))
+    return torch.as_tensor(np.array(values) + layout.joint_parameters.armature, dtype=torch.float32)

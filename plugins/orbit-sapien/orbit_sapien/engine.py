@@ -1,0 +1,228 @@
+"""N environments of one scene in one PhysX world."""
+
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import Approximation, Engine, RayHits, SceneLayout, SimulationError
+from orbit_sapien.config import SapienConfig
+from orbit_sapien.drives import Drives
+from orbit_sapien.model import BuiltWorld, build_world
+from orbit_sapien.native import physx, sapien
+from orbit_sapien.parameters import Parameters
+from orbit_sapien.probes import ContactMeter, WrenchMeter, held_links
+from orbit_sapien.rays import RayWorld
+from orbit_sapien.state import State
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Everything that the continuation depends on."""
+
+    packed: bytes
+    fixed_poses: Tensor
+    parameters: dict[str, npt.NDArray]
+    gains: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+    tensors: tuple[Tensor, ...]
+    """Commands, then what the last step measured."""
+
+
+class SapienEngine(Engine):
+    """Steps one PhysX world that holds every environment, and reads it in bulk."""
+
+    def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: SapienConfig) -> None:
+        super().__init__(layout, num_envs, device)
+        self._world: BuiltWorld = build_world(layout, num_envs, config)
+        self._system, self._dt = self._world.system, layout.scene.physics_dt
+        self._reach = 2.5 * config.env_spacing if self._world.shared_ground else np.inf
+        self._state = State(layout, self._world)
+        self._drives = Drives(layout, self._world)
+        self._parameters = Parameters(layout, self._world, self._state)
+        self._contacts = ContactMeter(layout, self._world, held_links(layout))
+        self._wrenches = WrenchMeter(layout, self._world, self._contacts, self._parameters)
+        self._rays: RayWorld | None = None
+        self._joints = np.arange(len(layout.joints))
+        self._home = self.position_targets[:1].clone()
+        self.reset()
+
+    # Time ------------------------------------------------------------------------------------------------------------
+
+    def step(self, steps: int) -> None:
+        commands = self._drives.commands(*self._commands)
+        if not commands.sum().isfinite():
+            self._refuse((~commands.isfinite()).any(0).any(-1).nonzero().flatten().tolist(), "were told")
+        self._drives.send(commands)
+        if self._contacts.active:
+            self._contacts.clear()
+        for _ in range(steps):
+            self._step_once(commands)
+        if self._contacts.active:
+            self._contacts.average(steps)
+        if failed := self._state.diverged():
+            self._refuse(failed, "diverged: they hold")
+        self._drives.measure(*self._commands, self._state.joint_positions, self._state.joint_velocities)
+        if self.layout.wrench_links:
+            self._wrenches.read(self._state.link_poses)
+
+    def _step_once(self, commands: Tensor) -> None:
+        if self._drives.follows_velocity:
+            self._drives.send_forces(commands, self._state.joint_velocities, self._dt)
+        if self._parameters.pushed:
+            self._parameters.push()
+        self._system.step()
+        self._state.invalidate()
+        if self._contacts.active:
+            self._contacts.add()
+
+    def _refuse(self, environments: list[int], what: str) -> None:
+        shown = ", ".join(map(str, environments[:8])) + (", ..." if len(environments) > 8 else "")
+        raise SimulationError(
+            f"environments {shown} {what} numbers that are not finite; reset them, and use a smaller physics_dt, "
+            "softer drives or larger masses"
+        )
+
+    @property
+    def _commands(self) -> tuple[Tensor, Tensor, Tensor]:
+        return self.position_targets, self.velocity_targets, self.efforts
+
+    @property
+    def _measurements(self) -> tuple[Tensor, ...]:
+        """What the last step left: PhysX's own state does not hold it."""
+        return self._drives.efforts, self._contacts.forces, self._wrenches.wrenches
+
+    # State -----------------------------------------------------------------------------------------------------------
+
+    @property
+    def joint_positions(self) -> Tensor:
+        return self._state.joint_positions
+
+    @property
+    def joint_velocities(self) -> Tensor:
+        return self._state.joint_velocities
+
+    @property
+    def joint_efforts(self) -> Tensor:
+        return self._drives.efforts
+
+    @property
+    def link_poses(self) -> Tensor:
+        return self._state.link_poses
+
+    @property
+    def link_velocities(self) -> Tensor:
+        return self._state.link_velocities
+
+    def write_joint_state(
+        self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
+    ) -> None:
+        self._state.write_joints(joints.numpy(), positions, velocities, self._rows(env_ids))
+
+    def write_root_state(
+        self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor | None = None
+    ) -> None:
+        self._state.write_root(entity, pose, velocity, self._rows(env_ids))
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        rows = self._rows(env_ids)
+        self.position_targets[rows] = self._home
+        self.velocity_targets[rows] = 0.0
+        self.efforts[rows] = 0.0
+        for measured in self._measurements:
+            measured[rows] = 0.0
+        self._parameters.clear_wrenches(rows)
+        self._drives.forget(rows)
+        for entity in self.layout.entities:
+            pose = torch.tensor([[*entity.spec.pose.position, *entity.spec.pose.orientation]]).expand(len(rows), 7)
+            still = None if entity.spec.fixed_base else torch.zeros(len(rows), 6)
+            self._state.write_root(entity.index, pose, still, rows)
+        if len(self._joints):
+            home = self._home.expand(len(rows), -1)
+            self._state.write_joints(self._joints, home, torch.zeros_like(home), rows)
+
+    # Measurements ----------------------------------------------------------------------------------------------------
+
+    @property
+    def contact_forces(self) -> Tensor:
+        return self._contacts.forces
+
+    @property
+    def joint_wrenches(self) -> Tensor:
+        return self._wrenches.wrenches
+
+    def cast_rays(
+        self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None = None
+    ) -> RayHits:
+        if self._rays is None:
+            self._rays = RayWorld(self.layout)
+        poses = self.link_poses[self._rows(env_ids)].numpy()
+        hits = self._rays.cast(poses, origins.numpy(), directions.numpy(), max_distance)
+        return RayHits(*map(torch.from_numpy, hits))
+
+    # Parameters per environment --------------------------------------------------------------------------------------
+
+    def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_wrenches(links.numpy(), wrenches, self._rows(env_ids))
+
+    def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_masses(links.numpy(), masses, self._rows(env_ids))
+
+    def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_centers_of_mass(links.numpy(), centers, self._rows(env_ids))
+
+    def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_friction(links.numpy(), coefficients, self._rows(env_ids))
+
+    def set_drive_gains(
+        self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
+    ) -> None:
+        self._drives.set_gains(joints.numpy(), stiffness, damping, self._rows(env_ids))
+
+    def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_gravity(gravity, self._rows(env_ids))
+
+    # Snapshots and the rest ------------------------------------------------------------------------------------------
+
+    def save_state(self) -> Snapshot:
+        packed = self._system.pack()
+        # Unpacking drops what PhysX remembers of contacts, so that this run and a loaded one go on alike.
+        self._system.unpack(packed)
+        return Snapshot(
+            packed,
+            self._state.fixed_poses.clone(),
+            self._parameters.save(),
+            (self._drives.stiffness.copy(), self._drives.damping.copy()),
+            tuple(tensor.clone() for tensor in (*self._commands, *self._measurements)),
+        )
+
+    def load_state(self, state: Snapshot) -> None:
+        self._parameters.load(state.parameters)
+        self._drives.load_gains(*state.gains)
+        self._system.unpack(state.packed)
+        for entity in self.layout.entities:
+            if entity.spec.fixed_base:
+                self._state.write_root(entity.index, state.fixed_poses[:, entity.index], None, self._rows(None))
+        for own, saved in zip((*self._commands, *self._measurements), state.tensors, strict=True):
+            own.copy_(saved)
+        self._state.invalidate()
+
+    @property
+    def build_report(self) -> tuple[Approximation, ...]:
+        return self._world.report
+
+    @property
+    def native(self) -> tuple[physx.PhysxCpuSystem, tuple[sapien.Scene, ...]]:
+        """The PhysX system, and the scene of each environment."""
+        return self._system, tuple(environment.scene for environment in self._world.environments)
+
+    def close(self) -> None:
+        vars(self).clear()  # scenes and bodies go with the last name for them
+
+    def _rows(self, env_ids: Tensor | None) -> list[int]:
+        return list(range(self.num_envs)) if env_ids is None else env_ids.tolist()

@@ -1,0 +1,103 @@
+"""Contact coefficients per shape whose averages over a pair, which PhysX takes, are the larger of the two asked for.
+
+Shapes with the same coefficients on the same link form a group. With ``m`` the groups' values, ``A`` a row of two
+halves for each pair of groups that may meet, and ``t`` the larger value of each pair, each group is given
+``m + pinv(A) (t - A m)``: the values nearest to those asked for whose averages are nearest to the larger ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.interfaces import TERRAIN, Approximation, SceneLayout
+from orbit_core.scene import PhysicsMaterial, Shape
+
+FloatArray = npt.NDArray[np.float64]
+_TOLERATED = 1e-3
+
+
+@dataclass(frozen=True)
+class Group:
+    """Shapes of one link, or of the terrain, that share their coefficients."""
+
+    link: int
+    static: float
+    dynamic: float
+    restitution: float
+
+    @staticmethod
+    def of(link: int, material: PhysicsMaterial) -> Group:
+        return Group(link, material.static_friction, material.dynamic_friction, material.restitution)
+
+
+class PairRule:
+    """Turns what groups ask for into what PhysX is given."""
+
+    def __init__(self, layout: SceneLayout) -> None:
+        shapes: list[tuple[int, Shape]] = [(TERRAIN, shape) for shape in layout.scene.terrain]
+        shapes += [(number, shape) for number, link in enumerate(layout.links) for shape in link.collisions]
+        self.groups = tuple(dict.fromkeys(Group.of(link, shape.material) for link, shape in shapes))
+        self._pairs = np.array(
+            [pair for pair in combinations(range(len(self.groups)), 2) if self._meet(layout, *pair)], dtype=np.int64
+        ).reshape(-1, 2)
+        averages = np.zeros((len(self._pairs), len(self.groups)))
+        np.put_along_axis(averages, self._pairs, 0.5, axis=1)
+        self._averages, self._inverse = averages, np.linalg.pinv(averages)
+
+    def index(self, link: int, material: PhysicsMaterial) -> int:
+        """Number of the group of a shape."""
+        return self.groups.index(Group.of(link, material))
+
+    def asked(self, name: str) -> FloatArray:
+        """(groups,) of the coefficient of that name."""
+        return np.array([getattr(group, name) for group in self.groups], dtype=np.float64)
+
+    def given(self, asked: FloatArray) -> FloatArray:
+        """What to give PhysX for coefficients (..., groups)."""
+        correction = self._larger(asked) - asked @ self._averages.T
+        return np.maximum(asked + correction @ self._inverse.T, 0.0)
+
+    def approximations(self, layout: SceneLayout) -> list[Approximation]:
+        """Pairs whose average is not the larger value."""
+        found: list[Approximation] = []
+        for name in ("static", "dynamic", "restitution"):
+            asked = self.asked(name)
+            wanted, got = self._larger(asked), self.given(asked) @ self._averages.T
+            quantity = "restitution" if name == "restitution" else f"{name} friction"
+            for pair in np.flatnonzero(np.abs(wanted - got) > _TOLERATED):
+                one, other = (_called(layout, self.groups[group].link) for group in self._pairs[pair])
+                why = "PhysX averages coefficients, and no values meet every pair of this scene"
+                found.append(
+                    Approximation(f"{one} on {other}", f"{quantity} {wanted[pair]:.3g}", f"{got[pair]:.3g}", why)
+                )
+        return found
+
+    def _larger(self, asked: FloatArray) -> FloatArray:
+        return np.maximum(asked[..., self._pairs[:, 0]], asked[..., self._pairs[:, 1]])
+
+    def _meet(self, layout: SceneLayout, one: int, other: int) -> bool:
+        links = self.groups[one].link, self.groups[other].link
+        if links[0] == links[1]:
+            return False
+        if all(link == TERRAIN or _immovable(layout, link) for link in links):
+            return False
+        if TERRAIN in links:
+            return True
+        first, second = (layout.entity_of_link[link] for link in links)
+        return first != second or layout.entities[first].spec.articulation.self_collisions
+
+
+def _immovable(layout: SceneLayout, link: int) -> bool:
+    entity = layout.entities[layout.entity_of_link[link]]
+    return entity.spec.fixed_base and link == entity.root_link
+
+
+def _called(layout: SceneLayout, link: int) -> str:
+    if link == TERRAIN:
+        return "the terrain"
+    entity = layout.entities[layout.entity_of_link[link]]
+    return f"link '{layout.links[link].name}' of '{entity.name}'"

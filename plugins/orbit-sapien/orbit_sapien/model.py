@@ -1,0 +1,406 @@
+"""Copies of a scene in one PhysX world, side by side on a grid.
+
+A link is an articulation link, a free body alone, or an immovable one. Environments do not see each other: PhysX kills
+pairs of shapes whose filter data name different environments. Where a level ground is shared by all, shapes carry one
+of 31 colours instead, dealt so that equal ones lie far apart.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.interfaces import TERRAIN, Approximation, AssetError, EntityLayout, SceneLayout
+from orbit_core.scene import Joint, JointType, Link, Plane, Pose, Shape
+from orbit_sapien.config import SapienConfig
+from orbit_sapien.geometry import collision_shape
+from orbit_sapien.materials import PairRule
+from orbit_sapien.native import native_pose, physx, sapien
+
+_FAST = 1e4
+"""Stands for no limit on a body's speed; PhysX's own limits are a few metres per second."""
+_COLORS = 31
+_EXCLUSION_BITS = 32
+
+
+@dataclass(frozen=True, eq=False)
+class NativeEntity:
+    """One entity of one environment."""
+
+    bodies: tuple[physx.PhysxRigidBaseComponent, ...]
+    """One a link, in the layout's order."""
+    articulation: physx.PhysxArticulation | None = None
+    joints: tuple[physx.PhysxArticulationJoint, ...] = ()
+    """Movable joints, in the layout's order."""
+    dof_order: tuple[int, ...] = ()
+    """The layout's joint at each of the articulation's degrees of freedom."""
+
+    @cached_property
+    def free(self) -> bool:
+        """Whether it is a single body that moves."""
+        return isinstance(self.bodies[0], physx.PhysxRigidDynamicComponent)
+
+
+@dataclass(eq=False)
+class NativeEnvironment:
+    """One environment's objects."""
+
+    scene: sapien.Scene
+    offset: npt.NDArray[np.float64]
+    entities: list[NativeEntity] = field(default_factory=list)
+    shapes: dict[int, list[tuple[int, physx.PhysxCollisionShape]]] = field(default_factory=dict)
+    """Per link, or TERRAIN: each shape with its material group."""
+    terrain: list[physx.PhysxRigidBaseComponent] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltWorld:
+    """All environments, and what they do not honour."""
+
+    system: physx.PhysxCpuSystem
+    environments: tuple[NativeEnvironment, ...]
+    rule: PairRule
+    report: tuple[Approximation, ...]
+    shared_ground: bool
+
+
+def build_world(layout: SceneLayout, num_envs: int, config: SapienConfig) -> BuiltWorld:
+    """Make every environment.
+
+    Raises:
+        AssetError: PhysX refuses a shape or link; names it.
+    """
+    return _Builder(layout, num_envs, config).world
+
+
+def grid_offset(index: int, spacing: float) -> npt.NDArray[np.float64]:
+    """Where an environment stands: on a square spiral, the same whatever the number of environments."""
+    if index == 0:
+        return np.zeros(3)
+    ring = math.ceil((math.sqrt(index + 1) - 1) / 2)
+    side, step = divmod(index - (2 * ring - 1) ** 2, 2 * ring)
+    x, y = ((ring, step - ring + 1), (ring - 1 - step, ring), (-ring, ring - 1 - step), (step - ring + 1, -ring))[side]
+    return spacing * np.array([x, y, 0.0])
+
+
+def color(offset: npt.NDArray[np.float64], spacing: float) -> int:
+    """Equal colours lie at least 5.4 cells apart: on the lattice ``x + 12 y = 0`` modulo 31."""
+    x, y = np.rint(offset[:2] / spacing).astype(int)
+    return int((x + 12 * y) % _COLORS)
+
+
+class _Builder:
+    def __init__(self, layout: SceneLayout, num_envs: int, config: SapienConfig) -> None:
+        self.layout, self.config = layout, config
+        self.report: list[Approximation] = []
+        self.rule = PairRule(layout)
+        given = (self.rule.given(self.rule.asked(name)) for name in ("static", "dynamic", "restitution"))
+        self.materials = [physx.PhysxMaterial(*map(float, values)) for values in zip(*given, strict=True)]
+        self.level = [shape for shape in layout.scene.terrain if _is_level(shape)]
+        tilted = any(isinstance(s.geometry, Plane) and not _is_level(s) for s in layout.scene.terrain)
+        self.shared_ground = num_envs > config.shared_ground_above and bool(self.level) and not tilted
+        system = self._make_system()
+        environments = [NativeEnvironment(sapien.Scene([system]), np.zeros(3)) for _ in range(num_envs)]
+        for index, environment in enumerate(environments):
+            environment.offset = grid_offset(index, config.env_spacing)
+            self._fill(environment, index)
+        self.report += self.rule.approximations(layout)
+        self.world = BuiltWorld(system, tuple(environments), self.rule, tuple(self.report), self.shared_ground)
+
+    def _make_system(self) -> physx.PhysxCpuSystem:
+        config, scene = self.config, self.layout.scene
+        physx.set_scene_config(
+            gravity=np.asarray(scene.gravity, np.float32),
+            bounce_threshold=config.bounce_threshold,
+            enable_tgs=config.temporal_gauss_seidel,
+            enable_enhanced_determinism=True,
+            enable_friction_every_iteration=True,
+            cpu_workers=config.workers,
+        )
+        physx.set_body_config(config.position_iterations, config.velocity_iterations, 0.0)
+        physx.set_shape_config(config.contact_offset, 0.0)
+        system = physx.PhysxCpuSystem()
+        system.timestep = scene.physics_dt
+        return system
+
+    def _fill(self, environment: NativeEnvironment, index: int) -> None:
+        first = index == 0
+        report = self.report if first else None
+        isolation = self._isolation(environment, index)
+        self._add_terrain(environment, isolation, report)
+        for entity in self.layout.entities:
+            groups = _exclusion_groups(entity, report)
+            bodies = [
+                self._make_body(environment, entity, offset, groups[offset], isolation, report)
+                for offset in range(len(entity.spec.articulation.links))
+            ] if not entity.spec.articulation.joints else self._make_links(
+                environment, entity, groups, isolation, report
+            )  # fmt: skip
+            environment.entities.append(self._add(environment, entity, bodies))
+            if first:
+                self._report_joints(entity)
+
+    # Who may touch whom ----------------------------------------------------------------------------------------------
+
+    def _isolation(self, environment: NativeEnvironment, index: int) -> tuple[int, int]:
+        """Colour mask and upper half of the fourth filter word."""
+        if self.shared_ground:
+            return 1 << color(environment.offset, self.config.env_spacing), 0
+        return 1, (index + 1) << 16
+
+    # Terrain ---------------------------------------------------------------------------------------------------------
+
+    def _add_terrain(
+        self, environment: NativeEnvironment, isolation: tuple[int, int], report: list[Approximation] | None
+    ) -> None:
+        shapes = self.layout.scene.terrain
+        if self.shared_ground and report is None:
+            shapes = tuple(shape for shape in shapes if shape not in self.level)
+        for shape in shapes:
+            body = physx.PhysxRigidStaticComponent()
+            everyone = self.shared_ground and shape in self.level
+            mask = (1 << _COLORS) - 1 if everyone else isolation[0]
+            made = self._attach(environment, body, TERRAIN, shape, f"terrain shape '{shape.name}'", report)
+            made.set_collision_groups([mask, mask, 0, isolation[1]])
+            environment.terrain.append(body)
+            _place(environment.scene, body, native_pose(Pose()), environment.offset)
+
+    def _attach(
+        self,
+        environment: NativeEnvironment,
+        body: physx.PhysxRigidBaseComponent,
+        link: int,
+        shape: Shape,
+        subject: str,
+        report: list[Approximation] | None,
+    ) -> physx.PhysxCollisionShape:
+        group = self.rule.index(link, shape.material)
+        made = collision_shape(shape, self.materials[group], subject, report)
+        body.attach(made)
+        environment.shapes.setdefault(link, []).append((group, made))
+        return made
+
+    # Bodies ----------------------------------------------------------------------------------------------------------
+
+    def _make_links(
+        self,
+        environment: NativeEnvironment,
+        entity: EntityLayout,
+        groups: list[int],
+        isolation: tuple[int, int],
+        report: list[Approximation] | None,
+    ) -> list[physx.PhysxRigidBaseComponent]:
+        articulation = entity.spec.articulation
+        incoming = {joint.child: joint for joint in articulation.joints}
+        made: dict[str, physx.PhysxArticulationLinkComponent] = {}
+        movable = iter(range(entity.joints.start, entity.joints.stop))
+        for offset, link in enumerate(articulation.links):
+            joint = incoming.get(link.name)
+            body = physx.PhysxArticulationLinkComponent(made[joint.parent] if joint else None)
+            body.name = link.name
+            made[link.name] = body
+            self._fill_body(environment, body, entity, offset, groups[offset], isolation, report)
+            if joint is None:
+                body.joint.type = "fixed" if entity.spec.fixed_base else "undefined"
+            else:
+                self._set_joint(body.joint, joint, next(movable) if joint.movable else None)
+        return list(made.values())
+
+    def _make_body(
+        self,
+        environment: NativeEnvironment,
+        entity: EntityLayout,
+        offset: int,
+        group: int,
+        isolation: tuple[int, int],
+        report: list[Approximation] | None,
+    ) -> physx.PhysxRigidBaseComponent:
+        static = entity.spec.fixed_base
+        body = physx.PhysxRigidStaticComponent() if static else physx.PhysxRigidDynamicComponent()
+        self._fill_body(environment, body, entity, offset, group, isolation, report)
+        return body
+
+    def _fill_body(
+        self,
+        environment: NativeEnvironment,
+        body: physx.PhysxRigidBaseComponent,
+        entity: EntityLayout,
+        offset: int,
+        group: int,
+        isolation: tuple[int, int],
+        report: list[Approximation] | None,
+    ) -> None:
+        link = entity.spec.articulation.links[offset]
+        number, subject = entity.links.start + offset, f"link '{link.name}' of '{entity.name}'"
+        for shape in link.collisions:
+            made = self._attach(environment, body, number, shape, subject, report)
+            made.set_collision_groups([isolation[0], isolation[0], group, isolation[1] | (entity.index + 1)])
+        if isinstance(body, physx.PhysxRigidStaticComponent):
+            return
+        _set_mass(body, link, subject, massless=entity.spec.fixed_base and offset == 0)
+        body.disable_gravity = entity.spec.gravity_compensation
+        body.linear_damping = body.angular_damping = 0.0
+        body.max_linear_velocity = body.max_angular_velocity = _FAST
+        body.max_depenetration_velocity = self.config.max_depenetration_velocity
+
+    def _add(
+        self, environment: NativeEnvironment, entity: EntityLayout, bodies: list[physx.PhysxRigidBaseComponent]
+    ) -> NativeEntity:
+        for body in bodies:
+            _place(environment.scene, body, native_pose(entity.spec.pose), environment.offset)
+        if not entity.spec.articulation.joints:
+            return NativeEntity(tuple(bodies))
+        articulation = bodies[0].articulation
+        number = {f"{entity.joints.start + i}": i for i in range(len(entity.spec.articulation.movable_joints))}
+        joints = {number[joint.name]: joint for joint in articulation.active_joints}
+        order = tuple(number[joint.name] for joint in articulation.active_joints)
+        made = NativeEntity(tuple(bodies), articulation, tuple(joints[i] for i in sorted(joints)), order)
+        for index, joint in enumerate(entity.spec.articulation.movable_joints):
+            if joint.mimic:
+                self._add_tendon(entity, made, index, joint)
+        return made
+
+    # Joints ----------------------------------------------------------------------------------------------------------
+
+    def _set_joint(self, native: physx.PhysxArticulationJoint, joint: Joint, number: int | None) -> None:
+        along_x = _x_to(joint.axis)
+        native.pose_in_parent = native_pose(joint.parent_pose @ along_x)
+        native.pose_in_child = native_pose(joint.child_pose @ along_x)
+        if number is None:
+            native.type = "fixed"
+            return
+        parameters = self.layout.joint_parameters
+        native.name = str(number)
+        native.type = "prismatic" if joint.type is JointType.PRISMATIC else "revolute_unwrapped"
+        unlimited = joint.type is JointType.CONTINUOUS
+        lower = -np.inf if unlimited else parameters.lower_limit[number]
+        upper = np.inf if unlimited else parameters.upper_limit[number]
+        native.set_limits(np.array([[lower, upper]], np.float32))
+        native.set_armature(np.array([parameters.armature[number]], np.float32))
+        native.set_friction(0.0)
+        native.set_max_velocity(float(min(parameters.velocity_limit[number], _FAST)))
+
+    def _add_tendon(self, entity: EntityLayout, made: NativeEntity, index: int, joint: Joint) -> None:
+        """``q = multiplier q(leader) + offset`` as a tendon from the link that both joints hang on."""
+        assert joint.mimic is not None
+        assert made.articulation is not None
+        articulation = entity.spec.articulation
+        leader = articulation.movable_joints[articulation.joint_names.index(joint.mimic.joint)]
+        links = dict(zip(articulation.link_names, made.bodies, strict=True))
+        multiplier = joint.mimic.multiplier
+        root = _common_link(articulation.joints, leader.parent, joint.parent)
+        made.articulation.create_fixed_tendon(
+            [links[root], links[leader.child], links[joint.child]],
+            [0.0, -multiplier, 1.0],
+            [0.0, -1.0 / multiplier if multiplier else 0.0, 1.0],
+            rest_length=joint.mimic.offset,
+            stiffness=self.config.tendon_stiffness,
+        )
+
+    def _report_joints(self, entity: EntityLayout) -> None:
+        parameters, joints = self.layout.joint_parameters, self.layout.joints
+        driven = parameters.drive_stiffness + parameters.drive_damping > 0
+        for number in range(entity.joints.start, entity.joints.stop):
+            subject = f"joint '{joints[number].name}' of '{entity.name}'"
+            if driven[number] and joints[number].mimic:
+                why = "it mimics another joint, whose drive moves both"
+                self.report.append(Approximation(subject, "a drive of its own", "no drive", why))
+            elif driven[number] and parameters.friction[number]:
+                asked = f"Coulomb friction of {parameters.friction[number]:g}"
+                why = "PhysX has one drive a joint, which the actuator takes"
+                self.report.append(Approximation(subject, asked, "a damper that saturates at it", why))
+
+
+def _set_mass(body: physx.PhysxRigidBaseComponent, link: Link, subject: str, massless: bool) -> None:
+    """Principal moments in a centre-of-mass frame turned to the principal axes; a fixed root may have no mass."""
+    if massless and link.mass <= 0:
+        body.mass, body.inertia = 1.0, np.ones(3, np.float32)
+        return
+    moments, axes = np.linalg.eigh(np.asarray(link.inertia, np.float64))
+    if link.mass <= 0 or moments.min() <= 0:
+        if not massless:
+            raise AssetError(f"{subject} needs a positive mass and inertia: PhysX moves nothing without")
+        moments, axes = np.ones(3), np.eye(3)
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    rotation = Pose.from_matrix(axes)
+    body.mass = link.mass
+    body.cmass_local_pose = native_pose(Pose(link.center_of_mass, rotation.orientation))
+    body.inertia = moments.astype(np.float32)
+
+
+def _place(
+    scene: sapien.Scene, body: physx.PhysxRigidBaseComponent, pose: sapien.Pose, offset: npt.NDArray[np.float64]
+) -> None:
+    entity = sapien.Entity()
+    entity.add_component(body)
+    entity.set_pose(sapien.Pose(np.asarray(pose.p) + offset, pose.q))
+    scene.add_entity(entity)
+
+
+def _is_level(shape: Shape) -> bool:
+    return isinstance(shape.geometry, Plane) and bool(shape.pose.rotation_matrix()[2, 2] > 1 - 1e-9)
+
+
+def _x_to(axis: tuple[float, float, float]) -> Pose:
+    """The rotation that takes x to ``axis``."""
+    turned = np.cross((1.0, 0.0, 0.0), axis)
+    cosine = float(axis[0])
+    if np.linalg.norm(turned) < 1e-9:
+        return Pose() if cosine > 0 else Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    return Pose.from_axis_angle(tuple(turned), math.atan2(float(np.linalg.norm(turned)), cosine))
+
+
+def _common_link(joints: tuple[Joint, ...], one: str, other: str) -> str:
+    """The nearest link from which both hang."""
+    parent = {joint.child: joint.parent for joint in joints}
+
+    def upwards(link: str) -> list[str]:
+        return [link, *(upwards(parent[link]) if link in parent else [])]
+
+    others = upwards(other)
+    return next(link for link in upwards(one) if link in others)
+
+
+def _exclusion_groups(entity: EntityLayout, report: list[Approximation] | None) -> list[int]:
+    """Third filter word of each link: two that share a bit do not collide. Neighbours never do, by PhysX's own rule."""
+    articulation = entity.spec.articulation
+    names = articulation.link_names
+    if not articulation.self_collisions:
+        return [1] * len(names)
+    words = [0] * len(names)
+    excluded = {frozenset(pair) for pair in articulation.collision_exclusions}
+    excluded |= {frozenset((joint.parent, joint.child)) for joint in articulation.joints}
+    open_pairs = [pair for pair in itertools.combinations(names, 2) if frozenset(pair) in excluded]
+    for bit in range(_EXCLUSION_BITS):
+        if not open_pairs:
+            break
+        clique = list(open_pairs[0])
+        clique += [
+            name for name in names
+            if name not in clique and all(frozenset((name, member)) in excluded for member in clique)
+        ]  # fmt: skip
+        clique = _pruned(clique, excluded)
+        for name in clique:
+            words[names.index(name)] |= 1 << bit
+        open_pairs = [pair for pair in open_pairs if not set(pair) <= set(clique)]
+    if open_pairs and report is not None:
+        asked = f"{len(open_pairs)} more pairs of links that do not collide, {' and '.join(open_pairs[0])} the first"
+        why = f"PhysX's filter word has {_EXCLUSION_BITS} bits"
+        report.append(Approximation(f"'{entity.name}'", asked, "they collide", why))
+    return words
+
+
+def _pruned(names: list[str], excluded: set[frozenset[str]]) -> list[str]:
+    """The names that are excluded from all kept before them."""
+    kept: list[str] = []
+    for name in names:
+        if all(frozenset((name, other)) in excluded for other in kept):
+            kept.append(name)
+    return kept
