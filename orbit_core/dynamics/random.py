@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -10,6 +12,10 @@ from torch import Tensor
 _INCREMENT = -7046029254386353131  # 0x9E3779B97F4A7C15, as a signed 64-bit integer
 _MIX_1 = -4658895280553007687  # 0xBF58476D1CE4E5B9
 _MIX_2 = -7723592293110705685  # 0x94D049BB133111EB
+
+Bound = float | tuple[float, ...] | Tensor
+_Array = Any
+"""int64: NumPy's on the CPU, where an operation on few numbers costs a third of torch's; torch's elsewhere."""
 
 
 class RandomStreams:
@@ -21,39 +27,33 @@ class RandomStreams:
 
     def __init__(self, num_envs: int, seed: int, device: torch.device) -> None:
         self.device = device
-        self._episode = torch.full((num_envs,), -1, dtype=torch.int64, device=device)
-        self._count = torch.zeros(num_envs, dtype=torch.int64, device=device)
-        self._key = torch.zeros(num_envs, dtype=torch.int64, device=device)
-        self._stream = torch.zeros(num_envs, dtype=torch.int64, device=device)
-        """Hash of key and episode."""
-        self._envs = torch.arange(num_envs, dtype=torch.int64, device=device)
+        self._envs: _Array = _array(torch.arange(num_envs, dtype=torch.int64, device=device))
+        self._key: _Array = self._envs * 0
+        self._episode: _Array = self._envs * 0
+        self._counter: _Array = self._envs * 0
+        """What the last draw hashed: it starts at a hash of key and episode, and grows by the increment."""
         self.seed(seed)
 
     def seed(self, seed: int, env_ids: Tensor | None = None) -> None:
         """Start the streams of some environments anew from a seed, before their first episode."""
-        ids = self._envs if env_ids is None else env_ids
-        self._key[ids] = _mix(_mix(torch.full_like(ids, seed) + _INCREMENT) + ids * _INCREMENT)
-        self._episode[ids] = -1
-        self._begin_stream(ids)
+        ids = self._rows(env_ids)
+        self._key[ids] = _mix(_mix(ids * 0 + seed + _INCREMENT) + ids * _INCREMENT)
+        self._begin_stream(ids, ids * 0 - 1)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Begin the next episode's stream; what the last episode drew does not matter to it."""
-        ids = self._envs if env_ids is None else env_ids
-        self._episode[ids] += 1
-        self._begin_stream(ids)
+        ids = self._rows(env_ids)
+        self._begin_stream(ids, self._episode[ids] + 1)
 
     def uniform(
-        self,
-        shape: tuple[int, ...],
-        low: float | Tensor = 0.0,
-        high: float | Tensor = 1.0,
-        env_ids: Tensor | None = None,
+        self, shape: tuple[int, ...], low: Bound = 0.0, high: Bound = 1.0, env_ids: Tensor | None = None
     ) -> Tensor:
-        """(n, *shape) float32 in [low, high)."""
-        bits = self._bits(math.prod(shape), env_ids)
+        """(n, *shape) float32 in [low, high); bounds are numbers, or tuples or tensors that broadcast to ``shape``."""
         # The top 24 bits fill a float32's mantissa exactly.
-        unit = ((bits >> 40) & 0xFFFFFF).to(torch.float32) * 2.0**-24
-        return low + (high - low) * unit.view(-1, *shape)
+        bits = (self._bits(math.prod(shape), env_ids) >> 40) & 0xFFFFFF
+        steps = torch.as_tensor(bits).to(torch.float32).view(-1, *shape)
+        low, high = (self._bound(bound) for bound in (low, high))
+        return low + ((high - low) * 2.0**-24) * steps
 
     def normal(self, shape: tuple[int, ...], std: float | Tensor = 1.0, env_ids: Tensor | None = None) -> Tensor:
         """(n, *shape) float32 of mean zero (Box and Muller, 1958)."""
@@ -67,35 +67,53 @@ class RandomStreams:
 
     def save_state(self) -> tuple[Tensor, Tensor, Tensor]:
         """Detached copy of all streams."""
-        return self._key.clone(), self._episode.clone(), self._count.clone()
+        key, episode, counter = (torch.as_tensor(own).clone() for own in (self._key, self._episode, self._counter))
+        return key, episode, counter
 
     def load_state(self, state: tuple[Tensor, Tensor, Tensor]) -> None:
         """Return to a saved state."""
-        for own, saved in zip((self._key, self._episode, self._count), state, strict=True):
-            own.copy_(saved)
-        self._stream.copy_(self._stream_of(self._envs))
+        for own, saved in zip((self._key, self._episode, self._counter), state, strict=True):
+            own[:] = _array(saved)
 
-    def _begin_stream(self, ids: Tensor) -> None:
-        self._stream[ids] = self._stream_of(ids)
-        self._count[ids] = 0
+    def _rows(self, env_ids: Tensor | None) -> _Array:
+        return self._envs if env_ids is None else _array(env_ids)
 
-    def _stream_of(self, ids: Tensor) -> Tensor:
-        return _mix(self._key[ids] + self._episode[ids] * _INCREMENT)
+    def _begin_stream(self, ids: _Array, episode: _Array) -> None:
+        self._episode[ids] = episode
+        self._counter[ids] = _mix(self._key[ids] + episode * _INCREMENT)
 
-    def _bits(self, draws: int, env_ids: Tensor | None) -> Tensor:
-        ids = self._envs if env_ids is None else env_ids
-        count = self._count[ids]
-        self._count[ids] = count + draws
-        counter = count[:, None] + torch.arange(1, draws + 1, device=self.device)
-        return _mix(self._stream[ids, None] + counter * _INCREMENT)
+    def _bits(self, draws: int, env_ids: Tensor | None) -> _Array:
+        ids = self._rows(env_ids)
+        counters = self._counter[ids][:, None] + _increments(draws, self.device)
+        self._counter[ids] = counters[:, -1]
+        return _mix(counters[:, 1:])
+
+    def _bound(self, bound: Bound) -> float | Tensor:
+        return _constant(bound, self.device) if isinstance(bound, tuple) else bound
 
 
-def _mix(z: Tensor) -> Tensor:
+def _array(tensor: Tensor) -> _Array:
+    """The tensor's own memory."""
+    return tensor.numpy() if tensor.device.type == "cpu" else tensor
+
+
+@functools.lru_cache(maxsize=64)
+def _increments(draws: int, device: torch.device) -> _Array:
+    """(draws + 1,) of the counter: zero first."""
+    return _array(torch.arange(draws + 1, device=device) * _INCREMENT)
+
+
+@functools.lru_cache(maxsize=64)
+def _constant(values: tuple[float, ...], device: torch.device) -> Tensor:
+    return torch.tensor(values, dtype=torch.float32, device=device)
+
+
+def _mix(z: _Array) -> _Array:
     z = (z ^ _shift_right(z, 30)) * _MIX_1
     z = (z ^ _shift_right(z, 27)) * _MIX_2
     return z ^ _shift_right(z, 31)
 
 
-def _shift_right(z: Tensor, bits: int) -> Tensor:
-    # Torch shifts signed integers arithmetically; the mask makes the shift logical.
+def _shift_right(z: _Array, bits: int) -> _Array:
+    # A signed integer is shifted arithmetically; the mask makes the shift logical.
     return (z >> bits) & ((1 << (64 - bits)) - 1)
