@@ -11,7 +11,7 @@ from torch.linalg import vector_norm
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import SolidOptions, box, cabinet
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
+from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
 from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, common
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
@@ -138,6 +138,7 @@ class Cabinet(Task):
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 8.0
+    view: Pose = look_at(eye=(-0.4, 1.7, 1.3), target=(0.5, 0.0, 0.5))
     tolerance: float = 0.02
     """Metres."""
     observations: CabinetObservations = field(default_factory=CabinetObservations)

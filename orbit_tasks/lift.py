@@ -152,7 +152,8 @@ class Lift(Task):
 
     def scene(self) -> Scene:
         size = (self.cube_size, self.cube_size, self.cube_size)
-        cube = box("cube", size=size, mass=self.cube_mass, pose=Pose((0.5, 0.0, 0.5 * self.cube_size)))
+        pose = Pose((0.5, 0.0, 0.5 * self.cube_size))
+        cube = box("cube", size=size, mass=self.cube_mass, pose=pose, color=(0.8, 0.2, 0.15, 1.0))
         return Scene(
             robots=(robot(self.robot, name=common.ROBOT),),
             objects=(cube, common.work_bench()),

@@ -13,7 +13,7 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.catalogue import robot
 from orbit_core.dynamics.transforms import quat_rotate_inverse
-from orbit_core.scene import ContactSensorSpec, MarkerShape, MarkerSpec, Scene
+from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
 from orbit_core.sensors import ContactSensor
 from orbit_core.tasks import EventTerm, ObservationTerm, RewardTerm, Task, TerminationTerm, common
 from orbit_core.tasks.terms import once_per_state
@@ -158,6 +158,7 @@ class VelocityFlat(Task):
     robot: str = "anymal_c"
     action: str = "joint_position"
     episode_length: float = 10.0
+    view: Pose = look_at(eye=(3.0, 2.2, 1.5), target=(0.0, 0.0, 0.35))
     max_forward: float = 1.0
     """m/s."""
     max_sideways: float = 0.5
@@ -184,7 +185,6 @@ class VelocityFlat(Task):
             robots=(robot(self.robot, name=common.ROBOT),),
             terrain=(common.floor(),),
             sensors=(ContactSensorSpec(name=CONTACTS, entity=common.ROBOT),),
-            markers=(MarkerSpec("command", MarkerShape.ARROW, size=0.5),),
             physics_dt=self.physics_dt,
         )
 

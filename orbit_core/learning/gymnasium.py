@@ -72,7 +72,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
         if self.render_mode is None:
             return None
-        self._camera = self._camera or OverviewCamera(self.environment.world)
+        self._camera = self._camera or _camera(self.environment)
         return tuple(self._camera.pictures().numpy())
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -114,13 +114,17 @@ class SingleEnvironment(gymnasium.Env[dict[str, npt.NDArray[np.float32]], npt.ND
     def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         if self.render_mode is None:
             return None
-        self._camera = self._camera or OverviewCamera(self.environment.world)
+        self._camera = self._camera or _camera(self.environment)
         return self._camera.pictures()[0].numpy()
 
     def close(self) -> None:
         if self._camera is not None:
             self._camera.close()
         self.environment.close()
+
+
+def _camera(environment: Environment) -> OverviewCamera:
+    return OverviewCamera(environment.world, 640, 480, environment.task.view)
 
 
 def _metadata(environment: Environment, mode: AutoresetMode) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import Node
-from orbit_core.scene import Scene
+from orbit_core.scene import Pose, Scene, look_at
 
 if TYPE_CHECKING:
     from orbit_core.motion import MotionGenerator
@@ -40,6 +40,8 @@ class Task(ABC):
     rewards: Any = None
     terminations: Any = None
     events: Any = None
+    view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.35, 0.0, 0.2))
+    """Where pictures and videos are taken from, in the environment's frame."""
     backend_presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Engine settings by backend name, where this task needs other than an engine's defaults."""
 

@@ -5,17 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from orbit_core.scene import CameraSpec, Channel, Pose, look_at
+from orbit_core.scene import CameraSpec, Channel, Pose
 from orbit_core.world import SimulatedWorld
-
-DEFAULT_VIEW = look_at(eye=(1.9, 1.3, 1.1), target=(0.35, 0.0, 0.2))
-"""Half from the front, half from the side, for a robot at the origin that faces +x."""
 
 
 class OverviewCamera:
     """A spectator's camera in every environment; markers are drawn."""
 
-    def __init__(self, world: SimulatedWorld, width: int = 640, height: int = 480, view: Pose = DEFAULT_VIEW) -> None:
+    def __init__(self, world: SimulatedWorld, width: int, height: int, view: Pose) -> None:
         self._world = world
         self._spec = CameraSpec(name="overview", width=width, height=height, vertical_fov=0.8, pose=view)
         self._renderer = world.create_renderer((self._spec,))

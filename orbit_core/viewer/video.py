@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 _MULTIPLE = 16
 """Pixels; an encoder's macroblock. Other sizes would be rescaled."""
+_FRAMES_PER_SECOND = 25.0
+"""At most about; steps in between are not drawn."""
 
 
 class VideoFile:
@@ -95,17 +97,19 @@ class VideoRecorder:
     """
 
     def __init__(
-        self, environment: Environment, path: Path, environments: int = 4, width: int = 480, height: int = 368
+        self, environment: Environment, path: Path, environments: int = 4, width: int = 400, height: int = 304
     ) -> None:
         count = min(environments, environment.num_envs)
         self._rows = torch.arange(count, device=environment.device)
         self._columns = math.ceil(math.sqrt(count))
         lines = math.ceil(count / self._columns)
         self._length = self._left = environment.max_episode_steps
-        self._file = VideoFile(path, self._columns * width, lines * height, 1.0 / environment.step_dt)
+        self._stride = max(1, round(1.0 / (environment.step_dt * _FRAMES_PER_SECOND)))
+        rate = 1.0 / (environment.step_dt * self._stride)
+        self._file = VideoFile(path, self._columns * width, lines * height, rate)
         with contextlib.ExitStack() as stack:
             stack.callback(self._file.discard)
-            self._camera = OverviewCamera(environment.world, width, height)
+            self._camera = OverviewCamera(environment.world, width, height, environment.task.view)
             stack.pop_all()
 
     @property
@@ -122,7 +126,8 @@ class VideoRecorder:
         """Film the environments' present state."""
         if self.full:
             return
-        self._file.add(tile(self._camera.pictures(self._rows).numpy(), self._columns))
+        if (self._length - self._left) % self._stride == 0:
+            self._file.add(tile(self._camera.pictures(self._rows).numpy(), self._columns))
         self._left -= 1
 
     def close(self) -> None:
