@@ -15,8 +15,9 @@ from orbit_bullet.contacts import ContactMeter
 from orbit_bullet.library import Client, silence
 from orbit_bullet.loads import Loads
 from orbit_bullet.materials import PairProducts, nominal
-from orbit_bullet.rotations import compose, cross, multiply, rotate
+from orbit_bullet.rotations import compose, cross
 from orbit_bullet.stage import SceneFiles, Stage
+from orbit_bullet.wrenches import WrenchMeter
 from orbit_core.interfaces import BACKGROUND, TERRAIN, SceneLayout
 
 FloatArray = npt.NDArray[np.float64]
@@ -60,7 +61,7 @@ class Simulation:
         self._raw = np.zeros((self.count, links, 16))
         """Of each link its centre of mass, frame, quaternion (x, y, z, w), and velocities at the centre of mass."""
         self._nominal_inertias = self._inertias()
-        self._set_up_wrenches()
+        self._wrenches = WrenchMeter(self.stage, self._loads, buffers.joint_wrenches)
         self.reset(np.arange(self.count))
 
     def _set_options(self, config: BulletConfig) -> None:
@@ -84,7 +85,10 @@ class Simulation:
             self._contacts.clear()
         self._actuation.prepare()
         for number in range(steps):
-            if number:
+            if self._wrenches.active and number == steps - 1:
+                self._read(range(self.count))
+                self._wrenches.begin(self._raw, self.buffers.link_poses)
+            elif number:
                 self._read_joints(range(self.count))
             self._actuation.apply(self._positions, self._velocities)
             self._loads.apply()
@@ -95,7 +99,8 @@ class Simulation:
             self._contacts.average(steps)
         self._read(range(self.count))
         np.copyto(self.buffers.joint_efforts, self._actuation.efforts(self._velocities), casting="same_kind")
-        self._read_wrenches()
+        if self._wrenches.active:
+            self._wrenches.end(self._raw, self.buffers.link_poses)
         return self._diverged()
 
     def _diverged(self) -> list[int]:
@@ -147,8 +152,8 @@ class Simulation:
             linear, angular = client.getBaseVelocity(body)
             values += (*position, *position, *orientation, *linear, *angular)
         else:  # the root stands still where it was put
-            start, indices = start + 1, indices[1:]
-        indices = [index for index in indices if index >= 0]
+            start += 1
+        indices = indices[1:]
         if indices:
             for state in client.getLinkStates(body, indices, 1, 1):
                 values += (*state[0], *state[4], *state[5], *state[6], *state[7])
@@ -177,7 +182,6 @@ class Simulation:
             self.client.resetJointStatesMultiDof(
                 self.stage.bodies[slot][number], numbers, positions[:, None].tolist(), velocities[:, None].tolist()
             )
-        self.stage.refresh(slot, number)
 
     def write_root(self, rows: Rows, number: int, pose: FloatArray | None, velocity: FloatArray | None) -> None:
         """Pose (n, 7) in each environment's frame and velocity (n, 6) of the root link's origin."""
@@ -191,8 +195,6 @@ class Simulation:
         entity, client = self.layout.entities[number], self.client
         origin, quaternion = pose[:, :3] + self.stage.origins[rows], _normalized(pose[:, 3:])
         inertial = self.stage.root_inertials[number]
-        if self.stage.files.anchored[number]:
-            inertial = np.array([0.0, 0, 0, 1, 0, 0, 0])
         center, axes = compose(origin, quaternion, inertial)
         if entity.spec.fixed_base:
             zeros = np.zeros((len(rows), 6))
@@ -206,7 +208,6 @@ class Simulation:
             client.resetBasePositionAndOrientation(body, center[index].tolist(), (x, y, z, w))
             if not entity.spec.fixed_base:
                 client.resetBaseVelocity(body, linear[index].tolist(), velocity[index, 3:].tolist())
-            self.stage.refresh(slot, number)
 
     def reset(self, rows: Rows) -> None:
         """The scene's initial state."""
@@ -226,29 +227,6 @@ class Simulation:
         self._read(rows)
 
     # Measurements ----------------------------------------------------------------------------------------------------
-
-    def _set_up_wrenches(self) -> None:
-        self._sensed = []
-        for column, link in enumerate(self.layout.wrench_links):
-            number = int(self.layout.entity_of_link[link])
-            index = self.stage.links[number][link - self.layout.entities[number].links.start]
-            self._sensed.append((column, number, index))
-            for slot in range(self.count):
-                if index >= 0:
-                    self.client.enableJointForceTorqueSensor(self.stage.bodies[slot][number], index, 1)
-
-    def _read_wrenches(self) -> None:
-        for column, number, index in self._sensed:
-            if index < 0:
-                continue  # nothing holds a free root
-            link = self.layout.wrench_links[column]
-            for slot in range(self.count):
-                reaction = self.client.getJointState(self.stage.bodies[slot][number], index)[2]
-                self.buffers.joint_wrenches[slot, column] = self._in_link_frame(slot, link, np.array(reaction))
-
-    def _in_link_frame(self, slot: int, link: int, reaction: FloatArray) -> FloatArray:
-        """Bullet's reaction, in the URDF link's frame about its centre of mass, about the link's origin in its axes."""
-        return reaction
 
     def cast_rays(
         self, rows: Rows, origins: FloatArray, directions: FloatArray, reach: float
@@ -299,6 +277,8 @@ class Simulation:
         for link in links:
             number = int(self.layout.entity_of_link[link])
             index = self.stage.links[number][link - self.layout.entities[number].links.start]
+            if index < 0 and self.layout.entities[number].spec.fixed_base:
+                continue  # it does not move
             for slot in rows:
                 mass = float(self._loads.masses[slot, link])
                 moments = self._nominal_inertias[link] * (mass / self._loads.nominal_masses[link])

@@ -20,6 +20,9 @@ from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, MeshColl
 FloatArray = npt.NDArray[np.float64]
 SPACING = 64.0
 """Metres between environments; a power of two keeps their positions' rounding small."""
+GROUND, GROUND_DEPTH = 1000.0, 10.0
+"""Half extents in metres of the box that stands for a plane: Bullet keeps one contact point a step on its own planes,
+on which sliding boxes rattle, and finds all of them on a box."""
 _ROW = 32
 """Environments in a row."""
 _GEAR_FORCE = 1e9
@@ -33,8 +36,6 @@ class SceneFiles:
 
     folder: Path
     entities: tuple[Path, ...]
-    anchored: tuple[bool, ...]
-    """Whether an entity's root hangs on a joint that measures what holds it."""
     terrain: tuple[Path | None, ...]
     """The mesh of each terrain shape, if it is one."""
 
@@ -42,17 +43,16 @@ class SceneFiles:
 def write_scene(layout: SceneLayout, folder: Path) -> SceneFiles:
     """Write the files of a scene."""
     meshes = MeshFiles(folder)
-    paths, anchored = [], []
+    paths = []
     for entity in layout.entities:
-        anchored.append(entity.spec.fixed_base and entity.root_link in layout.wrench_links)
         paths.append(folder / f"entity{entity.index}.urdf")
-        write_entity(entity.spec, paths[-1], meshes, anchored[-1])
+        write_entity(entity.spec, paths[-1], meshes)
     terrain = []
     for shape in layout.scene.terrain:
         mesh = shape.geometry if isinstance(shape.geometry, Mesh) else None
         hull = mesh is not None and mesh.collision is MeshCollision.CONVEX_HULL
         terrain.append(None if mesh is None else meshes.hull(mesh) if hull else meshes.surface(mesh))
-    return SceneFiles(folder, tuple(paths), tuple(anchored), tuple(terrain))
+    return SceneFiles(folder, tuple(paths), tuple(terrain))
 
 
 def origin_of(environment: int) -> FloatArray:
@@ -102,8 +102,7 @@ class Stage:
     def ray_mask(self, slot: int) -> int:
         return 3 << (2 * slot + 1)
 
-    def refresh(self, slot: int, entity: int) -> None:
-        """Forget the contacts of an entity that was moved, and place it anew for the collision search."""
+    def _filter(self, slot: int, entity: int) -> None:
         body = self.bodies[slot][entity]
         fixed = self.layout.entities[entity].spec.fixed_base
         for link in self.colliding[entity]:
@@ -138,7 +137,9 @@ class Stage:
         client, pose = self.client, shape.pose
         match shape.geometry:
             case Plane():
-                return client.createCollisionShape(client.GEOM_PLANE, planeNormal=(0, 0, 1)), pose
+                extents = (GROUND, GROUND, GROUND_DEPTH)
+                ground = pose @ Pose((0.0, 0.0, -GROUND_DEPTH))
+                return client.createCollisionShape(client.GEOM_BOX, halfExtents=extents), ground
             case Box(half_extents):
                 return client.createCollisionShape(client.GEOM_BOX, halfExtents=half_extents), pose
             case Sphere(radius):
@@ -217,7 +218,7 @@ class Stage:
             self.places[body, index] = (slot, entity.links.start + offset)
             for shape in link.collisions:
                 self._set_contact(body, index, shape)
-        self.refresh(slot, number)
+        self._filter(slot, number)
         self._exclude_pairs(body, entity)
 
     def _exclude_pairs(self, body: int, entity: EntityLayout) -> None:

@@ -1,7 +1,7 @@
 """Entities as URDF files, the form in which Bullet takes names, masses, limits and shapes exactly.
 
 A URDF link's frame is the frame of the joint above it, so a link stands in it at ``child_pose^-1``. Link ``i`` of an
-entity is named ``l<i>`` and its joint ``j<i>``; a base that stands before them, ``world``, measures what holds a root.
+entity is named ``l<i>``, and the joint above it ``j<i>``.
 """
 
 from __future__ import annotations
@@ -93,8 +93,8 @@ def child_poses(entity: Entity) -> list[Pose]:
     ]
 
 
-def write_entity(entity: Entity, path: Path, meshes: MeshFiles, anchored: bool) -> None:
-    """Write an entity's physics; ``anchored`` puts the root on a fixed joint.
+def write_entity(entity: Entity, path: Path, meshes: MeshFiles) -> None:
+    """Write an entity's physics.
 
     Raises:
         ConfigurationError: Bullet has no such shape.
@@ -103,16 +103,10 @@ def write_entity(entity: Entity, path: Path, meshes: MeshFiles, anchored: bool) 
     robot = ET.Element("robot", name=entity.name)
     places = child_poses(entity)
     numbers = {name: number for number, name in enumerate(articulation.link_names)}
-    if anchored:
-        ET.SubElement(robot, "link", name="world")
     for number, link in enumerate(articulation.links):
         subject = f"link '{link.name}' of '{entity.name}'"
         static = entity.fixed_base and number == 0
         _add_link(robot, number, link, places[number], meshes, static, subject)
-    if anchored:
-        anchor = ET.SubElement(robot, "joint", name="j0", type="fixed")
-        ET.SubElement(anchor, "parent", link="world")
-        ET.SubElement(anchor, "child", link="l0")
     for joint in articulation.joints:
         parent = numbers[joint.parent]
         _add_joint(robot, joint, parent, numbers[joint.child], places[parent])

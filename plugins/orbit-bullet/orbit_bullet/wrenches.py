@@ -1,0 +1,92 @@
+"""What joints transmit, from the balance of momentum of all that hangs on them.
+
+Bullet's own joint sensors leave out what constraints do. The parent's wrench is the rate of change of the momentum of
+the links beyond the joint over the last step, less gravity, applied wrenches and contact forces on them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_bullet.loads import Loads
+from orbit_bullet.rotations import cross, rotate
+from orbit_bullet.stage import Stage
+from orbit_core.interfaces import SceneLayout
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class WrenchMeter:
+    """The wrenches of the layout's wrench links, for a client's environments."""
+
+    def __init__(self, stage: Stage, loads: Loads, out: npt.NDArray[np.float32]) -> None:
+        layout = stage.layout
+        self.active = bool(layout.wrench_links)
+        self._stage = stage
+        self._loads = loads
+        self._out = out
+        self._links = [_beyond(layout, link) for link in layout.wrench_links]
+        free_roots = {entity.root_link for entity in layout.entities if not entity.spec.fixed_base}
+        self._held = [link not in free_roots for link in layout.wrench_links]
+        self._unit_inertias = np.array([link.inertia / max(link.mass, 1e-12) for link in layout.links])
+
+    def begin(self, raw: FloatArray, poses: FloatArray) -> None:
+        """Before the last step: the state that it starts from."""
+        self._before = self._momenta(raw, poses)
+
+    def end(self, raw: FloatArray, poses: FloatArray) -> None:
+        """After the last step."""
+        after = self._momenta(raw, poses)
+        rates = [(new - old) / self._stage.layout.scene.physics_dt for new, old in zip(after, self._before, strict=True)]
+        contacts = self._contacts()
+        centers = raw[..., :3]
+        for column, (link, beyond) in enumerate(zip(self._stage.layout.wrench_links, self._links, strict=True)):
+            if not self._held[column]:
+                continue
+            origins = poses[:, link, None, :3] + self._stage.origins[:, None]
+            arms = centers[:, beyond] - origins
+            forces = rates[0][:, beyond] - self._loads.bearing[:, beyond]
+            force = forces.sum(1) - contacts[:, beyond, :3].sum(1)
+            torques = rates[1][:, beyond] + cross(arms, forces) - self._loads.wrenches[:, beyond, 3:]
+            # Contacts' moments are about the world's origin.
+            moments = contacts[:, beyond, 3:] - cross(origins, contacts[:, beyond, :3])
+            torque = torques.sum(1) - moments.sum(1)
+            inverse = poses[:, link, 3:] * (1.0, -1.0, -1.0, -1.0)
+            self._out[:, column, :3] = rotate(inverse, force)
+            self._out[:, column, 3:] = rotate(inverse, torque)
+
+    def _momenta(self, raw: FloatArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Linear momentum, and angular momentum about the centre of mass (K, L, 3)."""
+        masses = self._loads.masses[..., None]
+        quaternions = poses[..., 3:]
+        inverse = quaternions * (1.0, -1.0, -1.0, -1.0)
+        spins = rotate(inverse, raw[..., 13:])
+        angular = rotate(quaternions, np.einsum("lij,klj->kli", self._unit_inertias, spins))
+        return masses * raw[..., 10:13], masses * angular
+
+    def _contacts(self) -> FloatArray:
+        """Contact forces on each link, and their moments about the world's origin (K, L, 6)."""
+        stage = self._stage
+        total = np.zeros((stage.count, len(stage.layout.links), 6))
+        for point in stage.client.getContactPoints():
+            force = point[9] * np.array(point[7]) + point[10] * np.array(point[11]) + point[12] * np.array(point[13])
+            if not force.any():
+                continue
+            wrench = np.concatenate((force, np.cross(point[5], force)))
+            for body, link, sign in ((point[1], point[3], 1.0), (point[2], point[4], -1.0)):
+                slot, number = stage.places.get((body, link), (0, -1))
+                if number >= 0:
+                    total[slot, number] += sign * wrench
+        return total
+
+
+def _beyond(layout: SceneLayout, link: int) -> list[int]:
+    """The link and all that hang on it."""
+    entity = layout.entities[int(layout.entity_of_link[link])]
+    names = entity.spec.articulation.link_names
+    found = {names[link - entity.links.start]}
+    for joint in entity.spec.articulation.joints:  # in the order of their children, parents first
+        if joint.parent in found:
+            found.add(joint.child)
+    return [entity.links.start + offset for offset, name in enumerate(names) if name in found]
