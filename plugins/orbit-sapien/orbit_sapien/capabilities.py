@@ -24,9 +24,7 @@ CAPABILITIES = Capabilities(
             "exact where no drive acts on the joint; elsewhere a damper that saturates, so that a held joint creeps"
         ),
         Capability.ARMATURE: EXACT,
-        Capability.MIMIC_JOINTS: approximate(
-            "the coupling is a stiff spring: it gives way slightly under load"
-        ),
+        Capability.MIMIC_JOINTS: approximate("the coupling is a stiff spring: it gives way slightly under load"),
         Capability.SELF_COLLISIONS: EXACT,
         Capability.GRAVITY_COMPENSATION: EXACT,
         Capability.FRICTION: approximate(
@@ -58,7 +56,9 @@ CAPABILITIES = Capabilities(
         Capability.SNAPSHOTS: EXACT,
         Capability.DETERMINISTIC: EXACT,
         **_IMAGES,
-        Capability.GPU: unsupported("PhysX's GPU library is no part of SAPIEN's package: this backend steps on the CPU"),
+        Capability.GPU: unsupported(
+            "PhysX's GPU library is no part of SAPIEN's package: this backend steps on the CPU"
+        ),
         Capability.CLOTH: unsupported("SAPIEN has no deformable bodies"),
         Capability.SOFT_BODIES: unsupported("SAPIEN has no deformable bodies"),
     }

@@ -52,7 +52,9 @@ def collision_shape(
                 vertices, faces = height_field_triangles(field)
                 made = physx.PhysxCollisionShapeTriangleMesh(vertices, faces, ones, material)
     except RuntimeError as error:
-        what = f"shape '{shape.name}' of {subject}" if shape.name else f"the {type(shape.geometry).__name__} of {subject}"
+        what = (
+            f"shape '{shape.name}' of {subject}" if shape.name else f"the {type(shape.geometry).__name__} of {subject}"
+        )
         raise AssetError(f"PhysX cannot collide {what} ({error}): repair its mesh or replace it") from error
     made.set_local_pose(native_pose(pose))
     return made

@@ -131,7 +131,7 @@ def multiply(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _multiply(a: tuple[float, ...], b: tuple[float, ...]) -> np.ndarray:
-    one, other = torch.tensor([a, b], dtype=torch.float64)
+    one, other = torch.tensor(np.array([a, b]), dtype=torch.float64)
     return multiply(one, other).numpy()
 
 

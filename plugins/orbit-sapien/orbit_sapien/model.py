@@ -28,6 +28,7 @@ _FAST = 1e4
 """Stands for no limit on a body's speed; PhysX's own limits are a few metres per second."""
 _COLORS = 31
 _EXCLUSION_BITS = 32
+_NO_REBOUND = "PhysX takes slower contacts for resting, by the setting 'bounce_threshold'"
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +186,9 @@ class _Builder:
         made = collision_shape(shape, self.materials[group], subject, report)
         body.attach(made)
         environment.shapes.setdefault(link, []).append((group, made))
+        if report is not None and shape.material.restitution:
+            got = f"none below {self.config.bounce_threshold:g} m/s"
+            report.append(Approximation(subject, f"restitution {shape.material.restitution:g}", got, _NO_REBOUND))
         return made
 
     # Bodies ----------------------------------------------------------------------------------------------------------
@@ -295,11 +299,12 @@ class _Builder:
         leader = articulation.movable_joints[articulation.joint_names.index(joint.mimic.joint)]
         links = dict(zip(articulation.link_names, made.bodies, strict=True))
         multiplier = joint.mimic.multiplier
-        root = _common_link(articulation.joints, leader.parent, joint.parent)
+        chain = _tree_between(articulation.joints, leader.child, joint.child)
+        pull = {leader.child: -multiplier, joint.child: 1.0}
         made.articulation.create_fixed_tendon(
-            [links[root], links[leader.child], links[joint.child]],
-            [0.0, -multiplier, 1.0],
-            [0.0, -1.0 / multiplier if multiplier else 0.0, 1.0],
+            [links[name] for name in chain],
+            [pull.get(name, 0.0) for name in chain],
+            [1.0 / pull[name] if pull.get(name) else 0.0 for name in chain],
             rest_length=joint.mimic.offset,
             stiffness=self.config.tendon_stiffness,
         )
@@ -357,15 +362,17 @@ def _x_to(axis: tuple[float, float, float]) -> Pose:
     return Pose.from_axis_angle(tuple(turned), math.atan2(float(np.linalg.norm(turned)), cosine))
 
 
-def _common_link(joints: tuple[Joint, ...], one: str, other: str) -> str:
-    """The nearest link from which both hang."""
+def _tree_between(joints: tuple[Joint, ...], one: str, other: str) -> list[str]:
+    """The links on the way from one to the other, parents first, with the parent of the first to move."""
     parent = {joint.child: joint.parent for joint in joints}
 
-    def upwards(link: str) -> list[str]:
-        return [link, *(upwards(parent[link]) if link in parent else [])]
+    def downwards(link: str) -> list[str]:
+        return [*downwards(parent[link]), link] if link in parent else [link]
 
-    others = upwards(other)
-    return next(link for link in upwards(one) if link in others)
+    ways = downwards(one)[:-1], downwards(other)[:-1]  # a moving link's parent is on its way
+    shared = [a for a, b in zip(*ways, strict=False) if a == b]
+    ways = [*ways[0], one], [*ways[1], other]
+    return [shared[-1], *dict.fromkeys(link for way in ways for link in way[len(shared) :])]
 
 
 def _exclusion_groups(entity: EntityLayout, report: list[Approximation] | None) -> list[int]:

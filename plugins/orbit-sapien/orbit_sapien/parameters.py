@@ -25,7 +25,9 @@ class Parameters:
         num_envs, links = len(world.environments), len(layout.links)
         self._nominal_masses = np.array([link.mass for link in layout.links])
         self.masses = np.tile(self._nominal_masses, (num_envs, 1))
-        self.centers = np.tile(np.array([link.center_of_mass for link in layout.links]).reshape(-1, 3), (num_envs, 1, 1))
+        self.centers = np.tile(
+            np.array([link.center_of_mass for link in layout.links]).reshape(-1, 3), (num_envs, 1, 1)
+        )
         self.static = np.tile(world.rule.asked("static"), (num_envs, 1))
         self.dynamic = np.tile(world.rule.asked("dynamic"), (num_envs, 1))
         self.gravity = np.tile(np.asarray(layout.scene.gravity, np.float64), (num_envs, 1))
@@ -36,8 +38,12 @@ class Parameters:
         self._movable = np.array(movable, dtype=bool)
         heavy = [not layout.entities[e].spec.gravity_compensation for e in layout.entity_of_link]
         self._heavy = np.flatnonzero(self._movable & np.array(heavy, dtype=bool))
-        self._inertias = [np.asarray(body.inertia) if moves else None for body, moves in zip(self.bodies[0], movable, strict=True)]
-        self._rotations = [body.cmass_local_pose.q if moves else None for body, moves in zip(self.bodies[0], movable, strict=True)]
+        self._inertias = [
+            np.asarray(body.inertia) if moves else None for body, moves in zip(self.bodies[0], movable, strict=True)
+        ]
+        self._rotations = [
+            body.cmass_local_pose.q if moves else None for body, moves in zip(self.bodies[0], movable, strict=True)
+        ]
         self._find_pushed()
 
     # Setting ---------------------------------------------------------------------------------------------------------

@@ -76,12 +76,11 @@ class State:
     def packed(self) -> Tensor:
         """(N, columns) float32: each environment's bodies and articulations."""
         if "packed" not in self._values:
-            flat = torch.frombuffer(bytearray(self._system.pack()), dtype=torch.float32)
+            flat = torch.from_numpy(np.frombuffer(self._system.pack(), np.float32).copy())
             bodies, articulations = (self._num_envs * size for size in self._sizes)
-            parts = flat[:bodies].view(self._num_envs, -1), flat[bodies : bodies + articulations]
-            both = self._sizes[0] and self._sizes[1]
-            rows = torch.cat((parts[0], parts[1].view(self._num_envs, -1)), -1) if both else flat[: bodies + articulations]
-            self._values["packed"] = rows.view(self._num_envs, -1)
+            parts = flat[:bodies], flat[bodies : bodies + articulations]
+            blocks = [part.view(self._num_envs, size) for part, size in zip(parts, self._sizes, strict=True)]
+            self._values["packed"] = torch.cat(blocks, -1) if all(self._sizes) else max(blocks, key=torch.numel)
         return self._values["packed"]
 
     def diverged(self) -> list[int]:
