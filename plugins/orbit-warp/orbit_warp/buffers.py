@@ -15,10 +15,10 @@ import numpy.typing as npt
 from orbit_warp.config import WarpConfig
 
 _LEAST_CONTACTS = 16
-_CONTACTS_OF_BODY = 16
-"""Of a single free body: two faces full of contacts, and as many candidates again."""
-_CONTACTS_OF_GEOM = 3
-"""Of a shape of an articulation, as candidates: few of them touch at a time."""
+_CONTACTS_OF_BODY = 12
+"""Of a single free body: one face full of contacts, and two fingers that hold it."""
+_CONTACTS_OF_GEOM = 1
+"""Of a shape of an articulation: few of them touch at a time, but each may be near something."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,7 @@ def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpCon
     condim = int(model.geom_condim[touching].max(initial=1))
     rows = condim if config.cone == "elliptic" else max(2 * (condim - 1), 1)
     always = int(np.count_nonzero(model.dof_frictionloss)) + int(np.count_nonzero(model.jnt_limited)) + model.neq
-    # Contacts share one pool; rows do not, so that an environment with more contacts than the average needs room.
-    contacts = min(possible, 2 * nconmax)
-    return BufferSizes(nconmax, config.njmax or max(always + rows * contacts, 1))
+    return BufferSizes(nconmax, config.njmax or max(always + rows * nconmax, 1))
 
 
 def _contacts_of_pairs(model: mujoco.MjModel, pairs: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:

@@ -20,7 +20,7 @@ class WarpConfig:
     """``implicitfast`` integrates drive and joint damping implicitly; ``euler`` joint damping only."""
     algorithm: str = "newton"
     """How constraints are solved."""
-    iterations: int = 100
+    iterations: int = 30
     """At most, per step."""
     ls_iterations: int = 50
     """At most, per line search."""

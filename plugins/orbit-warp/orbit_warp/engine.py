@@ -14,7 +14,7 @@ import warp as wp
 from torch import Tensor
 
 from orbit_core.interfaces import Approximation, AssetError, Engine, RayHits, SceneLayout
-from orbit_warp.buffers import buffer_sizes
+from orbit_warp.buffers import BufferSizes, buffer_sizes
 from orbit_warp.config import WarpConfig
 from orbit_warp.contacts import ContactMeter
 from orbit_warp.faults import Faults
@@ -61,7 +61,7 @@ class WarpEngine(Engine):
         self._graphs = Graphs(device, config.capture)
         with self._graphs.stream():
             self._model = _on_device(built, config)
-            sizes = buffer_sizes(built.model, self._model, config)
+            self.buffer_sizes = sizes = buffer_sizes(built.model, self._model, config)
             self._data = mjw.make_data(built.model, nworld=num_envs, nconmax=sizes.nconmax, njmax=sizes.njmax)
             self._native = Native(built.model, self._model, self._data)
             self._state = State(layout, addresses, self._native, self._graphs)
@@ -110,6 +110,11 @@ class WarpEngine(Engine):
     def overflows(self) -> int:
         """Steps so far in which a buffer of contacts or constraints was full."""
         return self._faults.overflows
+
+    @property
+    def buffer_peaks(self) -> BufferSizes:
+        """The most contacts and constraint rows that any step so far needed; reading it waits for the device."""
+        return self._faults.peaks
 
     # State -----------------------------------------------------------------------------------------------------------
 

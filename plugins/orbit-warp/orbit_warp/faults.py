@@ -18,11 +18,9 @@ from mujoco_warp import OverflowType
 from orbit_core.interfaces import SimulationError
 from orbit_warp.buffers import BufferSizes
 from orbit_warp.config import WarpConfig
-from orbit_warp.kernels import DIVERGED_BIT, note_faults
+from orbit_warp.kernels import DIVERGED_BIT, note_faults, note_peaks
 
-_CONTACTS = int(
-    OverflowType.BROADPHASE | OverflowType.NARROWPHASE | OverflowType.CCD | OverflowType.HFIELD
-)  # fmt: skip
+_CONTACTS = int(OverflowType.BROADPHASE | OverflowType.NARROWPHASE | OverflowType.CCD | OverflowType.HFIELD)
 _ROWS = int(OverflowType.NEFC | OverflowType.NJMAX_NNZ)
 
 
@@ -35,8 +33,9 @@ class Faults:
         self._on_gpu = data.qpos.device.is_cuda
         with wp.ScopedDevice(data.qpos.device):
             self._faults = wp.zeros(data.nworld, dtype=int)
-            self._summary = wp.zeros(2, dtype=int)
-        self._seen = wp.zeros(2, dtype=int, device="cpu", pinned=self._on_gpu) if self._on_gpu else self._summary
+            self._summary = wp.zeros(1, dtype=int)
+            self._peaks = wp.zeros(2, dtype=int)
+        self._seen = wp.zeros(1, dtype=int, device="cpu", pinned=True) if self._on_gpu else self._summary
         self._note = self._seen.numpy()
         self.overflows = 0
         """Steps in which a buffer was full; on a GPU the last step's is counted when the next begins."""
@@ -55,8 +54,17 @@ class Faults:
             inputs=[data.qpos, data.qvel, _CONTACTS | _ROWS],
             outputs=[data.overflow, self._faults, self._summary],
         )
+        wp.launch(
+            note_peaks, dim=data.nworld, inputs=[data.nefc, data.nacon, data.ncollision], outputs=[self._peaks]
+        )
         if self._on_gpu:
             wp.copy(self._seen, self._summary)
+
+    @property
+    def peaks(self) -> BufferSizes:
+        """The most that any step so far needed; waits for the device."""
+        contacts, rows = wp.to_torch(self._peaks).tolist()
+        return BufferSizes(-(-contacts // self._data.nworld), rows)
 
     def report(self) -> None:
         """Raise or count what was noted, once.
@@ -68,7 +76,7 @@ class Faults:
         if not fault:
             return
         self._note[:] = 0
-        faults = self._faults.numpy()
+        faults = wp.to_torch(self._faults).cpu().numpy()
         if fault & DIVERGED_BIT:
             raise SimulationError(
                 f"environments {_shown(np.flatnonzero(faults & DIVERGED_BIT))} diverged: a position or velocity is not "

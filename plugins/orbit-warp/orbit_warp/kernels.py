@@ -209,4 +209,17 @@ def note_faults(
     faults[env] = fault
     if fault != 0:
         wp.atomic_or(summary, 0, fault)
-        wp.atomic_add(summary, 1, 1)
+
+
+@wp.kernel(enable_backward=False)
+def note_peaks(
+    rows: wp.array(dtype=int),
+    contacts: wp.array(dtype=int),
+    candidates: wp.array(dtype=int),
+    peaks: wp.array(dtype=int),
+):
+    """The most contacts (or pairs that might touch) over all environments, and rows in any one, of the last step."""
+    env = wp.tid()
+    if env == 0:
+        wp.atomic_max(peaks, 0, wp.max(contacts[0], candidates[0]))
+    wp.atomic_max(peaks, 1, rows[env])

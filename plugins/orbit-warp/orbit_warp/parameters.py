@@ -96,8 +96,9 @@ class Parameters:
         if name not in self._fields:
             owner, attribute = (self._model.opt, name[4:]) if name.startswith("opt.") else (self._model, name)
             shared: wp.array = getattr(owner, attribute)
-            values = np.repeat(shared.numpy()[:1], self._data.nworld, axis=0)
-            expanded = wp.array(values, dtype=shared.dtype, device=shared.device)
+            with self._graphs.stream():
+                values = np.repeat(shared.numpy()[:1], self._data.nworld, axis=0)
+                expanded = wp.array(values, dtype=shared.dtype)
             setattr(owner, attribute, expanded)
             self._graphs.forget()
             self._fields[name] = wp.to_torch(expanded)
