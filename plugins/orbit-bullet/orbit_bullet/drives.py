@@ -33,6 +33,8 @@ class Wheels:
         flags = client.URDF_USE_INERTIA_FROM_FILE
         self.body = client.loadURDF(str(file), useFixedBase=True, flags=flags)
         self._numbers = list(range(self._count))
+        for link in range(-1, self._count):  # Bullet gives links without shapes a place in the collision search
+            client.setCollisionFilterGroupMask(self.body, link, 0, 0)
         self._zeros = [[0.0]] * self._count
         self._gears = []
         for wheel, (body, joint) in enumerate(joints):

@@ -69,6 +69,7 @@ class Simulation:
             fixedTimeStep=self.layout.scene.physics_dt,
             numSolverIterations=config.solver_iterations,
             solverResidualThreshold=0.0,
+            minimumSolverIslandSize=1,
             deterministicOverlappingPairs=1,
             contactERP=config.contact_erp,
             erp=config.contact_erp,

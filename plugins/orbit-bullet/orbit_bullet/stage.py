@@ -18,8 +18,8 @@ from orbit_core.interfaces import TERRAIN, ConfigurationError, EntityLayout, Sce
 from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, MeshCollision, Plane, Pose, Shape, Sphere
 
 FloatArray = npt.NDArray[np.float64]
-SPACING = 64.0
-"""Metres between environments; a power of two keeps their positions' rounding small."""
+SPACING = 2048.0
+"""Metres between environments, more than the ground of one reaches; a power of two keeps rounding small."""
 GROUND, GROUND_DEPTH = 1000.0, 10.0
 """Half extents in metres of the box that stands for a plane: Bullet keeps one contact point a step on its own planes,
 on which sliding boxes rattle, and finds all of them on a box."""
@@ -105,9 +105,9 @@ class Stage:
     def _filter(self, slot: int, entity: int) -> None:
         body = self.bodies[slot][entity]
         fixed = self.layout.entities[entity].spec.fixed_base
-        for link in self.colliding[entity]:
-            static = fixed and link == self.links[entity][0]
-            self.client.setCollisionFilterGroupMask(body, link, *self.groups(slot, static))
+        for link in self.links[entity]:
+            groups = self.groups(slot, fixed and link == self.links[entity][0])
+            self.client.setCollisionFilterGroupMask(body, link, *(groups if link in self._colliding[entity] else (0, 0)))
 
     @property
     def colliding(self) -> list[list[int]]:
