@@ -18,10 +18,10 @@ class SapienConfig:
     """Threads of PhysX; 0 steps in the calling thread. Results do not depend on it."""
     position_iterations: int = 15
     """Of the solver, per step and body."""
-    velocity_iterations: int = 1
+    velocity_iterations: int = 4
     """Of the solver, per step and body."""
-    temporal_gauss_seidel: bool = False
-    """PhysX's TGS solver in the place of PGS: stiffer, but an environment then depends slightly on their number."""
+    temporal_gauss_seidel: bool = True
+    """PhysX's TGS solver, or else PGS: softer, but no environment then depends on how many there are."""
     bounce_threshold: float = 0.05
     """Speed of approach in m/s below which contacts do not rebound."""
     contact_offset: float = 0.01

@@ -28,7 +28,7 @@ class ContactMeter:
         for row, environment in enumerate(world.environments):
             bodies = [body for entity in environment.entities for body in entity.bodies]
             self._place.update({body: (row, link) for link, body in enumerate(bodies)})
-            self._place.update({body: (row, TERRAIN) for body in environment.terrain})
+            self._place.update(dict.fromkeys(environment.terrain, (row, TERRAIN)))
         self._asked: dict[tuple[int, int], tuple[tuple[int, float], ...]] = {}
         self._offsets = np.stack([environment.offset for environment in world.environments])
         self._sum = np.zeros((len(world.environments), len(self._queries), 3))
