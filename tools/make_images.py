@@ -39,7 +39,7 @@ TASKS = (
     Picture("Cabinet", 4.0, look_at(eye=(-0.2, 1.6, 1.35), target=(0.5, 0.0, 0.4))),
     Picture("Velocity-Flat", 0.8, look_at(eye=(1.0, 1.35, 1.2), target=(0.0, 0.0, 0.42))),
 )
-LIFT_TIMES = (0.02, 0.4, 1.3, 2.0)
+LIFT_TIMES = (0.02, 0.4, 1.3, 3.4)
 
 
 def frames(picture: Picture, times: tuple[float, ...]) -> npt.NDArray[np.uint8]:
