@@ -16,7 +16,7 @@ class BulletConfig:
 
     workers: int = 0
     """Processes that share the environments; 1 simulates in this process, 0 takes one per core where it pays."""
-    envs_per_client: int = 15
+    envs_per_client: int = 8
     """Environments that stand apart in one Bullet world. Scenes with deformables have a world each."""
     solver_iterations: int = 50
     """Of the constraint solver, per step."""
@@ -27,7 +27,8 @@ class BulletConfig:
     restitution_threshold: float = 0.05
     """m/s; slower impacts do not rebound."""
     renderer: str = "auto"
-    """``tiny`` draws in software, ``egl`` with OpenGL; ``auto`` takes the faster for the size of the cameras."""
+    """``tiny`` draws in software; ``egl`` draws with OpenGL, whose depth has 16 bits; ``auto`` takes OpenGL for large
+    colour images where it loads."""
     shadows: bool = True
     """Whether colour images have shadows."""
 

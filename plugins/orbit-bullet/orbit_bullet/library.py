@@ -64,16 +64,20 @@ class Client:
 
 @contextlib.contextmanager
 def silence() -> Iterator[None]:
-    """Keep what the C++ code prints away from standard output."""
+    """Keep what the C++ code prints away from the terminal."""
     sys.stdout.flush()
+    sys.stderr.flush()
     flush = ctypes.CDLL(None).fflush if os.name == "posix" else lambda _: None
     flush(None)
-    kept, nothing = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    kept = {stream: os.dup(stream) for stream in (1, 2)}
+    nothing = os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(nothing, 1)
+        for stream in kept:
+            os.dup2(nothing, stream)
         yield
     finally:
         flush(None)
-        os.dup2(kept, 1)
-        os.close(kept)
+        for stream, copy in kept.items():
+            os.dup2(copy, stream)
+            os.close(copy)
         os.close(nothing)

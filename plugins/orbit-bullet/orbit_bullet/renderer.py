@@ -1,0 +1,211 @@
+"""Pictures of a scene from poses alone, with Bullet's software renderer or its OpenGL one."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbit_bullet.config import BulletConfig
+from orbit_bullet.library import Client, silence
+from orbit_bullet.normals import normals_of
+from orbit_bullet.rotations import compose, rotate
+from orbit_bullet.visuals import VisualShapes, marker_shapes
+from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image, Renderer, SceneLayout
+from orbit_core.scene import CameraSpec, Channel, Shape
+
+_Array = npt.NDArray[Any]
+_TINY_PIXELS = 128 * 128
+"""Up to which the software renderer is the faster."""
+_SUN = (0.4, 0.25, 1.0)
+_HIDDEN = (0.0, 0.0, -1e4)
+"""Where markers wait while they are not drawn."""
+_egl_owner: list[object] = []
+"""The one renderer of this process that has OpenGL: Bullet's plugin serves the last client that loaded it."""
+
+
+class BulletRenderer(Renderer):
+    """Draws lit shapes, one picture at a time.
+
+    Normals are those of the depth image. Markers are seen in colour alone.
+    """
+
+    def __init__(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: BulletConfig) -> None:
+        """Build the shapes.
+
+        Raises:
+            ConfigurationError: OpenGL was asked for, and is missing or in use by another renderer of this process.
+        """
+        self._config = config
+        self._client = Client()
+        self._closed = False
+        wanted = config.renderer == "egl" or (config.renderer == "auto" and _suits_opengl(cameras))
+        self._opengl = wanted and self._load_opengl(required=config.renderer == "egl")
+        with tempfile.TemporaryDirectory(prefix="orbit-bullet-") as folder, silence():
+            shapes = VisualShapes(self._client, Path(folder))
+            terrain = [(shape, TERRAIN) for shape in layout.scene.terrain]
+            things = terrain + [(shape, n) for n, link in enumerate(layout.links) for shape in link_looks(link)]
+            self._links = np.array([link for _, link in things], dtype=np.int64)
+            self._offsets = np.array([_flat(shape) for shape, _ in things]).reshape(-1, 7)
+            self._bodies = [shapes.add(shape) for shape, _ in things]
+            marks = [(shape, n) for n, spec in enumerate(layout.scene.markers) for shape in marker_shapes(spec)]
+            self._marker_of = np.array([number for _, number in marks], dtype=np.int64)
+            self._marker_offsets = np.array([_flat(shape) for shape, _ in marks]).reshape(-1, 7)
+            self._marker_bodies = [shapes.add(shape) for shape, _ in marks]
+        self._place(self._marker_bodies, np.tile((*_HIDDEN, 1.0, 0, 0, 0), (len(marks), 1)))
+        last = max((*self._bodies, *self._marker_bodies), default=0)
+        self._link_of_body = np.full(last + 2, BACKGROUND, dtype=np.int32)
+        """At a body's number plus one."""
+        self._link_of_body[np.array(self._bodies, dtype=np.int64) + 1] = self._links
+        still = self._links == TERRAIN
+        self._place([body for body, here in zip(self._bodies, still, strict=True) if here], self._offsets[still])
+        self._moving = np.flatnonzero(~still)
+
+    def _load_opengl(self, required: bool) -> bool:
+        plugin = importlib.util.find_spec("eglRenderer")
+        free = not _egl_owner
+        if plugin is not None and plugin.origin is not None and free:
+            with silence():
+                loaded = self._client.loadPlugin(plugin.origin, "_eglRendererPlugin")
+            if loaded >= 0:
+                _egl_owner.append(self)
+                return True
+        if required:
+            cause = "Bullet's plugin for it does not load" if free else "another renderer of this process has it"
+            raise ConfigurationError(f"renderer 'egl' needs OpenGL, but {cause}: choose renderer = 'tiny'")
+        return False
+
+    def render(
+        self,
+        camera: CameraSpec,
+        camera_poses: Tensor,
+        link_poses: Tensor,
+        channels: Sequence[Channel],
+        marker_poses: Tensor | None = None,
+    ) -> Image:
+        if self._closed:
+            raise ConfigurationError("the renderer is closed: make another")
+        wanted = set(channels)
+        cameras, links = _numpy(camera_poses), _numpy(link_poses)
+        marks = None if marker_poses is None or not self._marker_bodies else _numpy(marker_poses)
+        shape = (len(cameras), camera.height, camera.width)
+        colored = Channel.RGB in wanted
+        measured = bool(wanted - {Channel.RGB})
+        rgb, depth = np.empty((*shape, 3), np.uint8), np.empty((*shape, 1), np.float32)
+        seen = np.empty((*shape, 1), np.int32)
+        for i, pose in enumerate(cameras):
+            self._place_links(links[i])
+            if measured or marks is None:
+                rgb[i], depth[i], seen[i] = self._draw(camera, pose)
+            if colored and marks is not None:
+                self._place_markers(marks[i])
+                rgb[i] = self._draw(camera, pose)[0]
+                self._place_markers(None)
+        normals = normals_of(depth, seen, camera, cameras) if Channel.NORMALS in wanted else None
+        device = link_poses.device
+        segmented = not wanted.isdisjoint((Channel.INSTANCE, Channel.SEMANTIC))
+        return Image(
+            rgb=_tensor(rgb if colored else None, device),
+            depth=_tensor(depth if Channel.DEPTH in wanted else None, device),
+            normals=_tensor(normals, device),
+            links=_tensor(seen if segmented else None, device),
+        )
+
+    def close(self) -> None:
+        if self._closed:
+            return
+        self._closed = True
+        if self in _egl_owner:
+            _egl_owner.remove(self)
+        self._client.close()
+
+    # One picture -----------------------------------------------------------------------------------------------------
+
+    def _draw(self, camera: CameraSpec, pose: _Array) -> tuple[_Array, _Array, _Array]:
+        client = self._client
+        projection = list(
+            client.computeProjectionMatrixFOV(
+                math.degrees(camera.vertical_fov), camera.width / camera.height, camera.near, camera.far
+            )
+        )
+        if not self._opengl:  # the software renderer looks through a pixel's corner: shift the picture by half of one
+            projection[8] += 1.0 / camera.width
+            projection[9] += 1.0 / camera.height
+        picture = client.getCameraImage(
+            camera.width,
+            camera.height,
+            viewMatrix=_view_matrix(pose),
+            projectionMatrix=projection,
+            lightDirection=_SUN,
+            shadow=int(self._config.shadows),
+            renderer=client.ER_BULLET_HARDWARE_OPENGL if self._opengl else client.ER_TINY_RENDERER,
+        )
+        size = (camera.height, camera.width)
+        rgb = np.asarray(picture[2], dtype=np.uint8).reshape(*size, 4)[..., :3]
+        buffer = np.asarray(picture[3], dtype=np.float64).reshape(*size, 1)
+        bodies = np.asarray(picture[4], dtype=np.int64).reshape(*size, 1)
+        near, far = camera.near, camera.far
+        depth = far * near / np.maximum(far - (far - near) * buffer, 1e-12)
+        seen = self._link_of_body[np.where(bodies >= 0, bodies & 0xFFFFFF, -1) + 1]
+        nothing = (seen == BACKGROUND) | (depth >= far * (1 - 1e-6))
+        return rgb, np.where(nothing, np.inf, depth).astype(np.float32), np.where(nothing, BACKGROUND, seen)
+
+    def _place_links(self, links: _Array) -> None:
+        if len(self._moving):
+            frames = links[self._links[self._moving]]
+            position, orientation = compose(frames[:, :3], frames[:, 3:], self._offsets[self._moving])
+            bodies = [self._bodies[number] for number in self._moving]
+            self._place(bodies, np.concatenate((position, orientation), -1))
+
+    def _place_markers(self, poses: _Array | None) -> None:
+        if poses is None:
+            places = np.tile((*_HIDDEN, 1.0, 0, 0, 0), (len(self._marker_bodies), 1))
+        else:
+            frames = poses[self._marker_of]
+            places = np.concatenate(compose(frames[:, :3], frames[:, 3:], self._marker_offsets), -1)
+        self._place(self._marker_bodies, places)
+
+    def _place(self, bodies: list[int], poses: _Array) -> None:
+        for body, (x, y, z, a, b, c, d) in zip(bodies, poses.tolist(), strict=True):
+            self._client.resetBasePositionAndOrientation(body, (x, y, z), (b, c, d, a))
+
+
+def _suits_opengl(cameras: Sequence[CameraSpec]) -> bool:
+    """Whether pictures are large, and none needs a depth finer than the 16 bits of Bullet's OpenGL."""
+    largest = max((camera.width * camera.height for camera in cameras), default=0)
+    measured = any({Channel.DEPTH, Channel.NORMALS} & set(camera.channels) for camera in cameras)
+    return largest > _TINY_PIXELS and not measured
+
+
+def link_looks(link: Any) -> tuple[Shape, ...]:
+    """What is drawn of a link."""
+    return link.visuals or link.collisions
+
+
+def _view_matrix(pose: _Array) -> list[float]:
+    """World to camera, column by column."""
+    rotation = rotate(np.tile(pose[3:], (3, 1)), np.eye(3)).T  # columns are the camera's axes
+    view = np.eye(4)
+    view[:3, :3] = rotation.T
+    view[:3, 3] = -rotation.T @ pose[:3]
+    return view.T.ravel().tolist()
+
+
+def _flat(shape: Shape) -> tuple[float, ...]:
+    return (*shape.pose.position, *shape.pose.orientation)
+
+
+def _numpy(poses: Tensor) -> npt.NDArray[np.float64]:
+    return poses.detach().cpu().numpy().astype(np.float64)
+
+
+def _tensor(array: _Array | None, device: torch.device) -> Tensor | None:
+    return None if array is None else torch.from_numpy(array).to(device)

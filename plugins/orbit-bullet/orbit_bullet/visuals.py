@@ -1,0 +1,121 @@
+"""Shapes to draw, each a body without mass."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbit_bullet.urdf import write_obj
+from orbit_core.scene import (
+    Box,
+    Capsule,
+    Cylinder,
+    HeightField,
+    MarkerShape,
+    MarkerSpec,
+    Mesh,
+    Plane,
+    Pose,
+    Shape,
+    Sphere,
+)
+
+_BALL_ROWS = 32
+"""Rows of faces from pole to pole."""
+_GROUND = 1000.0
+"""Half extent in metres of the square that stands for a plane."""
+_AXIS_COLORS = (((1.0, 0.0, 0.0), (0.9, 0.1, 0.1, 1.0)), ((0.0, 1.0, 0.0), (0.1, 0.8, 0.1, 1.0)))
+_THIN = 0.04
+"""Radius of a frame's axes over their length."""
+
+
+class VisualShapes:
+    """Adds bodies to a client; meshes go through files of a folder."""
+
+    def __init__(self, client: Any, folder: Path) -> None:
+        self._client = client
+        self._folder = folder
+        self._files = 0
+
+    def add(self, shape: Shape) -> int:
+        """The number of the body, which stands at the origin."""
+        client = self._client
+        number = client.createVisualShape(rgbaColor=shape.color, specularColor=(0.1, 0.1, 0.1), **self._form(shape))
+        return client.createMultiBody(0, -1, number)
+
+    def _form(self, shape: Shape) -> dict[str, Any]:
+        client = self._client
+        match shape.geometry:
+            case Box(half_extents):
+                return {"shapeType": client.GEOM_BOX, "halfExtents": half_extents}
+            case Sphere(radius):
+                vertices, faces = _ball()
+                return self._mesh(radius * vertices, faces)
+            case Capsule(radius, half_length):
+                return {"shapeType": client.GEOM_CAPSULE, "radius": radius, "length": 2 * half_length}
+            case Cylinder(radius, half_length):
+                return {"shapeType": client.GEOM_CYLINDER, "radius": radius, "length": 2 * half_length}
+            case Plane():
+                corners = _GROUND * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+                return self._mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+            case Mesh() as mesh:
+                return self._mesh(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
+            case HeightField() as field:
+                return self._mesh(*height_field_mesh(field))
+
+    def _mesh(self, vertices: Any, faces: Any) -> dict[str, Any]:
+        path = self._folder / f"visual{self._files}.obj"
+        self._files += 1
+        write_obj(path, vertices, faces)
+        return {"shapeType": self._client.GEOM_MESH, "fileName": str(path)}
+
+
+def height_field_mesh(field: HeightField) -> tuple[Any, Any]:
+    """Vertices and faces of a height field's surface."""
+    heights = np.asarray(field.heights, dtype=np.float64)
+    rows, columns = heights.shape
+    y = np.linspace(-field.size[1] / 2, field.size[1] / 2, rows)
+    x = np.linspace(-field.size[0] / 2, field.size[0] / 2, columns)
+    vertices = np.stack((*np.meshgrid(x, y), heights), -1).reshape(-1, 3)
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    lower = np.stack((corner, corner + 1, corner + columns + 1), -1)
+    upper = np.stack((corner, corner + columns + 1, corner + columns), -1)
+    return vertices, np.concatenate((lower, upper))
+
+
+def _ball() -> tuple[Any, Any]:
+    """A unit sphere, finer than Bullet's own."""
+    up = np.linspace(0.0, np.pi, _BALL_ROWS + 1)
+    around = np.linspace(0.0, 2 * np.pi, 2 * _BALL_ROWS + 1)
+    up, around = np.meshgrid(up, around, indexing="ij")
+    vertices = np.stack((np.sin(up) * np.cos(around), np.sin(up) * np.sin(around), np.cos(up)), -1).reshape(-1, 3)
+    columns = 2 * _BALL_ROWS + 1
+    corner = (np.arange(_BALL_ROWS)[:, None] * columns + np.arange(columns - 1)).ravel()
+    first = np.stack((corner, corner + columns, corner + columns + 1), -1)
+    second = np.stack((corner, corner + columns + 1, corner + 1), -1)
+    return vertices, np.concatenate((first, second))
+
+
+def marker_shapes(spec: MarkerSpec) -> list[Shape]:
+    """What a marker looks like, in its own frame."""
+    size = spec.size
+    match spec.shape:
+        case MarkerShape.SPHERE:
+            return [Shape(Sphere(size / 2), color=spec.color)]
+        case MarkerShape.BOX:
+            return [Shape(Box((size / 2, size / 2, size / 2)), color=spec.color)]
+        case MarkerShape.ARROW:
+            return [_rod((1.0, 0.0, 0.0), size, spec.color), Shape(Sphere(size / 8), Pose((size, 0, 0)), color=spec.color)]
+        case MarkerShape.FRAME:
+            blue = ((0.0, 0.0, 1.0), (0.1, 0.2, 0.9, 1.0))
+            return [_rod(axis, size, color) for axis, color in (*_AXIS_COLORS, blue)]
+
+
+def _rod(axis: tuple[float, float, float], length: float, color: tuple[float, float, float, float]) -> Shape:
+    """A cylinder from the origin along a coordinate axis."""
+    x, y, _ = axis
+    turn = Pose.from_axis_angle((-y, x, 0.0), np.pi / 2) if x or y else Pose()
+    middle = tuple(0.5 * length * component for component in axis)
+    return Shape(Cylinder(_THIN * length, length / 2), Pose(middle, turn.orientation), color=color)  # type: ignore[arg-type]
