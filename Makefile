@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 SOURCES := pyproject.toml plugins/orbit-mujoco/pyproject.toml constraints.txt
-CODE := orbit_core orbit_tasks plugins tests benchmarks assets
+CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples
 
 .PHONY: demo view test lint types unit clean
 

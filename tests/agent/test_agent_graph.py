@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 
 import pytest
@@ -237,17 +236,3 @@ def test_a_snapshot_repeats_the_continuation() -> None:
     for one, other in zip(first, second, strict=True):
         assert torch.equal(one["command"], other["command"])
         assert torch.equal(one["note"], other["note"])
-
-
-def test_the_graph_costs_little_over_its_nodes() -> None:
-    value = {"y": torch.zeros(ENVIRONMENTS, 1)}
-    nodes = [FunctionNode(f"n{i}", lambda v: value, [SCALAR], [Port("y", (1,))]) for i in range(50)]
-    edges = [Edge("x", "n0.x"), *(Edge(f"n{i}.y", f"n{i + 1}.x") for i in range(49))]
-    graph = AgentGraph(nodes, edges, 100.0, inputs=[SCALAR])
-    x = {"x": torch.zeros(ENVIRONMENTS, 1)}
-    best = float("inf")
-    for _ in range(200):
-        start = time.perf_counter()
-        graph.step(x)
-        best = min(best, time.perf_counter() - start)
-    assert best / len(nodes) < 2e-6

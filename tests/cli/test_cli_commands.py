@@ -99,8 +99,11 @@ def test_run_films_a_video(tmp_path: Path):
     if not backend(BACKEND).capabilities().has(Capability.RGB):
         pytest.skip("the backend draws nothing")
     path = tmp_path / "lift.mp4"
-    printed("run", "Lift", *SHORT, "--num-envs", "2", "--episodes", "2", "--video", str(path))
-    assert imageio_ffmpeg.count_frames_and_secs(str(path))[0] == 2
+    length = ["--set", "episode_length=0.08"]
+    printed("run", "Lift", *SHORT[:-2], *length, "--num-envs", "2", "--episodes", "2", "--video", str(path))
+    frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(path))
+    assert frames == 2  # four steps at 50 Hz, filmed at 25 Hz
+    assert seconds == pytest.approx(0.08)
 
 
 def test_bench_measures_each_size(tmp_path: Path):
