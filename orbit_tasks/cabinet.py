@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import SolidOptions, box, cabinet
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
@@ -152,7 +151,7 @@ class Cabinet(Task):
         # The arm reaches the handle with a level hand only where it is at shoulder height.
         plinth = SolidOptions(mass=10.0, fixed_base=True, pose=Pose((0.88, 0.0, 0.5 * PLINTH)))
         return Scene(
-            robots=(robot(self.robot, name=common.ROBOT),),
+            robots=(common.arm(self.robot),),
             objects=(cabinet(pose=Pose((0.88, 0.0, PLINTH))), box("plinth", size=(0.62, 0.62, PLINTH), **plinth)),
             terrain=(common.floor(),),
             markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.12),),

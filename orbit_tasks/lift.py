@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import box
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
 from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, TerminationTerm, common
@@ -17,27 +16,38 @@ from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
 
 
-@once_per_state
 def cube_pose(world: SimulatedWorld, task: Lift) -> Tensor:
     """(N, 7)"""
     return world.objects["cube"].root_pose
 
 
 @once_per_state
+def cube_position(world: SimulatedWorld, task: Lift) -> Tensor:
+    """(N, 3)"""
+    return cube_pose(world, task)[:, :3]
+
+
+@once_per_state
+def cube_height(world: SimulatedWorld, task: Lift) -> Tensor:
+    """(N,) of its centre above the table."""
+    return cube_pose(world, task)[:, 2]
+
+
+@once_per_state
 def hand_to_cube(world: SimulatedWorld, task: Lift) -> Tensor:
     """(N, 3) from the hand to the cube."""
-    return cube_pose(world, task)[:, :3] - common.hand_pose(world, task)[:, :3]
+    return cube_position(world, task) - common.hand_pose(world, task)[:, :3]
 
 
 @once_per_state
 def goal_distance(world: SimulatedWorld, task: Lift) -> Tensor:
     """(N,) between cube and goal."""
-    return vector_norm(task.goal - cube_pose(world, task)[:, :3], dim=1)
+    return vector_norm(task.goal - cube_position(world, task), dim=1)
 
 
 def dropped(world: SimulatedWorld, task: Lift) -> Tensor:
     """(N,) the cube fell off the table."""
-    return cube_pose(world, task)[:, 2] < -0.05
+    return cube_height(world, task) < -0.05
 
 
 def reaching(world: SimulatedWorld, task: Lift) -> Tensor:
@@ -48,7 +58,7 @@ def reaching(world: SimulatedWorld, task: Lift) -> Tensor:
 @once_per_state
 def lifted(world: SimulatedWorld, task: Lift) -> Tensor:
     """(N,) 1 where the cube is off the table, else 0."""
-    return (cube_pose(world, task)[:, 2] > task.cube_size).float()
+    return (cube_height(world, task) > task.cube_size).float()
 
 
 def tracking(world: SimulatedWorld, task: Lift, scale: float) -> Tensor:
@@ -58,18 +68,15 @@ def tracking(world: SimulatedWorld, task: Lift, scale: float) -> Tensor:
 
 def place_cube(world: SimulatedWorld, task: Lift, env_ids: Tensor) -> None:
     """Somewhere on a 20 x 50 cm patch of the table, turned by any angle."""
-    u = world.random.uniform((3,), env_ids=env_ids)
-    zero = torch.zeros(len(env_ids), device=world.device)
-    position = torch.stack((0.4 + 0.2 * u[:, 0], 0.5 * u[:, 1] - 0.25, zero + 0.5 * task.cube_size), dim=1)
-    rotation = common.turned(math.pi * (2.0 * u[:, 2] - 1.0))
-    world.objects["cube"].set_root_pose(torch.cat((position, rotation), dim=1), env_ids)
+    height = 0.5 * task.cube_size
+    place = world.random.uniform((4,), (0.4, -0.25, height, -math.pi), (0.6, 0.25, height, math.pi), env_ids)
+    pose = torch.cat((place[:, :3], common.turned(place[:, 3])), dim=1)
+    world.objects["cube"].set_root_pose(pose, env_ids)
 
 
 def sample_goal(world: SimulatedWorld, task: Lift, env_ids: Tensor) -> None:
     """25 to 50 cm above the patch."""
-    low = torch.tensor([0.4, -0.25, 0.25], device=world.device)
-    high = torch.tensor([0.6, 0.25, 0.5], device=world.device)
-    task.goal[env_ids] = goal = world.random.uniform((3,), low, high, env_ids)
+    task.goal[env_ids] = goal = world.random.uniform((3,), (0.4, -0.25, 0.25), (0.6, 0.25, 0.5), env_ids)
     upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=world.device).expand(len(env_ids), 4)
     world.markers["goal"].set_pose(torch.cat((goal, upright), dim=1), env_ids)
 
@@ -155,7 +162,7 @@ class Lift(Task):
         pose = Pose((0.5, 0.0, 0.5 * self.cube_size))
         cube = box("cube", size=size, mass=self.cube_mass, pose=pose, color=(0.8, 0.2, 0.15, 1.0))
         return Scene(
-            robots=(robot(self.robot, name=common.ROBOT),),
+            robots=(common.arm(self.robot),),
             objects=(cube, common.work_bench()),
             terrain=(common.floor(-common.BENCH_HEIGHT),),
             markers=(MarkerSpec("goal", MarkerShape.SPHERE, size=0.03),),

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.catalogue import robot
 from orbit_core.dynamics.transforms import pose_error, quat_from_euler, quat_multiply
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
 from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, common
@@ -102,7 +101,7 @@ class Reach(Task):
 
     def scene(self) -> Scene:
         return Scene(
-            robots=(robot(self.robot, name=common.ROBOT),),
+            robots=(common.arm(self.robot),),
             objects=(common.work_bench(),),
             terrain=(common.floor(-common.BENCH_HEIGHT),),
             markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.15),),

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.catalogue import robot
 from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
 from orbit_core.sensors import ContactSensor
@@ -182,7 +181,7 @@ class VelocityFlat(Task):
 
     def scene(self) -> Scene:
         return Scene(
-            robots=(robot(self.robot, name=common.ROBOT),),
+            robots=(common.legged(self.robot),),
             terrain=(common.floor(),),
             sensors=(ContactSensorSpec(name=CONTACTS, entity=common.ROBOT),),
             physics_dt=self.physics_dt,

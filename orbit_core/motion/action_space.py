@@ -21,8 +21,8 @@ def action_space(robot: Robot, name: str) -> tuple[MotionGenerator, ...]:
     """The motion generators of an action space, in the order of the action's components.
 
     The first moves the arm of the robot's end effector, or all driven joints where the robot is legged or has none; the
-    gripper of an arm adds one more. In ``joint_position``, one unit of action is half a radian from home for legs and two
-    for an arm; other robots, such as hands, span their joints' limits.
+    gripper of an arm adds one more. In ``joint_position``, one unit of action is half a radian from home for legs and
+    two for an arm; other robots, such as hands, span their joints' limits.
 
     Raises:
         UnknownNameError: there is no action space of that name.

@@ -78,7 +78,7 @@ def end_effector_of(robot: Robot) -> EndEffector:
     """
     if not robot.spec.end_effectors:
         raise ConfigurationError(
-            f"robot '{robot.spec.articulation.name}' has no end effector: choose another robot, or an action space of its joints"
+            f"robot '{robot.spec.articulation.name}' has no end effector: choose an action space of its joints"
         )
     return robot.spec.end_effector
 

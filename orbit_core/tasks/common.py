@@ -5,9 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import table
-from orbit_core.interfaces import Robot
-from orbit_core.scene import ObjectSpec, Plane, Pose, Shape
+from orbit_core.interfaces import ConfigurationError, Robot
+from orbit_core.scene import ObjectSpec, Plane, Pose, RobotSpec, Shape
 from orbit_core.tasks.task import Task
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
@@ -27,6 +28,32 @@ def floor(height: float = 0.0) -> Shape:
     return Shape(Plane(), Pose((0.0, 0.0, height)), color=(0.35, 0.38, 0.42, 1.0), name="floor")
 
 
+def arm(name: str) -> RobotSpec:
+    """A robot of the catalogue with a gripper, as the task's robot.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+        ConfigurationError: it has no gripper.
+    """
+    spec = robot(name, name=ROBOT)
+    if not spec.end_effectors or spec.end_effector.gripper is None:
+        raise ConfigurationError(f"robot '{name}' has no gripper, which this task needs: choose another robot")
+    return spec
+
+
+def legged(name: str) -> RobotSpec:
+    """A robot of the catalogue with feet, as the task's robot.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+        ConfigurationError: it has no feet.
+    """
+    spec = robot(name, name=ROBOT)
+    if not spec.feet:
+        raise ConfigurationError(f"robot '{name}' has no feet, which this task needs: choose another robot")
+    return spec
+
+
 def robot_of(world: SimulatedWorld) -> Robot:
     """The task's robot."""
     return world.robots[ROBOT]
@@ -34,8 +61,8 @@ def robot_of(world: SimulatedWorld) -> Robot:
 
 def joint_positions(world: SimulatedWorld, task: Task) -> Tensor:
     """(N, J) relative to the home pose."""
-    robot = robot_of(world)
-    return robot.joint_positions - robot.home_positions
+    body = robot_of(world)
+    return body.joint_positions - body.home_positions
 
 
 def joint_velocities(world: SimulatedWorld, task: Task) -> Tensor:

@@ -175,6 +175,8 @@ def test_a_snapshot_of_the_world_repeats() -> None:
         ({"cube_sise": 0.1}, UnknownNameError, "unknown field 'cube_sise' in task Lift.*'cube_size'"),
         ({"cube_size": "big"}, ConfigurationError, "field 'cube_size' of task Lift is 'big', but must be a float"),
         ({"episode_length": 0.05}, ConfigurationError, r"no whole number of steps of 0\.02 s.*use 0\.0[46]"),
+        ({"robot": "anymal_c"}, ConfigurationError, "robot 'anymal_c' has no gripper, which this task needs"),
+        ({"task": "Velocity-Flat", "robot": "franka_panda"}, ConfigurationError, "'franka_panda' has no feet"),
         ({"num_envs": 0}, ConfigurationError, "num_envs must be at least 1"),
         ({"settings": {"nonsense": 1}}, ConfigurationError, "nonsense"),
     ],
