@@ -16,7 +16,7 @@ class SapienConfig:
 
     workers: int = 2
     """Threads of PhysX; 0 steps in the calling thread. Results do not depend on it."""
-    position_iterations: int = 15
+    position_iterations: int = 24
     """Of the solver, per step and body."""
     velocity_iterations: int = 4
     """Of the solver, per step and body."""

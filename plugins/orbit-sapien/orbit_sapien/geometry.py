@@ -13,7 +13,7 @@ from orbit_core.interfaces import Approximation, AssetError
 from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, MeshCollision, Plane, Pose, Shape, Sphere
 from orbit_sapien.native import native_pose, physx
 
-_Z_TO_X = Pose((0.0, 0.0, 0.0), (math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0))
+Z_TO_X = Pose((0.0, 0.0, 0.0), (math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0))
 """PhysX's round shapes lie along x, and its plane looks along x."""
 _TOLERATED = 1e-4
 """Metres by which a cooked hull may differ from the one asked for before it is reported."""
@@ -36,11 +36,11 @@ def collision_shape(
             case Sphere(radius):
                 made = physx.PhysxCollisionShapeSphere(radius, material)
             case Capsule(radius, half_length):
-                made, pose = physx.PhysxCollisionShapeCapsule(radius, half_length, material), pose @ _Z_TO_X
+                made, pose = physx.PhysxCollisionShapeCapsule(radius, half_length, material), pose @ Z_TO_X
             case Cylinder(radius, half_length):
-                made, pose = physx.PhysxCollisionShapeCylinder(radius, half_length, material), pose @ _Z_TO_X
+                made, pose = physx.PhysxCollisionShapeCylinder(radius, half_length, material), pose @ Z_TO_X
             case Plane():
-                made, pose = physx.PhysxCollisionShapePlane(material), pose @ _Z_TO_X
+                made, pose = physx.PhysxCollisionShapePlane(material), pose @ Z_TO_X
             case Mesh(collision=MeshCollision.CONVEX_HULL) as mesh:
                 made = physx.PhysxCollisionShapeConvexMesh(mesh.vertices.astype(np.float32), ones, material)
                 if report is not None:

@@ -1,0 +1,222 @@
+"""Pictures of a scene from poses alone, whatever engine they come from: rasterised, or by path tracing."""
+
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image, Renderer, SceneLayout
+from orbit_core.scene import CameraSpec, Channel
+from orbit_sapien.config import SapienConfig
+from orbit_sapien.native import NativePose, sapien
+from orbit_sapien.renderer_shaders import shader_pack
+from orbit_sapien.renderer_shapes import marker_shapes, render_shape
+
+_Array = npt.NDArray[Any]
+_AWAY = NativePose([0.0, 0.0, -1e4])
+"""Where markers are while they are not drawn."""
+_SUN = (-0.35, 0.45, -0.8)
+_SUN_DISTANCE = 10.0
+_SUN_REACH = 3.0
+
+
+class SapienRenderer(Renderer):
+    """Draws one copy of the scene, posed as each environment is in turn.
+
+    Depth, normals and links come from a rasteriser at each pixel's centre in every tier; the tier is colour's. They take
+    transparent shapes for solid ones. Markers are seen in colour alone.
+    """
+
+    def __init__(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: SapienConfig) -> None:
+        """Build what is drawn.
+
+        Raises:
+            ConfigurationError: no Vulkan driver fits; says what to install.
+        """
+        self._layout, self._config = layout, config
+        self._system = _render_system()
+        self._scene = sapien.Scene([self._system])
+        reach = 2.0 * max((camera.far for camera in cameras), default=100.0)
+        self._link_of_id: dict[int, int] = {}
+        self._links = self._add_links(reach)
+        self._markers = [self._add(marker_shapes(marker), None) for marker in layout.scene.markers]
+        self._add_lights()
+        self._cameras: dict[tuple[CameraSpec, str], tuple[sapien.Entity, Any]] = {}
+        self._lookup = np.full(max(self._link_of_id, default=0) + 2, BACKGROUND, np.int32)
+        for number, link in self._link_of_id.items():
+            self._lookup[number] = link
+        self._closed = False
+
+    # What is drawn ---------------------------------------------------------------------------------------------------
+
+    def _add_links(self, reach: float) -> list[tuple[int, sapien.Entity]]:
+        for shape in self._layout.scene.terrain:
+            self._add([render_shape(shape, reach)], TERRAIN)
+        placed: list[tuple[int, sapien.Entity]] = []
+        for number, link in enumerate(self._layout.links):
+            shapes = [render_shape(shape, reach) for shape in link.visuals or link.collisions]
+            if shapes:
+                placed.append((number, self._add(shapes, number)))
+        return placed
+
+    def _add(self, shapes: list[sapien.render.RenderShape], link: int | None) -> sapien.Entity:
+        body = sapien.render.RenderBodyComponent()
+        for shape in shapes:
+            body.attach(shape)
+        entity = sapien.Entity()
+        entity.add_component(body)
+        if link is None:
+            entity.set_pose(_AWAY)
+        self._scene.add_entity(entity)
+        if link is not None:
+            self._link_of_id[entity.per_scene_id] = link
+        return entity
+
+    def _add_lights(self) -> None:
+        self._scene.set_ambient_light([0.42, 0.44, 0.48])
+        self._sun = self._scene.add_directional_light(
+            _SUN, [1.9, 1.8, 1.65], shadow=True, shadow_scale=_SUN_REACH, shadow_near=0.1,
+            shadow_far=2.5 * _SUN_DISTANCE, shadow_map_size=2048,
+        )  # fmt: skip
+
+    # Pictures --------------------------------------------------------------------------------------------------------
+
+    def render(
+        self,
+        camera: CameraSpec,
+        camera_poses: Tensor,
+        link_poses: Tensor,
+        channels: Sequence[Channel],
+        marker_poses: Tensor | None = None,
+    ) -> Image:
+        if self._closed:
+            raise ConfigurationError("the renderer is closed: make another")
+        wanted = set(channels)
+        colored, measured = Channel.RGB in wanted, bool(wanted - {Channel.RGB})
+        eyes, links = _numpy(camera_poses), _numpy(link_poses)
+        markers = None if marker_poses is None else _numpy(marker_poses)
+        colors: list[_Array] = []
+        surfaces: list[_Array] = []
+        numbers: list[_Array] = []
+        normals: list[_Array] = []
+        for row in range(len(eyes)):
+            self._place(links[row])
+            if colored:
+                self._place_markers(None if markers is None else markers[row])
+                taken = self._take(camera, self._config.tier, eyes[row])
+                colors.append(taken.get_picture("Color")[..., :3])
+            if measured:
+                self._place_markers(None)
+                taken = self._take(camera, "fast", eyes[row])
+                surfaces.append(taken.get_picture("Position")[..., 2:3])
+                numbers.append(taken.get_picture("Segmentation")[..., 1:2])
+                normals.append(taken.get_picture("Normal")[..., :3] if Channel.NORMALS in wanted else _NOTHING)
+        return self._image(wanted, colors, (surfaces, numbers, normals), link_poses.device)
+
+    def _image(
+        self, wanted: set[Channel], colors: list[_Array], measured: tuple[list[_Array], ...], device: torch.device
+    ) -> Image:
+        surfaces, numbers, normals = (np.stack(pictures) if pictures else None for pictures in measured)
+        rgb = depth = normal = links = None
+        if colors:
+            rgb = (255.0 * np.clip(np.stack(colors), 0.0, 1.0) + 0.5).astype(np.uint8)
+        if surfaces is not None and numbers is not None and normals is not None:
+            seen = numbers > 0
+            if Channel.DEPTH in wanted:
+                depth = np.where(seen, -surfaces, np.float32(np.inf))
+            if not wanted.isdisjoint((Channel.INSTANCE, Channel.SEMANTIC)):
+                links = self._lookup[numbers]
+            if Channel.NORMALS in wanted:
+                length = np.linalg.norm(normals, axis=-1, keepdims=True)
+                normal = np.where(seen, normals / np.maximum(length, 1e-12), np.float32(0.0))
+        return Image(*(_tensor(array, device) for array in (rgb, depth, normal, links)))
+
+    def _take(self, camera: CameraSpec, tier: str, pose: _Array) -> Any:
+        """A picture of the present scene, from a camera of that tier."""
+        entity, eye = self._camera(camera, tier)
+        entity.set_pose(NativePose(pose[:3], _looking_along_x(pose[3:])))
+        self._scene.update_render()
+        eye.take_picture()
+        return eye
+
+    def _camera(self, camera: CameraSpec, tier: str) -> tuple[sapien.Entity, Any]:
+        key = camera, tier
+        if key not in self._cameras:
+            if tier == "rt":
+                sapien.render.set_ray_tracing_samples_per_pixel(self._config.samples_per_pixel)
+                sapien.render.set_ray_tracing_path_depth(self._config.path_depth)
+                sapien.render.set_ray_tracing_denoiser(self._config.denoiser)
+            eye = sapien.render.RenderCameraComponent(camera.width, camera.height, shader_pack(tier))
+            focal = 0.5 * camera.height / math.tan(0.5 * camera.vertical_fov)
+            eye.set_perspective_parameters(
+                camera.near, camera.far, focal, focal, 0.5 * camera.width, 0.5 * camera.height, 0.0
+            )
+            entity = sapien.Entity()
+            entity.add_component(eye)
+            self._scene.add_entity(entity)
+            self._cameras[key] = entity, eye
+        return self._cameras[key]
+
+    def _place(self, links: _Array) -> None:
+        for number, entity in self._links:
+            pose = links[number]
+            entity.set_pose(NativePose(pose[:3], pose[3:]))
+        # Shadows reach around the sun's axis: point it at the middle of what moves.
+        middle = links[:, :3].mean(0) if len(links) else np.zeros(3)
+        direction = np.asarray(_SUN) / np.linalg.norm(_SUN)
+        self._sun.entity.set_pose(NativePose((middle - _SUN_DISTANCE * direction).astype(np.float32), self._sun.entity.pose.q))
+
+    def _place_markers(self, poses: _Array | None) -> None:
+        for number, entity in enumerate(self._markers):
+            entity.set_pose(_AWAY if poses is None else NativePose(poses[number, :3], poses[number, 3:]))
+
+    def close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            self._cameras.clear()
+            del self._links, self._markers, self._sun, self._scene, self._system
+
+
+def _render_system() -> sapien.render.RenderSystem:
+    try:
+        return sapien.render.RenderSystem()
+    except RuntimeError as error:
+        raise ConfigurationError(
+            f"SAPIEN cannot draw here, for no Vulkan driver fits ({str(error).strip()}): install the graphics card's driver, "
+            "or without a card Mesa's lavapipe of version 24 or later and libvulkan1 (on Debian 12: apt-get install -t "
+            "bookworm-backports mesa-vulkan-drivers)"
+        ) from error
+
+
+_NOTHING = np.zeros((0, 3), np.float32)
+
+
+def _looking_along_x(q: _Array) -> _Array:
+    """SAPIEN's camera looks along +x with z up, the contract's along -z with y up: ``q`` after that turn."""
+    w, x, y, z = (float(part) for part in q)
+    a, b, c, d = 0.5, -0.5, 0.5, 0.5
+    return np.array(
+        [
+            w * a - x * b - y * c - z * d,
+            w * b + x * a + y * d - z * c,
+            w * c - x * d + y * a + z * b,
+            w * d + x * c - y * b + z * a,
+        ],
+        np.float32,
+    )
+
+
+def _numpy(poses: Tensor) -> npt.NDArray[np.float32]:
+    return poses.detach().cpu().float().numpy()
+
+
+def _tensor(array: _Array | None, device: torch.device) -> Tensor | None:
+    return None if array is None else torch.from_numpy(np.ascontiguousarray(array)).to(device)

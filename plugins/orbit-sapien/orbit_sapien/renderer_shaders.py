@@ -1,0 +1,60 @@
+"""Shader packs without the table that SAPIEN's own rasterisers compute for 16-21 s before their first picture.
+
+``fast`` is this project's; it takes only vertex shaders from the installed package. ``pbr`` is the package's ``minimal``
+pack with the table's one look-up replaced by Karis's analytic fit (Physically Based Shading on Mobile, 2014). Both are
+put together in a temporary folder, so that no shader of SAPIEN's is part of this distribution.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import functools
+import re
+import shutil
+import tempfile
+from pathlib import Path
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_sapien.native import sapien
+
+_OWN = Path(__file__).parent / "shaders"
+_TABLE = re.compile(r"^layout\(.*samplerBRDFLUT;\s*$", re.MULTILINE)
+_LOOK_UP = "vec2 envBRDF = texture(samplerBRDFLUT, vec2(roughness, dotNV)).xy;"
+_FIT = """
+  vec4 fit = roughness * vec4(-1, -0.0275, -0.572, 0.022) + vec4(1, 0.0425, 1.04, -0.04);
+  float edge = min(fit.x * fit.x, exp2(-9.28 * dotNV)) * fit.x + fit.y;
+  vec2 envBRDF = vec2(-1.04, 1.04) * edge + fit.zw;
+"""
+
+
+@functools.cache
+def shader_pack(tier: str) -> str:
+    """The folder of a tier's shaders, made once a process.
+
+    Raises:
+        ConfigurationError: the installed SAPIEN has other shaders than those that this was written for.
+    """
+    installed = Path(sapien.__file__).parent / "vulkan_shader"
+    if tier == "rt":
+        return str(installed / "rt")
+    folder = Path(_root().name)
+    if not (folder / "common").exists():
+        shutil.copytree(installed / "common", folder / "common")
+    pack = folder / tier
+    shutil.copytree(installed / "minimal", pack)
+    shutil.copy(_OWN / "composite0.frag", pack)
+    if tier == "fast":
+        shutil.copy(_OWN / "gbuffer.frag", pack)
+    else:
+        source = (pack / "gbuffer.frag").read_text()
+        if _LOOK_UP not in source or not _TABLE.search(source):
+            raise ConfigurationError("the installed SAPIEN has unknown shaders: install sapien==3.0.3, or use tier 'fast'")
+        (pack / "gbuffer.frag").write_text(_TABLE.sub("", source).replace(_LOOK_UP, _FIT))
+    return str(pack)
+
+
+@functools.cache
+def _root() -> tempfile.TemporaryDirectory[str]:
+    """Removed when the process ends."""
+    return tempfile.TemporaryDirectory(prefix="orbit-sapien-shaders-")

@@ -1,0 +1,138 @@
+"""Visual shapes as SAPIEN's, and markers made of them."""
+
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.scene import (
+    Box,
+    Capsule,
+    Color,
+    Cylinder,
+    HeightField,
+    MarkerShape,
+    MarkerSpec,
+    Mesh,
+    Plane,
+    Pose,
+    Shape,
+    Sphere,
+)
+from orbit_sapien.geometry import Z_TO_X, height_field_triangles
+from orbit_sapien.native import native_pose, sapien
+
+_SMOOTH = math.cos(math.radians(40.0))
+"""Cosine up to which neighbouring triangles are shaded as one surface."""
+_AXIS_COLORS = ((0.9, 0.2, 0.2), (0.2, 0.8, 0.25), (0.2, 0.4, 0.95))
+_SHAFT = 0.03  # of a marker's length
+Vertices = npt.NDArray[np.floating]
+
+
+def material(color: Color, roughness: float = 0.6) -> sapien.render.RenderMaterial:
+    """A dull surface; ``color`` is as it looks on a screen (sRGB), SAPIEN's are linear."""
+    made = sapien.render.RenderMaterial()
+    made.base_color = [*(float(part) ** 2.2 for part in color[:3]), float(color[3])]
+    made.roughness, made.metallic, made.specular = roughness, 0.0, 0.4
+    return made
+
+
+def render_shape(shape: Shape, reach: float) -> sapien.render.RenderShape:
+    """SAPIEN's shape, placed in its link; planes end at ``reach`` metres from their origin."""
+    pose, look = shape.pose, material(shape.color)
+    match shape.geometry:
+        case Box(half_extents):
+            made = sapien.render.RenderShapeBox(np.asarray(half_extents, np.float32), look)
+        case Sphere(radius):
+            made = _ball(radius, look)
+        case Capsule(radius, half_length):
+            made, pose = sapien.render.RenderShapeCapsule(radius, half_length, look), pose @ Z_TO_X
+        case Cylinder(radius, half_length):
+            made, pose = sapien.render.RenderShapeCylinder(radius, half_length, look), pose @ Z_TO_X
+        case Plane():
+            made = _mesh(*_square(reach), look)
+        case Mesh() as mesh:
+            made = _mesh(mesh.vertices, mesh.faces, look)
+        case HeightField() as field:
+            made = _mesh(*height_field_triangles(field), look)
+    made.set_local_pose(native_pose(pose))
+    return made
+
+
+def marker_shapes(marker: MarkerSpec) -> list[sapien.render.RenderShape]:
+    """What a marker is made of, in its own frame."""
+    size, shaft = marker.size, _SHAFT * marker.size
+    match marker.shape:
+        case MarkerShape.SPHERE:
+            return [sapien.render.RenderShapeSphere(0.5 * size, material(marker.color))]
+        case MarkerShape.BOX:
+            return [sapien.render.RenderShapeBox(np.full(3, 0.5 * size, np.float32), material(marker.color))]
+        case MarkerShape.ARROW:
+            return _arrow(size, shaft, marker.color, Pose())
+        case MarkerShape.FRAME:
+            turns = Pose(), Pose.from_euler(0.0, 0.0, math.pi / 2), Pose.from_euler(0.0, -math.pi / 2, 0.0)
+            colors = [(*axis, marker.color[3]) for axis in _AXIS_COLORS]
+            return [part for turn, color in zip(turns, colors, strict=True) for part in _arrow(size, shaft, color, turn)]
+
+
+def _arrow(length: float, radius: float, color: Color, turn: Pose) -> list[sapien.render.RenderShape]:
+    """Along x of ``turn``: a shaft with a ball at its end."""
+    shaft = sapien.render.RenderShapeCylinder(radius, 0.5 * length, material(color))
+    shaft.set_local_pose(native_pose(turn @ Pose((0.5 * length, 0.0, 0.0))))
+    tip = sapien.render.RenderShapeSphere(2.5 * radius, material(color))
+    tip.set_local_pose(native_pose(turn @ Pose((length, 0.0, 0.0))))
+    return [shaft, tip]
+
+
+def _square(half: float) -> tuple[Vertices, npt.NDArray[np.integer]]:
+    corners = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
+    return corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32)
+
+
+def _ball(radius: float, look: sapien.render.RenderMaterial) -> sapien.render.RenderShapeTriangleMesh:
+    """Finer than SAPIEN's own, whose facets show in depth."""
+    rows, columns = 32, 64
+    height, turn = np.meshgrid(np.linspace(0, np.pi, rows + 1), np.linspace(0, 2 * np.pi, columns + 1), indexing="ij")
+    grid = np.stack((np.sin(height) * np.cos(turn), np.sin(height) * np.sin(turn), np.cos(height)), -1)
+    normals = grid.reshape(-1, 3).astype(np.float32)
+    corner = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
+    below, beside, across = corner + columns + 1, corner + 1, corner + columns + 2
+    faces = np.concatenate((np.stack((corner, below, across), -1), np.stack((corner, across, beside), -1)))
+    blank = np.zeros((len(normals), 2), np.float32)
+    return sapien.render.RenderShapeTriangleMesh(radius * normals, faces.astype(np.uint32), normals, blank, look)
+
+
+def _mesh(
+    vertices: Vertices, faces: npt.NDArray[np.integer], look: sapien.render.RenderMaterial
+) -> sapien.render.RenderShapeTriangleMesh:
+    corners = np.asarray(vertices, np.float64)[np.asarray(faces)]
+    normals = corner_normals(corners)
+    count = 3 * len(corners)
+    return sapien.render.RenderShapeTriangleMesh(
+        corners.reshape(count, 3).astype(np.float32),
+        np.arange(count, dtype=np.uint32).reshape(-1, 3),
+        normals.reshape(count, 3).astype(np.float32),
+        np.zeros((count, 2), np.float32),
+        look,
+    )
+
+
+def corner_normals(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Normals (F, 3, 3) at the corners (F, 3, 3) of triangles: shared by faces that bend little, else the face's own."""
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = _normalized(areas)
+    keys = np.round(corners.reshape(-1, 3) * 1e6).astype(np.int64)
+    _, group = np.unique(keys, axis=0, return_inverse=True)
+    sums = np.zeros((group.max(initial=-1) + 1, 3))
+    np.add.at(sums, group.ravel(), np.repeat(areas, 3, axis=0))
+    smooth = _normalized(sums)[group.ravel()].reshape(-1, 3, 3)
+    bends = (smooth * flat[:, None]).sum(-1, keepdims=True) < _SMOOTH
+    return np.where(bends, flat[:, None], smooth)
+
+
+def _normalized(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
