@@ -100,7 +100,8 @@ class Actuators:
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Forget efforts and delayed commands. Call it after the engine's reset, which sets the other targets."""
-        self.effort_targets[slice(None) if env_ids is None else env_ids] = 0.0
+        if self.explicit:  # else they are the engine's own
+            self.effort_targets[slice(None) if env_ids is None else env_ids] = 0.0
         for delay in self._delays:
             if delay is not None:
                 delay.reset(env_ids)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.actuators import Actuators
+from orbit_core.dynamics.indexing import columns_of
 from orbit_core.dynamics.kinematics import FixedFrame, PointJacobian
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import (
@@ -25,11 +27,25 @@ from orbit_core.scene import Entity, Frame, Joint, Pose, RobotSpec
 from orbit_core.world.clock import Clock
 
 
+class _Columns:
+    """A view of some columns of an engine's tensor, made anew only when the engine hands out another tensor."""
+
+    def __init__(self, columns: int | slice) -> None:
+        self._columns = columns
+        self._whole: Tensor | None = None
+
+    def of(self, whole: Tensor) -> Tensor:
+        if whole is not self._whole:
+            self._whole, self._view = whole, whole[:, self._columns]
+        return self._view
+
+
 @dataclass(frozen=True)
 class _FrameHandle:
     """A frame resolved to its link's index within the entity, and its constant pose there; None at the link itself."""
 
     link: int
+    link_pose: _Columns
     offset: Tensor | None
     """(3,) position in the link."""
     pose_of: FixedFrame | None
@@ -49,6 +65,11 @@ class SimulatedObject(Object):
         self._frames: dict[str, _FrameHandle] = {}
         self._frame_poses: dict[str, tuple[int, Tensor]] = {}
         self._jacobians: dict[tuple[str, tuple[int, ...]], PointJacobian] = {}
+        links, joints = layout.links, layout.joints
+        self._root_pose, self._root_velocity = _Columns(layout.root_link), _Columns(layout.root_link)
+        self._link_poses, self._link_velocities = _Columns(links), _Columns(links)
+        self._positions, self._velocities, self._efforts = _Columns(joints), _Columns(joints), _Columns(joints)
+        self._all_joints = torch.arange(joints.start, joints.stop, device=engine.device)
         parameters = engine.layout.joint_parameters
         limits = torch.stack(
             [torch.as_tensor(a[layout.joints]) for a in (parameters.lower_limit, parameters.upper_limit)], dim=-1
@@ -64,37 +85,37 @@ class SimulatedObject(Object):
 
     @property
     def root_pose(self) -> Tensor:
-        return self._engine.link_poses[:, self.layout.root_link]
+        return self._root_pose.of(self._engine.link_poses)
 
     @property
     def root_velocity(self) -> Tensor:
-        return self._engine.link_velocities[:, self.layout.root_link]
+        return self._root_velocity.of(self._engine.link_velocities)
 
     @property
     def link_poses(self) -> Tensor:
-        return self._engine.link_poses[:, self.layout.links]
+        return self._link_poses.of(self._engine.link_poses)
 
     @property
     def link_velocities(self) -> Tensor:
-        return self._engine.link_velocities[:, self.layout.links]
+        return self._link_velocities.of(self._engine.link_velocities)
 
     @property
     def joint_positions(self) -> Tensor:
-        return self._engine.joint_positions[:, self.layout.joints]
+        return self._positions.of(self._engine.joint_positions)
 
     @property
     def joint_velocities(self) -> Tensor:
-        return self._engine.joint_velocities[:, self.layout.joints]
+        return self._velocities.of(self._engine.joint_velocities)
 
     @property
     def joint_efforts(self) -> Tensor:
-        return self._engine.joint_efforts[:, self.layout.joints]
+        return self._efforts.of(self._engine.joint_efforts)
 
     def frame_pose(self, name: str) -> Tensor:
         version, pose = self._frame_poses.get(name, (-1, None))
         if pose is None or version != self._clock.version:
             frame = self._frame(name)
-            pose = self._engine.link_poses[:, self.layout.root_link + frame.link]
+            pose = frame.link_pose.of(self._engine.link_poses)
             if frame.pose_of is not None:
                 pose = frame.pose_of(pose)
             self._frame_poses[name] = (self._clock.version, pose)
@@ -156,12 +177,14 @@ class SimulatedObject(Object):
         joints: Sequence[int] | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        chosen = list(range(len(self.joint_names))) if joints is None else list(joints)
+        count = len(self.joint_names) if joints is None else len(joints)
         for value, what in ((positions, "joint positions"), (velocities, "joint velocities")):
             if value is not None:
-                self._check(value, (len(chosen),), env_ids, what)
-        chosen, positions, velocities = self._with_followers(chosen, positions, velocities)
-        indices = torch.tensor(chosen, device=self._engine.device) + self.layout.joints.start
+                self._check(value, (count,), env_ids, what)
+        indices = self._all_joints
+        if joints is not None:
+            chosen, positions, velocities = self._with_followers(list(joints), positions, velocities)
+            indices = indices[chosen]
         self._engine.write_joint_state(indices, positions, velocities, env_ids)
         if positions is not None:
             rows = slice(None) if env_ids is None else env_ids[:, None]
@@ -272,16 +295,19 @@ class SimulatedObject(Object):
 
     def _resolved(self, frame: Frame) -> _FrameHandle:
         link, device = self.link_names.index(frame.link), self._engine.device
+        link_pose = _Columns(self.layout.root_link + link)
         if frame.pose == Pose():
-            return _FrameHandle(link, None, None)
+            return _FrameHandle(link, link_pose, None, None)
         offset = torch.tensor(frame.pose.position, dtype=torch.float32, device=device)
-        return _FrameHandle(link, offset, FixedFrame((*frame.pose.position, *frame.pose.orientation), device))
+        pose_of = FixedFrame((*frame.pose.position, *frame.pose.orientation), device)
+        return _FrameHandle(link, link_pose, offset, pose_of)
 
     def _check(self, value: Tensor, shape: tuple[int, ...], env_ids: Tensor | None, what: str) -> None:
         expected = (self._engine.num_envs if env_ids is None else len(env_ids), *shape)
         if tuple(value.shape) != expected:
             raise ShapeError(f"{what} of '{self.name}' must have shape {expected}, not {tuple(value.shape)}")
-        if not torch.isfinite(value).all():
+        # One sum finds any NaN or infinity; where it is, is worth a search only then.
+        if not math.isfinite(float(value.sum())) and not bool(torch.isfinite(value).all()):
             row = int((~torch.isfinite(value)).flatten(1).any(1).nonzero()[0])
             environment = row if env_ids is None else int(env_ids[row])
             raise NonFiniteError(
@@ -301,24 +327,39 @@ class SimulatedRobot(SimulatedObject, Robot):
         assert isinstance(spec, RobotSpec)  # the world makes robots of robots' layouts alone
         return spec
 
+    def __init__(self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock) -> None:
+        super().__init__(layout, engine, actuators, clock)
+        self._position_targets = _Targets(actuators.position_targets[:, layout.joints])
+        self._velocity_targets = _Targets(actuators.velocity_targets[:, layout.joints])
+        self._effort_targets = _Targets(actuators.effort_targets[:, layout.joints])
+
     def set_position_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
-        self._write(self._actuators.position_targets, targets, joints)
+        self._position_targets.write(targets, joints)
 
     def set_velocity_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
-        self._write(self._actuators.velocity_targets, targets, joints)
+        self._velocity_targets.write(targets, joints)
 
     def set_effort_targets(self, efforts: Tensor, joints: Sequence[int] | None = None) -> None:
-        self._write(self._actuators.effort_targets, efforts, joints)
+        self._effort_targets.write(efforts, joints)
 
-    def _write(self, buffer: Tensor, values: Tensor, joints: Sequence[int] | None) -> None:
-        start = self.layout.joints.start
+
+class _Targets:
+    """A robot's columns of one of the actuators' buffers; columns that stand in a row are written through a view."""
+
+    def __init__(self, buffer: Tensor) -> None:
+        self._buffer = buffer
+        self._views: dict[tuple[int, ...], Tensor] = {}
+
+    def write(self, values: Tensor, joints: Sequence[int] | None) -> None:
         if joints is None:
-            buffer[:, self.layout.joints] = values
-        elif _contiguous(joints):
-            buffer[:, start + joints[0] : start + joints[-1] + 1] = values
-        else:
-            buffer[:, [start + joint for joint in joints]] = values
-
-
-def _contiguous(joints: Sequence[int]) -> bool:
-    return len(joints) > 0 and joints[-1] - joints[0] == len(joints) - 1 and list(joints) == sorted(joints)
+            self._buffer.copy_(values)
+            return
+        chosen = tuple(joints)
+        view = self._views.get(chosen)
+        if view is not None:
+            view.copy_(values)
+            return
+        columns = columns_of(chosen, self._buffer.device)
+        self._buffer[:, columns] = values
+        if isinstance(columns, slice):
+            self._views[chosen] = self._buffer[:, columns]

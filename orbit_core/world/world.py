@@ -48,7 +48,7 @@ class SimulatedWorld(World):
         settings: the backend's own settings, by field name.
         device: where state tensors live.
         seed: of the environments' random streams.
-        renderer: name of the backend that draws; the one that simulates if None.
+        renderer: name of the renderer, or backend, that draws; the one that simulates if None.
 
     Raises:
         UnknownNameError, BackendNotInstalledError: no such backend.
@@ -69,7 +69,7 @@ class SimulatedWorld(World):
         if num_envs < 1:
             raise ConfigurationError(f"num_envs must be at least 1, not {num_envs}")
         plugin = find_backend(backend)
-        self._renderer_plugin = find_backend(renderer or backend)
+        self._renderer_plugin = find_renderer(renderer or backend)
         scene = _prepared(scene)
         check_scene(plugin, scene)
         self.scene = scene
