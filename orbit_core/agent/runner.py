@@ -48,6 +48,7 @@ class NodeRunner:
         """Environments reset since the last turn."""
         self._sources = [(port.name, slots[sources[node.name, port.name]]) for port in node.inputs]
         self._targets = [(port.name, slots[node.name, port.name]) for port in node.outputs]
+        self._ports = list(zip(node.outputs, (slot for _, slot in self._targets), strict=True))
         self._values = values
         self._ports_checked = False
 
@@ -66,7 +67,7 @@ class NodeRunner:
 
     def renew(self) -> None:
         """Run the node, but keep its outputs and memory of all environments other than those reset."""
-        env_ids = torch.cat(self.pending)
+        env_ids = self.pending[0] if len(self.pending) == 1 else torch.cat(self.pending)
         self.pending.clear()
         held = {slot: value.clone() for _, slot in self._targets if (value := self._values[slot]) is not None}
         remembered = {name: tensor.clone() for name, tensor in self.node.memory().items()}
@@ -87,7 +88,7 @@ class NodeRunner:
 
     def put(self, values: Mapping[str, Tensor], step: int) -> None:
         """Take outputs from outside in place of a turn, or of a renewal."""
-        given = [(slot, checked(values, port, f"output of '{self.node.name}'")) for port, slot in self._ports()]
+        given = [(slot, checked(values, port, f"output of '{self.node.name}'")) for port, slot in self._ports]
         if self.due(step):
             for slot, value in given:
                 self._values[slot] = value if self.period == 1 else value.clone()
@@ -115,9 +116,6 @@ class NodeRunner:
             tensor.copy_(state.memory[name])
         self.last_turn = state.last_turn
         self.pending[:] = state.pending
-
-    def _ports(self) -> list[tuple[Port, int]]:
-        return [(port, slot) for port, (_, slot) in zip(self.node.outputs, self._targets, strict=True)]
 
     def _compute(self) -> Mapping[str, Tensor]:
         values = self._values

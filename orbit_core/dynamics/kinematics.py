@@ -76,13 +76,14 @@ class FixedFrame:
         right = [[w, x, y, z], [-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]]
         self._position = torch.as_tensor(_rotated(position), dtype=torch.float32, device=device)
         self._rotation = torch.tensor(right, dtype=torch.float32, device=device)
+        self._one = torch.ones(1, device=device)
 
     def __call__(self, link_pose: Tensor) -> Tensor:
         """(N, 7), w >= 0, for link poses (N, 7)."""
         link = link_pose[:, 3:]
         products = (link.unsqueeze(-1) * link.unsqueeze(-2)).flatten(1)
         rotation = link @ self._rotation
-        sign = torch.where(rotation[:, :1] < 0.0, -1.0, 1.0)
+        sign = torch.copysign(self._one, rotation[:, :1])
         return torch.cat((torch.addmm(link_pose[:, :3], products, self._position), rotation * sign), 1)
 
 

@@ -86,6 +86,7 @@ class Environment:
         self.termination_terms = terms_of(task.terminations, TerminationTerm)
         self._events = list(terms_of(task.events, EventTerm).values())
         self._weights = self._reward_weights()
+        self._column_of_weights = self._weights[:, None]
         self.reward_sums = torch.zeros(len(self.reward_terms), num_envs, device=self.device)
         """(terms, N) each reward term's contribution to the episode so far."""
         self._all = torch.arange(num_envs, device=self.device)
@@ -143,7 +144,8 @@ class Environment:
             ended = done.nonzero().squeeze(-1)
             info["final"] = self._finish(ended)
             self._begin(ended)
-        return self._observe(), reward, terminated, truncated & ~terminated, info
+            truncated &= ~terminated
+        return self._observe(), reward, terminated, truncated, info
 
     def expert(self) -> Node:
         """The task's scripted policy: call its ``compute({})`` for an action."""
@@ -166,7 +168,7 @@ class Environment:
         )
 
         def split(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-            parts = inputs["action"].split(sizes, dim=1)
+            parts = inputs["action"].split_with_sizes(sizes, dim=1)
             return {port.name: part for port, part in zip(commands, parts, strict=True)}
 
         nodes: list[Node] = [
@@ -214,18 +216,18 @@ class Environment:
 
     def _reward(self) -> Tensor:
         values = torch.stack([term.function(self.world, self.task) for term in self.reward_terms.values()])
-        self.reward_sums.addcmul_(values, self._weights[:, None])
+        self.reward_sums.addcmul_(values, self._column_of_weights)
         return self._weights @ values
 
     def _terminated(self) -> Tensor:
         ends = [term.function(self.world, self.task) for term in self.termination_terms.values()]
-        return functools.reduce(torch.logical_or, ends, self._never)
+        return functools.reduce(torch.logical_or, ends) if ends else self._never.clone()
 
     def _finish(self, ended: Tensor) -> EpisodeEnd:
         """What ended, before it is reset."""
         observation = {name: group[ended] for name, group in self._observe().items()}
-        metrics = {name: value[ended].clone() for name, value in self.task.metrics(self.world).items()}
-        rewards = {name: self.reward_sums[i, ended] for i, name in enumerate(self.reward_terms)}
+        metrics = {name: value[ended] for name, value in self.task.metrics(self.world).items()}
+        rewards = dict(zip(self.reward_terms, self.reward_sums[:, ended].unbind(), strict=True))
         return EpisodeEnd(
             env_ids=ended,
             observation=observation,
@@ -239,8 +241,9 @@ class Environment:
         self.world.reset(env_ids)
         self.task.reset(env_ids)
         self._cut.graph.reset(env_ids)
-        self.reward_sums[:, slice(None) if env_ids is None else env_ids] = 0.0
-        self._run_events(EventTime.RESET, self._all if env_ids is None else env_ids)
+        ids = self._all if env_ids is None else env_ids
+        self.reward_sums.index_fill_(1, ids, 0.0)
+        self._run_events(EventTime.RESET, ids)
         self.world.clock.touch()  # an event may have changed what a cached term depends on
 
     def _run_events(self, time: EventTime, env_ids: Tensor) -> None:
