@@ -49,7 +49,11 @@ CAPABILITIES = Capabilities(
         Capability.SEGMENTATION: EXACT,
         Capability.RAY_TRACED_RGB: unsupported("Bullet rasterises"),
         Capability.GPU: unsupported("Bullet simulates on the CPU"),
-        Capability.CLOTH: unsupported("soon"),
-        Capability.SOFT_BODIES: unsupported("soon"),
+        Capability.CLOTH: approximate(
+            "springs along edges, integrated explicitly; no contact forces, snapshots or written velocities"
+        ),
+        Capability.SOFT_BODIES: approximate(
+            "Neo-Hookean tetrahedra, integrated explicitly; no contact forces, snapshots or written velocities"
+        ),
     }
 )

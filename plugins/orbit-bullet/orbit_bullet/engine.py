@@ -14,12 +14,13 @@ import torch
 from torch import Tensor
 
 from orbit_bullet.config import BulletConfig
+from orbit_bullet.deformables import check_stability
 from orbit_bullet.library import bullet
 from orbit_bullet.pool import Pool, make_pool
 from orbit_bullet.report import build_report
 from orbit_bullet.shard import Written
 from orbit_bullet.stage import write_scene
-from orbit_core.interfaces import Approximation, Engine, RayHits, SceneLayout, SimulationError
+from orbit_core.interfaces import Approximation, ConfigurationError, Engine, RayHits, SceneLayout, SimulationError
 
 _COMMANDS = ("position_targets", "velocity_targets", "efforts")
 
@@ -38,6 +39,7 @@ class BulletEngine(Engine):
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: BulletConfig) -> None:
         super().__init__(layout, num_envs, device)
         bullet()
+        check_stability(layout)
         self._report = build_report(layout, config)
         self._home = self.position_targets[:1].clone()
         self._folder = tempfile.TemporaryDirectory(prefix="orbit-bullet-")
@@ -158,6 +160,35 @@ class BulletEngine(Engine):
 
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         self._write("set_gravity", env_ids, (), gravity)
+
+    # Deformables -----------------------------------------------------------------------------------------------------
+
+    def particle_positions(self, deformable: int) -> Tensor:
+        return self._read("particle_positions")[:, self._particles(deformable)]
+
+    def particle_velocities(self, deformable: int) -> Tensor:
+        return self._read("particle_velocities")[:, self._particles(deformable)]
+
+    def write_particles(
+        self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None = None
+    ) -> None:
+        self._particles(deformable)
+        self._write("write_particles", env_ids, (deformable,), positions, velocities)
+
+    def anchor_particles(
+        self, deformable: int, particles: Tensor, link: int | None = None, env_ids: Tensor | None = None
+    ) -> None:
+        """Hold particles (k,) where they are to a link of the scene, or to the world; kept over resets."""
+        self._particles(deformable)
+        self._write("anchor_particles", env_ids, (deformable, particles.numpy(), link))
+
+    def _particles(self, deformable: int) -> slice:
+        """Columns of a deformable's particles."""
+        counts = [len(spec.mesh.vertices) for spec in self.layout.scene.deformables]
+        if not 0 <= deformable < len(counts):
+            raise ConfigurationError(f"there is no deformable {deformable}: the scene has {len(counts)}")
+        start = sum(counts[:deformable])
+        return slice(start, start + counts[deformable])
 
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 

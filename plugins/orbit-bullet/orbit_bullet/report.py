@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbit_bullet.config import BulletConfig
+from orbit_bullet.deformables import deformable_report
 from orbit_bullet.materials import PairProducts, material_report, nominal
 from orbit_core.interfaces import Approximation, EntityLayout, SceneLayout
 
@@ -17,7 +18,7 @@ def build_report(layout: SceneLayout, config: BulletConfig) -> tuple[Approximati
     found += products.report("restitution", nominal(layout, "restitution"))
     for entity in layout.entities:
         found += _joint_report(layout, entity)
-    return tuple(found)
+    return tuple(found + deformable_report(layout))
 
 
 def _joint_report(layout: SceneLayout, entity: EntityLayout) -> list[Approximation]:

@@ -12,13 +12,14 @@ from orbit_bullet.actuation import Actuation
 from orbit_bullet.buffers import Buffers
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.contacts import ContactMeter
+from orbit_bullet.deformables import Deformables
 from orbit_bullet.library import Client, silence
 from orbit_bullet.loads import Loads
 from orbit_bullet.materials import PairProducts, nominal
 from orbit_bullet.rotations import compose, cross
 from orbit_bullet.stage import SceneFiles, Stage
 from orbit_bullet.wrenches import WrenchMeter
-from orbit_core.interfaces import BACKGROUND, TERRAIN, SceneLayout
+from orbit_core.interfaces import BACKGROUND, TERRAIN, SceneLayout, UnsupportedCapabilityError
 
 FloatArray = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
@@ -47,9 +48,12 @@ class Simulation:
         self.count = len(buffers.link_poses)
         self.client = Client()
         with silence():
+            if layout.scene.deformables:
+                self.client.resetSimulation(self.client.RESET_USE_DEFORMABLE_WORLD)
             self._set_options(config)
             self.stage = Stage(self.client, layout, files, first, self.count, config)
             self._actuation = Actuation(self.stage, buffers)
+            self.deformables = Deformables(self.stage, buffers) if layout.scene.deformables else None
         self._loads = Loads(self.stage)
         self._products = PairProducts(layout)
         self._friction = np.tile(nominal(layout, "dynamic_friction"), (self.count, 1))
@@ -91,6 +95,8 @@ class Simulation:
                 self._wrenches.begin(self._raw, self.buffers.link_poses)
             elif number:
                 self._read_joints(range(self.count))
+            if self.deformables and number == steps - 1:
+                self.deformables.begin()
             self._actuation.apply(self._positions, self._velocities)
             self._loads.apply()
             self.client.stepSimulation()
@@ -102,10 +108,14 @@ class Simulation:
         np.copyto(self.buffers.joint_efforts, self._actuation.efforts(self._velocities), casting="same_kind")
         if self._wrenches.active:
             self._wrenches.end(self._raw, self.buffers.link_poses)
+        if self.deformables:
+            self.deformables.read()
         return self._diverged()
 
     def _diverged(self) -> list[int]:
         poses = self.buffers.link_poses
+        if self.deformables and not self.deformables.sound():
+            return [0]
         if np.abs(poses).sum() < _FARTHEST:  # false for NaN as well
             return []
         sound = (np.abs(poses) < _FARTHEST).all(axis=(1, 2))
@@ -225,7 +235,27 @@ class Simulation:
             self._loads.derive()
         for name in ("joint_efforts", "contact_forces", "joint_wrenches"):
             getattr(self.buffers, name)[rows] = 0.0
+        if self.deformables:
+            with silence():
+                self.deformables.reset()
         self._read(rows)
+
+    # Deformables, of worlds with one environment ---------------------------------------------------------------------
+
+    def write_particles(self, rows: Rows, deformable: int, positions: FloatArray, velocities: FloatArray) -> None:
+        """(1, P, 3) positions and velocities."""
+        assert self.deformables is not None
+        with silence():
+            self.deformables.write(deformable, positions[0], velocities[0])
+
+    def anchor_particles(self, rows: Rows, deformable: int, particles: Rows, link: int | None) -> None:
+        """Hold particles to a link, or to the world."""
+        assert self.deformables is not None
+        entity, index = -1, -1
+        if link is not None:
+            entity = int(self.layout.entity_of_link[link])
+            index = self.stage.links[entity][link - self.layout.entities[entity].links.start]
+        self.deformables.anchor(deformable, particles, entity, index)
 
     # Measurements ----------------------------------------------------------------------------------------------------
 
@@ -242,7 +272,7 @@ class Simulation:
             hits = self._cast(start, start + reach * directions[row].astype(np.float64), self.stage.ray_mask(slot))
             for ray, hit in enumerate(hits):
                 if hit[0] >= 0:
-                    links[row, ray] = places[hit[0], hit[1]][1]
+                    links[row, ray] = places.get((hit[0], hit[1]), (slot, BACKGROUND))[1]
                     distances[row, ray] = hit[2] * reach
                     normals[row, ray] = hit[4]
         return distances, normals, links
@@ -339,7 +369,13 @@ class Simulation:
         )  # fmt: skip
 
     def save(self) -> SavedSimulation:
-        """Everything that the continuation depends on, but for the commands."""
+        """Everything that the continuation depends on, but for the commands.
+
+        Raises:
+            UnsupportedCapabilityError: the scene has deformables.
+        """
+        if self.deformables:
+            raise UnsupportedCapabilityError("Bullet cannot restore the velocities of particles: no snapshots of them")
         return SavedSimulation(self.client.saveState(), tuple(array.copy() for array in self._arrays))
 
     def load(self, saved: SavedSimulation) -> None:

@@ -1,0 +1,247 @@
+"""Cloth and soft bodies in a Bullet world of one environment.
+
+Cloth is a net of springs along the edges of its mesh; a soft body is a Neo-Hookean solid on tetrahedra that fill its
+surface. Both are integrated explicitly, so that stiffness, step and mass have to fit; this is checked when built.
+Bullet can set positions of particles but not velocities, so a reset loads the body anew.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_bullet.buffers import Buffers
+from orbit_bullet.stage import Stage
+from orbit_bullet.tetrahedra import fill, smallest_height, volume_of, write_vtk
+from orbit_bullet.urdf import write_obj
+from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout, UnsupportedCapabilityError
+from orbit_core.scene import Cloth, SoftBody
+
+FloatArray = npt.NDArray[np.float64]
+_SPRING_DAMPING = 0.05
+"""Of critical, of a spring between two particles."""
+_SOLID_DAMPING = 0.01
+"""Damping over stiffness of a soft body, per second."""
+_GREATEST_SPAN = 10.0
+"""Times its size at rest, beyond which a deformable counts as diverged."""
+
+
+def check_stability(layout: SceneLayout) -> None:
+    """Refuse deformables that explicit integration cannot hold.
+
+    Cloth: ``k h^2 / m <= 1`` with the mass m of a particle. Soft bodies: a pressure wave crosses no tetrahedron in one
+    step, ``h <= height sqrt(density / (lambda + 2 mu))``.
+
+    Raises:
+        ConfigurationError: names the deformable and the step that would do.
+    """
+    step = layout.scene.physics_dt
+    for deformable in layout.scene.deformables:
+        bound = _greatest_step(deformable)
+        if step > bound:
+            raise ConfigurationError(
+                f"'{deformable.name}' is too stiff for Bullet's explicit integration at a physics_dt of {step:g} s: "
+                f"use at most {bound:.2g} s, a softer material, more mass or a coarser mesh"
+            )
+
+
+def _greatest_step(deformable: Cloth | SoftBody) -> float:
+    if isinstance(deformable, Cloth):
+        particle = deformable.mass / len(deformable.mesh.vertices)
+        return math.sqrt(particle / max(deformable.stretch_stiffness, 1e-12))
+    mu, lame = lame_parameters(deformable)
+    height = smallest_height(*fill(deformable.mesh, deformable.name))
+    return height * math.sqrt(deformable.density / (lame + 2 * mu))
+
+
+def lame_parameters(soft: SoftBody) -> tuple[float, float]:
+    """Shear modulus and Lame's first parameter in Pa."""
+    e, nu = soft.youngs_modulus, soft.poissons_ratio
+    return e / (2 * (1 + nu)), e * nu / ((1 + nu) * (1 - 2 * nu))
+
+
+def deformable_report(layout: SceneLayout) -> list[Approximation]:
+    """What of the deformables Bullet does not take as it is."""
+    found: list[Approximation] = []
+    for deformable in layout.scene.deformables:
+        subject = f"'{deformable.name}'"
+        why = "Bullet multiplies it by that of what touches"
+        found.append(Approximation(subject, f"friction {deformable.friction}, the larger of a pair", "a factor", why))
+        if isinstance(deformable, Cloth):
+            why = "Bullet bends cloth with springs between second neighbours"
+            asked = f"bending stiffness {deformable.bend_stiffness} N m/rad"
+            found.append(Approximation(subject, asked, "springs of that stiffness over the edge length squared", why))
+    return found
+
+
+@dataclass
+class _Body:
+    """One deformable."""
+
+    spec: Cloth | SoftBody
+    file: Path
+    mass: float
+    columns: slice
+    """Of the particle buffers."""
+    number: int = -1
+    particles: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Bullet's node of each particle."""
+    positions: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    anchors: list[tuple[int, int, int]] = field(default_factory=list)
+    """Particle, entity and link (Bullet's); entity -1 is the world."""
+
+
+class Deformables:
+    """Those of a world's one environment; ``buffers`` take their particles."""
+
+    def __init__(self, stage: Stage, buffers: Buffers) -> None:
+        self._stage = stage
+        self._client = stage.client
+        self._buffers = buffers
+        self._bodies: list[_Body] = []
+        start = 0
+        for index, spec in enumerate(stage.layout.scene.deformables):
+            stop = start + len(spec.mesh.vertices)
+            file, mass = self._write(index, spec)
+            self._bodies.append(_Body(spec, file, mass, slice(start, stop)))
+            start = stop
+
+    def _write(self, index: int, spec: Cloth | SoftBody) -> tuple[Path, float]:
+        if isinstance(spec, Cloth):
+            file = self._stage.files.folder / f"cloth{index}.obj"
+            write_obj(file, np.asarray(spec.mesh.vertices, dtype=np.float64), np.asarray(spec.mesh.faces))
+            return file, spec.mass
+        file = self._stage.files.folder / f"soft{index}.vtk"
+        nodes, cells = fill(spec.mesh, spec.name)
+        write_vtk(file, nodes, cells)
+        return file, spec.density * volume_of(nodes, cells)
+
+    # Loading ---------------------------------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Put every deformable back to rest, with its anchors."""
+        for body in self._bodies:
+            self._load(body)
+            self._attach(body)
+        self.read(still=True)
+
+    def _load(self, body: _Body) -> None:
+        client, spec = self._client, body.spec
+        if body.number >= 0:
+            client.removeBody(body.number)
+        w, x, y, z = spec.pose.orientation
+        place = tuple(self._stage.origins[0] + spec.pose.position)
+        body.number = client.loadSoftBody(
+            str(body.file), basePosition=place, baseOrientation=(x, y, z, w), mass=body.mass,
+            frictionCoeff=spec.friction, **self._material(body),
+        )  # fmt: skip
+        nodes = self._nodes(body)
+        if not len(body.particles):
+            body.particles = _match(spec.pose.transform(spec.mesh.vertices) + self._stage.origins[0], nodes)
+        body.positions = nodes[body.particles]
+
+    def _material(self, body: _Body) -> dict[str, Any]:
+        spec = body.spec
+        if isinstance(spec, Cloth):
+            edge = _mean_edge(spec)
+            particle = spec.mass / len(spec.mesh.vertices)
+            return {
+                "useMassSpring": 1,
+                "useBendingSprings": int(spec.bend_stiffness > 0),
+                "springElasticStiffness": spec.stretch_stiffness,
+                "springDampingStiffness": 2 * _SPRING_DAMPING * math.sqrt(spec.stretch_stiffness * particle),
+                "springBendingStiffness": spec.bend_stiffness / edge**2,
+                "springDampingAllDirections": 1,
+                "useSelfCollision": 0,
+                "collisionMargin": spec.thickness / 2,
+            }
+        mu, lame = lame_parameters(spec)
+        return {
+            "useNeoHookean": 1,
+            "NeoHookeanMu": mu,
+            "NeoHookeanLambda": lame,
+            "NeoHookeanDamping": _SOLID_DAMPING,
+            "useSelfCollision": 0,
+            "collisionMargin": 0.002,
+        }
+
+    def _attach(self, body: _Body) -> None:
+        for particle, entity, link in body.anchors:
+            other = -1 if entity < 0 else self._stage.bodies[0][entity]
+            self._client.createSoftBodyAnchor(body.number, int(body.particles[particle]), other, link)
+
+    def anchor(self, deformable: int, particles: npt.NDArray[np.int64], entity: int, link: int) -> None:
+        """Hold particles to a link of an entity, or with entity -1 to the world, where they are; kept over resets."""
+        body = self._bodies[deformable]
+        for particle in particles.tolist():
+            body.anchors.append((particle, entity, link))
+            other = -1 if entity < 0 else self._stage.bodies[0][entity]
+            self._client.createSoftBodyAnchor(body.number, int(body.particles[particle]), other, link)
+
+    # State -----------------------------------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """Before the last step: the positions that it starts from."""
+        for body in self._bodies:
+            body.positions = self._nodes(body)[body.particles]
+
+    def read(self, still: bool = False) -> None:
+        """Fill the buffers; velocities are what the last step moved, or none."""
+        step = self._stage.layout.scene.physics_dt
+        for body in self._bodies:
+            positions = self._nodes(body)[body.particles]
+            velocities = 0.0 if still else (positions - body.positions) / step
+            self._buffers.particle_positions[0, body.columns] = positions - self._stage.origins[0]
+            self._buffers.particle_velocities[0, body.columns] = velocities
+
+    def sound(self) -> bool:
+        """Whether every deformable still has about its size."""
+        for body in self._bodies:
+            positions = self._buffers.particle_positions[0, body.columns]
+            rest = np.ptp(np.asarray(body.spec.mesh.vertices), axis=0).max()
+            if not np.ptp(positions, axis=0).max() < _GREATEST_SPAN * rest:  # NaN too
+                return False
+        return True
+
+    def write(self, deformable: int, positions: FloatArray, velocities: FloatArray) -> None:
+        """Put particles (P, 3) somewhere, at rest.
+
+        Raises:
+            UnsupportedCapabilityError: a velocity is asked for.
+        """
+        body = self._bodies[deformable]
+        if np.any(velocities):
+            raise UnsupportedCapabilityError(
+                f"Bullet cannot set velocities of particles, as asked for '{body.spec.name}': write zero velocities"
+            )
+        self._load(body)
+        nodes = self._nodes(body)
+        if len(nodes) != len(body.particles):
+            raise UnsupportedCapabilityError(
+                f"Bullet's soft body '{body.spec.name}' has nodes inside that would stay behind: reset it instead"
+            )
+        nodes[body.particles] = positions + self._stage.origins[0]
+        self._client.resetMeshData(body.number, nodes.tolist())
+        self._attach(body)
+        self.read(still=True)
+
+    def _nodes(self, body: _Body) -> FloatArray:
+        found = self._client.getMeshData(body.number, -1, flags=self._client.MESH_DATA_SIMULATION_MESH)[1]
+        return np.array(found, dtype=np.float64).reshape(-1, 3)
+
+
+def _match(vertices: FloatArray, nodes: FloatArray) -> npt.NDArray[np.int64]:
+    """The node at each vertex."""
+    from scipy.spatial import KDTree
+
+    return np.asarray(KDTree(nodes).query(vertices)[1], dtype=np.int64)
+
+
+def _mean_edge(cloth: Cloth) -> float:
+    corners = np.asarray(cloth.mesh.vertices)[np.asarray(cloth.mesh.faces)]
+    return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).mean())
