@@ -2,13 +2,15 @@
 
 from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
 
+_NO_IMAGES = "MuJoCo-Warp's ray tracer is not connected to this backend: choose another renderer"
+
 CAPABILITIES = Capabilities(
     {
         Capability.ARTICULATIONS: EXACT,
         Capability.FLOATING_BASE: EXACT,
         Capability.IMPLICIT_DRIVES: EXACT,
         Capability.EFFORT_LIMITS: EXACT,
-        Capability.VELOCITY_LIMITS: unsupported("MuJoCo does not limit the velocity of a joint"),
+        Capability.VELOCITY_LIMITS: unsupported("MuJoCo-Warp does not limit the velocity of a joint"),
         Capability.JOINT_DAMPING: EXACT,
         Capability.JOINT_FRICTION: approximate("friction is a soft constraint: a held joint creeps slowly under load"),
         Capability.ARMATURE: EXACT,
@@ -34,7 +36,7 @@ CAPABILITIES = Capabilities(
             "each triangle is a prism that reaches 10 mm inward, so thinner walls become as thick"
         ),
         Capability.DYNAMIC_TRIANGLE_MESHES: unsupported(
-            "MuJoCo collides the convex hull of a moving mesh: split the mesh into convex pieces"
+            "MuJoCo-Warp collides the convex hull of a moving mesh: split the mesh into convex pieces"
         ),
         Capability.HEIGHT_FIELDS: EXACT,
         Capability.CONTACT_FORCES: EXACT,
@@ -47,14 +49,16 @@ CAPABILITIES = Capabilities(
         Capability.RANDOMIZE_GAINS: EXACT,
         Capability.RANDOMIZE_GRAVITY: EXACT,
         Capability.SNAPSHOTS: EXACT,
-        Capability.DETERMINISTIC: EXACT,
-        Capability.RGB: EXACT,
-        Capability.DEPTH: EXACT,
-        Capability.NORMALS: EXACT,
-        Capability.SEGMENTATION: EXACT,
-        Capability.RAY_TRACED_RGB: unsupported("MuJoCo rasterises"),
-        Capability.GPU: unsupported("this backend simulates on the CPU"),
-        Capability.CLOTH: unsupported("MuJoCo's deformables are not connected to this backend"),
-        Capability.SOFT_BODIES: unsupported("MuJoCo's deformables are not connected to this backend"),
+        Capability.DETERMINISTIC: approximate(
+            "bit for bit on a CPU; on a GPU only with WarpConfig(deterministic=True), for sums run in any order"
+        ),
+        Capability.RGB: unsupported(_NO_IMAGES),
+        Capability.DEPTH: unsupported(_NO_IMAGES),
+        Capability.NORMALS: unsupported(_NO_IMAGES),
+        Capability.SEGMENTATION: unsupported(_NO_IMAGES),
+        Capability.RAY_TRACED_RGB: unsupported(_NO_IMAGES),
+        Capability.GPU: EXACT,
+        Capability.CLOTH: unsupported("MuJoCo-Warp's deformables are not connected to this backend"),
+        Capability.SOFT_BODIES: unsupported("MuJoCo-Warp's deformables are not connected to this backend"),
     }
 )

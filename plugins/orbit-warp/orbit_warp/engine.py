@@ -106,6 +106,16 @@ class WarpEngine(Engine):
         self._faults.note()
         self._state.derive()
 
+    def check(self) -> None:
+        """Wait for the device, and raise what the last step noted rather than when the next begins.
+
+        Raises:
+            SimulationError: as :meth:`step`.
+        """
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+        self._faults.report()
+
     @property
     def overflows(self) -> int:
         """Steps so far in which a buffer of contacts or constraints was full."""

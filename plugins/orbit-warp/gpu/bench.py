@@ -1,0 +1,113 @@
+"""Measures environments on one device: a whole step of a task, against captured stepping of the same model alone.
+
+    python plugins/orbit-warp/gpu/bench.py --task Lift --num-envs 4096 16384 --action ik_relative
+
+Each line is one size, random actions: rates are environment steps per second, medians over blocks; ``alone`` is
+MuJoCo-Warp's own stepping of the same model, states and decimation, and ``ratio`` the whole over it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+
+import torch
+
+from orbit_core.tasks import make
+from orbit_core.tasks.environment import Environment
+from orbit_warp.raw import raw_steppers
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--task", default="Lift")
+    parser.add_argument("--num-envs", type=int, nargs="+", default=[4096])
+    parser.add_argument("--action")
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    parser.add_argument("--steps", type=int, default=200, help="environment steps of a block")
+    parser.add_argument("--blocks", type=int, default=5)
+    parser.add_argument("--setting", action="append", default=[], help="of WarpConfig, as name=JSON")
+    parser.add_argument("--profile", help="write a trace of ten steps here, and print the kernels that cost most")
+    arguments = parser.parse_args()
+    for num_envs in arguments.num_envs:
+        print(json.dumps(measure(arguments, num_envs)), flush=True)
+
+
+def measure(arguments: argparse.Namespace, num_envs: int) -> dict[str, object]:
+    """One size."""
+    settings = {name: json.loads(value) for name, _, value in (item.partition("=") for item in arguments.setting)}
+    fields = {"action": arguments.action} if arguments.action else {}
+    begun = time.perf_counter()
+    environment = make(
+        arguments.task, num_envs=num_envs, backend="warp", device=arguments.device, settings=settings, **fields
+    )
+    made = time.perf_counter() - begun
+    environment.reset(seed=0)
+    actions = [torch.rand(num_envs, environment.action_size, device=environment.device) * 2 - 1 for _ in range(16)]
+    begun = time.perf_counter()
+    environment.step(actions[0])
+    _wait(environment)
+    first = time.perf_counter() - begun
+    for action in actions:
+        environment.step(action)
+    engine, decimation = environment.world.engine, environment.task.decimation
+    (raw,) = raw_steppers(engine).values()  # pyright: ignore[reportArgumentType]
+    raw.synchronize()
+    raw.step(raw.command(), decimation)
+    whole, alone = [], []
+    for _ in range(arguments.blocks):
+        raw.synchronize()
+        command = raw.command()
+        whole.append(_timed(environment, lambda k: environment.step(actions[k % 16]), arguments.steps))
+        alone.append(_timed(environment, lambda k: raw.step(command, decimation), arguments.steps))
+    if arguments.profile:
+        _profile(environment, actions, arguments.profile)
+    result = {
+        "task": arguments.task,
+        "num_envs": num_envs,
+        "device": torch.cuda.get_device_name() if environment.device.type == "cuda" else "cpu",
+        "env_steps_per_s": round(num_envs / statistics.median(whole)),
+        "alone_per_s": round(num_envs / statistics.median(alone)),
+        "ratio": round(statistics.median(alone) / statistics.median(whole), 3),
+        "spread": [round(max(times) / min(times), 3) for times in (whole, alone)],
+        "made_s": round(made, 1),
+        "first_step_s": round(first, 1),
+        "device_memory_free_MiB": torch.cuda.mem_get_info()[0] // 2**20 if environment.device.type == "cuda" else None,
+        "buffers": str(engine.buffer_sizes),  # pyright: ignore[reportAttributeAccessIssue]
+        "peaks": str(engine.buffer_peaks),  # pyright: ignore[reportAttributeAccessIssue]
+        "overflows": engine.overflows,  # pyright: ignore[reportAttributeAccessIssue]
+        "finite": bool(engine.link_poses.isfinite().all()),
+    }
+    environment.close()
+    return result
+
+
+def _timed(environment: Environment, step, steps: int) -> float:
+    """Seconds per step."""
+    _wait(environment)
+    begun = time.perf_counter()
+    for k in range(steps):
+        step(k)
+    _wait(environment)
+    return (time.perf_counter() - begun) / steps
+
+
+def _wait(environment: Environment) -> None:
+    if environment.device.type == "cuda":
+        torch.cuda.synchronize(environment.device)
+
+
+def _profile(environment: Environment, actions: list[torch.Tensor], path: str) -> None:
+    activities = [torch.profiler.ProfilerActivity.CPU, torch.profiler.ProfilerActivity.CUDA]
+    with torch.profiler.profile(activities=activities) as profile:
+        for action in actions[:10]:
+            environment.step(action)
+        _wait(environment)
+    profile.export_chrome_trace(path)
+    print(profile.key_averages().table(sort_by="cuda_time_total", row_limit=25))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,22 @@
+#!/usr/bin/env bash
+# Makes the source tree runnable on a machine without a package registry: source this in the repository's root.
+# Packages are expected unpacked in ~/site, parsed robots (a copy of ~/.cache/orbit) in .gpu/cache.
+site=${ORBIT_SITE:-$HOME/site}
+mkdir -p "$site"
+export PYTHONPATH="$site:$PWD:$PWD/plugins/orbit-warp" PYTHONUNBUFFERED=1
+export ORBIT_CACHE_DIR="${ORBIT_CACHE_DIR:-$PWD/.gpu/cache}"
+
+# Plugins, tasks and robots are found through the entry points of installed distributions.
+python3 - "$site" <<'PYTHON'
+import pathlib, sys, tomllib
+
+for project in ("pyproject.toml", "plugins/orbit-warp/pyproject.toml"):
+    data = tomllib.loads(pathlib.Path(project).read_text())["project"]
+    name, version = data["name"].replace("-", "_"), data["version"]
+    folder = pathlib.Path(sys.argv[1]) / f"{name}-{version}.dist-info"
+    folder.mkdir(exist_ok=True)
+    (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {data['name']}\nVersion: {version}\n")
+    groups = data.get("entry-points", {})
+    lines = [f"[{group}]\n" + "".join(f"{key} = {value}\n" for key, value in names.items()) for group, names in groups.items()]
+    (folder / "entry_points.txt").write_text("\n".join(lines))
+PYTHON
