@@ -1,4 +1,7 @@
-"""Every installed backend x every test; what a backend declares unsupported is skipped with its reason."""
+"""Every installed backend x every test; what a backend declares unsupported is skipped with its reason.
+
+``--device cuda`` makes the engines on a GPU; the tests see them through the host's memory.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,14 @@ from orbit_core import backends
 from orbit_core.interfaces import Backend, Capability, Engine, SceneLayout
 from orbit_core.scene import Scene
 
+from .on_host import OnHost
+
 MakeEngine = Callable[..., Engine]
 Needs = Callable[..., None]
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--device", default="cpu", help="where the engines under test live")
 
 
 @pytest.fixture(params=backends.backend_names())
@@ -34,15 +43,17 @@ def needs(backend: Backend) -> Needs:
 
 
 @pytest.fixture
-def make_engine(backend: Backend) -> Iterator[MakeEngine]:
+def make_engine(backend: Backend, request: pytest.FixtureRequest) -> Iterator[MakeEngine]:
     """An engine of a scene: ``make_engine(scene, num_envs=1, **settings)``; closed after the test."""
     made: list[Engine] = []
+    device = torch.device(request.config.getoption("--device", "cpu"))
 
     def make(scene: Scene, num_envs: int = 1, **settings: Any) -> Engine:
         backends.check_scene(backend, scene)
         config = backends.backend_config(backend, settings)
-        made.append(backend.create_engine(SceneLayout.of(scene), num_envs, torch.device("cpu"), config))
-        return made[-1]
+        engine = backend.create_engine(SceneLayout.of(scene), num_envs, device, config)
+        made.append(engine)
+        return engine if device.type == "cpu" else OnHost(engine)  # pyright: ignore[reportReturnType]
 
     yield make
     for engine in made:
