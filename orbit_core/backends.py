@@ -1,4 +1,5 @@
-"""Finds physics engines and renderers: plugins under the entry-point group ``orbit.backends``, by name.
+"""Finds physics engines and renderers: plugins under the entry-point groups ``orbit.backends`` and, for what draws and
+simulates nothing, ``orbit.renderers``, by name.
 
 Nothing is imported until a backend is asked for. The core knows no engine's name: those that could be installed are
 the extras of the distribution ``orbit-core`` that bring a distribution ``orbit-<extra>``.
@@ -28,6 +29,7 @@ from orbit_core.interfaces.requirements import required_capabilities
 from orbit_core.scene import Scene
 
 GROUP = "orbit.backends"
+RENDERERS = "orbit.renderers"
 
 
 def backend_names() -> list[str]:
@@ -60,6 +62,11 @@ def installable_backends() -> dict[str, str]:
     return {name: f'pip install "orbit-core[{name}]"' for name in _extras() if name not in _entry_points()}
 
 
+def renderer_names() -> list[str]:
+    """The installed plugins that draw and simulate nothing, sorted; backends may draw too."""
+    return sorted(_entry_points(RENDERERS))
+
+
 @functools.cache
 def backend(name: str) -> Backend:
     """The backend of that name, made once and kept.
@@ -67,24 +74,34 @@ def backend(name: str) -> Backend:
     Raises:
         BackendNotInstalledError: it is known but not installed; says how to install it.
         UnknownNameError: no backend has that name.
-        ConfigurationError: its plugin fails to import, or is no backend; names the plugin and the cause.
+        ConfigurationError: its plugin fails to import, or is no backend, or only draws; names the plugin and the cause.
     """
     entry_point = _entry_points().get(name)
     if entry_point is None:
         installable = installable_backends()
         if name in installable:
             raise BackendNotInstalledError(f"backend '{name}' is not installed: {installable[name]}")
+        if name in renderer_names():
+            raise ConfigurationError(f"'{name}' draws and simulates nothing: give it as renderer, and another backend")
         raise UnknownNameError("backend", name, {*backend_names(), *installable})
-    plugin = f"plugin '{entry_point.value}' of backend '{name}' ({_distribution(entry_point)})"
+    return _made(entry_point)
+
+
+@functools.cache
+def renderer(name: str) -> Backend:
+    """What draws under that name: a renderer alone, made once and kept, or a backend.
+
+    Raises:
+        BackendNotInstalledError, UnknownNameError, ConfigurationError: as :func:`backend`.
+    """
+    entry_point = _entry_points(RENDERERS).get(name)
+    if entry_point is not None:
+        return _made(entry_point)
     try:
-        made = entry_point.load()()
-    except OrbitError:
-        raise
-    except Exception as error:
-        raise ConfigurationError(f"{plugin} fails to load: {type(error).__name__}: {error}") from error
-    if not isinstance(made, Backend):
-        raise ConfigurationError(f"{plugin} makes a {type(made).__name__}, not an orbit_core.interfaces.Backend")
-    return made
+        return backend(name)
+    except UnknownNameError:
+        known = {*backend_names(), *installable_backends(), *renderer_names()}
+        raise UnknownNameError("renderer", name, known) from None
 
 
 def check_scene(backend: Backend, scene: Scene) -> None:
@@ -126,10 +143,24 @@ def backend_config(backend: Backend, values: Mapping[str, Any] | None = None) ->
         raise ConfigurationError(f"settings of backend '{backend.name}': {error}") from error
 
 
+def _made(entry_point: importlib_metadata.EntryPoint) -> Backend:
+    name = entry_point.name
+    plugin = f"plugin '{entry_point.value}' of backend '{name}' ({_distribution(entry_point)})"
+    try:
+        made = entry_point.load()()
+    except OrbitError:
+        raise
+    except Exception as error:
+        raise ConfigurationError(f"{plugin} fails to load: {type(error).__name__}: {error}") from error
+    if not isinstance(made, Backend):
+        raise ConfigurationError(f"{plugin} makes a {type(made).__name__}, not an orbit_core.interfaces.Backend")
+    return made
+
+
 @functools.cache
-def _entry_points() -> dict[str, importlib_metadata.EntryPoint]:
+def _entry_points(group: str = GROUP) -> dict[str, importlib_metadata.EntryPoint]:
     found: dict[str, importlib_metadata.EntryPoint] = {}
-    for entry_point in importlib_metadata.entry_points(group=GROUP):
+    for entry_point in importlib_metadata.entry_points(group=group):
         if entry_point.name in found:
             both = sorted((_distribution(found[entry_point.name]), _distribution(entry_point)))
             raise ConfigurationError(

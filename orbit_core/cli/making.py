@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from orbit_core.backends import backend, default_backend
+from orbit_core.backends import backend, default_backend, renderer
 from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.cli.values import check_values, defaults_of, parse_values
 from orbit_core.interfaces.errors import ConfigurationError
@@ -27,7 +27,7 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environmen
     name = settings.backend or default_backend()
     plugin = backend(name)
     if settings.renderer is not None:
-        backend(settings.renderer)  # an unknown name is worth knowing before the task is built
+        renderer(settings.renderer)  # an unknown name is worth knowing before the task is built
     import torch
 
     from orbit_core.tasks.environment import make

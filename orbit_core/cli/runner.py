@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from orbit_core import __version__
-from orbit_core.backends import backend
+from orbit_core.backends import renderer
 from orbit_core.cli.agents import check_agent, make_agent
 from orbit_core.cli.checks import check_output, check_positive
 from orbit_core.cli.making import make_environment
@@ -205,5 +205,5 @@ def versions_of(*backends: str | None) -> dict[str, str]:
     versions = {"orbit": __version__, "python": platform.python_version(), "torch": torch.__version__}
     for name in backends:
         if name is not None:
-            versions.update(backend(name).versions())
+            versions.update(renderer(name).versions())  # which finds backends too
     return versions

@@ -15,6 +15,7 @@ from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.validation import validate_entity
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_config, check_scene
+from orbit_core.backends import renderer as find_renderer
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import TERRAIN, Approximation, ConfigurationError, Renderer, SceneLayout, Sensor, World
 from orbit_core.scene import CameraSpec, Entity, Scene

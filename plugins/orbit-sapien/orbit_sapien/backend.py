@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
-from orbit_core.interfaces import Backend, Capabilities, ConfigurationError
-from orbit_sapien.capabilities import CAPABILITIES
+from orbit_core.interfaces import Backend, Capabilities, ConfigurationError, UnsupportedCapabilityError
+from orbit_sapien.capabilities import CAPABILITIES, IMAGES
 from orbit_sapien.config import SapienConfig
 
 if TYPE_CHECKING:
@@ -41,3 +42,36 @@ class SapienBackend(Backend):
         from orbit_sapien.renderer import SapienRenderer
 
         return SapienRenderer(layout, cameras, config)
+
+
+class _Tier(SapienBackend):
+    """One tier of the renderer under a name of its own, for worlds that any backend simulates."""
+
+    tier: ClassVar[str]
+
+    def capabilities(self) -> Capabilities:
+        return IMAGES
+
+    def create_engine(self, layout: SceneLayout, num_envs: int, device: torch.device, config: SapienConfig) -> Engine:
+        raise UnsupportedCapabilityError(f"'{self.name}' draws and simulates nothing: use backend 'sapien' for physics")
+
+    def create_renderer(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: SapienConfig) -> Renderer:
+        return super().create_renderer(layout, cameras, dataclasses.replace(config, tier=self.tier))
+
+
+class SapienFast(_Tier):
+    """Rasterised, one sun with shadows."""
+
+    name, tier = "sapien-fast", "fast"
+
+
+class SapienPbr(_Tier):
+    """Rasterised with physically based materials."""
+
+    name, tier = "sapien-pbr", "pbr"
+
+
+class SapienRt(_Tier):
+    """Traced paths."""
+
+    name, tier = "sapien-rt", "rt"

@@ -10,6 +10,9 @@ _IMAGES = {
     Capability.RAY_TRACED_RGB: EXACT,
 }
 
+IMAGES = Capabilities(_IMAGES)
+"""Of the renderer alone."""
+
 CAPABILITIES = Capabilities(
     {
         Capability.ARTICULATIONS: EXACT,

@@ -31,8 +31,8 @@ _SUN_REACH = 3.0
 class SapienRenderer(Renderer):
     """Draws one copy of the scene, posed as each environment is in turn.
 
-    Depth, normals and links come from a rasteriser at each pixel's centre in every tier; the tier is colour's. They take
-    transparent shapes for solid ones. Markers are seen in colour alone.
+    Depth, normals and links come from a rasteriser at each pixel's centre in every tier; the tier is colour's. They
+    take transparent shapes for solid ones. Markers are seen in colour alone.
     """
 
     def __init__(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: SapienConfig) -> None:
@@ -172,7 +172,9 @@ class SapienRenderer(Renderer):
         # Shadows reach around the sun's axis: point it at the middle of what moves.
         middle = links[:, :3].mean(0) if len(links) else np.zeros(3)
         direction = np.asarray(_SUN) / np.linalg.norm(_SUN)
-        self._sun.entity.set_pose(NativePose((middle - _SUN_DISTANCE * direction).astype(np.float32), self._sun.entity.pose.q))
+        self._sun.entity.set_pose(
+            NativePose((middle - _SUN_DISTANCE * direction).astype(np.float32), self._sun.entity.pose.q)
+        )
 
     def _place_markers(self, poses: _Array | None) -> None:
         for number, entity in enumerate(self._markers):

@@ -49,7 +49,9 @@ def shader_pack(tier: str) -> str:
     else:
         source = (pack / "gbuffer.frag").read_text()
         if _LOOK_UP not in source or not _TABLE.search(source):
-            raise ConfigurationError("the installed SAPIEN has unknown shaders: install sapien==3.0.3, or use tier 'fast'")
+            raise ConfigurationError(
+                "the installed SAPIEN has unknown shaders: install sapien==3.0.3, or use tier 'fast'"
+            )
         (pack / "gbuffer.frag").write_text(_TABLE.sub("", source).replace(_LOOK_UP, _FIT))
     return str(pack)
 

@@ -76,7 +76,9 @@ def marker_shapes(marker: MarkerSpec) -> list[sapien.render.RenderShape]:
         case MarkerShape.FRAME:
             turns = Pose(), Pose.from_euler(0.0, 0.0, math.pi / 2), Pose.from_euler(0.0, -math.pi / 2, 0.0)
             colors = [(*axis, marker.color[3]) for axis in _AXIS_COLORS]
-            return [part for turn, color in zip(turns, colors, strict=True) for part in _arrow(size, shaft, color, turn)]
+            return [
+                part for turn, color in zip(turns, colors, strict=True) for part in _arrow(size, shaft, color, turn)
+            ]
 
 
 def _arrow(length: float, radius: float, color: Color, turn: Pose) -> list[sapien.render.RenderShape]:
