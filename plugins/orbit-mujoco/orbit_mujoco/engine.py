@@ -54,10 +54,18 @@ class MujocoEngine(Engine):
         self._wrenches = WrenchMeter(layout, self._sensordata)
         self._actuator_force = self._batch.bind("actuator_force")
         self._joint_efforts = torch.zeros(self._actuator_force.shape)
+        self._efforts_read = self._joint_efforts.numpy()
         self._ctrl, self._xfrc_applied = self._batch.bind("ctrl"), self._batch.bind("xfrc_applied")
         # Contiguous scratch: MuJoCo's rows lie far apart, and NumPy pays for that in each operation.
-        self._spring_part, self._damper_part = np.zeros((2, *self._ctrl.shape))
-        self._home = self.position_targets[0].clone()
+        self._spring_part, self._damper_part = np.zeros(self._ctrl.shape), np.zeros(self._ctrl.shape)
+        # NumPy's views of the tensors: on few numbers its operations cost a third of torch's.
+        self._targets = tuple(tensor.numpy() for tensor in self._commands)
+        self._cleared = [tensor.numpy() for tensor in (*self._commands[1:], *self._measurements) if tensor.numel()]
+        self._home = self._targets[0][0].copy()
+        self._failed = np.zeros(num_envs, dtype=bool)
+        """Environments with warnings or errors that MuJoCo's own reset alone clears."""
+        self._batch.reset(keyframe=0, stage=_NO_STAGE)
+        self._initial = self._batch.state[0].copy()
         self.reset()
 
     # Time ------------------------------------------------------------------------------------------------------------
@@ -75,8 +83,9 @@ class MujocoEngine(Engine):
             else:
                 self._batch.step(nstep=steps, stage=DERIVED_STAGE)
         except mujoco.batch.SimulationError as error:
+            self._failed[error.ids] = True
             raise SimulationError(f"MuJoCo failed in environments {_shown(error.ids)}: {error}") from error
-        np.copyto(self._joint_efforts.numpy(), self._actuator_force, casting="same_kind")
+        np.copyto(self._efforts_read, self._actuator_force, casting="same_kind")
         self._wrenches.read()
         self._state.invalidate()
         if self._batch.warning.any():
@@ -92,15 +101,17 @@ class MujocoEngine(Engine):
         return self._joint_efforts, self._contacts.forces, self._wrenches.wrenches
 
     def _write_commands(self) -> None:
-        np.multiply(self.position_targets.numpy(), self._parameters.stiffness, out=self._spring_part)
-        np.multiply(self.velocity_targets.numpy(), self._parameters.damping, out=self._damper_part)
+        positions, velocities, efforts = self._targets
+        np.multiply(positions, self._parameters.stiffness, out=self._spring_part)
+        np.multiply(velocities, self._parameters.damping, out=self._damper_part)
         np.add(self._spring_part, self._damper_part, out=self._spring_part)
-        np.add(self._spring_part, self.efforts.numpy(), out=self._ctrl)
+        np.add(self._spring_part, efforts, out=self._ctrl)
 
     def _raise_warnings(self) -> None:
         counts = self._batch.warning[..., 1]
         warning = int(np.flatnonzero(counts.any(axis=0))[0])
         environments = np.flatnonzero(counts[:, warning])
+        self._failed |= counts.any(axis=1)
         text = mujoco.mju_warningText(warning, int(self._batch.warning[environments[0], warning, 0]))
         raise SimulationError(
             f"environments {_shown(environments)} diverged: {text.strip()}; reset them, and use a smaller physics_dt, "
@@ -141,13 +152,20 @@ class MujocoEngine(Engine):
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         rows = _rows(env_ids)
-        self._batch.reset(None if env_ids is None else np.sort(env_ids.numpy()), keyframe=0, stage=_NO_STAGE)
-        # NumPy's views of the tensors: to set a row costs a fifth of what it costs torch.
-        self.position_targets.numpy()[rows] = self._home
-        for cleared in (self.velocity_targets, self.efforts, *self._measurements):
-            if cleared.numel():
-                cleared.numpy()[rows] = 0.0
+        if self._failed[rows].any():
+            self._clear_failures(rows)
+        self._batch.state[rows] = self._initial
+        self._targets[0][rows] = self._home
+        for cleared in self._cleared:
+            cleared[rows] = 0.0
         self._state.mark_written(rows)
+
+    def _clear_failures(self, rows: Rows) -> None:
+        # Not for every reset: it clears all that MuJoCo derives as well, which costs a hundred times the state alone.
+        chosen = np.zeros(self.num_envs, dtype=bool)
+        chosen[rows] = True
+        self._batch.reset(chosen, stage=_NO_STAGE)
+        self._failed[rows] = False
 
     # Measurements ----------------------------------------------------------------------------------------------------
 
@@ -208,7 +226,7 @@ class MujocoEngine(Engine):
         )
 
     def load_state(self, state: Snapshot) -> None:
-        self._batch.reset(stage=_NO_STAGE)  # forgets warnings
+        self._clear_failures(slice(None))
         self._batch.state[...] = state.rows
         self._parameters.load(state.parameters)
         for own, saved in zip((*self._commands, *self._measurements), state.tensors, strict=True):

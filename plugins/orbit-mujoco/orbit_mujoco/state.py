@@ -40,10 +40,12 @@ class State:
         self._position_columns = columns(addresses.joint_positions)
         self._velocity_columns = columns(addresses.joint_velocities)
         self._bodies, self._roots = columns(addresses.bodies), columns(addresses.roots)
-        self._joint_positions = torch.zeros(num_envs, joints)
-        self._joint_velocities = torch.zeros(num_envs, joints)
-        self._link_poses = torch.zeros(num_envs, links, 7)
-        self._link_velocities = torch.zeros(num_envs, links, 6)
+        self._joint_positions = np.zeros((num_envs, joints), dtype=np.float32)
+        self._joint_velocities = np.zeros((num_envs, joints), dtype=np.float32)
+        self._link_poses = np.zeros((num_envs, links, 7), dtype=np.float32)
+        self._link_velocities = np.zeros((num_envs, links, 6), dtype=np.float32)
+        arrays = (self._joint_positions, self._joint_velocities, self._link_poses, self._link_velocities)
+        self._tensors = tuple(torch.from_numpy(array) for array in arrays)
         self._spins, self._offsets = np.zeros((2, num_envs, links, 3))
         self._current: set[str] = set()
         self._written = np.zeros(num_envs, dtype=bool)
@@ -63,37 +65,37 @@ class State:
     @property
     def joint_positions(self) -> Tensor:
         if self._claim("joint_positions"):
-            np.copyto(self._joint_positions.numpy(), self._qpos[:, self._position_columns], casting="same_kind")
-        return self._joint_positions
+            np.copyto(self._joint_positions, self._qpos[:, self._position_columns], casting="same_kind")
+        return self._tensors[0]
 
     @property
     def joint_velocities(self) -> Tensor:
         if self._claim("joint_velocities"):
-            np.copyto(self._joint_velocities.numpy(), self._qvel[:, self._velocity_columns], casting="same_kind")
-        return self._joint_velocities
+            np.copyto(self._joint_velocities, self._qvel[:, self._velocity_columns], casting="same_kind")
+        return self._tensors[1]
 
     @property
     def link_poses(self) -> Tensor:
         if self._claim("link_poses"):
             self._derive()
-            poses, quaternions = self._link_poses.numpy(), self._xquat[:, self._bodies]
+            poses, quaternions = self._link_poses, self._xquat[:, self._bodies]
             np.copyto(poses[..., :3], self._xpos[:, self._bodies], casting="same_kind")
             sign = np.copysign(1.0, quaternions[..., :1])
             np.multiply(quaternions, sign, out=poses[..., 3:], casting="same_kind")
-        return self._link_poses
+        return self._tensors[2]
 
     @property
     def link_velocities(self) -> Tensor:
         """``cvel`` is angular, then linear velocity at the centre of mass of the tree: move it to the link's origin."""
         if self._claim("link_velocities"):
             self._derive()
-            velocities, spatial = self._link_velocities.numpy(), self._cvel[:, self._bodies]
+            velocities, spatial = self._link_velocities, self._cvel[:, self._bodies]
             np.subtract(self._xpos[:, self._bodies], self._subtree_com[:, self._roots], out=self._offsets)
             np.copyto(self._spins, spatial[..., :3])
             swept = torch.linalg.cross(torch.from_numpy(self._spins), torch.from_numpy(self._offsets))
             np.add(spatial[..., 3:], swept.numpy(), out=velocities[..., :3], casting="same_kind")
             np.copyto(velocities[..., 3:], spatial[..., :3], casting="same_kind")
-        return self._link_velocities
+        return self._tensors[3]
 
     def _claim(self, name: str) -> bool:
         """Whether a tensor must be filled; it counts as filled from now on."""
@@ -149,4 +151,4 @@ def block(rows: Rows, indices: npt.NDArray[np.int64]) -> tuple[Rows, npt.NDArray
 
 def _normalized(quaternions: FloatArray) -> npt.NDArray[np.float64]:
     quaternions = quaternions.astype(np.float64)
-    return quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    return quaternions / np.sqrt((quaternions * quaternions).sum(axis=-1, keepdims=True))
