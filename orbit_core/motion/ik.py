@@ -48,7 +48,9 @@ def damped_least_squares(jacobian: Tensor, error: Tensor, damping: float) -> Ten
     transposed = jacobian.transpose(1, 2)
     regular = _scaled_identity(jacobian.shape[1], damping**2, jacobian.device)
     factors, _ = torch.linalg.cholesky_ex(torch.baddbmm(regular, jacobian, transposed))
-    return torch.bmm(transposed, torch.cholesky_solve(error.unsqueeze(-1), factors)).squeeze(-1)
+    # Two triangular solves, for a CUDA graph cannot record torch.cholesky_solve.
+    half = torch.linalg.solve_triangular(factors, error.unsqueeze(-1), upper=False)
+    return torch.bmm(transposed, torch.linalg.solve_triangular(factors.mT, half, upper=True)).squeeze(-1)
 
 
 @functools.lru_cache(maxsize=64)
