@@ -76,7 +76,8 @@ class SimulatedWorld(World):
         self.scene = scene
         self.layout = SceneLayout.of(scene)
         self.num_envs = num_envs
-        self.device = torch.device(device)
+        # Through a tensor, so that a device without an index gets the one in use.
+        self.device = torch.empty(0, device=device).device
         self.physics_dt = scene.physics_dt
         self.backend = backend
         self._config = backend_config(plugin, settings)
