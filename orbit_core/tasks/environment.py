@@ -18,6 +18,7 @@ from orbit_core.interfaces import ConfigurationError, Node, NonFiniteError, Port
 from orbit_core.motion import Actuate, action_space, with_drives_for
 from orbit_core.scene import Scene
 from orbit_core.tasks.common import ROBOT
+from orbit_core.tasks.recording import RecordedStep, StepOutcome
 from orbit_core.tasks.registry import task_entry
 from orbit_core.tasks.settings import configure
 from orbit_core.tasks.task import Task
@@ -73,6 +74,7 @@ class Environment:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         self.task = task = copy.deepcopy(task)
+        self.max_episode_steps = _whole_steps(task)
         merged = {**task.backend_presets.get(backend, {}), **(settings or {})}
         self.world = SimulatedWorld(
             _driven(task.scene(), task.action), num_envs, backend, merged, device, seed, renderer
@@ -80,7 +82,6 @@ class Environment:
         self.num_envs = num_envs
         self.device = self.world.device
         self.step_dt = task.physics_dt * task.decimation
-        self.max_episode_steps = _whole_steps(task.episode_length, self.step_dt)
         self.observation_terms = terms_of(task.observations, ObservationTerm)
         self.reward_terms = terms_of(task.rewards, RewardTerm)
         self.termination_terms = terms_of(task.terminations, TerminationTerm)
@@ -93,10 +94,13 @@ class Environment:
         self._never = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         task.generators = action_space(self.world.robots[ROBOT], task.action)
         self.action_size = sum(generator.command_size for generator in task.generators)
-        task.last_action = torch.zeros(num_envs, self.action_size, device=self.device)
+        self._action = torch.zeros(num_envs, self.action_size, device=self.device)
+        task.last_action = torch.zeros_like(self._action)
+        task.action_before = torch.zeros_like(self._action)
         task.start(self.world)
         self.observation_size = self._observation().shape[1]
         self._cut = self._build_agent()
+        self._stepper = RecordedStep.of(self.world, task, self._cut, self._advance)
         self._run_events(EventTime.STARTUP, self._all)
         self._begin(None)
         self._observe()
@@ -121,24 +125,16 @@ class Environment:
 
         Raises:
             ShapeError: the action is not (N, A).
-            NonFiniteError: the action holds a NaN or infinite number; names environment and component.
+            NonFiniteError: the action holds a NaN or infinite number; names environment and component. On a GPU the
+                engine's SimulationError of the next step names the environment.
         """
         with SingleThreaded():
             return self._step(action)
 
     def _step(self, action: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
         self._check(action)
-        action = action.clamp(-1.0, 1.0)
-        self._cut.act({"action": action})
-        self.world.step(self.task.decimation)
-        task = self.task
-        task.episode_step += 1
-        task.advance(self.world)
-        task.action_before, task.last_action = task.last_action, action
-        reward = self._reward()
-        terminated = self._terminated()
-        truncated = task.episode_step >= self.max_episode_steps
-        done = terminated | truncated
+        torch.clamp(action, -1.0, 1.0, out=self._action)
+        reward, terminated, truncated, done = self._stepper()
         info: dict[str, Any] = {}
         if bool(done.any()):
             ended = done.nonzero().squeeze(-1)
@@ -186,11 +182,27 @@ class Environment:
 
     # One step -------------------------------------------------------------------------------------------------------
 
+    def _advance(self) -> StepOutcome:
+        """From the action to what the step came to, and no reset yet: nothing here waits for the device."""
+        task = self.task
+        self._cut.act({"action": self._action})
+        self.world.step(task.decimation)
+        task.episode_step += 1
+        task.advance(self.world)
+        task.action_before.copy_(task.last_action)
+        task.last_action.copy_(self._action)
+        reward = self._reward()
+        terminated = self._terminated()
+        late = task.episode_step >= self.max_episode_steps
+        return reward, terminated, late & ~terminated, late | terminated
+
     def _check(self, action: Tensor) -> None:
         expected = (self.num_envs, self.action_size)
         if tuple(action.shape) != expected:
             raise ShapeError(f"the action must have shape {expected} (num_envs, components), not {tuple(action.shape)}")
         # One sum finds any NaN or infinity; which one it was is worth a search only then.
+        if action.device.type != "cpu":
+            return  # to look would be to wait for the device: its engine tells which environments diverged
         if not math.isfinite(float(action.sum())) and not bool(torch.isfinite(action).all()):
             environment, component = (int(index) for index in (~torch.isfinite(action)).nonzero()[0])
             value = float(action[environment, component])
@@ -262,12 +274,18 @@ def _driven(scene: Scene, action: str) -> Scene:
     return replace(scene, robots=robots)
 
 
-def _whole_steps(episode_length: float, step_dt: float) -> int:
-    steps = round(episode_length / step_dt)
-    if steps < 1 or abs(steps * step_dt - episode_length) > 1e-6 * episode_length:
+def _whole_steps(task: Task) -> int:
+    """Steps of the environment in an episode."""
+    if not task.physics_dt > 0.0:
+        raise ConfigurationError(f"physics_dt must be above zero seconds, not {task.physics_dt:g}")
+    if task.decimation < 1:
+        raise ConfigurationError(f"decimation must be at least 1 physics step, not {task.decimation}")
+    step_dt = task.physics_dt * task.decimation
+    steps = round(task.episode_length / step_dt)
+    if steps < 1 or abs(steps * step_dt - task.episode_length) > 1e-6 * task.episode_length:
         raise ConfigurationError(
-            f"episode_length {episode_length} s is no whole number of steps of {step_dt} s (physics_dt x decimation): "
-            f"use {max(1, steps) * step_dt:g}"
+            f"episode_length {task.episode_length} s is no whole number of steps of {step_dt} s (physics_dt x "
+            f"decimation): use {max(1, steps) * step_dt:g}"
         )
     return steps
 
