@@ -41,6 +41,8 @@ class Settings:
 
     task: str = "Lift"
     """Name of the task."""
+    action: str | None = None
+    """Name of the action space; the task's own if None."""
     backend: str | None = None
     """Name of the backend; may be left out if only one is installed."""
     num_envs: int = 64
@@ -82,7 +84,8 @@ class Overhead:
 def measure(settings: Settings, num_envs: int) -> Overhead:
     """Alternate blocks of the environment and of each raw stepper."""
     torch.set_num_threads(1)  # as the command line does: small tensors gain nothing, and the engine needs the cores
-    environment = make(settings.task, num_envs, settings.backend or default_backend(), seed=settings.seed)
+    fields = {} if settings.action is None else {"action": settings.action}
+    environment = make(settings.task, num_envs, settings.backend or default_backend(), seed=settings.seed, **fields)
     try:
         agent = RandomAgent(environment, settings.seed)
         raw = _raw_module(environment).raw_steppers(environment.world.engine)
@@ -203,9 +206,15 @@ def main(settings: Settings) -> None:
     check_output(settings.plot, ".png")
     name = settings.backend or default_backend()
     figures = [measure(settings, num_envs) for num_envs in settings.sweep or (settings.num_envs,)]
-    title = f"{settings.task} on {name}"
+    title = f"{settings.task} on {name}" + (f", {settings.action}" if settings.action else "")
     _print(figures, title)
-    values = {"task": settings.task, "backend": name, "versions": versions_of(name), "cores": os.cpu_count()}
+    values = {
+        "task": settings.task,
+        "action": settings.action,
+        "backend": name,
+        "versions": versions_of(name),
+        "cores": os.cpu_count(),
+    }
     values["block_steps"], values["blocks"] = settings.block_steps, settings.blocks
     values["overhead"] = [asdict(figure) for figure in figures]
     if not settings.sweep:
