@@ -36,7 +36,7 @@ class SapienConfig:
     """Number of environments above which a level ground plane is shared by all, which is faster."""
     tier: str = "fast"
     """Quality of images: ``fast`` and ``pbr`` rasterise, ``rt`` traces paths."""
-    samples_per_pixel: int = 16
+    samples_per_pixel: int = 8
     """Of tier ``rt``."""
     path_depth: int = 6
     """Greatest number of surfaces that a path of tier ``rt`` meets."""

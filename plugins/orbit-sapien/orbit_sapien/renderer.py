@@ -192,9 +192,9 @@ def _render_system() -> sapien.render.RenderSystem:
         return sapien.render.RenderSystem()
     except RuntimeError as error:
         raise ConfigurationError(
-            f"SAPIEN cannot draw here, for no Vulkan driver fits ({str(error).strip()}): install the graphics card's driver, "
-            "or without a card Mesa's lavapipe of version 24 or later and libvulkan1 (on Debian 12: apt-get install -t "
-            "bookworm-backports mesa-vulkan-drivers)"
+            f"SAPIEN cannot draw here, for no Vulkan driver fits ({str(error).strip()}): install the graphics card's "
+            "driver, or without a card libvulkan1 and Mesa's lavapipe of version 24 or later (on Debian 12: apt-get "
+            "install -t bookworm-backports mesa-vulkan-drivers)"
         ) from error
 
 

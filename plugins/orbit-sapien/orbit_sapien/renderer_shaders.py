@@ -1,8 +1,9 @@
 """Shader packs without the table that SAPIEN's own rasterisers compute for 16-21 s before their first picture.
 
-``fast`` is this project's; it takes only vertex shaders from the installed package. ``pbr`` is the package's ``minimal``
-pack with the table's one look-up replaced by Karis's analytic fit (Physically Based Shading on Mobile, 2014). Both are
-put together in a temporary folder, so that no shader of SAPIEN's is part of this distribution.
+``fast`` is this project's; it takes only vertex shaders from the installed package. ``pbr`` is the package's
+``minimal`` pack with the table's one look-up replaced by Karis's analytic fit (Physically Based Shading on Mobile,
+2014), and with light where the shadow map ends. Both are put together in a temporary folder, so that no shader of
+SAPIEN's is part of this distribution.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -21,6 +22,8 @@ from orbit_sapien.native import sapien
 _OWN = Path(__file__).parent / "shaders"
 _TABLE = re.compile(r"^layout\(.*samplerBRDFLUT;\s*$", re.MULTILINE)
 _LOOK_UP = "vec2 envBRDF = texture(samplerBRDFLUT, vec2(roughness, dotNV)).xy;"
+_SHADOW = "float shadow = 0.0f;"
+_LIT_OUTSIDE = "if (projCoord.xy != clamp(projCoord.xy, 0.0f, 1.0f)) return 1.0f;"
 _FIT = """
   vec4 fit = roughness * vec4(-1, -0.0275, -0.572, 0.022) + vec4(1, 0.0425, 1.04, -0.04);
   float edge = min(fit.x * fit.x, exp2(-9.28 * dotNV)) * fit.x + fit.y;
@@ -41,6 +44,8 @@ def shader_pack(tier: str) -> str:
     folder = Path(_root().name)
     if not (folder / "common").exists():
         shutil.copytree(installed / "common", folder / "common")
+        shadows = folder / "common" / "shadow.glsl"
+        shadows.write_text(shadows.read_text().replace(_SHADOW, f"{_LIT_OUTSIDE}\n  {_SHADOW}"))
     pack = folder / tier
     shutil.copytree(installed / "minimal", pack)
     shutil.copy(_OWN / "composite0.frag", pack)

@@ -124,7 +124,7 @@ def _mesh(
 
 
 def corner_normals(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Normals (F, 3, 3) at the corners (F, 3, 3) of triangles: shared by faces that bend little, else the face's own."""
+    """Normals (F, 3, 3) at triangles' corners (F, 3, 3): shared by faces that bend little, else the face's own."""
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = _normalized(areas)
     keys = np.round(corners.reshape(-1, 3) * 1e6).astype(np.int64)
