@@ -51,6 +51,8 @@ class Actuators:
         self._delays = [_delay([groups[joint] for joint in m.joints], engine.num_envs, random) for m in self._models]
         self.explicit = bool(self._models)
         """Whether :meth:`apply` has work to do."""
+        self.delayed = any(delay is not None for delay in self._delays)
+        """Whether a group holds commands back."""
         self.position_targets = engine.position_targets
         """(N, J) rad or m"""
         self.velocity_targets = engine.velocity_targets

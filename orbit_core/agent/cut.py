@@ -87,3 +87,17 @@ class Cut:
         self.graph.run(self._downstream)
         self.graph.step_count += 1
         return self.graph.read_outputs()
+
+    def acted(self, step: int) -> None:
+        """Step ``step`` was ended by other means than :meth:`act`, such as a recording of it: count it once."""
+        for runner in (self._replaced, *self._downstream):
+            runner.last_turn = step
+            runner.pending.clear()
+        self.graph.step_count = step + 1
+
+    def again(self, step: int) -> None:
+        """Make ready to :meth:`act` at ``step``, whether or not that was begun before."""
+        for runner in (self._replaced, *self._downstream):
+            if runner.last_turn == step:
+                runner.last_turn = step - 1
+        self.graph.step_count = step

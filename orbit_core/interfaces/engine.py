@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,6 +71,17 @@ class Engine(ABC):
         Raises:
             SimulationError: the engine diverged; names the environments.
         """
+
+    def record(self, operations: Callable[[], None]) -> Callable[[], None]:
+        """What does the same as ``operations``, where the engine can without Python: recorded once, then replayed.
+
+        ``operations`` steps the engine and works on tensors of ``device``, and no step of it waits for the device.
+        What it remembers it writes in place. Its calls on the host happen when it is recorded, and when it is replayed
+        do not. It may be called again from the start where recording fails.
+
+        An engine that records nothing gives back ``operations`` itself.
+        """
+        return operations
 
     # State -----------------------------------------------------------------------------------------------------------
 

@@ -306,6 +306,8 @@ class SimulatedObject(Object):
         expected = (self._engine.num_envs if env_ids is None else len(env_ids), *shape)
         if tuple(value.shape) != expected:
             raise ShapeError(f"{what} of '{self.name}' must have shape {expected}, not {tuple(value.shape)}")
+        if value.device.type != "cpu":
+            return  # to look would be to wait for the device: its engine tells which environments diverged
         # One sum finds any NaN or infinity; where it is, is worth a search only then.
         if not math.isfinite(float(value.sum())) and not bool(torch.isfinite(value).all()):
             row = int((~torch.isfinite(value)).flatten(1).any(1).nonzero()[0])
