@@ -14,10 +14,10 @@ import statistics
 import time
 
 import torch
+from orbit_warp.raw import raw_steppers
 
 from orbit_core.tasks import make
 from orbit_core.tasks.environment import Environment
-from orbit_warp.raw import raw_steppers
 
 
 def main() -> None:
@@ -55,13 +55,13 @@ def measure(arguments: argparse.Namespace, num_envs: int) -> dict[str, object]:
     engine, decimation = environment.world.engine, environment.task.decimation
     (raw,) = raw_steppers(engine).values()  # pyright: ignore[reportArgumentType]
     raw.synchronize()
-    raw.step(raw.command(), decimation)
+    command = raw.command()
+    raw.step(command, decimation)
     whole, alone = [], []
     for _ in range(arguments.blocks):
         raw.synchronize()
-        command = raw.command()
         whole.append(_timed(environment, lambda k: environment.step(actions[k % 16]), arguments.steps))
-        alone.append(_timed(environment, lambda k: raw.step(command, decimation), arguments.steps))
+        alone.append(_timed(environment, lambda _: raw.step(command, decimation), arguments.steps))
     if arguments.profile:
         _profile(environment, actions, arguments.profile)
     result = {

@@ -1,7 +1,7 @@
 """Contact forces per query: one launch over the contacts of a physics step adds each to the queries it answers."""
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-# pyright: reportOperatorIssue=false
+# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportAssignmentType=false
 # Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ def _share(
     other: int,
     force: wp.vec3,
     env: int,
-    query_starts: wp.array(dtype=int),
-    query_numbers: wp.array(dtype=int),
-    answers: wp.array2d(dtype=bool),
-    forces: wp.array2d(dtype=wp.vec3),
+    query_starts: wp.array[int],
+    query_numbers: wp.array[int],
+    answers: wp.array2d[bool],
+    forces: wp.array2d[wp.vec3],
 ):
     """Add the force on ``link`` to its queries that take ``other``; the terrain is the last link."""
     for i in range(query_starts[link], query_starts[link + 1]):
@@ -37,22 +37,22 @@ def _share(
 @wp.kernel(enable_backward=False)
 def add_contact_forces(
     cone: int,
-    link_of_geom: wp.array(dtype=int),
-    query_starts: wp.array(dtype=int),
-    query_numbers: wp.array(dtype=int),
-    answers: wp.array2d(dtype=bool),
+    link_of_geom: wp.array[int],
+    query_starts: wp.array[int],
+    query_numbers: wp.array[int],
+    answers: wp.array2d[bool],
     share: float,
-    frame: wp.array(dtype=wp.mat33),
-    friction: wp.array(dtype=vec5f),
-    dim: wp.array(dtype=int),
-    geoms: wp.array(dtype=wp.vec2i),
-    efc_address: wp.array2d(dtype=int),
-    env_of_contact: wp.array(dtype=int),
-    adhesion: wp.array(dtype=float),
-    efc_force: wp.array2d(dtype=float),
+    frame: wp.array[wp.mat33],
+    friction: wp.array[vec5f],
+    dim: wp.array[int],
+    geoms: wp.array[wp.vec2i],
+    efc_address: wp.array2d[int],
+    env_of_contact: wp.array[int],
+    adhesion: wp.array[float],
+    efc_force: wp.array2d[float],
     njmax: int,
-    count: wp.array(dtype=int),
-    forces: wp.array2d(dtype=wp.vec3),
+    count: wp.array[int],
+    forces: wp.array2d[wp.vec3],
 ):
     contact = wp.tid()
     if contact >= count[0] or efc_address[contact, 0] < 0:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -23,6 +24,7 @@ from orbit_warp.kernels import reset_state, reset_tensors, write_commands
 from orbit_warp.model import BuiltModel, build_model
 from orbit_warp.parameters import Parameters
 from orbit_warp.rays import RayCaster
+from orbit_warp.recording import Recording
 from orbit_warp.state import State
 
 
@@ -58,6 +60,7 @@ class WarpEngine(Engine):
         wp.init()
         built = build_model(layout, config)
         self._report, addresses = built.report, built.addresses
+        self._capture = config.capture
         self._graphs = Graphs(device, config.capture)
         with self._graphs.stream():
             self._model = _on_device(built, config)
@@ -86,12 +89,26 @@ class WarpEngine(Engine):
     # Time ------------------------------------------------------------------------------------------------------------
 
     def step(self, steps: int) -> None:
-        self._faults.report()  # on a GPU: of the step before
-        self._parameters.settle()
+        if not self._graphs.recording:
+            self._prepare()
         self._graphs.run(("step", steps), lambda: self._take(steps))
         self._state.mark_current()
         if self.device.type == "cpu":
             self._faults.report()
+
+    def record(self, operations: Callable[[], None]) -> Callable[[], None]:
+        if self.device.type == "cpu" or not self._capture:
+            return operations
+        return Recording(self._graphs, operations, self._prepare_recording, self._state.mark_current)
+
+    def _prepare(self) -> None:
+        """What a step needs the host for."""
+        self._faults.report()  # on a GPU: of the step before
+        self._parameters.settle()
+
+    def _prepare_recording(self) -> None:
+        self._prepare()
+        self._state.refresh()  # so that a recording need not
 
     def _take(self, steps: int) -> None:
         data = self._data
@@ -227,7 +244,15 @@ class WarpEngine(Engine):
     @property
     def _saved(self) -> tuple[Tensor, ...]:
         data = self._data
-        arrays = (data.qpos, data.qvel, data.qacc_warmstart, data.mocap_pos, data.mocap_quat, data.time, data.sensordata)
+        arrays = (
+            data.qpos,
+            data.qvel,
+            data.qacc_warmstart,
+            data.mocap_pos,
+            data.mocap_quat,
+            data.time,
+            data.sensordata,
+        )
         tensors = tuple(wp.to_torch(array) for array in arrays if array.size)
         return (*tensors, *self._commands, self._applied, self._joint_efforts, self._contact_forces)
 

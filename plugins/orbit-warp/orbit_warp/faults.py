@@ -54,9 +54,7 @@ class Faults:
             inputs=[data.qpos, data.qvel, _CONTACTS | _ROWS],
             outputs=[data.overflow, self._faults, self._summary],
         )
-        wp.launch(
-            note_peaks, dim=data.nworld, inputs=[data.nefc, data.nacon, data.ncollision], outputs=[self._peaks]
-        )
+        wp.launch(note_peaks, dim=data.nworld, inputs=[data.nefc, data.nacon, data.ncollision], outputs=[self._peaks])
         if self._on_gpu:
             wp.copy(self._seen, self._summary)
 

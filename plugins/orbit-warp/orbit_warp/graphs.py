@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Hashable, Iterator
+from typing import Any
 
 import torch
 import warp as wp
@@ -31,6 +32,9 @@ class Graphs:
         self._recorded: dict[Hashable, wp.Graph] = {}
         self._streams: dict[int, wp.Stream] = {}
         self._own = wp.Stream(self.device) if self.device.is_cuda else None
+        if self._own is not None:
+            self._streams[self._own.cuda_stream] = self._own
+        self._pool: Any = None
 
     def run(self, key: Hashable, launches: Callable[[], None]) -> None:
         """Do what ``launches`` does: replayed if it was recorded under ``key`` before, and recorded now if not.
@@ -44,6 +48,29 @@ class Graphs:
             if key not in self._recorded:
                 with _announced(self.device):
                     self._recorded[key] = self._record(launches, stream)
+            wp.capture_launch(self._recorded[key], stream=stream)
+
+    @property
+    def recording(self) -> bool:
+        """Whether what is launched now becomes part of a graph."""
+        if self._own is None:
+            return False
+        with self.stream() as stream:
+            return stream is not None and stream.is_capturing
+
+    def run_mixed(self, key: Hashable, operations: Callable[[], None]) -> None:
+        """As :meth:`run`, for a mixture of Torch's operations and Warp's launches on a GPU.
+
+        Torch's temporary tensors come from a pool of the recording's own, so that nothing else is given their memory.
+        """
+        with self.stream() as stream:
+            if key not in self._recorded:
+                assert self._own is not None
+                torch.cuda.synchronize(self._torch_device)
+                self._pool = self._pool or torch.cuda.MemPool()
+                own = torch.cuda.ExternalStream(self._own.cuda_stream, device=self._torch_device)
+                with torch.cuda.stream(own), torch.cuda.use_mem_pool(self._pool):
+                    self._recorded[key] = self._record(operations, stream)
             wp.capture_launch(self._recorded[key], stream=stream)
 
     def forget(self) -> None:

@@ -5,6 +5,7 @@ in ``wp.quat``.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 # Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ def conjugate(q: wp.quat) -> wp.quat:
 
 @wp.kernel(enable_backward=False)
 def write_commands(
-    position_targets: wp.array2d(dtype=float),
-    velocity_targets: wp.array2d(dtype=float),
-    efforts: wp.array2d(dtype=float),
-    biasprm: wp.array2d(dtype=vec10f),
-    ctrl: wp.array2d(dtype=float),
+    position_targets: wp.array2d[float],
+    velocity_targets: wp.array2d[float],
+    efforts: wp.array2d[float],
+    biasprm: wp.array2d[vec10f],
+    ctrl: wp.array2d[float],
 ):
     """``ctrl = stiffness target + damping velocity target + effort``; the actuator subtracts the state's part."""
     env, joint = wp.tid()
@@ -46,12 +47,12 @@ def write_commands(
 
 @wp.kernel(enable_backward=False)
 def read_joints(
-    position_columns: wp.array(dtype=int),
-    velocity_columns: wp.array(dtype=int),
-    qpos: wp.array2d(dtype=float),
-    qvel: wp.array2d(dtype=float),
-    positions: wp.array2d(dtype=float),
-    velocities: wp.array2d(dtype=float),
+    position_columns: wp.array[int],
+    velocity_columns: wp.array[int],
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    positions: wp.array2d[float],
+    velocities: wp.array2d[float],
 ):
     env, joint = wp.tid()
     positions[env, joint] = qpos[env, position_columns[joint]]
@@ -60,20 +61,20 @@ def read_joints(
 
 @wp.kernel(enable_backward=False)
 def read_links(
-    bodies: wp.array(dtype=int),
-    roots: wp.array(dtype=int),
-    xpos: wp.array2d(dtype=wp.vec3),
-    xquat: wp.array2d(dtype=wp.quat),
-    cvel: wp.array2d(dtype=wp.spatial_vector),
-    subtree_com: wp.array2d(dtype=wp.vec3),
-    poses: wp.array3d(dtype=float),
-    velocities: wp.array3d(dtype=float),
+    bodies: wp.array[int],
+    roots: wp.array[int],
+    xpos: wp.array2d[wp.vec3],
+    xquat: wp.array2d[wp.quat],
+    cvel: wp.array2d[wp.spatial_vector],
+    subtree_com: wp.array2d[wp.vec3],
+    poses: wp.array3d[float],
+    velocities: wp.array3d[float],
 ):
     """``cvel`` is angular, then linear velocity at the centre of mass of the tree: move it to the link's origin."""
     env, link = wp.tid()
     body = bodies[link]
     position, q = xpos[env, body], xquat[env, body]
-    sign = float(1.0)
+    sign = wp.float32(1.0)
     if q[0] < 0.0:
         sign = -1.0
     spatial = cvel[env, body]
@@ -89,18 +90,18 @@ def read_links(
 
 @wp.kernel(enable_backward=False)
 def write_root(
-    env_ids: wp.array(dtype=wp.int64),
+    env_ids: wp.array[wp.int64],
     mocap: int,
     position_start: int,
     velocity_start: int,
     with_pose: bool,
     with_velocity: bool,
-    pose: wp.array2d(dtype=float),
-    velocity: wp.array2d(dtype=float),
-    qpos: wp.array2d(dtype=float),
-    qvel: wp.array2d(dtype=float),
-    mocap_pos: wp.array2d(dtype=wp.vec3),
-    mocap_quat: wp.array2d(dtype=wp.quat),
+    pose: wp.array2d[float],
+    velocity: wp.array2d[float],
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    mocap_pos: wp.array2d[wp.vec3],
+    mocap_quat: wp.array2d[wp.quat],
 ):
     """A free root's angular velocity is in its own axes, so that a new pose alone must turn it."""
     row = wp.tid()
@@ -134,18 +135,18 @@ def write_root(
 
 @wp.kernel(enable_backward=False)
 def reset_state(
-    env_ids: wp.array(dtype=wp.int64),
-    home_qpos: wp.array(dtype=float),
-    home_mocap_pos: wp.array(dtype=wp.vec3),
-    home_mocap_quat: wp.array(dtype=wp.quat),
-    qpos: wp.array2d(dtype=float),
-    qvel: wp.array2d(dtype=float),
-    warm_start: wp.array2d(dtype=float),
-    mocap_pos: wp.array2d(dtype=wp.vec3),
-    mocap_quat: wp.array2d(dtype=wp.quat),
-    wrenches: wp.array2d(dtype=wp.spatial_vector),
-    time: wp.array(dtype=float),
-    overflow: wp.array(dtype=int),
+    env_ids: wp.array[wp.int64],
+    home_qpos: wp.array[float],
+    home_mocap_pos: wp.array[wp.vec3],
+    home_mocap_quat: wp.array[wp.quat],
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    warm_start: wp.array2d[float],
+    mocap_pos: wp.array2d[wp.vec3],
+    mocap_quat: wp.array2d[wp.quat],
+    wrenches: wp.array2d[wp.spatial_vector],
+    time: wp.array[float],
+    overflow: wp.array[int],
 ):
     env = int(env_ids[wp.tid()])
     for i in range(qpos.shape[1]):
@@ -164,14 +165,14 @@ def reset_state(
 
 @wp.kernel(enable_backward=False)
 def reset_tensors(
-    env_ids: wp.array(dtype=wp.int64),
-    home_targets: wp.array(dtype=float),
-    position_targets: wp.array2d(dtype=float),
-    velocity_targets: wp.array2d(dtype=float),
-    efforts: wp.array2d(dtype=float),
-    joint_efforts: wp.array2d(dtype=float),
-    contact_forces: wp.array2d(dtype=wp.vec3),
-    sensordata: wp.array2d(dtype=float),
+    env_ids: wp.array[wp.int64],
+    home_targets: wp.array[float],
+    position_targets: wp.array2d[float],
+    velocity_targets: wp.array2d[float],
+    efforts: wp.array2d[float],
+    joint_efforts: wp.array2d[float],
+    contact_forces: wp.array2d[wp.vec3],
+    sensordata: wp.array2d[float],
 ):
     """Commands to their defaults, measurements to zero."""
     env = int(env_ids[wp.tid()])
@@ -188,18 +189,18 @@ def reset_tensors(
 
 @wp.kernel(enable_backward=False)
 def note_faults(
-    qpos: wp.array2d(dtype=float),
-    qvel: wp.array2d(dtype=float),
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
     watched: int,
-    overflow: wp.array(dtype=int),
-    faults: wp.array(dtype=int),
-    summary: wp.array(dtype=int),
+    overflow: wp.array[int],
+    faults: wp.array[int],
+    summary: wp.array[int],
 ):
     """Faults of the step just taken, per environment and over all; ``watched`` are the overflows that count."""
     env = wp.tid()
     fault = overflow[env] & watched
     overflow[env] = 0
-    total = float(0.0)
+    total = wp.float32(0.0)
     for i in range(qpos.shape[1]):
         total += wp.abs(qpos[env, i])
     for i in range(qvel.shape[1]):
@@ -213,10 +214,10 @@ def note_faults(
 
 @wp.kernel(enable_backward=False)
 def note_peaks(
-    rows: wp.array(dtype=int),
-    contacts: wp.array(dtype=int),
-    candidates: wp.array(dtype=int),
-    peaks: wp.array(dtype=int),
+    rows: wp.array[int],
+    contacts: wp.array[int],
+    candidates: wp.array[int],
+    peaks: wp.array[int],
 ):
     """The most contacts (or pairs that might touch) over all environments, and rows in any one, of the last step."""
     env = wp.tid()

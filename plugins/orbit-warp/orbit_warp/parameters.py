@@ -84,7 +84,8 @@ class Parameters:
     def load(self, saved: dict[str, Tensor]) -> None:
         """Return to what :meth:`save` gave; fields that it lacks return to the scene's values."""
         for name in {*saved, *self._fields}:
-            self._field(name).copy_(saved.get(name, self._nominal.get(name)))
+            own = self._field(name)
+            own.copy_(saved[name] if name in saved else self._nominal[name])
         self._constants_due = False
 
     def _expand_masses(self) -> None:

@@ -44,9 +44,7 @@ class RayCaster:
         missed = (distances < 0) | (distances > max_distance)
         # The last entry of the table stands for nothing.
         links = self._link_of_geom[torch.where(missed, -1, buffers.geoms[rows].long())]
-        return RayHits(
-            torch.where(missed, torch.inf, distances), torch.where(missed[..., None], 0.0, normals), links
-        )
+        return RayHits(torch.where(missed, torch.inf, distances), torch.where(missed[..., None], 0.0, normals), links)
 
     def _launch(self, buffers: _Buffers) -> None:
         mjw.rays(

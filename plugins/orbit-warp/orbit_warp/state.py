@@ -46,7 +46,9 @@ class State:
         self._link_velocities = torch.zeros(envs, len(layout.links), 6, device=device)
         self._bodies = wp.array(addresses.bodies, dtype=int)
         self._roots = wp.array(addresses.roots, dtype=int)
-        self._joint_addresses = [wp.array(a, dtype=int) for a in (addresses.joint_positions, addresses.joint_velocities)]
+        self._joint_addresses = [
+            wp.array(a, dtype=int) for a in (addresses.joint_positions, addresses.joint_velocities)
+        ]
         self._no_rows = wp.zeros((1, 7), dtype=float)
         self._current = False
 

@@ -1,0 +1,49 @@
+"""A caller's step, engine and tensors together, as one graph on a GPU."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+from orbit_warp.graphs import Graphs
+
+
+class Recording:
+    """Runs ``operations`` the first time, records them the second, and replays them from then on.
+
+    Where recording fails it says why, once, and runs them each time.
+
+    Args:
+        graphs: the engine's recordings, which are dropped when its arrays are replaced.
+        operations: on tensors and on the engine, without waiting.
+        before: what must be done on the host before each run.
+        after: what must be known on the host after each run.
+    """
+
+    def __init__(
+        self, graphs: Graphs, operations: Callable[[], None], before: Callable[[], None], after: Callable[[], None]
+    ) -> None:
+        self._graphs, self._operations, self._before, self._after = graphs, operations, before, after
+        self._warm = self._failed = False
+
+    def __call__(self) -> None:
+        self._before()
+        if self._failed or not self._warm:
+            self._operations()  # the first run loads what libraries load on first use
+            self._warm = True
+        else:
+            self._replay()
+        self._after()
+
+    def _replay(self) -> None:
+        try:
+            self._graphs.run_mixed(self, self._operations)
+        except Exception as error:  # whatever Torch, Warp or the driver cannot record
+            self._failed = True
+            warnings.warn(
+                f"the step is not recorded as one graph, for {type(error).__name__}: {error}; its operations are "
+                "issued one by one, and the engine's own part stays a graph",
+                RuntimeWarning,
+                stacklevel=4,
+            )
+            self._operations()
