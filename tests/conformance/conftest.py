@@ -46,7 +46,7 @@ def needs(backend: Backend) -> Needs:
 def make_engine(backend: Backend, request: pytest.FixtureRequest) -> Iterator[MakeEngine]:
     """An engine of a scene: ``make_engine(scene, num_envs=1, **settings)``; closed after the test."""
     made: list[Engine] = []
-    device = torch.device(request.config.getoption("--device", "cpu"))
+    device = torch.device(str(request.config.getoption("--device", "cpu")))
 
     def make(scene: Scene, num_envs: int = 1, **settings: Any) -> Engine:
         backends.check_scene(backend, scene)
