@@ -41,10 +41,11 @@ class Drives:
         self.efforts = torch.zeros(shape)
         """(N, J) of drives and commands in the last step."""
         self._inertia = _least_inertias(layout)
-        self._joints = [
+        self.joints = [
             [joint for entity in environment.entities for joint in entity.joints] for environment in world.environments
         ]
-        self._sent = np.full((3, *shape), np.nan, np.float32)
+        self.sent = np.full((3, *shape), np.nan, np.float32)
+        """(3, N, J) drive targets, velocity targets and forces that PhysX was last told; NaN for unknown."""
         self._properties = np.full((3, *shape), np.nan)
         self._settle()
 
@@ -61,11 +62,11 @@ class Drives:
         """Return to saved gains, and forget what was sent."""
         self.stiffness[:], self.damping[:] = stiffness, damping
         self._settle()
-        self._sent.fill(np.nan)
+        self.sent.fill(np.nan)
 
     def forget(self, rows: list[int]) -> None:
         """Send everything anew to these environments."""
-        self._sent[:, rows] = np.nan
+        self.sent[:, rows] = np.nan
 
     def _settle(self) -> None:
         """Give PhysX the drives that follow from the gains."""
@@ -75,7 +76,7 @@ class Drives:
         limit = np.where(driven, self._limit.numpy(), np.where(rubbing, self._friction, np.inf))
         wanted = np.stack((self.stiffness, damping, np.minimum(limit, _UNLIMITED)))
         for row, column in zip(*np.nonzero((wanted != self._properties).any(0)), strict=True):
-            self._joints[row][column].set_drive_properties(*map(float, wanted[:, row, column]), "force")
+            self.joints[row][column].set_drive_properties(*map(float, wanted[:, row, column]), "force")
         self._properties = wanted
         self._driven = torch.from_numpy(driven)
         stiffness, gain = torch.from_numpy(self.stiffness).float(), torch.from_numpy(self.damping).float()
@@ -106,14 +107,14 @@ class Drives:
     def send(self, commands: Tensor) -> None:
         """Write what differs from what PhysX was last told."""
         wanted = commands.numpy()
-        changed = wanted != self._sent
+        changed = wanted != self.sent
         for row, column in zip(*(indices.tolist() for indices in np.nonzero(changed[0])), strict=True):
-            self._joints[row][column].set_drive_target(float(wanted[0, row, column]))
+            self.joints[row][column].set_drive_target(float(wanted[0, row, column]))
         for row, column in zip(*(indices.tolist() for indices in np.nonzero(changed[1])), strict=True):
-            self._joints[row][column].set_drive_velocity_target(float(wanted[1, row, column]))
+            self.joints[row][column].set_drive_velocity_target(float(wanted[1, row, column]))
         if not self.follows_velocity:
             self._send_forces(wanted[2], changed[2])
-        self._sent = wanted.copy()
+        self.sent = wanted.copy()
 
     def send_forces(self, commands: Tensor, velocities: Tensor, dt: float) -> None:
         """Generalised forces of efforts, and of friction and damping at the present velocity."""

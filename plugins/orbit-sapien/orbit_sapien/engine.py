@@ -39,9 +39,9 @@ class SapienEngine(Engine):
 
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: SapienConfig) -> None:
         super().__init__(layout, num_envs, device)
+        self.config = config
         self._world: BuiltWorld = build_world(layout, num_envs, config)
         self._system, self._dt = self._world.system, layout.scene.physics_dt
-        self._reach = 2.5 * config.env_spacing if self._world.shared_ground else np.inf
         self._state = State(layout, self._world)
         self._drives = Drives(layout, self._world)
         self._parameters = Parameters(layout, self._world, self._state)
@@ -220,6 +220,16 @@ class SapienEngine(Engine):
     def native(self) -> tuple[physx.PhysxCpuSystem, tuple[sapien.Scene, ...]]:
         """The PhysX system, and the scene of each environment."""
         return self._system, tuple(environment.scene for environment in self._world.environments)
+
+    @property
+    def native_joints(self) -> list[list[physx.PhysxArticulationJoint]]:
+        """PhysX's joints, per environment in the layout's order."""
+        return self._drives.joints
+
+    @property
+    def command(self) -> npt.NDArray[np.float32]:
+        """(3, N, J) drive targets, velocity targets and generalised forces that PhysX was last told."""
+        return self._drives.sent
 
     def close(self) -> None:
         vars(self).clear()  # scenes and bodies go with the last name for them
