@@ -18,7 +18,7 @@ from orbit_core.interfaces import ConfigurationError, Node, NonFiniteError, Port
 from orbit_core.motion import Actuate, action_space, with_drives_for
 from orbit_core.scene import Scene
 from orbit_core.tasks.common import ROBOT
-from orbit_core.tasks.recording import RecordedStep, StepOutcome
+from orbit_core.tasks.recording import RecordedStep, StepOutcome, needs_python
 from orbit_core.tasks.registry import task_entry
 from orbit_core.tasks.settings import configure
 from orbit_core.tasks.task import Task
@@ -91,6 +91,7 @@ class Environment:
         self.reward_sums = torch.zeros(len(self.reward_terms), num_envs, device=self.device)
         """(terms, N) each reward term's contribution to the episode so far."""
         self._all = torch.arange(num_envs, device=self.device)
+        self._recorded: RecordedStep | None = None
         self._never = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         task.generators = action_space(self.world.robots[ROBOT], task.action)
         self.action_size = sum(generator.command_size for generator in task.generators)
@@ -100,7 +101,8 @@ class Environment:
         task.start(self.world)
         self.observation_size = self._observation().shape[1]
         self._cut = self._build_agent()
-        self._stepper = RecordedStep.of(self.world, task, self._cut, self._advance)
+        if self.device.type != "cpu" and not needs_python(self.world, task, self._cut):
+            self._recorded = RecordedStep(self.world, task, self._cut, self._advance, self._compute_observation)
         self._run_events(EventTime.STARTUP, self._all)
         self._begin(None)
         self._observe()
@@ -134,7 +136,7 @@ class Environment:
     def _step(self, action: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
         self._check(action)
         torch.clamp(action, -1.0, 1.0, out=self._action)
-        reward, terminated, truncated, done = self._stepper()
+        reward, terminated, truncated, done = (self._recorded or self._advance)()
         info: dict[str, Any] = {}
         if bool(done.any()):
             ended = done.nonzero().squeeze(-1)
@@ -212,6 +214,10 @@ class Environment:
         return {"policy": self._cut.observe()["observation"]}
 
     def _observation(self) -> Tensor:
+        recorded = self._recorded.observation() if self._recorded else None
+        return self._compute_observation() if recorded is None else recorded
+
+    def _compute_observation(self) -> Tensor:
         return torch.cat([self._observe_term(term) for term in self.observation_terms.values()], dim=1)
 
     def _observe_term(self, term: ObservationTerm) -> Tensor:

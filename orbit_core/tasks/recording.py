@@ -17,19 +17,29 @@ StepOutcome = tuple[Tensor, Tensor, Tensor, Tensor]
 class RecordedStep:
     """Calls a step, or replays it, and keeps what is counted on the host right either way."""
 
-    def __init__(self, world: SimulatedWorld, task: Task, cut: Cut, step: Callable[[], StepOutcome]) -> None:
-        self._world, self._task, self._cut, self._step = world, task, cut, step
+    def __init__(
+        self,
+        world: SimulatedWorld,
+        task: Task,
+        cut: Cut,
+        step: Callable[[], StepOutcome],
+        observe: Callable[[], Tensor],
+    ) -> None:
+        self._world, self._task, self._cut = world, task, cut
+        self._step, self._observe = step, observe
         self._count = 0
         self._outcome: StepOutcome | None = None
+        self._observation: Tensor | None = None
+        self._observed = -1
+        """Version of the world's state that the observation shows."""
         self._ran = False
         self._run = world.engine.record(self._once)
 
-    @staticmethod
-    def of(world: SimulatedWorld, task: Task, cut: Cut, step: Callable[[], StepOutcome]) -> Callable[[], StepOutcome]:
-        """The step itself, or its recording where the engine is on a GPU and :func:`needs_python` finds nothing."""
-        if world.device.type == "cpu" or needs_python(world, task, cut):
-            return step
-        return RecordedStep(world, task, cut, step)
+    def observation(self) -> Tensor | None:
+        """(N, O) of the state after the step, if nothing has changed since."""
+        if self._observation is None or self._observed != self._world.clock.version:
+            return None
+        return self._observation.clone()
 
     def __call__(self) -> StepOutcome:
         self._count = self._cut.graph.step_count
@@ -39,6 +49,7 @@ class RecordedStep:
         if not self._ran:
             self._cut.acted(self._count)
         self._world.clock.advance(steps + self._task.decimation - self._world.clock.steps)
+        self._observed = self._world.clock.version
         assert self._outcome is not None
         reward, terminated, truncated, done = self._outcome
         return reward.clone(), terminated.clone(), truncated.clone(), done  # a replay writes the same tensors
@@ -46,6 +57,7 @@ class RecordedStep:
     def _once(self) -> None:
         self._cut.again(self._count)
         self._outcome = self._step()
+        self._observation = self._observe()
         self._ran = True
 
 

@@ -13,7 +13,8 @@ from orbit_core.tasks.recording import RecordedStep, needs_python
 
 
 def recorded(environment: Environment) -> Environment:
-    environment._stepper = RecordedStep(environment.world, environment.task, environment._cut, environment._advance)
+    parts = (environment.world, environment.task, environment._cut)
+    environment._recorded = RecordedStep(*parts, environment._advance, environment._compute_observation)
     return environment
 
 
