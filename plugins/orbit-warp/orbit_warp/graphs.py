@@ -99,6 +99,7 @@ class Graphs:
             self._own.wait_stream(stream)
             with wp.ScopedStream(self._own, sync_enter=False), wp.ScopedCapture(stream=self._own) as capture:
                 launches()
+        assert capture.graph is not None
         return capture.graph
 
 
