@@ -133,9 +133,7 @@ class BulletEngine(Engine):
     ) -> RayHits:
         ids = self._rows(env_ids)
         order = np.argsort(ids)
-        call = Written(
-            "cast_rays", ids[order], (max_distance,), (origins.numpy()[order], directions.numpy()[order])
-        )
+        call = Written("cast_rays", ids[order], (max_distance,), (origins.numpy()[order], directions.numpy()[order]))
         parts = {number: (part,) for number, part in call.parts(self._pool.ranges)}
         found = self._pool.call_each("cast_rays", parts)
         back = np.argsort(order)

@@ -33,9 +33,7 @@ class Loads:
         most_compensated = (self._free * self._heavy).sum() < (self._free * (1 - self._heavy)).sum()
         self._world_gravity = np.zeros(3) if most_compensated else scene_gravity
         stage.client.setGravity(*self._world_gravity.tolist())
-        self._places = [
-            (entity.index, index) for entity in layout.entities for index in stage.links[entity.index]
-        ]
+        self._places = [(entity.index, index) for entity in layout.entities for index in stage.links[entity.index]]
         self.derive()
 
     def derive(self) -> None:

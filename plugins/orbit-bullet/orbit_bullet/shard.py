@@ -45,9 +45,7 @@ class Shard:
         count = len(buffers.link_poses)
         most = 1 if layout.scene.deformables else config.envs_per_client
         self._ranges = client_ranges(0, count, most)
-        self.simulations = [
-            Simulation(layout, files, start + a, buffers.rows(a, b), config) for a, b in self._ranges
-        ]
+        self.simulations = [Simulation(layout, files, start + a, buffers.rows(a, b), config) for a, b in self._ranges]
 
     def step(self, steps: int) -> list[int]:
         """Advance; the environments that diverged come back."""

@@ -72,13 +72,14 @@ class Simulation:
         self.client.setPhysicsEngineParameter(
             fixedTimeStep=self.layout.scene.physics_dt,
             numSolverIterations=config.solver_iterations,
-            solverResidualThreshold=0.0,
+            solverResidualThreshold=0.0,  # the residual is of all environments: leaving early would couple them
             minimumSolverIslandSize=1,
             deterministicOverlappingPairs=1,
             contactERP=config.contact_erp,
             erp=config.contact_erp,
             restitutionVelocityThreshold=config.restitution_threshold,
             enableFileCaching=0,
+            enableSAT=1,
         )
 
     # Time ------------------------------------------------------------------------------------------------------------
@@ -173,7 +174,9 @@ class Simulation:
 
     # Writing ---------------------------------------------------------------------------------------------------------
 
-    def write_joints(self, rows: Rows, joints: Rows, positions: FloatArray | None, velocities: FloatArray | None) -> None:
+    def write_joints(
+        self, rows: Rows, joints: Rows, positions: FloatArray | None, velocities: FloatArray | None
+    ) -> None:
         """State (n, k) of joints (k,)."""
         if positions is not None:
             self._positions[np.ix_(rows, joints)] = positions
@@ -197,8 +200,8 @@ class Simulation:
     def write_root(self, rows: Rows, number: int, pose: FloatArray | None, velocity: FloatArray | None) -> None:
         """Pose (n, 7) in each environment's frame and velocity (n, 6) of the root link's origin."""
         link = self.layout.entities[number].root_link
-        pose = self.buffers.link_poses[rows, link] if pose is None else pose
-        velocity = self.buffers.link_velocities[rows, link] if velocity is None else velocity
+        held, moving = self.buffers.link_poses[rows, link], self.buffers.link_velocities[rows, link]
+        pose, velocity = held if pose is None else pose, moving if velocity is None else velocity
         self._put_root(rows, number, pose.astype(np.float64), velocity.astype(np.float64))
         self._read(rows)
 
@@ -209,9 +212,7 @@ class Simulation:
         center, axes = compose(origin, quaternion, inertial)
         if entity.spec.fixed_base:
             zeros = np.zeros((len(rows), 6))
-            self._raw[rows, entity.root_link] = np.concatenate(
-                (origin, origin, quaternion[:, [1, 2, 3, 0]], zeros), -1
-            )
+            self._raw[rows, entity.root_link] = np.concatenate((origin, origin, quaternion[:, [1, 2, 3, 0]], zeros), -1)
         linear = velocity[:, :3] + cross(velocity[:, 3:], center - origin)
         for index, slot in enumerate(rows):
             body = self.stage.bodies[slot][number]

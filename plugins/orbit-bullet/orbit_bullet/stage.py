@@ -107,7 +107,9 @@ class Stage:
         fixed = self.layout.entities[entity].spec.fixed_base
         for link in self.links[entity]:
             groups = self.groups(slot, fixed and link == self.links[entity][0])
-            self.client.setCollisionFilterGroupMask(body, link, *(groups if link in self._colliding[entity] else (0, 0)))
+            self.client.setCollisionFilterGroupMask(
+                body, link, *(groups if link in self._colliding[entity] else (0, 0))
+            )
 
     @property
     def colliding(self) -> list[list[int]]:
@@ -176,6 +178,7 @@ class Stage:
         client, spec, number = self.client, entity.spec, entity.index
         articulation = spec.articulation
         flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_USE_IMPLICIT_CYLINDER
+        flags |= client.URDF_INITIALIZE_SAT_FEATURES
         if articulation.self_collisions:
             flags |= client.URDF_USE_SELF_COLLISION | client.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
         body = client.loadURDF(
@@ -212,9 +215,7 @@ class Stage:
         undamped = {"linearDamping": 0, "angularDamping": 0, "jointDamping": 0, "maxJointVelocity": 1e6}
         for index in range(-1, client.getNumJoints(body)):
             client.changeDynamics(body, index, **undamped)
-        for offset, (index, link) in enumerate(
-            zip(self.links[number], entity.spec.articulation.links, strict=True)
-        ):
+        for offset, (index, link) in enumerate(zip(self.links[number], entity.spec.articulation.links, strict=True)):
             self.places[body, index] = (slot, entity.links.start + offset)
             for shape in link.collisions:
                 self._set_contact(body, index, shape)

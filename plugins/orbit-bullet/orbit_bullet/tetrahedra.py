@@ -11,7 +11,7 @@ from orbit_core.interfaces import AssetError
 from orbit_core.scene import Mesh
 
 FloatArray = npt.NDArray[np.float64]
-_FLATTEST = 0.02
+_FLATTEST = 0.1
 """Least volume of a tetrahedron, over that of a regular one with the same longest edge."""
 _INTERIOR = 0.6
 """Least distance of an inner node from the surface's vertices, in mean edge lengths."""

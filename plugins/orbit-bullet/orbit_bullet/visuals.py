@@ -107,7 +107,10 @@ def marker_shapes(spec: MarkerSpec) -> list[Shape]:
         case MarkerShape.BOX:
             return [Shape(Box((size / 2, size / 2, size / 2)), color=spec.color)]
         case MarkerShape.ARROW:
-            return [_rod((1.0, 0.0, 0.0), size, spec.color), Shape(Sphere(size / 8), Pose((size, 0, 0)), color=spec.color)]
+            return [
+                _rod((1.0, 0.0, 0.0), size, spec.color),
+                Shape(Sphere(size / 8), Pose((size, 0, 0)), color=spec.color),
+            ]
         case MarkerShape.FRAME:
             blue = ((0.0, 0.0, 1.0), (0.1, 0.2, 0.9, 1.0))
             return [_rod(axis, size, color) for axis, color in (*_AXIS_COLORS, blue)]

@@ -15,6 +15,7 @@ from orbit_bullet.stage import Stage
 from orbit_core.interfaces import SceneLayout
 
 FloatArray = npt.NDArray[np.float64]
+Poses = npt.NDArray[np.floating]
 
 
 class WrenchMeter:
@@ -31,20 +32,22 @@ class WrenchMeter:
         self._held = [link not in free_roots for link in layout.wrench_links]
         self._unit_inertias = np.array([link.inertia / max(link.mass, 1e-12) for link in layout.links])
 
-    def begin(self, raw: FloatArray, poses: FloatArray) -> None:
+    def begin(self, raw: FloatArray, poses: Poses) -> None:
         """Before the last step: the state that it starts from."""
         self._before = self._momenta(raw, poses)
 
-    def end(self, raw: FloatArray, poses: FloatArray) -> None:
+    def end(self, raw: FloatArray, poses: Poses) -> None:
         """After the last step."""
         after = self._momenta(raw, poses)
-        rates = [(new - old) / self._stage.layout.scene.physics_dt for new, old in zip(after, self._before, strict=True)]
+        rates = [
+            (new - old) / self._stage.layout.scene.physics_dt for new, old in zip(after, self._before, strict=True)
+        ]
         contacts = self._contacts()
         centers = raw[..., :3]
         for column, (link, beyond) in enumerate(zip(self._stage.layout.wrench_links, self._links, strict=True)):
             if not self._held[column]:
                 continue
-            origins = poses[:, link, None, :3] + self._stage.origins[:, None]
+            origins = poses[:, link, None, :3].astype(np.float64) + self._stage.origins[:, None]
             arms = centers[:, beyond] - origins
             forces = rates[0][:, beyond] - self._loads.bearing[:, beyond]
             force = forces.sum(1) - contacts[:, beyond, :3].sum(1)
@@ -52,15 +55,15 @@ class WrenchMeter:
             # Contacts' moments are about the world's origin.
             moments = contacts[:, beyond, 3:] - cross(origins, contacts[:, beyond, :3])
             torque = torques.sum(1) - moments.sum(1)
-            inverse = poses[:, link, 3:] * (1.0, -1.0, -1.0, -1.0)
+            inverse = poses[:, link, 3:] * np.array([1.0, -1.0, -1.0, -1.0])
             self._out[:, column, :3] = rotate(inverse, force)
             self._out[:, column, 3:] = rotate(inverse, torque)
 
-    def _momenta(self, raw: FloatArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _momenta(self, raw: FloatArray, poses: Poses) -> tuple[FloatArray, FloatArray]:
         """Linear momentum, and angular momentum about the centre of mass (K, L, 3)."""
         masses = self._loads.masses[..., None]
-        quaternions = poses[..., 3:]
-        inverse = quaternions * (1.0, -1.0, -1.0, -1.0)
+        quaternions = poses[..., 3:].astype(np.float64)
+        inverse = quaternions * np.array([1.0, -1.0, -1.0, -1.0])
         spins = rotate(inverse, raw[..., 13:])
         angular = rotate(quaternions, np.einsum("lij,klj->kli", self._unit_inertias, spins))
         return masses * raw[..., 10:13], masses * angular

@@ -1,0 +1,161 @@
+"""Worker processes: the same results as in one process, and a clean end when one dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from orbit_bullet import BulletBackend, BulletConfig
+from orbit_bullet.engine import BulletEngine
+from orbit_bullet.pool import ProcessPool
+
+from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationError
+from orbit_core.scene import (
+    Articulation,
+    Box,
+    ContactSensorSpec,
+    ImplicitPd,
+    Joint,
+    JointType,
+    Link,
+    ObjectSpec,
+    Pose,
+    RobotSpec,
+    Scene,
+    Shape,
+    single_link,
+)
+
+
+def busy_scene() -> Scene:
+    """A driven bar that sweeps through a cube on the ground."""
+    bar = Shape(Box((0.2, 0.02, 0.02)), Pose((0.2, 0.0, 0.0)))
+    links = (Link("base"), Link("bar", 1.0, (0.2, 0.0, 0.0), np.eye(3) * 0.02, (bar,)))
+    robot = RobotSpec(
+        name="arm",
+        articulation=Articulation("arm", links, (Joint("swing", JointType.CONTINUOUS, "base", "bar"),)),
+        fixed_base=True,
+        pose=Pose((0.0, 0.0, 0.05)),
+        actuators=(ImplicitPd(joints=(".*",), stiffness=20.0, damping=2.0, effort_limit=5.0),),
+    )
+    block = single_link("cube", Shape(Box((0.05, 0.05, 0.05))), 0.5, np.eye(3) * 1e-3)
+    cube = ObjectSpec(name="cube", articulation=block, pose=Pose((0.3, 0.12, 0.05)))
+    return Scene(robots=(robot,), objects=(cube,), sensors=(ContactSensorSpec(name="touch", entity="cube"),))
+
+
+def make(num_envs: int, scene: Scene | None = None, **settings: Any) -> BulletEngine:
+    layout = SceneLayout.of(scene or busy_scene())
+    engine = BulletBackend().create_engine(layout, num_envs, torch.device("cpu"), BulletConfig(**settings))
+    assert isinstance(engine, BulletEngine)
+    return engine
+
+
+def shared_blocks() -> set[str]:
+    return {path.name for path in Path("/dev/shm").glob("orbit-bullet-*")}
+
+
+def is_running(pid: int) -> bool:
+    """Whether the process exists, be it a zombie."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def pids_of(engine: BulletEngine) -> list[int]:
+    assert isinstance(engine.native, ProcessPool)
+    return engine.native.pids
+
+
+def test_workers_and_worlds_change_nothing() -> None:
+    """One process with one world, one process with worlds of two, and two processes: bit for bit the same."""
+    engines = [make(5, workers=1, envs_per_client=5), make(5, workers=1, envs_per_client=2), make(5, workers=2)]
+    goals = torch.linspace(0.5, 2.0, 5)[:, None]
+    for engine in engines:
+        engine.write_root_state(1, torch.tensor([[0.25, 0.14, 0.06, 1.0, 0, 0, 0]]), None, torch.tensor([3]))
+        engine.position_targets[:] = goals
+        engine.step(60)
+        engine.reset(torch.tensor([1, 4]))
+        engine.position_targets[:] = -goals
+        engine.step(40)
+    for name in ("joint_positions", "joint_efforts", "link_poses", "link_velocities", "contact_forces"):
+        for other in engines[1:]:
+            assert torch.equal(getattr(engines[0], name), getattr(other, name)), name
+    assert engines[0].contact_forces.abs().max() > 1.0
+    for engine in engines:
+        engine.close()
+
+
+def test_a_dead_worker_is_reported_and_nothing_stays() -> None:
+    before = shared_blocks()
+    engine = make(6, workers=3)
+    pids = pids_of(engine)
+    assert shared_blocks() == before  # the block has no name once the workers have it
+    os.kill(pids[1], signal.SIGKILL)
+    with pytest.raises(SimulationError, match=rf"process {pids[1]} of environments 2 to 3 died, killed by SIGKILL"):
+        engine.step(1)
+    assert not any(is_running(pid) for pid in pids)
+    with pytest.raises(SimulationError, match="environments 2 to 3"):
+        engine.step(1)
+    with pytest.raises(SimulationError, match="environments 2 to 3"):
+        engine.reset()
+    engine.close()
+    assert shared_blocks() == before
+
+
+def test_a_worker_that_dies_in_the_midst_of_a_step_is_reported() -> None:
+    engine = make(4, workers=2)
+    pids = pids_of(engine)
+    pid = os.fork()
+    if pid == 0:
+        time.sleep(0.3)
+        os.kill(pids[0], signal.SIGKILL)
+        os._exit(0)
+    with pytest.raises(SimulationError, match="environments 0 to 1 died"):
+        engine.step(1_000_000)
+    os.waitpid(pid, 0)
+    assert not any(is_running(pid) for pid in pids)
+
+
+def test_closing_ends_the_workers() -> None:
+    engine = make(4, workers=2)
+    pids = pids_of(engine)
+    engine.close()
+    engine.close()
+    assert not any(is_running(pid) for pid in pids)
+    with pytest.raises(SimulationError, match="closed"):
+        engine.step(1)
+
+
+def test_an_engine_that_is_forgotten_ends_its_workers() -> None:
+    engine = make(4, workers=2)
+    pids = pids_of(engine)
+    del engine
+    assert not any(is_running(pid) for pid in pids)
+
+
+def test_an_error_of_a_worker_while_building_is_raised_here() -> None:
+    from orbit_core.scene import HeightField
+
+    field = Shape(HeightField(np.zeros((3, 3)), (1.0, 1.0)))
+    scene = Scene(objects=(ObjectSpec(name="hill", articulation=single_link("hill", field, 1.0, np.eye(3))),))
+    with pytest.raises(ConfigurationError, match="HeightField of link 'hill'"):
+        make(4, scene, workers=2)
+
+
+def test_a_diverged_environment_is_told_by_its_own_number() -> None:
+    engine = make(6, workers=2)
+    engine.efforts[4] = torch.nan
+    with pytest.raises(SimulationError, match=r"\b4\b"):
+        engine.step(1)
+    engine.reset()
+    engine.step(2)
+    assert engine.link_poses.isfinite().all()
+    engine.close()
