@@ -214,6 +214,7 @@ def main(settings: Settings) -> None:
         "backend": name,
         "versions": versions_of(name),
         "cores": os.cpu_count(),
+        "load": os.getloadavg(),
     }
     values["block_steps"], values["blocks"] = settings.block_steps, settings.blocks
     values["overhead"] = [asdict(figure) for figure in figures]
