@@ -31,7 +31,8 @@ class SapienConfig:
     tendon_stiffness: float = 1e5
     """Of the constraint that makes a mimic joint follow, N m/rad or N/m."""
     env_spacing: float = 2.0
-    """Metres between the environments' origins in PhysX's world; poses are given without it."""
+    """Metres between the environments' origins in PhysX's world, four times as many over a shared ground; poses are
+    given without it."""
     shared_ground_above: int = 64
     """Number of environments above which a level ground plane is shared by all, which is faster."""
     tier: str = "fast"

@@ -67,6 +67,8 @@ class SapienEngine(Engine):
             self._contacts.average(steps)
         if failed := self._state.diverged():
             self._refuse(failed, "diverged: they hold")
+        if self._world.shared_ground and (strayed := self._state.beyond(self._world.reach)):
+            self._refuse_strayed(strayed)
         self._drives.measure(*self._commands, self._state.joint_positions, self._state.joint_velocities)
         if self.layout.wrench_links:
             self._wrenches.read(self._state.link_poses)
@@ -86,6 +88,12 @@ class SapienEngine(Engine):
         raise SimulationError(
             f"environments {shown} {what} numbers that are not finite; reset them, and use a smaller physics_dt, "
             "softer drives or larger masses"
+        )
+
+    def _refuse_strayed(self, environments: list[int]) -> None:
+        raise SimulationError(
+            f"environment {environments[0]} has a body more than {self._world.reach:.1f} m from its origin, where it "
+            "may meet those of other environments, which share their ground: raise env_spacing or shared_ground_above"
         )
 
     @property

@@ -32,7 +32,8 @@ class Kinematics:
         self._root_of_link = torch.as_tensor(layout.entity_of_link)
         self._set_constants(incoming, parents, links, joints)
         self._levels = _levels(parents)
-        self._parents = torch.as_tensor(parents)
+        self._above = torch.as_tensor(np.maximum(parents, 0))
+        self._below = torch.from_numpy(_moved_by(parents))
 
     def _set_constants(
         self, incoming: dict[int, tuple[Joint, int | None]], parents: np.ndarray, links: int, joints: int
@@ -79,7 +80,7 @@ class Kinematics:
 
     def poses(self, roots: Tensor, joint_positions: Tensor) -> Tensor:
         """(N, L, 7) of root poses (N, E, 7) and joint positions (N, J)."""
-        poses = roots.new_zeros(len(roots), len(self._parents), 7)
+        poses = roots.new_zeros(len(roots), len(self._above), 7)
         poses[:, self._roots] = roots
         if not self._levels:
             return poses
@@ -90,11 +91,11 @@ class Kinematics:
         constant, with_cosine, with_sine, with_shift = self._offsets
         cosine, sine = half_cosine.square() - half_sine.square(), 2.0 * half_sine * half_cosine
         positions = constant + cosine * with_cosine + sine * with_sine + shifts * with_shift
+        turns = poses[..., 3:]
         for level, parents in self._levels:
-            above = poses[:, parents]
-            turn = above[..., 3:]
-            poses[:, level, :3] = above[..., :3] + rotate(turn, positions[:, level])
-            poses[:, level, 3:] = multiply(turn, rotations[:, level])
+            turns[:, level] = multiply(turns[:, parents], rotations[:, level])
+        # Each link adds its offset, in its parent's axes, to all below it.
+        poses[..., :3] = roots[:, self._root_of_link, :3] + self._below @ rotate(turns[:, self._above], positions)
         return poses
 
     def velocities(self, poses: Tensor, root_velocities: Tensor, joint_velocities: Tensor) -> Tensor:
@@ -149,3 +150,13 @@ def _levels(parents: np.ndarray) -> list[tuple[Tensor, Tensor]]:
         depth[link] = depth[parent] + 1 if parent >= 0 else 0
     levels = [np.flatnonzero(depth == level) for level in range(1, depth.max(initial=0) + 1)]
     return [(torch.as_tensor(level), torch.as_tensor(parents[level])) for level in levels]
+
+
+def _moved_by(parents: np.ndarray) -> np.ndarray:
+    """(L, L) one where the second link is the first or above it, and no root."""
+    moved = np.zeros((len(parents), len(parents)))
+    for link, parent in enumerate(parents):  # parents come first
+        if parent >= 0:
+            moved[link] = moved[parent]
+            moved[link, link] = 1.0
+    return moved

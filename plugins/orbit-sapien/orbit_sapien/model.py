@@ -27,6 +27,10 @@ from orbit_sapien.native import native_pose, physx, sapien
 _FAST = 1e4
 """Stands for no limit on a body's speed; PhysX's own limits are a few metres per second."""
 _COLORS = 31
+_FREE_CELLS = 2.5
+"""Less than half the distance between environments of one colour, in cells."""
+_SHARED_SPREAD = 4.0
+"""Environments on a shared ground stand so many times farther apart."""
 _EXCLUSION_BITS = 32
 _NO_REBOUND = "PhysX takes slower contacts for resting, by the setting 'bounce_threshold'"
 
@@ -70,6 +74,8 @@ class BuiltWorld:
     rule: PairRule
     report: tuple[Approximation, ...]
     shared_ground: bool
+    reach: float
+    """Metres that bodies may go from their environment's origin, over a shared ground, before they could meet others."""
 
 
 def build_world(layout: SceneLayout, num_envs: int, config: SapienConfig) -> BuiltWorld:
@@ -107,13 +113,16 @@ class _Builder:
         self.level = [shape for shape in layout.scene.terrain if _is_level(shape)]
         tilted = any(isinstance(s.geometry, Plane) and not _is_level(s) for s in layout.scene.terrain)
         self.shared_ground = num_envs > config.shared_ground_above and bool(self.level) and not tilted
+        self.spacing = config.env_spacing * (_SHARED_SPREAD if self.shared_ground else 1.0)
         system = self._make_system()
         environments = [NativeEnvironment(sapien.Scene([system]), np.zeros(3)) for _ in range(num_envs)]
         for index, environment in enumerate(environments):
-            environment.offset = grid_offset(index, config.env_spacing)
+            environment.offset = grid_offset(index, self.spacing)
             self._fill(environment, index)
         self.report += self.rule.approximations(layout)
-        self.world = BuiltWorld(system, tuple(environments), self.rule, tuple(self.report), self.shared_ground)
+        self.world = BuiltWorld(
+            system, tuple(environments), self.rule, tuple(self.report), self.shared_ground, _FREE_CELLS * self.spacing
+        )
 
     def _make_system(self) -> physx.PhysxCpuSystem:
         config, scene = self.config, self.layout.scene
@@ -153,7 +162,7 @@ class _Builder:
     def _isolation(self, environment: NativeEnvironment, index: int) -> tuple[int, int]:
         """Colour mask and upper half of the fourth filter word."""
         if self.shared_ground:
-            return 1 << color(environment.offset, self.config.env_spacing), 0
+            return 1 << color(environment.offset, self.spacing), 0
         return 1, (index + 1) << 16
 
     # Terrain ---------------------------------------------------------------------------------------------------------

@@ -89,6 +89,14 @@ class State:
             return []
         return (~self.packed.isfinite().all(-1)).nonzero().flatten().tolist()
 
+    def beyond(self, reach: float) -> list[int]:
+        """Environments with a free root farther than ``reach`` metres from their origin along x or y."""
+        if not self.packed.shape[1]:
+            return []
+        places = self.packed[:, self._root_index[:, 4:6]] - self._offsets[:, None, :2]
+        strayed = (places.abs().amax(-1) > reach) & ~self._fixed[:, 0]
+        return strayed.any(-1).nonzero().flatten().tolist()
+
     @property
     def joint_positions(self) -> Tensor:
         if "joint_positions" not in self._values:

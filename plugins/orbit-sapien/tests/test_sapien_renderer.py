@@ -1,0 +1,105 @@
+"""The renderer's tiers, and that it draws what others simulate."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from orbit_sapien.renderer_shapes import corner_normals
+
+from orbit_core import backends
+from orbit_core.interfaces import Capability, ConfigurationError, SceneLayout, UnsupportedCapabilityError
+from orbit_core.scene import (
+    Articulation,
+    CameraSpec,
+    Channel,
+    Link,
+    MarkerShape,
+    MarkerSpec,
+    ObjectSpec,
+    Scene,
+    Shape,
+    Sphere,
+    look_at,
+)
+from orbit_core.world import SimulatedWorld
+
+CAMERA = CameraSpec(name="eye", width=48, height=36, vertical_fov=0.6, pose=look_at((1.5, 0.0, 1.0), (0.0, 0.0, 0.2)))
+EYE = torch.tensor([[*CAMERA.pose.position, *CAMERA.pose.orientation]])
+
+
+def scene() -> Scene:
+    link = Link("ball", 1.0, inertia=np.eye(3) * 0.01, collisions=(Shape(Sphere(0.2), color=(0.9, 0.1, 0.1, 1.0)),))
+    ball = ObjectSpec(name="ball", articulation=Articulation("ball", (link,)))
+    return Scene(objects=(ball,), markers=(MarkerSpec("goal", MarkerShape.BOX, 0.2, (0.1, 0.2, 0.9, 1.0)),))
+
+
+@pytest.mark.parametrize("tier", ["fast", "pbr", "rt"])
+def test_every_tier_draws_the_ball_red_on_the_ground(tier: str) -> None:
+    plugin = backends.renderer(f"sapien-{tier}")
+    renderer = plugin.create_renderer(SceneLayout.of(scene()), (CAMERA,), backends.backend_config(plugin))
+    ball = torch.tensor([[[0.0, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0]]])
+    image = renderer.render(CAMERA, EYE, ball, (Channel.RGB, Channel.INSTANCE))
+    renderer.close()
+    assert image.rgb is not None
+    assert image.links is not None
+    red, green, blue = image.rgb[image.links[..., 0] == 0].float().mean(0)
+    assert red > 2 * max(green, blue)
+    assert image.rgb[image.links[..., 0] != 0].float().std() > 0
+
+
+def test_markers_are_in_colour_alone_and_only_when_asked() -> None:
+    plugin = backends.renderer("sapien-fast")
+    renderer = plugin.create_renderer(SceneLayout.of(scene()), (CAMERA,), backends.backend_config(plugin))
+    ball = torch.tensor([[[0.0, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0]]])
+    goal = torch.tensor([[[0.6, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0]]])
+    channels = (Channel.RGB, Channel.DEPTH)
+    plain, marked, again = (renderer.render(CAMERA, EYE, ball, channels, poses) for poses in (None, goal, None))
+    renderer.close()
+    assert not torch.equal(plain.rgb, marked.rgb)
+    assert torch.equal(plain.rgb, again.rgb)
+    assert torch.equal(plain.depth, marked.depth)
+
+
+def test_a_world_of_another_backend_is_drawn() -> None:
+    if "mujoco" not in backends.backend_names():
+        pytest.skip("no other backend is installed")
+    world = SimulatedWorld(scene(), 2, "mujoco", renderer="sapien-fast")
+    world.step(10)
+    renderer = world.create_renderer((CAMERA,))
+    image = renderer.render(CAMERA, EYE.expand(2, 7), world.link_poses, (Channel.INSTANCE,))
+    renderer.close()
+    assert (image.links == 0).any()
+
+
+def test_a_tier_simulates_nothing() -> None:
+    plugin = backends.renderer("sapien-rt")
+    assert not plugin.capabilities().has(Capability.ARTICULATIONS)
+    with pytest.raises(UnsupportedCapabilityError, match="sapien"):
+        plugin.create_engine(SceneLayout.of(scene()), 1, torch.device("cpu"), backends.backend_config(plugin))
+    with pytest.raises(ConfigurationError, match="renderer"):
+        backends.backend("sapien-rt")
+
+
+def test_without_a_vulkan_driver_the_error_names_the_remedy() -> None:
+    code = (
+        "from orbit_core import backends; from orbit_core.interfaces import SceneLayout, ConfigurationError;"
+        "from orbit_core.scene import Scene\n"
+        "plugin = backends.renderer('sapien-fast')\n"
+        "try: plugin.create_renderer(SceneLayout.of(Scene()), (), backends.backend_config(plugin))\n"
+        "except ConfigurationError as error: print(error)"
+    )
+    environment = {"VK_ICD_FILENAMES": "/nonexistent.json", "VK_DRIVER_FILES": "/nonexistent.json", "PATH": ""}
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    assert "mesa-vulkan-drivers" in result.stdout, result.stderr
+
+
+def test_normals_are_shared_over_gentle_bends_alone() -> None:
+    gentle = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, -0.1], [0, 1, 0]]], dtype=float)
+    sharp = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 0, -1], [1, 0, 0]]], dtype=float)
+    shared = corner_normals(gentle)
+    np.testing.assert_allclose(shared[0, 1], shared[1, 0])
+    np.testing.assert_allclose(corner_normals(sharp)[0], [[0, 0, 1]] * 3)
