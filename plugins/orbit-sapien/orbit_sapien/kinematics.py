@@ -7,6 +7,7 @@ transform is linear in (1, cos, sin) of its angle and in its displacement; const
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -131,7 +132,7 @@ def multiply(a: Tensor, b: Tensor) -> Tensor:
     return torch.cat((w, a[..., :1] * v + b[..., :1] * u + torch.linalg.cross(u, v)), -1)
 
 
-def _multiply(a: tuple[float, ...], b: tuple[float, ...]) -> np.ndarray:
+def _multiply(a: npt.ArrayLike, b: npt.ArrayLike) -> np.ndarray:
     one, other = torch.tensor(np.array([a, b]), dtype=torch.float64)
     return multiply(one, other).numpy()
 

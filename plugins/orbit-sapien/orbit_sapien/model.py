@@ -75,7 +75,7 @@ class BuiltWorld:
     report: tuple[Approximation, ...]
     shared_ground: bool
     reach: float
-    """Metres that bodies may go from their environment's origin, over a shared ground, before they could meet others."""
+    """Metres that bodies may go from their origin, over a shared ground, before they could meet other environments'."""
 
 
 def build_world(layout: SceneLayout, num_envs: int, config: SapienConfig) -> BuiltWorld:

@@ -1,6 +1,6 @@
 """The one place that imports SAPIEN."""
 
-# pyright: reportAttributeAccessIssue=false
+# pyright: reportAttributeAccessIssue=false, reportMissingImports=false
 
 from __future__ import annotations
 

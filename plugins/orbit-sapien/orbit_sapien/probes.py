@@ -145,10 +145,11 @@ class WrenchMeter:
     def _measured(self, entity: int, links: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         """(N, links, 6) about each link's origin, in its axes; zero for the root."""
         natives = [environment.entities[entity] for environment in self._world.environments]
-        if natives[0].articulation is None:
+        articulations = [native.articulation for native in natives if native.articulation is not None]
+        if not articulations:
             return np.zeros((len(natives), len(links), 6))
         order = [body.index for body in natives[0].bodies]
-        raw = np.stack([native.articulation.get_link_incoming_joint_forces() for native in natives])
+        raw = np.stack([articulation.get_link_incoming_joint_forces() for articulation in articulations])
         turned = np.einsum("lij,nlkj->nlki", self._turns[links], raw[:, order].reshape(len(natives), -1, 2, 3))
         force, torque = turned[:, :, 0], turned[:, :, 1]
         return np.concatenate((force, torque + np.cross(self._arms[links], force)), -1)

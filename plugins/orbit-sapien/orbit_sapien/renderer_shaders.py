@@ -38,7 +38,7 @@ def shader_pack(tier: str) -> str:
     Raises:
         ConfigurationError: the installed SAPIEN has other shaders than those that this was written for.
     """
-    installed = Path(sapien.__file__).parent / "vulkan_shader"
+    installed = Path(str(sapien.__file__)).parent / "vulkan_shader"
     if tier == "rt":
         return str(installed / "rt")
     folder = Path(_root().name)
