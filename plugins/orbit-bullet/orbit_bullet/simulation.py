@@ -200,9 +200,9 @@ class Simulation:
     def write_root(self, rows: Rows, number: int, pose: FloatArray | None, velocity: FloatArray | None) -> None:
         """Pose (n, 7) in each environment's frame and velocity (n, 6) of the root link's origin."""
         link = self.layout.entities[number].root_link
-        held, moving = self.buffers.link_poses[rows, link], self.buffers.link_velocities[rows, link]
-        pose, velocity = held if pose is None else pose, moving if velocity is None else velocity
-        self._put_root(rows, number, pose.astype(np.float64), velocity.astype(np.float64))
+        poses = np.array(self.buffers.link_poses[rows, link] if pose is None else pose, dtype=np.float64)
+        moving = self.buffers.link_velocities[rows, link] if velocity is None else velocity
+        self._put_root(rows, number, poses, np.array(moving, dtype=np.float64))
         self._read(rows)
 
     def _put_root(self, rows: Rows, number: int, pose: FloatArray, velocity: FloatArray) -> None:

@@ -14,8 +14,7 @@ from orbit_bullet.rotations import cross, rotate
 from orbit_bullet.stage import Stage
 from orbit_core.interfaces import SceneLayout
 
-FloatArray = npt.NDArray[np.float64]
-Poses = npt.NDArray[np.floating]
+FloatArray = npt.NDArray[np.floating]
 
 
 class WrenchMeter:
@@ -32,11 +31,11 @@ class WrenchMeter:
         self._held = [link not in free_roots for link in layout.wrench_links]
         self._unit_inertias = np.array([link.inertia / max(link.mass, 1e-12) for link in layout.links])
 
-    def begin(self, raw: FloatArray, poses: Poses) -> None:
+    def begin(self, raw: FloatArray, poses: FloatArray) -> None:
         """Before the last step: the state that it starts from."""
         self._before = self._momenta(raw, poses)
 
-    def end(self, raw: FloatArray, poses: Poses) -> None:
+    def end(self, raw: FloatArray, poses: FloatArray) -> None:
         """After the last step."""
         after = self._momenta(raw, poses)
         rates = [
@@ -59,7 +58,7 @@ class WrenchMeter:
             self._out[:, column, :3] = rotate(inverse, force)
             self._out[:, column, 3:] = rotate(inverse, torque)
 
-    def _momenta(self, raw: FloatArray, poses: Poses) -> tuple[FloatArray, FloatArray]:
+    def _momenta(self, raw: FloatArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Linear momentum, and angular momentum about the centre of mass (K, L, 3)."""
         masses = self._loads.masses[..., None]
         quaternions = poses[..., 3:].astype(np.float64)
