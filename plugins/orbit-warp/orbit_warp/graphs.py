@@ -26,6 +26,8 @@ class Graphs:
     """The recordings of one engine, by key."""
 
     def __init__(self, device: torch.device, capture: bool) -> None:
+        if device.type == "cuda" and device.index is None:
+            device = torch.device("cuda", torch.cuda.current_device())
         self.device = wp.device_from_torch(device)
         self._torch_device = device
         self._capture = capture
