@@ -37,6 +37,8 @@ class SapienConfig:
     """Number of environments above which a level ground plane is shared by all, which is faster."""
     tier: str = "fast"
     """Quality of images: ``fast`` and ``pbr`` rasterise, ``rt`` traces paths."""
+    shadow_size: int = 1024
+    """Width of the rasterisers' shadow map in pixels; 0 draws no shadows, 4096 suits videos."""
     samples_per_pixel: int = 8
     """Of tier ``rt``."""
     path_depth: int = 6
@@ -48,7 +50,7 @@ class SapienConfig:
         for name, known in (("tier", TIERS), ("denoiser", DENOISERS)):
             if getattr(self, name) not in known:
                 raise ConfigurationError(f"{name} '{getattr(self, name)}' is not one of {', '.join(known)}")
-        for name in ("workers", "velocity_iterations", "bounce_threshold", "shared_ground_above"):
+        for name in ("workers", "velocity_iterations", "bounce_threshold", "shared_ground_above", "shadow_size"):
             if getattr(self, name) < 0:
                 raise ConfigurationError(f"{name} must be zero or more, not {getattr(self, name)}")
         for name in (

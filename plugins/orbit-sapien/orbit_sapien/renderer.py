@@ -83,8 +83,8 @@ class SapienRenderer(Renderer):
     def _add_lights(self) -> None:
         self._scene.set_ambient_light([0.42, 0.44, 0.48])
         self._sun = self._scene.add_directional_light(
-            _SUN, [1.9, 1.8, 1.65], shadow=True, shadow_scale=_SUN_REACH, shadow_near=0.1,
-            shadow_far=2.5 * _SUN_DISTANCE, shadow_map_size=2048,
+            _SUN, [1.9, 1.8, 1.65], shadow=self._config.shadow_size > 0, shadow_scale=_SUN_REACH, shadow_near=0.1,
+            shadow_far=2.5 * _SUN_DISTANCE, shadow_map_size=max(self._config.shadow_size, 1),
         )  # fmt: skip
 
     # Pictures --------------------------------------------------------------------------------------------------------
@@ -108,14 +108,17 @@ class SapienRenderer(Renderer):
         numbers: list[_Array] = []
         normals: list[_Array] = []
         for row in range(len(eyes)):
+            taken = None
             self._place(links[row])
             if colored:
                 self._place_markers(None if markers is None else markers[row])
                 taken = self._take(camera, self._config.tier, eyes[row])
                 colors.append(taken.get_picture("Color")[..., :3])
             if measured:
-                self._place_markers(None)
-                taken = self._take(camera, "fast", eyes[row])
+                if not (colored and self._config.tier == "fast" and markers is None):
+                    self._place_markers(None)
+                    taken = self._take(camera, "fast", eyes[row])
+                assert taken is not None
                 surfaces.append(taken.get_picture("Position")[..., 2:3])
                 numbers.append(taken.get_picture("Segmentation")[..., 1:2])
                 normals.append(taken.get_picture("Normal")[..., :3] if Channel.NORMALS in wanted else _NOTHING)

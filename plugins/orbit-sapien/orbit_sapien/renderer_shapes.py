@@ -111,29 +111,32 @@ def _ball(radius: float, look: sapien.render.RenderMaterial) -> sapien.render.Re
 def _mesh(
     vertices: Vertices, faces: npt.NDArray[np.integer], look: sapien.render.RenderMaterial
 ) -> sapien.render.RenderShapeTriangleMesh:
-    corners = np.asarray(vertices, np.float64)[np.asarray(faces)]
-    normals = corner_normals(corners)
-    count = 3 * len(corners)
+    points, normals, indices = shaded(np.asarray(vertices, np.float64)[np.asarray(faces)])
+    blank = np.zeros((len(points), 2), np.float32)
     return sapien.render.RenderShapeTriangleMesh(
-        corners.reshape(count, 3).astype(np.float32),
-        np.arange(count, dtype=np.uint32).reshape(-1, 3),
-        normals.reshape(count, 3).astype(np.float32),
-        np.zeros((count, 2), np.float32),
-        look,
+        points.astype(np.float32), indices.astype(np.uint32), normals.astype(np.float32), blank, look
     )
 
 
-def corner_normals(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Normals (F, 3, 3) at triangles' corners (F, 3, 3): shared by faces that bend little, else the face's own."""
+def shaded(
+    corners: npt.NDArray[np.float64],
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
+    """Vertices (V, 3) with normals (V, 3), and faces (F, 3) of indices, of triangles with corners (F, 3, 3).
+
+    Faces that bend little share a vertex and its normal; where they bend more, each has a vertex with its own normal.
+    """
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat = _normalized(areas)
-    keys = np.round(corners.reshape(-1, 3) * 1e6).astype(np.int64)
-    _, group = np.unique(keys, axis=0, return_inverse=True)
-    sums = np.zeros((group.max(initial=-1) + 1, 3))
-    np.add.at(sums, group.ravel(), np.repeat(areas, 3, axis=0))
-    smooth = _normalized(sums)[group.ravel()].reshape(-1, 3, 3)
-    bends = (smooth * flat[:, None]).sum(-1, keepdims=True) < _SMOOTH
-    return np.where(bends, flat[:, None], smooth)
+    flat = np.repeat(_normalized(areas), 3, axis=0)
+    points = corners.reshape(-1, 3)
+    _, first, group = np.unique(np.round(points * 1e6).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    group = group.ravel()
+    sums = np.zeros((len(first), 3))
+    np.add.at(sums, group, np.repeat(areas, 3, axis=0))
+    smooth = _normalized(sums)
+    bends = (smooth[group] * flat).sum(-1) < _SMOOTH
+    own = len(first) + np.cumsum(bends) - 1
+    indices = np.where(bends, own, group).reshape(-1, 3)
+    return np.concatenate((points[first], points[bends])), np.concatenate((smooth, flat[bends])), indices
 
 
 def _normalized(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 import torch
-from orbit_sapien.renderer_shapes import corner_normals
+from orbit_sapien.renderer_shapes import shaded
 
 from orbit_core import backends
 from orbit_core.interfaces import Capability, ConfigurationError, SceneLayout, UnsupportedCapabilityError
@@ -100,6 +100,9 @@ def test_without_a_vulkan_driver_the_error_names_the_remedy() -> None:
 def test_normals_are_shared_over_gentle_bends_alone() -> None:
     gentle = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, -0.1], [0, 1, 0]]], dtype=float)
     sharp = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 0, -1], [1, 0, 0]]], dtype=float)
-    shared = corner_normals(gentle)
-    np.testing.assert_allclose(shared[0, 1], shared[1, 0])
-    np.testing.assert_allclose(corner_normals(sharp)[0], [[0, 0, 1]] * 3)
+    points, normals, faces = shaded(gentle)
+    assert faces[0, 1] == faces[1, 0]
+    np.testing.assert_allclose(points[faces], gentle)
+    points, normals, faces = shaded(sharp)
+    np.testing.assert_allclose(normals[faces[0]], [[0, 0, 1]] * 3)
+    np.testing.assert_allclose(points[faces], sharp)
