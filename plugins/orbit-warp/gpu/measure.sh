@@ -6,6 +6,7 @@
 #   profile  kernels and gaps of a step of Lift                  about 1 minute
 #   experts  each task's expert, 256 environments                about 3 minutes
 #   soak     16,384 environments of Lift, 10,000 random steps    about 4 minutes
+#   ranks    one world on each of the machine's GPUs             about 2 minutes
 # Logs go to $OUT, or to out/gpu where that is unset.
 set -u
 source "$(dirname "$0")/setup.sh"
@@ -24,6 +25,7 @@ stage() {
     profile) python3 $here/bench.py --task Lift --action ik_relative --num-envs 4096 --profile "$out/step.json" ;;
     experts) python3 $here/experts.py --num-envs 256 ;;
     soak) python3 $here/bench.py --task Lift --action ik_relative --num-envs 16384 --steps 2000 --blocks 5 ;;
+    ranks) python3 -m torch.distributed.run --nproc-per-node "$(nvidia-smi -L | wc -l)" $here/ranks.py ;;
     *) echo "no stage '$1'"; return 2 ;;
   esac
 }
