@@ -113,7 +113,7 @@ class SapienRenderer(Renderer):
             if colored:
                 self._place_markers(None if markers is None else markers[row])
                 taken = self._take(camera, self._config.tier, eyes[row])
-                colors.append(taken.get_picture("Color")[..., :3])
+                colors.append(self._checked(taken.get_picture("Color")[..., :3]))
             if measured:
                 if not (colored and self._config.tier == "fast" and markers is None):
                     self._place_markers(None)
@@ -141,6 +141,14 @@ class SapienRenderer(Renderer):
                 length = np.linalg.norm(normals, axis=-1, keepdims=True)
                 normal = np.where(seen, normals / np.maximum(length, 1e-12), np.float32(0.0))
         return Image(*(_tensor(array, device) for array in (rgb, depth, normal, links)))
+
+    def _checked(self, color: _Array) -> _Array:
+        """A denoiser that fails leaves black and says so in SAPIEN's log alone."""
+        if self._config.tier == "rt" and self._config.denoiser != "none" and not color.any():
+            raise ConfigurationError(
+                f"denoiser '{self._config.denoiser}' does not work with this graphics driver: choose another or 'none'"
+            )
+        return color
 
     def _take(self, camera: CameraSpec, tier: str, pose: _Array) -> Any:
         """A picture of the present scene, from a camera of that tier."""
@@ -196,8 +204,9 @@ def _render_system() -> sapien.render.RenderSystem:
     except RuntimeError as error:
         raise ConfigurationError(
             f"SAPIEN cannot draw here, for no Vulkan driver fits ({str(error).strip()}): install the graphics card's "
-            "driver, or without a card libvulkan1 and Mesa's lavapipe of version 24 or later (on Debian 12: apt-get "
-            "install -t bookworm-backports mesa-vulkan-drivers)"
+            "driver (in a container without X, let VK_ICD_FILENAMES name it as libEGL_nvidia.so.0), or without a card "
+            "libvulkan1 and Mesa's lavapipe of version 24 or later (on Debian 12: apt-get install -t "
+            "bookworm-backports mesa-vulkan-drivers)"
         ) from error
 
 
