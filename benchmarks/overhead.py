@@ -84,7 +84,7 @@ class Overhead:
 def measure(settings: Settings, num_envs: int) -> Overhead:
     """Alternate blocks of the environment and of each raw stepper."""
     torch.set_num_threads(1)  # as the command line does: small tensors gain nothing, and the engine needs the cores
-    fields = {} if settings.action is None else {"action": settings.action}
+    fields: dict[str, Any] = {} if settings.action is None else {"action": settings.action}
     environment = make(settings.task, num_envs, settings.backend or default_backend(), seed=settings.seed, **fields)
     try:
         agent = RandomAgent(environment, settings.seed)
