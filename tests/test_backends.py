@@ -70,27 +70,32 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
     """Pretend that exactly these plugins are installed, each ``(name, distribution, factory)``."""
 
     def forget() -> None:
-        for cached in (backends.backend, backends._entry_points, backends._extras):
+        for cached in (backends.backend, backends.renderer, backends._entry_points, backends._extras):
             cached.cache_clear()
 
-    def pretend(*plugins: tuple[str, str, Any], extras: tuple[str, ...] = ()) -> None:
-        points = [
-            SimpleNamespace(
-                name=name,
-                value=f"{name}:Backend",
-                dist=SimpleNamespace(name=distribution),
-                load=lambda made=made: made,
-            )
-            for name, distribution, made in plugins
-        ]
+    def pretend(
+        *plugins: tuple[str, str, Any],
+        extras: tuple[str, ...] = (),
+        renderers: tuple[tuple[str, str, Any], ...] = (),
+    ) -> None:
+        groups = {
+            group: [_entry_point(*plugin) for plugin in members]
+            for group, members in ((backends.GROUP, plugins), (backends.RENDERERS, renderers))
+        }
+
         requirements = ["numpy>=1", *(f"orbit-{extra} @ file:///x ; extra == '{extra}'" for extra in extras)]
-        monkeypatch.setattr(importlib_metadata, "entry_points", lambda group: points)
+        monkeypatch.setattr(importlib_metadata, "entry_points", lambda group: groups[group])
         monkeypatch.setattr(importlib_metadata, "requires", lambda name: requirements)
         forget()
 
     yield pretend
     monkeypatch.undo()
     forget()
+
+
+def _entry_point(name: str, distribution: str, made: Any) -> SimpleNamespace:
+    dist = SimpleNamespace(name=distribution)
+    return SimpleNamespace(name=name, value=f"{name}:Backend", dist=dist, load=lambda: made)
 
 
 def triangle_scene() -> Scene:
@@ -177,3 +182,15 @@ def test_finding_backends_imports_none_of_them() -> None:
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+def test_a_renderer_is_found_apart_from_backends(install: Install) -> None:
+    install(("plain", "orbit-plain", PlainBackend), renderers=(("traced", "orbit-plain", MeshBackend),))
+    assert backends.renderer_names() == ["traced"]
+    assert isinstance(backends.renderer("traced"), MeshBackend)
+    assert backends.renderer("plain") is backends.backend("plain")
+    assert backends.default_backend() == "plain"
+    with pytest.raises(ConfigurationError, match="give it as renderer"):
+        backends.backend("traced")
+    with pytest.raises(UnknownNameError, match=r"unknown renderer 'trace'.*'traced'"):
+        backends.renderer("trace")

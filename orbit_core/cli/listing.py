@@ -17,7 +17,7 @@ from orbit_core.interfaces.errors import OrbitError, UnknownNameError
 class ListSettings:
     """Names of all tasks, robots or backends."""
 
-    kind: Annotated[Positional[str], arg(metavar="{tasks,robots,backends}")]
+    kind: Annotated[Positional[str], arg(metavar="{tasks,robots,backends,renderers}")]
     """What to list."""
 
 
@@ -51,14 +51,20 @@ def _backends() -> list[tuple[str, str]]:
     return installed + [(name, f"not installed: {command}") for name, command in installable_backends().items()]
 
 
+def _renderers() -> list[tuple[str, str]]:
+    from orbit_core.backends import renderer_names
+
+    return [(name, _state(name)) for name in renderer_names()]
+
+
 def _state(name: str) -> str:
-    from orbit_core.backends import backend
+    from orbit_core.backends import renderer
 
     try:
-        versions = backend(name).versions()
+        versions = renderer(name).versions()  # which finds backends too
     except (OrbitError, importlib.metadata.PackageNotFoundError) as error:
         return f"broken: {error}"
     return "installed: " + ", ".join(f"{package} {version}" for package, version in versions.items())
 
 
-_LISTS = {"tasks": _tasks, "robots": _robots, "backends": _backends}
+_LISTS = {"tasks": _tasks, "robots": _robots, "backends": _backends, "renderers": _renderers}

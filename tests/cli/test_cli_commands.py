@@ -147,7 +147,7 @@ BUILT_MISTAKES = [
     (["--num-envs", "0"], "num_envs must be at least 1"),
     (["--action", "ik_relativ"], "did you mean 'ik_relative'"),
     (["--device", "gpu"], "device 'gpu'"),
-    (["--renderer", "crayons"], "unknown backend 'crayons'"),
+    (["--renderer", "crayons"], "unknown renderer 'crayons'"),
     (["--set", "cube_siz=1"], "did you mean 'cube_size'"),
     (["--set", "cube_size"], "key=value"),
     (["--set", "cube_size=big"], "cube_size = 'big'"),
