@@ -36,7 +36,8 @@ class Actuation:
         self._driven = (parameters.drive_stiffness + parameters.drive_damping > 0) & own
         self._drives: dict[tuple[int, int], Wheels] = {}
         self._passive: dict[tuple[int, int], Wheels] = {}
-        self._zero = np.zeros(shape)
+        self.generation = 0
+        """How often the drives' wheels were built."""
         self._build_passive()
         self._build_drives()
 
@@ -59,6 +60,7 @@ class Actuation:
                 wheels.set(self._slow[columns], np.full(len(columns), np.inf))
 
     def _build_drives(self) -> None:
+        self.generation += 1
         for wheels in self._drives.values():
             self._stage.client.removeBody(wheels.body)
         self._drive_columns = self._columns(self._driven)

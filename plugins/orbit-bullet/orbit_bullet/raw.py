@@ -1,23 +1,36 @@
-"""Bullet's stepping without ORBIT: the same worlds, drives, substeps and read-back, and nothing of the task.
+"""Bullet's stepping without ORBIT: the same worlds, drives, substeps and read-back, and nothing else.
 
-The yardstick of ``benchmarks/overhead.py``: an engine of its own, told the joint commands directly. Per step and
-environment it sets its drives, steps, and reads joints and links, as any program that learns on Bullet must.
+The yardstick of ``benchmarks/overhead.py``. One way calls PyBullet by hand in this process; the other has worker
+processes do their steps, without what the core does around them.
 """
 
 from __future__ import annotations
 
+from typing import Protocol
+
+import numpy as np
 import torch
 from torch import Tensor
 
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.engine import BulletEngine
+from orbit_bullet.pool import LocalPool
+from orbit_bullet.simulation import Simulation
 
 Command = tuple[Tensor, Tensor, Tensor]
 """Position targets, velocity targets and efforts (N, J)."""
 
 
-class RawStepper:
-    """Worlds of the same scene; parameters randomised per environment are not copied."""
+class RawStepper(Protocol):
+    """One way of stepping."""
+
+    def synchronize(self) -> None: ...
+    def command(self) -> Command: ...
+    def step(self, command: Command, steps: int) -> None: ...
+
+
+class WorkerStepper:
+    """Worlds of the same scene in worker processes; parameters randomised per environment are not copied."""
 
     def __init__(self, engine: BulletEngine, workers: int) -> None:
         self._source = engine
@@ -43,13 +56,54 @@ class RawStepper:
 
     def step(self, command: Command, steps: int) -> None:
         """Write a command, then advance by physics steps."""
+        self._write(command)
+        self._engine.native.call("step", steps)
+
+    def _write(self, command: Command) -> None:
         own = self._engine
-        own.position_targets.copy_(command[0])
-        own.velocity_targets.copy_(command[1])
-        own.efforts.copy_(command[2])
-        own.native.call("step", steps)
+        for target, values in zip((own.position_targets, own.velocity_targets, own.efforts), command, strict=True):
+            target.copy_(values)
+
+
+class HandStepper(WorkerStepper):
+    """PyBullet called by hand: drives set and joints read at each step, then links; contacts are not read."""
+
+    def __init__(self, engine: BulletEngine) -> None:
+        super().__init__(engine, 1)
+        assert isinstance(self._engine.native, LocalPool)
+        self._simulations = self._engine.native.shard.simulations
+
+    def step(self, command: Command, steps: int) -> None:
+        """Write a command, then advance by physics steps."""
+        self._write(command)
+        for simulation in self._simulations:
+            _step_by_hand(simulation, steps)
+
+
+def _step_by_hand(simulation: Simulation, steps: int) -> None:
+    client, stage, layout = simulation.client, simulation.stage, simulation.layout
+    slots = range(stage.count)
+    jointed = [entity for entity in layout.entities if stage.joints[entity.index]]
+    simulation.actuation.prepare()
+    positions, velocities = simulation.joint_state
+    for _ in range(steps):
+        simulation.actuation.apply(positions, velocities)
+        simulation.loads.apply()
+        client.stepSimulation()
+        for slot in slots:
+            for entity in jointed:
+                states = client.getJointStates(stage.bodies[slot][entity.index], stage.joints[entity.index])
+                positions[slot, entity.joints] = [state[0] for state in states]
+                velocities[slot, entity.joints] = [state[1] for state in states]
+    for slot in slots:
+        for entity in layout.entities:
+            body = stage.bodies[slot][entity.index]
+            if not entity.spec.fixed_base:
+                np.array(sum(client.getBasePositionAndOrientation(body) + client.getBaseVelocity(body), ()))
+            if len(stage.links[entity.index]) > 1:
+                client.getLinkStates(body, stage.links[entity.index][1:], 1, 1)
 
 
 def raw_steppers(engine: BulletEngine) -> dict[str, RawStepper]:
-    """Every way of stepping that may be the fastest, by name: with a process per core, and with one."""
-    return {"a process per core": RawStepper(engine, 0), "one process": RawStepper(engine, 1)}
+    """Every way of stepping that may be the fastest, by name."""
+    return {"by hand in one process": HandStepper(engine), "a process per core": WorkerStepper(engine, 0)}

@@ -16,15 +16,14 @@ from orbit_bullet.deformables import Deformables
 from orbit_bullet.library import Client, silence
 from orbit_bullet.loads import Loads
 from orbit_bullet.materials import PairProducts, nominal
+from orbit_bullet.rays import cast_rays
 from orbit_bullet.rotations import compose, cross
 from orbit_bullet.stage import SceneFiles, Stage
 from orbit_bullet.wrenches import WrenchMeter
-from orbit_core.interfaces import BACKGROUND, TERRAIN, SceneLayout, UnsupportedCapabilityError
+from orbit_core.interfaces import TERRAIN, ConfigurationError, SceneLayout, UnsupportedCapabilityError
 
 FloatArray = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
-RAYS_PER_CALL = 16_000
-"""Bullet's own bound is 16,384."""
 _FARTHEST = 1e5
 """Metres from its origin at which an environment counts as diverged."""
 
@@ -34,6 +33,8 @@ class SavedSimulation:
     """A world's own snapshot and what stands outside it."""
 
     state: int
+    generation: int
+    """Of the wheels that the world had."""
     arrays: tuple[npt.NDArray[Any], ...]
 
 
@@ -52,9 +53,9 @@ class Simulation:
                 self.client.resetSimulation(self.client.RESET_USE_DEFORMABLE_WORLD)
             self._set_options(config)
             self.stage = Stage(self.client, layout, files, first, self.count, config)
-            self._actuation = Actuation(self.stage, buffers)
+            self.actuation = Actuation(self.stage, buffers)
             self.deformables = Deformables(self.stage, buffers) if layout.scene.deformables else None
-        self._loads = Loads(self.stage)
+        self.loads = Loads(self.stage)
         self._products = PairProducts(layout)
         self._friction = np.tile(nominal(layout, "dynamic_friction"), (self.count, 1))
         self._set_restitution()
@@ -65,7 +66,7 @@ class Simulation:
         self._raw = np.zeros((self.count, links, 16))
         """Of each link its centre of mass, frame, quaternion (x, y, z, w), and velocities at the centre of mass."""
         self._nominal_inertias = self._inertias()
-        self._wrenches = WrenchMeter(self.stage, self._loads, buffers.joint_wrenches)
+        self._wrenches = WrenchMeter(self.stage, self.loads, buffers.joint_wrenches)
         self.reset(np.arange(self.count))
 
     def _set_options(self, config: BulletConfig) -> None:
@@ -89,7 +90,7 @@ class Simulation:
         contacts = self._contacts.active
         if contacts:
             self._contacts.clear()
-        self._actuation.prepare()
+        self.actuation.prepare()
         for number in range(steps):
             if self._wrenches.active and number == steps - 1:
                 self._read(range(self.count))
@@ -98,15 +99,15 @@ class Simulation:
                 self._read_joints(range(self.count))
             if self.deformables and number == steps - 1:
                 self.deformables.begin()
-            self._actuation.apply(self._positions, self._velocities)
-            self._loads.apply()
+            self.actuation.apply(self._positions, self._velocities)
+            self.loads.apply()
             self.client.stepSimulation()
             if contacts:
                 self._contacts.add()
         if contacts:
             self._contacts.average(steps)
         self._read(range(self.count))
-        np.copyto(self.buffers.joint_efforts, self._actuation.efforts(self._velocities), casting="same_kind")
+        np.copyto(self.buffers.joint_efforts, self.actuation.efforts(self._velocities), casting="same_kind")
         if self._wrenches.active:
             self._wrenches.end(self._raw, self.buffers.link_poses)
         if self.deformables:
@@ -123,6 +124,11 @@ class Simulation:
         return np.flatnonzero(~sound).tolist()
 
     # Reading ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def joint_state(self) -> tuple[FloatArray, FloatArray]:
+        """Positions and velocities (K, J) as the last step left them."""
+        return self._positions, self._velocities
 
     def _read_joints(self, slots: range | Rows) -> None:
         client, stage = self.client, self.stage
@@ -231,9 +237,9 @@ class Simulation:
         for slot in rows:
             for entity in self.layout.entities:
                 self._put_joints(slot, entity.index)
-        if self._loads.wrenches[rows].any():
-            self._loads.wrenches[rows] = 0.0
-            self._loads.derive()
+        if self.loads.wrenches[rows].any():
+            self.loads.wrenches[rows] = 0.0
+            self.loads.derive()
         for name in ("joint_efforts", "contact_forces", "joint_wrenches"):
             getattr(self.buffers, name)[rows] = 0.0
         if self.deformables:
@@ -258,32 +264,11 @@ class Simulation:
             index = self.stage.links[entity][link - self.layout.entities[entity].links.start]
         self.deformables.anchor(deformable, particles, entity, index)
 
-    # Measurements ----------------------------------------------------------------------------------------------------
-
     def cast_rays(
         self, rows: Rows, origins: FloatArray, directions: FloatArray, reach: float
     ) -> tuple[npt.NDArray[Any], ...]:
         """Distances (n, R), normals (n, R, 3) and links (n, R)."""
-        shape = origins.shape[:2]
-        distances, normals = np.full(shape, np.inf, np.float32), np.zeros((*shape, 3), np.float32)
-        links = np.full(shape, BACKGROUND, np.int64)
-        places = self.stage.places
-        for row, slot in enumerate(rows):
-            start = origins[row] + self.stage.origins[slot]
-            hits = self._cast(start, start + reach * directions[row].astype(np.float64), self.stage.ray_mask(slot))
-            for ray, hit in enumerate(hits):
-                if hit[0] >= 0:
-                    links[row, ray] = places.get((hit[0], hit[1]), (slot, BACKGROUND))[1]
-                    distances[row, ray] = hit[2] * reach
-                    normals[row, ray] = hit[4]
-        return distances, normals, links
-
-    def _cast(self, start: FloatArray, end: FloatArray, mask: int) -> list[Any]:
-        hits: list[Any] = []
-        for first in range(0, len(start), RAYS_PER_CALL):
-            part = slice(first, first + RAYS_PER_CALL)
-            hits += self.client.rayTestBatch(start[part].tolist(), end[part].tolist(), collisionFilterMask=mask)
-        return hits
+        return cast_rays(self.stage, rows, origins, directions, reach)
 
     # Parameters per environment --------------------------------------------------------------------------------------
 
@@ -297,12 +282,12 @@ class Simulation:
 
     def set_wrenches(self, rows: Rows, links: Rows, wrenches: FloatArray) -> None:
         """(n, k, 6) of links (k,)."""
-        self._loads.wrenches[np.ix_(rows, links)] = wrenches
-        self._loads.derive()
+        self.loads.wrenches[np.ix_(rows, links)] = wrenches
+        self.loads.derive()
 
     def set_masses(self, rows: Rows, links: Rows, masses: FloatArray) -> None:
         """(n, k) of links (k,)."""
-        self._loads.masses[np.ix_(rows, links)] = masses
+        self.loads.masses[np.ix_(rows, links)] = masses
         self._apply_masses(rows, links)
 
     def _apply_masses(self, rows: Rows, links: Rows) -> None:
@@ -312,22 +297,22 @@ class Simulation:
             if index < 0 and self.layout.entities[number].spec.fixed_base:
                 continue  # it does not move
             for slot in rows:
-                mass = float(self._loads.masses[slot, link])
-                moments = self._nominal_inertias[link] * (mass / self._loads.nominal_masses[link])
+                mass = float(self.loads.masses[slot, link])
+                moments = self._nominal_inertias[link] * (mass / self.loads.nominal_masses[link])
                 self.client.changeDynamics(
                     self.stage.bodies[slot][number], index, mass=mass, localInertiaDiagonal=moments.tolist()
                 )
-        self._loads.derive()
+        self.loads.derive()
 
     def set_gravity(self, rows: Rows, gravity: FloatArray) -> None:
         """(n, 3)"""
-        self._loads.gravity[rows] = gravity
-        self._loads.derive()
+        self.loads.gravity[rows] = gravity
+        self.loads.derive()
 
     def set_gains(self, rows: Rows, joints: Rows, stiffness: FloatArray, damping: FloatArray) -> None:
         """(n, k) of joints (k,)."""
         with silence():
-            self._actuation.set_gains(rows, joints, stiffness, damping)
+            self.actuation.set_gains(rows, joints, stiffness, damping)
 
     def set_friction(self, rows: Rows, links: Rows, coefficients: FloatArray) -> None:
         """(n, k) of links (k,); TERRAIN stands for all terrain shapes."""
@@ -363,10 +348,10 @@ class Simulation:
 
     @property
     def _arrays(self) -> tuple[npt.NDArray[Any], ...]:
-        buffers, loads = self.buffers, self._loads
+        buffers, loads = self.buffers, self.loads
         return (
             buffers.joint_efforts, buffers.contact_forces, buffers.joint_wrenches, self._raw, self._friction,
-            loads.gravity, loads.masses, loads.wrenches, self._actuation.stiffness, self._actuation.damping,
+            loads.gravity, loads.masses, loads.wrenches, self.actuation.stiffness, self.actuation.damping,
         )  # fmt: skip
 
     def save(self) -> SavedSimulation:
@@ -377,10 +362,21 @@ class Simulation:
         """
         if self.deformables:
             raise UnsupportedCapabilityError("Bullet cannot restore the velocities of particles: no snapshots of them")
-        return SavedSimulation(self.client.saveState(), tuple(array.copy() for array in self._arrays))
+        return SavedSimulation(
+            self.client.saveState(), self.actuation.generation, tuple(array.copy() for array in self._arrays)
+        )
 
     def load(self, saved: SavedSimulation) -> None:
-        """Return to a saved state."""
+        """Return to a saved state.
+
+        Raises:
+            ConfigurationError: a joint has been given its first gains since.
+        """
+        if saved.generation != self.actuation.generation:
+            raise ConfigurationError(
+                "Bullet cannot return to a snapshot from before a joint without a drive was given gains: give it an "
+                "ImplicitPd actuator in the scene"
+            )
         before = [array.copy() for array in self._arrays]
         for own, kept in zip(self._arrays, saved.arrays, strict=True):
             own[...] = kept
@@ -389,11 +385,11 @@ class Simulation:
         if changed[4]:
             self._apply_friction(everything)
         if changed[6]:
-            self._apply_masses(everything, np.flatnonzero((before[6] != self._loads.masses).any(axis=0)))
+            self._apply_masses(everything, np.flatnonzero((before[6] != self.loads.masses).any(axis=0)))
         if changed[8] or changed[9]:
             joints = np.arange(len(self.layout.joints))
-            self.set_gains(everything, joints, self._actuation.stiffness.copy(), self._actuation.damping.copy())
-        self._loads.derive()
+            self.set_gains(everything, joints, self.actuation.stiffness.copy(), self.actuation.damping.copy())
+        self.loads.derive()
         self.client.restoreState(saved.state)
         self._read(range(self.count))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+import signal
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -40,6 +42,7 @@ def work(connection: Connection, assignment: Assignment) -> None:
     A request is a method's name, its arguments and whether a reply is awaited; an error of a call without reply comes
     with the next reply.
     """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupted program closes the connection
     try:
         shard, failure = _build(assignment), None
     except Exception as error:
@@ -49,7 +52,7 @@ def work(connection: Connection, assignment: Assignment) -> None:
     while True:
         try:
             method, arguments, reply = connection.recv()
-        except (EOFError, OSError, KeyboardInterrupt):
+        except (EOFError, OSError):
             break
         result: Any = None
         try:
@@ -71,8 +74,6 @@ def _build(assignment: Assignment) -> Shard:
 
 def _portable(error: Exception) -> Exception:
     """An exception that survives the way through a pipe."""
-    import pickle
-
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:

@@ -82,7 +82,7 @@ def make() -> Iterator[Make]:
 
 def test_cloth_starts_at_rest_and_drapes_over_a_ball(make: Make) -> None:
     engine = make(scene(CLOTH), num_envs=2)
-    rest = torch.tensor([*CLOTH.mesh.vertices, 0.0, 0.0, 0.5], dtype=torch.float32)
+    rest = torch.tensor(CLOTH.pose.transform(CLOTH.mesh.vertices), dtype=torch.float32)
     torch.testing.assert_close(engine.particle_positions(0), rest.expand(2, -1, -1), rtol=0, atol=1e-5)
     assert engine.particle_velocities(0).abs().max() == 0
     for _ in range(30):

@@ -1,0 +1,44 @@
+"""Rays of several environments in one Bullet world."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_bullet.stage import Stage
+from orbit_core.interfaces import BACKGROUND
+
+FloatArray = npt.NDArray[np.floating]
+RAYS_PER_CALL = 16_000
+"""Bullet's own bound is 16,384."""
+
+
+def cast_rays(
+    stage: Stage, slots: npt.NDArray[np.int64], origins: FloatArray, directions: FloatArray, reach: float
+) -> tuple[npt.NDArray[Any], ...]:
+    """Distances (n, R), normals (n, R, 3) and links (n, R) of rays (n, R, 3), each among its own environment.
+
+    A deformable stops a ray, as a link of no number.
+    """
+    shape = origins.shape[:2]
+    distances, normals = np.full(shape, np.inf, np.float32), np.zeros((*shape, 3), np.float32)
+    links = np.full(shape, BACKGROUND, np.int64)
+    for row, slot in enumerate(slots):
+        start = origins[row] + stage.origins[slot]
+        end = start + reach * directions[row].astype(np.float64)
+        for ray, hit in enumerate(_cast(stage.client, start, end, stage.ray_mask(slot))):
+            if hit[0] >= 0:
+                links[row, ray] = stage.places.get((hit[0], hit[1]), (slot, BACKGROUND))[1]
+                distances[row, ray] = hit[2] * reach
+                normals[row, ray] = hit[4]
+    return distances, normals, links
+
+
+def _cast(client: Any, start: FloatArray, end: FloatArray, mask: int) -> list[Any]:
+    hits: list[Any] = []
+    for first in range(0, len(start), RAYS_PER_CALL):
+        part = slice(first, first + RAYS_PER_CALL)
+        hits += client.rayTestBatch(start[part].tolist(), end[part].tolist(), collisionFilterMask=mask)
+    return hits
