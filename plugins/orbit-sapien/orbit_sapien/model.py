@@ -9,7 +9,6 @@ of 31 colours instead, dealt so that equal ones lie far apart.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,17 +20,16 @@ from orbit_core.interfaces import TERRAIN, Approximation, AssetError, EntityLayo
 from orbit_core.scene import Joint, JointType, Link, Plane, Pose, Shape
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.geometry import collision_shape
+from orbit_sapien.isolation import COLORS, color, exclusion_groups, grid_offset
 from orbit_sapien.materials import PairRule
 from orbit_sapien.native import native_pose, physx, sapien
 
 _FAST = 1e4
 """Stands for no limit on a body's speed; PhysX's own limits are a few metres per second."""
-_COLORS = 31
 _FREE_CELLS = 2.5
 """Less than half the distance between environments of one colour, in cells."""
 _SHARED_SPREAD = 4.0
 """Environments on a shared ground stand so many times farther apart."""
-_EXCLUSION_BITS = 32
 _NO_REBOUND = "PhysX takes slower contacts for resting, by the setting 'bounce_threshold'"
 
 
@@ -87,22 +85,6 @@ def build_world(layout: SceneLayout, num_envs: int, config: SapienConfig) -> Bui
     return _Builder(layout, num_envs, config).world
 
 
-def grid_offset(index: int, spacing: float) -> npt.NDArray[np.float64]:
-    """Where an environment stands: on a square spiral, the same whatever the number of environments."""
-    if index == 0:
-        return np.zeros(3)
-    ring = math.ceil((math.sqrt(index + 1) - 1) / 2)
-    side, step = divmod(index - (2 * ring - 1) ** 2, 2 * ring)
-    x, y = ((ring, step - ring + 1), (ring - 1 - step, ring), (-ring, ring - 1 - step), (step - ring + 1, -ring))[side]
-    return spacing * np.array([x, y, 0.0])
-
-
-def color(offset: npt.NDArray[np.float64], spacing: float) -> int:
-    """Equal colours lie at least 5.4 cells apart: on the lattice ``x + 12 y = 0`` modulo 31."""
-    x, y = np.rint(offset[:2] / spacing).astype(int)
-    return int((x + 12 * y) % _COLORS)
-
-
 class _Builder:
     def __init__(self, layout: SceneLayout, num_envs: int, config: SapienConfig) -> None:
         self.layout, self.config = layout, config
@@ -146,7 +128,7 @@ class _Builder:
         isolation = self._isolation(environment, index)
         self._add_terrain(environment, isolation, report)
         for entity in self.layout.entities:
-            groups = _exclusion_groups(entity, report)
+            groups = exclusion_groups(entity, report)
             bodies = [
                 self._make_body(environment, entity, offset, groups[offset], isolation, report)
                 for offset in range(len(entity.spec.articulation.links))
@@ -176,7 +158,7 @@ class _Builder:
         for shape in shapes:
             body = physx.PhysxRigidStaticComponent()
             everyone = self.shared_ground and shape in self.level
-            mask = (1 << _COLORS) - 1 if everyone else isolation[0]
+            mask = (1 << COLORS) - 1 if everyone else isolation[0]
             made = self._attach(environment, body, TERRAIN, shape, f"terrain shape '{shape.name}'", report)
             made.set_collision_groups([mask, mask, 0, isolation[1]])
             environment.terrain.append(body)
@@ -382,41 +364,3 @@ def _tree_between(joints: tuple[Joint, ...], one: str, other: str) -> list[str]:
     shared = [a for a, b in zip(*ways, strict=False) if a == b]
     ways = [*ways[0], one], [*ways[1], other]
     return [shared[-1], *dict.fromkeys(link for way in ways for link in way[len(shared) :])]
-
-
-def _exclusion_groups(entity: EntityLayout, report: list[Approximation] | None) -> list[int]:
-    """Third filter word of each link: two that share a bit do not collide. Neighbours never do, by PhysX's own rule."""
-    articulation = entity.spec.articulation
-    names = articulation.link_names
-    if not articulation.self_collisions:
-        return [1] * len(names)
-    words = [0] * len(names)
-    excluded = {frozenset(pair) for pair in articulation.collision_exclusions}
-    excluded |= {frozenset((joint.parent, joint.child)) for joint in articulation.joints}
-    open_pairs = [pair for pair in itertools.combinations(names, 2) if frozenset(pair) in excluded]
-    for bit in range(_EXCLUSION_BITS):
-        if not open_pairs:
-            break
-        clique = list(open_pairs[0])
-        clique += [
-            name for name in names
-            if name not in clique and all(frozenset((name, member)) in excluded for member in clique)
-        ]  # fmt: skip
-        clique = _pruned(clique, excluded)
-        for name in clique:
-            words[names.index(name)] |= 1 << bit
-        open_pairs = [pair for pair in open_pairs if not set(pair) <= set(clique)]
-    if open_pairs and report is not None:
-        asked = f"{len(open_pairs)} more pairs of links that do not collide, {' and '.join(open_pairs[0])} the first"
-        why = f"PhysX's filter word has {_EXCLUSION_BITS} bits"
-        report.append(Approximation(f"'{entity.name}'", asked, "they collide", why))
-    return words
-
-
-def _pruned(names: list[str], excluded: set[frozenset[str]]) -> list[str]:
-    """The names that are excluded from all kept before them."""
-    kept: list[str] = []
-    for name in names:
-        if all(frozenset((name, other)) in excluded for other in kept):
-            kept.append(name)
-    return kept

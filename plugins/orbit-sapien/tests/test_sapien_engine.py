@@ -9,8 +9,8 @@ import pytest
 import torch
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.geometry import height_field_triangles
+from orbit_sapien.isolation import color, grid_offset
 from orbit_sapien.materials import PairRule
-from orbit_sapien.model import color, grid_offset
 
 from orbit_core import backends
 from orbit_core.interfaces import (
