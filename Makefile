@@ -6,7 +6,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-SOURCES := pyproject.toml plugins/orbit-mujoco/pyproject.toml constraints.txt
+BACKENDS := mujoco bullet sapien warp
+SOURCES := pyproject.toml constraints.txt $(BACKENDS:%=plugins/orbit-%/pyproject.toml)
 CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples
 
 .PHONY: demo view test lint types unit clean
@@ -39,9 +40,10 @@ $(VENV)/.ready: $(VENV)/bin/python $(SOURCES)
 	touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	sh tools/system_packages.sh graphics browser
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[mujoco,robots,usd,mjcf,viewer,video,plots,dev]"
-	$(BIN)/pip install --quiet --no-deps --editable plugins/orbit-mujoco
+	sh tools/system_packages.sh graphics vulkan browser
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable \
+		".[mujoco,bullet,sapien,warp,robots,usd,mjcf,viewer,video,plots,dev]"
+	$(BIN)/pip install --quiet --no-deps $(BACKENDS:%=--editable plugins/orbit-%)
 	touch $@
 
 clean:

@@ -101,7 +101,7 @@ class Reach(Task):
 
     def scene(self) -> Scene:
         return Scene(
-            robots=(common.arm(self.robot),),
+            robots=(common.arm(self.robot, gripper=False),),
             objects=(common.work_bench(),),
             terrain=(common.floor(-common.BENCH_HEIGHT),),
             markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.15),),

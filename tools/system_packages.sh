@@ -25,8 +25,11 @@ done
 
 if [ "$(id -u)" = 0 ] && command -v apt-get > /dev/null; then
     if [ -n "$suite" ] && [ ! -e "$backports" ]; then
-        printf 'Types: deb\nURIs: $(mirror)\nSuites: %s\nComponents: main\nSigned-By: %s\n' \
-            "$suite" /usr/share/keyrings/debian-archive-keyring.gpg > "$backports"
+        # The backports stand beside the release on the mirror that the machine already uses.
+        mirror=$(apt-get indextargets --format '$(REPO_URI) $(CODENAME)' 'Created-By: Packages' |
+            sed -n 's/ bookworm$//p' | head -n 1)
+        printf 'Types: deb\nURIs: %s\nSuites: %s\nComponents: main\nSigned-By: %s\n' \
+            "$mirror" "$suite" /usr/share/keyrings/debian-archive-keyring.gpg > "$backports"
     fi
     apt-get update -qq
     # shellcheck disable=SC2086 - a list of packages

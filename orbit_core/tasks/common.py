@@ -28,16 +28,17 @@ def floor(height: float = 0.0) -> Shape:
     return Shape(Plane(), Pose((0.0, 0.0, height)), color=(0.35, 0.38, 0.42, 1.0), name="floor")
 
 
-def arm(name: str) -> RobotSpec:
-    """A robot of the catalogue with a gripper, as the task's robot.
+def arm(name: str, gripper: bool = True) -> RobotSpec:
+    """A robot of the catalogue with an end effector, and a gripper on it where that is needed, as the task's robot.
 
     Raises:
         UnknownNameError: there is none of that name.
-        ConfigurationError: it has no gripper.
+        ConfigurationError: it has no end effector or gripper.
     """
     spec = robot(name, name=ROBOT)
-    if not spec.end_effectors or spec.end_effector.gripper is None:
-        raise ConfigurationError(f"robot '{name}' has no gripper, which this task needs: choose another robot")
+    lacking = "end effector" if not spec.end_effectors else "gripper" if not spec.end_effector.gripper else None
+    if lacking == "end effector" or (lacking and gripper):
+        raise ConfigurationError(f"robot '{name}' has no {lacking}, which this task needs: choose another robot")
     return spec
 
 

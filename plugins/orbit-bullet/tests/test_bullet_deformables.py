@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 import torch
+
 from orbit_bullet import BulletBackend, BulletConfig
 from orbit_bullet.engine import BulletEngine
 from orbit_bullet.tetrahedra import fill, volume_of
-
 from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationError, UnsupportedCapabilityError
 from orbit_core.scene import Cloth, Mesh, ObjectSpec, Pose, Scene, Shape, SoftBody, Sphere, single_link
 

@@ -9,11 +9,11 @@ import sys
 import numpy as np
 import pytest
 import torch
+
 from orbit_bullet import BulletBackend, BulletConfig, library
 from orbit_bullet.engine import BulletEngine
 from orbit_bullet.materials import PairProducts, nominal
 from orbit_bullet.renderer import BulletRenderer
-
 from orbit_core.interfaces import BackendNotInstalledError, ConfigurationError, SceneLayout
 from orbit_core.scene import (
     Articulation,

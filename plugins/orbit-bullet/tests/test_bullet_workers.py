@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+
 from orbit_bullet import BulletBackend, BulletConfig
 from orbit_bullet.engine import BulletEngine
 from orbit_bullet.pool import ProcessPool
-
 from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationError
 from orbit_core.scene import (
     Articulation,

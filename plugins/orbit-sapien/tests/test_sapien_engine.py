@@ -7,10 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from orbit_sapien.config import SapienConfig
-from orbit_sapien.geometry import height_field_triangles
-from orbit_sapien.isolation import color, grid_offset
-from orbit_sapien.materials import PairRule
 
 from orbit_core import backends
 from orbit_core.interfaces import (
@@ -35,6 +31,10 @@ from orbit_core.scene import (
     Scene,
     Shape,
 )
+from orbit_sapien.config import SapienConfig
+from orbit_sapien.geometry import height_field_triangles
+from orbit_sapien.isolation import color, grid_offset
+from orbit_sapien.materials import PairRule
 
 
 def thing(name: str, *shapes: Shape, height: float = 0.05, x: float = 0.0) -> ObjectSpec:

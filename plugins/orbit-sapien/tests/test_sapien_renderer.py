@@ -8,7 +8,6 @@ import sys
 import numpy as np
 import pytest
 import torch
-from orbit_sapien.renderer_shapes import shaded
 
 from orbit_core import backends
 from orbit_core.interfaces import Capability, ConfigurationError, SceneLayout, UnsupportedCapabilityError
@@ -26,6 +25,7 @@ from orbit_core.scene import (
     look_at,
 )
 from orbit_core.world import SimulatedWorld
+from orbit_sapien.renderer_shapes import shaded
 
 CAMERA = CameraSpec(name="eye", width=48, height=36, vertical_fov=0.6, pose=look_at((1.5, 0.0, 1.0), (0.0, 0.0, 0.2)))
 EYE = torch.tensor([[*CAMERA.pose.position, *CAMERA.pose.orientation]])

@@ -14,10 +14,10 @@ import statistics
 import time
 
 import torch
-from orbit_warp.raw import raw_steppers
 
 from orbit_core.tasks import make
 from orbit_core.tasks.environment import Environment
+from orbit_warp.raw import raw_steppers
 
 
 def main() -> None:
