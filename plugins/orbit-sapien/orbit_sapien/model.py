@@ -7,6 +7,9 @@ of 31 colours instead, dealt so that equal ones lie far apart.
 
 # pyright: reportAttributeAccessIssue=false
 
+# SAPIEN's stubs ask for shapes of arrays that NumPy's types cannot express.
+# pyright: reportArgumentType=false
+
 from __future__ import annotations
 
 import math

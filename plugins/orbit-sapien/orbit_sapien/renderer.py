@@ -2,6 +2,9 @@
 
 # pyright: reportAttributeAccessIssue=false
 
+# SAPIEN's stubs ask for shapes of arrays that NumPy's types cannot express.
+# pyright: reportArgumentType=false
+
 from __future__ import annotations
 
 import math
