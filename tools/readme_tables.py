@@ -2,7 +2,7 @@
 
     python tools/readme_tables.py          rewrite the README and the pages of docs/
 
-A part stands between ``<!-- capabilities -->`` or ``<!-- file: PATH -->`` and ``<!-- end -->``.
+A part stands between ``<!-- capabilities -->``, ``<!-- reasons -->`` or ``<!-- file: PATH -->`` and ``<!-- end -->``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from orbit_core.interfaces import Capability, Level
 
 ROOT = Path(__file__).parents[1]
 _PART = re.compile(
-    r"(?P<start><!-- (?P<kind>capabilities|file: (?P<path>\S+)) -->\n).*?(?P<end><!-- end -->)", re.DOTALL
+    r"(?P<start><!-- (?P<kind>capabilities|reasons|file: (?P<path>\S+)) -->\n).*?(?P<end><!-- end -->)", re.DOTALL
 )
 
 
@@ -29,7 +29,10 @@ def updated(text: str) -> str:
     """A page with its generated parts as the code has them now."""
 
     def part(match: re.Match[str]) -> str:
-        content = quoted_file(match["path"]) if match["path"] else capability_table()
+        if match["path"]:
+            content = quoted_file(match["path"])
+        else:
+            content = capability_table() if match["kind"] == "capabilities" else capability_reasons()
         return match["start"] + content + match["end"]
 
     return _PART.sub(part, text)
@@ -43,7 +46,7 @@ def offered_backends() -> list[str]:
 
 
 def capability_table() -> str:
-    """Every capability, and each offered backend's level with its reason.
+    """Every capability, and each offered backend's level.
 
     Raises:
         BackendNotInstalledError: one is not installed.
@@ -61,12 +64,26 @@ def quoted_file(path: str) -> str:
     return f"```python\n{(ROOT / path).read_text(encoding='utf-8')}```\n"
 
 
+def capability_reasons() -> str:
+    """For each offered backend, what it does only approximately or not at all, and why.
+
+    Raises:
+        BackendNotInstalledError: one is not installed.
+    """
+    sections: list[str] = []
+    for name in offered_backends():
+        capabilities = backend(name).capabilities()
+        short = [c for c in Capability if capabilities[c].level is not Level.EXACT]
+        lines = [f"| {c.value} | {_WORDS[capabilities[c].level]} | {capabilities[c].reason} |" for c in short]
+        sections.append("\n".join((f"## {name}\n", "| capability | | why |", "|---|---|---|", *lines)))
+    return "\n\n".join(sections) + "\n"
+
+
+_WORDS = {Level.EXACT: "yes", Level.APPROXIMATE: "approximate", Level.UNSUPPORTED: "**no**"}
+
+
 def _cell(name: str, capability: Capability) -> str:
-    support = backend(name).capabilities()[capability]
-    if support.level is Level.EXACT:
-        return "yes"
-    word = "approximate" if support.level is Level.APPROXIMATE else "no"
-    return f"**{word}**: {support.reason}"
+    return _WORDS[backend(name).capabilities()[capability].level]
 
 
 def main() -> None:
