@@ -139,7 +139,7 @@ class Stack(Task):
 
 def main() -> None:
     """One episode in each of 16 environments, with the expert."""
-    environment = make(Stack(), num_envs=16, seed=0)
+    environment = make(Stack(), num_envs=16, backend="mujoco", seed=0)
     expert = environment.expert()
     info = {}
     for _ in range(environment.max_episode_steps):

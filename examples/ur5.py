@@ -45,7 +45,7 @@ def articulation() -> Articulation:
 def main() -> None:
     """Reach with the new arm."""
     robots().add(RobotEntry("ur5", "Universal Robots UR5: 6-joint arm", build, SOURCE, "BSD"))
-    environment = make("Reach", num_envs=16, seed=0, robot="ur5")
+    environment = make("Reach", num_envs=16, backend="mujoco", seed=0, robot="ur5")
     expert = environment.expert()
     info = {}
     for _ in range(environment.max_episode_steps):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import functools
+import os
 import re
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -42,11 +43,13 @@ def backend_names() -> list[str]:
 
 
 def default_backend() -> str:
-    """The backend of those who name none: the only one installed.
+    """The backend of those who name none: the environment variable ``ORBIT_BACKEND``, or the only one installed.
 
     Raises:
         ConfigurationError: none is installed, or several are.
     """
+    if chosen := os.environ.get("ORBIT_BACKEND"):
+        return chosen
     names = backend_names()
     if len(names) == 1:
         return names[0]

@@ -86,6 +86,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
         requirements = ["numpy>=1", *(f"orbit-{extra} @ file:///x ; extra == '{extra}'" for extra in extras)]
         monkeypatch.setattr(importlib_metadata, "entry_points", lambda group: groups[group])
         monkeypatch.setattr(importlib_metadata, "requires", lambda name: requirements)
+        monkeypatch.delenv("ORBIT_BACKEND", raising=False)
         forget()
 
     yield pretend
@@ -194,3 +195,18 @@ def test_a_renderer_is_found_apart_from_backends(install: Install) -> None:
         backends.backend("traced")
     with pytest.raises(UnknownNameError, match=r"unknown renderer 'trace'.*'traced'"):
         backends.renderer("trace")
+
+
+def test_who_names_no_backend_gets_the_chosen_or_the_only_one(
+    install: Install, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install(("plain", "orbit-plain", PlainBackend))
+    assert backends.default_backend() == "plain"
+    install(("plain", "orbit-plain", PlainBackend), ("other", "orbit-other", PlainBackend))
+    with pytest.raises(ConfigurationError, match="several backends are installed: say which, backend = 'other' or"):
+        backends.default_backend()
+    monkeypatch.setenv("ORBIT_BACKEND", "other")
+    assert backends.default_backend() == "other"
+    install(extras=("plain",))
+    with pytest.raises(ConfigurationError, match="no backend is installed: pip install"):
+        backends.default_backend()

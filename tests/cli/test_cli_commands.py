@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from orbit_core.backends import backend, backend_names
+from orbit_core.backends import backend, default_backend
 from orbit_core.interfaces import Capability
 from orbit_core.tasks import task_entries
 
-BACKEND = backend_names()[0]
+BACKEND = default_backend()
 PROGRAM = [sys.executable, "-c", "import sys; from orbit_core.cli import main; sys.exit(main())"]
 SHORT = ["--backend", BACKEND, "--agent", "zero", "--set", "episode_length=0.04"]
 

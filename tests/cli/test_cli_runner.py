@@ -10,13 +10,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orbit_core.backends import backend_names
+from orbit_core.backends import default_backend
 from orbit_core.cli.runner import Tally, run, statistic
 from orbit_core.cli.settings import RunSettings
 from orbit_core.interfaces import UnknownNameError
 from orbit_core.tasks.environment import EpisodeEnd
 
-BACKEND = backend_names()[0]
+BACKEND = default_backend()
 
 
 def end_of(env_ids: list[int], success: bool, length: int) -> EpisodeEnd:

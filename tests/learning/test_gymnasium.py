@@ -12,11 +12,11 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import orbit_core.learning
-from orbit_core.backends import backend_names
+from orbit_core.backends import default_backend
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.tasks import task_entries
 
-BACKEND = backend_names()[0]
+BACKEND = default_backend()
 
 
 def test_every_task_has_an_id() -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from orbit_core.backends import backend_names
+from orbit_core.backends import default_backend
 from orbit_core.interfaces import (
     BackendNotInstalledError,
     ConfigurationError,
@@ -20,7 +20,7 @@ from orbit_core.tasks.terms import once_per_state, terms_of
 from orbit_tasks.lift import Lift
 from orbit_tasks.reach import Reach
 
-BACKEND = backend_names()[0]
+BACKEND = default_backend()
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import torch
 
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import box
-from orbit_core.backends import backend_names
+from orbit_core.backends import default_backend
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import AssetError, ConfigurationError, NonFiniteError, ShapeError, UnknownNameError
 from orbit_core.scene import (
@@ -25,7 +25,7 @@ from orbit_core.scene import (
 from orbit_core.sensors import ContactSensor, ImuSensor, JointSensor
 from orbit_core.world import SimulatedWorld
 
-BACKEND = backend_names()[0]
+BACKEND = default_backend()
 MakeWorld = Callable[..., SimulatedWorld]
 CUBE = box("cube", size=(0.1, 0.1, 0.1), mass=0.5, pose=Pose((0.6, 0.0, 0.05)))
 
