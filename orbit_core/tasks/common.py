@@ -36,8 +36,12 @@ def arm(name: str, gripper: bool = True) -> RobotSpec:
         ConfigurationError: it has no end effector or gripper.
     """
     spec = robot(name, name=ROBOT)
-    lacking = "end effector" if not spec.end_effectors else "gripper" if not spec.end_effector.gripper else None
-    if lacking == "end effector" or (lacking and gripper):
+    lacking = None
+    if not spec.end_effectors:
+        lacking = "end effector"
+    elif gripper and spec.end_effector.gripper is None:
+        lacking = "gripper"
+    if lacking:
         raise ConfigurationError(f"robot '{name}' has no {lacking}, which this task needs: choose another robot")
     return spec
 

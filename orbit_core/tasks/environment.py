@@ -202,9 +202,9 @@ class Environment:
         expected = (self.num_envs, self.action_size)
         if tuple(action.shape) != expected:
             raise ShapeError(f"the action must have shape {expected} (num_envs, components), not {tuple(action.shape)}")
-        # One sum finds any NaN or infinity; which one it was is worth a search only then.
         if action.device.type != "cpu":
             return  # to look would be to wait for the device: its engine tells which environments diverged
+        # One sum finds any NaN or infinity; which one it was is worth a search only then.
         if not math.isfinite(float(action.sum())) and not bool(torch.isfinite(action).all()):
             environment, component = (int(index) for index in (~torch.isfinite(action)).nonzero()[0])
             value = float(action[environment, component])
