@@ -28,7 +28,8 @@ RANKS = {
     "tasks": 5,
     "viewer": 6,
     "learning": 7,
-    "cli": 8,
+    "conformance": 8,
+    "cli": 9,
 }
 # Newton is also a person and a unit: only the module or the name in quotes is the engine.
 ENGINES = re.compile(
@@ -47,7 +48,7 @@ def imported_packages(path: Path) -> set[str]:
         else:
             continue
         found |= {module.split(".")[1] for module in modules if module.startswith("orbit_core.")}
-    return found & {*RANKS, "conformance"}
+    return found & {*RANKS}
 
 
 def core_files() -> list[Path]:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         UnknownNameError,
         UnsupportedCapabilityError,
     )
+    from orbit_core.interfaces.gaps import Gap
     from orbit_core.interfaces.layout import (
         BACKGROUND,
         TERRAIN,
@@ -54,6 +55,7 @@ _MODULES = {
         "AssetError", "BackendNotInstalledError", "ConfigurationError", "NonFiniteError", "OrbitError", "ShapeError",
         "SimulationError", "UnknownNameError", "UnsupportedCapabilityError",
     ),
+    "gaps": ("Gap",),
     "layout": ("BACKGROUND", "TERRAIN", "ContactQuery", "EntityLayout", "JointParameters", "SceneLayout"),
     "names": ("find_name", "match_names", "match_values"),
     "node": ("Node", "Port"),
@@ -66,7 +68,7 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 
 __all__ = [
     "BACKGROUND", "EXACT", "TERRAIN", "Approximation", "AssetError", "Backend", "BackendNotInstalledError",
-    "Capabilities", "Capability", "ConfigurationError", "ContactQuery", "Engine", "EntityLayout", "Image",
+    "Capabilities", "Capability", "ConfigurationError", "ContactQuery", "Engine", "EntityLayout", "Gap", "Image",
     "JointParameters", "Level", "Marker", "Node", "NonFiniteError", "Object", "OrbitError", "Port", "RayHits",
     "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError", "Support", "UnknownNameError",
     "UnsupportedCapabilityError", "World", "approximate", "find_name", "match_names", "match_values",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from orbit_core.interfaces.capabilities import Capabilities
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
+from orbit_core.interfaces.gaps import Gap
 
 if TYPE_CHECKING:
     import torch
@@ -28,6 +29,10 @@ class Backend(ABC):
     @abstractmethod
     def capabilities(self) -> Capabilities:
         """What the engine can do, with reasons."""
+
+    def gaps(self) -> tuple[Gap, ...]:
+        """Metrics of the conformance scenarios that the engine is known to miss."""
+        return ()
 
     def versions(self) -> dict[str, str]:
         """Installed distributions that results depend on, with their versions."""

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from orbit_core import backends
+from orbit_core.conformance.bodies import cube, fixed, geared, index, pendulum, rotor, scene
 from orbit_core.interfaces import Backend, Capability, Engine, Level, UnsupportedCapabilityError, required_capabilities
 from orbit_core.scene import (
     Cloth,
@@ -31,7 +32,6 @@ from orbit_core.scene import (
 )
 
 from .conftest import MakeEngine
-from .scenes import cube, fixed, geared, index, pendulum, rotor, scene
 
 TETRAHEDRON = Mesh(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])

@@ -10,6 +10,19 @@ import pytest
 import torch
 from torch import Tensor
 
+from orbit_core.conformance.bodies import (
+    SMOOTH,
+    WEIGHTLESS,
+    G,
+    ball,
+    cube,
+    fixed,
+    index,
+    on_slope,
+    scene,
+    seconds,
+    slope,
+)
 from orbit_core.interfaces import TERRAIN, Capability, Engine
 from orbit_core.scene import (
     Articulation,
@@ -31,7 +44,6 @@ from orbit_core.scene import (
 )
 
 from .conftest import MakeEngine, Needs
-from .scenes import SMOOTH, WEIGHTLESS, G, ball, cube, fixed, index, on_slope, scene, seconds, slope
 
 
 def contact(entity: str = "cube", filters: tuple[str, ...] = ()) -> tuple[ContactSensorSpec]:

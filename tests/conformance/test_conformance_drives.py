@@ -7,11 +7,11 @@ import math
 import pytest
 import torch
 
+from orbit_core.conformance.bodies import WEIGHTLESS, G, geared, index, pendulum, rotor, scene, seconds, slider
 from orbit_core.interfaces import Capability
 from orbit_core.scene import IdealPd, ImplicitPd, JointType
 
 from .conftest import MakeEngine, Needs
-from .scenes import WEIGHTLESS, G, geared, index, pendulum, rotor, scene, seconds, slider
 
 INERTIA = 0.5
 

@@ -7,11 +7,11 @@ import math
 import pytest
 import torch
 
+from orbit_core.conformance.bodies import WEIGHTLESS, cube, fixed, index, scene, yaw_quaternion
 from orbit_core.interfaces import BACKGROUND, TERRAIN, Capability
 from orbit_core.scene import Box, Pose, Sphere
 
 from .conftest import MakeEngine, Needs
-from .scenes import WEIGHTLESS, cube, fixed, index, scene, yaw_quaternion
 
 TOLERANCE = {"rtol": 0, "atol": 1e-4}
 

@@ -6,11 +6,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from orbit_core.conformance.bodies import cube, index, pendulum, scene
 from orbit_core.interfaces import Backend, Capability, Engine, Level, SimulationError
 from orbit_core.scene import ContactSensorSpec, ForceTorqueSpec, ImplicitPd, Pose, Scene
 
 from .conftest import MakeEngine, Needs
-from .scenes import cube, index, pendulum, scene
 
 STATE = ("joint_positions", "joint_velocities", "joint_efforts", "link_poses", "link_velocities")
 

@@ -9,11 +9,22 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from orbit_core.conformance.bodies import (
+    WEIGHTLESS,
+    ball,
+    body,
+    cube,
+    index,
+    pendulum,
+    rotor,
+    scene,
+    tree,
+    yaw_quaternion,
+)
 from orbit_core.interfaces import Capability
 from orbit_core.scene import Articulation, Joint, JointType, Pose, RobotSpec
 
 from .conftest import MakeEngine, Needs
-from .scenes import WEIGHTLESS, ball, body, cube, index, pendulum, rotor, scene, tree, yaw_quaternion
 
 EXACT = {"rtol": 1e-5, "atol": 1e-5}
 

@@ -8,11 +8,11 @@ import math
 import pytest
 import torch
 
+from orbit_core.conformance.bodies import WEIGHTLESS, G, ball, cube, index, pendulum, rotor, scene, yaw_quaternion
 from orbit_core.interfaces import Capability
 from orbit_core.scene import ForceTorqueSpec, IdealPd, ImplicitPd, Pose
 
 from .conftest import MakeEngine, Needs
-from .scenes import WEIGHTLESS, G, ball, cube, index, pendulum, rotor, scene, yaw_quaternion
 
 HELD = (ImplicitPd(joints=(".*",), stiffness=1e4, damping=1e3),)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -51,7 +52,7 @@ def cube(
 
 
 def ball(
-    name: str = "ball", radius: float = 0.05, mass: float = 1.0, height: float = 1.0, **material: float
+    name: str = "ball", radius: float = 0.05, mass: float = 1.0, height: float = 1.0, **material: Any
 ) -> ObjectSpec:
     """A free ball whose centre is at ``height``."""
     shape = Shape(Sphere(radius), material=PhysicsMaterial(**material))
@@ -70,7 +71,7 @@ def body(name: str, mass: float = 1.0, com: tuple[float, float, float] = (0.0, 0
     return Link(name, mass, com, np.eye(3) * inertia)
 
 
-def rotor(*, inertia: float = 0.5, actuators: tuple[ActuatorConfig, ...] = (), **joint: float) -> RobotSpec:
+def rotor(*, inertia: float = 0.5, actuators: tuple[ActuatorConfig, ...] = (), **joint: Any) -> RobotSpec:
     """One joint about z between a fixed base and a balanced link: ``(inertia + armature) a = effort``."""
     links = (body("base"), body("rotor", inertia=inertia))
     joints = (Joint("spin", JointType.CONTINUOUS, "base", "rotor", **joint),)
@@ -79,7 +80,7 @@ def rotor(*, inertia: float = 0.5, actuators: tuple[ActuatorConfig, ...] = (), *
     )
 
 
-def slider(*, mass: float = 2.0, actuators: tuple[ActuatorConfig, ...] = (), **joint: float) -> RobotSpec:
+def slider(*, mass: float = 2.0, actuators: tuple[ActuatorConfig, ...] = (), **joint: Any) -> RobotSpec:
     """One joint along x: ``mass a = effort``."""
     links = (body("base"), body("carriage", mass))
     joints = (Joint("slide", JointType.PRISMATIC, "base", "carriage", axis=(1.0, 0.0, 0.0), **joint),)
@@ -143,10 +144,6 @@ def geared(multiplier: float, offset: float, actuators: tuple[ActuatorConfig, ..
     return RobotSpec(
         name="geared", articulation=Articulation("geared", links, joints), fixed_base=True, actuators=actuators
     )
-
-
-def _mounted(articulation: Articulation, actuators: tuple[ActuatorConfig, ...]) -> RobotSpec:
-    return RobotSpec(name=articulation.name, articulation=articulation, fixed_base=True, actuators=actuators)
 
 
 def scene(

@@ -1,0 +1,128 @@
+"""A scenario: a small experiment with a known answer, run on any backend at any time step."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+
+from orbit_core.interfaces import Capability
+from orbit_core.scene import Scene
+from orbit_core.world import SimulatedWorld
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """One error of a scenario, zero for a perfect engine."""
+
+    name: str
+    unit: str
+    """SI; empty for a ratio."""
+    tolerance: float
+    """At the scenario's nominal time step."""
+    meaning: str
+    """What is measured against which truth, in words or a formula."""
+    looser_because: str = ""
+    """Why the tolerance may be more than three times what the best engine reaches."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """An experiment, the truth that it is held against, and how far from it an engine may be.
+
+    ``run`` builds worlds with ``trial.world(scene)``, advances them with ``trial.step``, and returns the error of every
+    metric. What an engine may lack is named in ``needs``, beyond what the scenes themselves require.
+    """
+
+    name: str
+    """In snake case."""
+    group: str
+    """The heading under which reports show it."""
+    question: str
+    """What it asks of an engine, in one sentence."""
+    truth: str
+    """The closed form, or the converged reference, that answers it."""
+    source: str
+    """Where the truth comes from: a textbook with its section, a paper."""
+    metrics: tuple[Metric, ...]
+    run: Callable[[Trial], Mapping[str, float]]
+    needs: tuple[Capability, ...] = ()
+    time_step: float = 0.005
+    """Seconds, where the tolerances hold."""
+    time_steps: tuple[float, ...] = (0.01, 0.005, 0.0025, 0.00125)
+    """Seconds, of the sweep that shows accuracy against speed; empty where the step plays no part."""
+
+    def metric(self, name: str) -> Metric:
+        """The metric of that name."""
+        return next(metric for metric in self.metrics if metric.name == name)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A measured curve beside its truth, for the report's plots."""
+
+    name: str
+    unit: str
+    times: list[float]
+    """Seconds."""
+    measured: list[float]
+    truth: list[float]
+
+
+@dataclass
+class Trial:
+    """One run of a scenario on one backend at one time step: makes its worlds, times them, keeps its curves."""
+
+    backend: str
+    time_step: float
+    device: str = "cpu"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Of the backend, by field name."""
+    seed: int = 0
+    traces: list[Trace] = field(default_factory=list)
+    simulated_seconds: float = 0.0
+    """Of all environments together."""
+    wall_seconds: float = 0.0
+    """Spent in stepping."""
+    _worlds: list[SimulatedWorld] = field(default_factory=list)
+
+    def world(self, scene: Scene, num_envs: int = 1) -> SimulatedWorld:
+        """A world of the scene, at this trial's time step; closed with the trial."""
+        scene = dataclasses.replace(scene, physics_dt=self.time_step)
+        world = SimulatedWorld(scene, num_envs, self.backend, self.settings, self.device, self.seed)
+        self._worlds.append(world)
+        world.reset()
+        return world
+
+    def steps(self, seconds: float) -> int:
+        """Physics steps in a stretch of time."""
+        return round(seconds / self.time_step)
+
+    def step(self, world: SimulatedWorld, steps: int = 1) -> None:
+        """Advance a world by physics steps, on the clock."""
+        begin = time.perf_counter()
+        world.step(steps)
+        world.engine.joint_positions.sum().item()  # a device is done when it answers
+        self.wall_seconds += time.perf_counter() - begin
+        self.simulated_seconds += steps * self.time_step * world.num_envs
+
+    def trace(
+        self, name: str, unit: str, times: Sequence[float], measured: Sequence[float], truth: Sequence[float]
+    ) -> None:
+        """Keep a curve for the report."""
+        self.traces.append(Trace(name, unit, *(torch.as_tensor(c).tolist() for c in (times, measured, truth))))
+
+    def close(self) -> None:
+        """Free the worlds."""
+        while self._worlds:
+            self._worlds.pop().close()
+
+    def __enter__(self) -> Trial:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

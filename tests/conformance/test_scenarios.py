@@ -1,0 +1,19 @@
+"""Every scenario x every installed backend: passed, missed as declared, or skipped for a declared reason."""
+
+from __future__ import annotations
+
+import pytest
+
+from orbit_core.conformance.scenario import Scenario, Trial
+from orbit_core.conformance.scenarios import SCENARIOS
+from orbit_core.conformance.verdict import Status, run_scenario
+from orbit_core.interfaces import Backend
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
+def test_a_backend_is_as_it_declares(backend: Backend, scenario: Scenario, request: pytest.FixtureRequest) -> None:
+    device = str(request.config.getoption("--device", "cpu"))
+    verdict = run_scenario(scenario, backend, Trial(backend.name, scenario.time_step, device))
+    if verdict.status is Status.UNSUPPORTED:
+        pytest.skip(f"{backend.name}: {verdict.reason}")
+    assert verdict.status.acceptable, f"{verdict.status.value}: {verdict.reason}"
