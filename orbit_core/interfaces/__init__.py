@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     )
     from orbit_core.interfaces.names import find_name, match_names, match_values
     from orbit_core.interfaces.node import Node, Port
-    from orbit_core.interfaces.renderer import Image, Renderer
+    from orbit_core.interfaces.renderer import Image, Renderer, albedo_table, drawn_shapes
     from orbit_core.interfaces.requirements import required_capabilities
     from orbit_core.interfaces.sensor import Sensor
     from orbit_core.interfaces.world import Marker, Object, Robot, World
@@ -59,7 +59,7 @@ _MODULES = {
     "layout": ("BACKGROUND", "TERRAIN", "ContactQuery", "EntityLayout", "JointParameters", "SceneLayout"),
     "names": ("find_name", "match_names", "match_values"),
     "node": ("Node", "Port"),
-    "renderer": ("Image", "Renderer"),
+    "renderer": ("Image", "Renderer", "albedo_table", "drawn_shapes"),
     "requirements": ("required_capabilities",),
     "sensor": ("Sensor",),
     "world": ("Marker", "Object", "Robot", "World"),
@@ -71,8 +71,8 @@ __all__ = [
     "Capabilities", "Capability", "ConfigurationError", "ContactQuery", "Engine", "EntityLayout", "Gap", "Image",
     "JointParameters", "Level", "Marker", "Node", "NonFiniteError", "Object", "OrbitError", "Port", "RayHits",
     "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError", "Support", "UnknownNameError",
-    "UnsupportedCapabilityError", "World", "approximate", "find_name", "match_names", "match_values",
-    "required_capabilities", "unsupported",
+    "UnsupportedCapabilityError", "World", "albedo_table", "approximate", "drawn_shapes", "find_name", "match_names",
+    "match_values", "required_capabilities", "unsupported",
 ]  # fmt: skip
 
 

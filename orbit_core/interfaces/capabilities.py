@@ -78,6 +78,7 @@ class Capability(Enum):
     RGB = "colour images"
     DEPTH = "depth images"
     NORMALS = "surface normal images"
+    ALBEDO = "albedo images"
     SEGMENTATION = "instance and semantic segmentation images"
     RAY_TRACED_RGB = "ray-traced colour images"
     GPU = "simulation on a GPU"

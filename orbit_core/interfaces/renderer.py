@@ -6,9 +6,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
 from torch import Tensor
 
-from orbit_core.scene import CameraSpec, Channel
+from orbit_core.interfaces.layout import TERRAIN, SceneLayout
+from orbit_core.scene import CameraSpec, Channel, Shape
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,8 @@ class Image:
     """(n, H, W, 3) float32 in world axes; zero beyond everything."""
     links: Tensor | None = None
     """(n, H, W, 1) int32 link index, TERRAIN or BACKGROUND."""
+    albedo: Tensor | None = None
+    """(n, H, W, 3) uint8: the shapes' own colours, unlit; black beyond everything."""
 
 
 class Renderer(ABC):
@@ -43,9 +48,21 @@ class Renderer(ABC):
             camera: one of the cameras that the renderer was made with.
             camera_poses: (n, 7) in each environment's frame, -z forward, y up.
             link_poses: (n, L, 7) of every link of the scene.
-            channels: what to draw.
+            channels: what to draw. POSITION is not among them: the camera sensor has it from depth.
             marker_poses: (n, M, 7) of the scene's markers; None draws none.
         """
 
     def close(self) -> None:
         """Free what the renderer holds; idempotent."""
+
+
+def drawn_shapes(layout: SceneLayout) -> list[tuple[Shape, int]]:
+    """What a picture of the scene shows, markers aside: each shape with its link's index, or TERRAIN."""
+    terrain = [(shape, TERRAIN) for shape in layout.scene.terrain]
+    return terrain + [(shape, n) for n, link in enumerate(layout.links) for shape in link.visuals or link.collisions]
+
+
+def albedo_table(layout: SceneLayout) -> npt.NDArray[np.uint8]:
+    """(1 + shapes, 3): black, for nothing, and the colour of each of :func:`drawn_shapes`."""
+    colors = np.array([(0.0, 0.0, 0.0), *(shape.color[:3] for shape, _ in drawn_shapes(layout))])
+    return (255.0 * np.clip(colors, 0.0, 1.0) + 0.5).astype(np.uint8)

@@ -26,7 +26,9 @@ from orbit_core.scene import (
 _CHANNEL_NEEDS = {
     Channel.RGB: Capability.RGB,
     Channel.DEPTH: Capability.DEPTH,
+    Channel.POSITION: Capability.DEPTH,
     Channel.NORMALS: Capability.NORMALS,
+    Channel.ALBEDO: Capability.ALBEDO,
     Channel.INSTANCE: Capability.SEGMENTATION,
     Channel.SEMANTIC: Capability.SEGMENTATION,
 }

@@ -1,4 +1,4 @@
-"""Cameras: colour, depth, normals and segmentation."""
+"""Cameras: colour, depth, positions, normals and segmentation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from orbit_core.sensors.timed import TimedSensor, Values
 class CameraSensor(TimedSensor):
     """A pinhole camera, fixed in the environment or carried by a frame. It does not see markers.
 
-    Noise is that of the depth channel, in metres; the other channels have none.
+    Noise is that of depth, in metres; positions follow from the noisy depth, and the other channels have none.
     """
 
     noisy = (Channel.DEPTH.value,)
@@ -30,9 +30,11 @@ class CameraSensor(TimedSensor):
             ConfigurationError: an entity without a frame or a frame without an entity, or noise without depth.
         """
         super().__init__(spec, context)
+        sources = (Channel.DEPTH if channel is Channel.POSITION else channel for channel in spec.channels)
+        self._drawn = tuple(dict.fromkeys(sources))
         if (spec.entity is None) != (spec.frame is None):
             raise ConfigurationError(f"camera '{spec.name}' needs both an entity and a frame to sit on, or neither")
-        if (spec.noise.std or spec.noise.bias_std) and Channel.DEPTH not in spec.channels:
+        if (spec.noise.std or spec.noise.bias_std) and Channel.DEPTH not in self._drawn:
             raise ConfigurationError(f"camera '{spec.name}' has noise, which is that of depth, but no depth channel")
         self._camera = spec
         self._renderer = context.renderer
@@ -62,10 +64,8 @@ class CameraSensor(TimedSensor):
             ConfigurationError: the camera was specified without that channel.
         """
         if channel not in self._camera.channels:
-            raise ConfigurationError(
-                f"camera '{self.spec.name}' has no {channel.value} channel: add it to the channels of its CameraSpec"
-            )
-        return self._read(channel.value)
+            raise self._lacks(channel)
+        return self.point_cloud() if channel is Channel.POSITION else self._read(channel.value)
 
     @property
     def pose(self) -> Tensor:
@@ -73,8 +73,19 @@ class CameraSensor(TimedSensor):
         return self._read("pose")
 
     def point_cloud(self) -> Tensor:
-        """(N, H, W, 3) where each pixel's surface is, in the environment's frame; infinite where nothing is."""
-        return point_cloud(self.image(Channel.DEPTH), self.intrinsics, self.pose)
+        """(N, H, W, 3) where each pixel's surface is, in the environment's frame; infinite where nothing is.
+
+        Raises:
+            ConfigurationError: the camera has neither a depth nor a position channel.
+        """
+        if Channel.DEPTH not in self._drawn:
+            raise self._lacks(Channel.POSITION)
+        return point_cloud(self._read(Channel.DEPTH.value), self.intrinsics, self.pose)
+
+    def _lacks(self, channel: Channel) -> ConfigurationError:
+        return ConfigurationError(
+            f"camera '{self.spec.name}' has no {channel.value} channel: add it to the channels of its CameraSpec"
+        )
 
     def _measure(self, env_ids: Tensor | None) -> Values:
         if self._mount is None:
@@ -82,8 +93,8 @@ class CameraSensor(TimedSensor):
         else:
             pose = self._mount.pose(env_ids)
         link_poses = self.engine.link_poses if env_ids is None else self.engine.link_poses[env_ids]
-        image = self._renderer().render(self._camera, pose, link_poses, self._camera.channels)
-        return {"pose": pose} | {channel.value: self._channel(image, channel) for channel in self._camera.channels}
+        image = self._renderer().render(self._camera, pose, link_poses, self._drawn)
+        return {"pose": pose} | {channel.value: self._channel(image, channel) for channel in self._drawn}
 
     def _channel(self, image: Image, channel: Channel) -> Tensor:
         if channel in self._tables:
@@ -92,7 +103,7 @@ class CameraSensor(TimedSensor):
             if pixels is not None:
                 return self._tables[channel][pixels.to(self.device, torch.int64) - TERRAIN]
         else:
-            pixels = {Channel.RGB: image.rgb, Channel.DEPTH: image.depth, Channel.NORMALS: image.normals}[channel]
+            pixels: Tensor | None = getattr(image, channel.value)
             if pixels is not None:
                 return pixels.to(self.device)
         raise AssertionError(f"the renderer left out the {channel.value} channel that it was asked for")

@@ -15,14 +15,17 @@ Picture = npt.NDArray[np.uint8]
 def picture_of(channel: Channel, image: Tensor) -> Picture:
     """(H, W, 3) of one camera's (H, W, channels).
 
-    Depth runs from near, bright, to far, dark; normals show x, y, z as red, green, blue; every index of a segmentation
+    Depth runs from near, bright, to far, dark; normals and positions show x, y, z as red, green, blue; every
+    index of a segmentation
     has a colour of its own.
     """
     match channel:
-        case Channel.RGB:
+        case Channel.RGB | Channel.ALBEDO:
             return image.cpu().numpy()
         case Channel.DEPTH:
             return _depth(image).cpu().numpy()
+        case Channel.POSITION:
+            return _position(image).cpu().numpy()
         case Channel.NORMALS:
             return ((image + 1.0) * 127.5).to(torch.uint8).cpu().numpy()
         case Channel.INSTANCE | Channel.SEMANTIC:
@@ -36,6 +39,12 @@ def _depth(depth: Tensor) -> Tensor:
     near, far = depth[seen].min(), depth[seen].max()
     brightness = 230.0 - 200.0 * (depth - near) / (far - near).clamp_min(1e-6)
     return torch.where(seen, brightness, 0.0).to(torch.uint8).expand(-1, -1, 3)
+
+
+def _position(position: Tensor) -> Tensor:
+    """Colours repeat every metre."""
+    seen = torch.isfinite(position)
+    return torch.where(seen, 255.0 * (torch.where(seen, position, 0.0) % 1.0), 0.0).to(torch.uint8)
 
 
 def _indices(indices: npt.NDArray[np.integer]) -> Picture:

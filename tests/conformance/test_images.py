@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,6 +32,7 @@ from orbit_core.scene import (
     look_at,
 )
 from orbit_core.sensors import intrinsic_matrix, point_cloud, project
+from orbit_core.world import SimulatedWorld
 
 GROUND = Shape(Plane(), color=(0.2, 0.3, 0.4, 1.0))
 TETRAHEDRON = Mesh(
@@ -236,3 +238,53 @@ def test_only_channels_asked_for_come_back(draw):
     assert image.depth is None
     assert image.normals is None
     assert image.links is None
+
+
+def test_positions_lie_on_the_surfaces_that_are_seen(backend):
+    """Through the camera sensor, which has them from depth: a ball turned with its link, on a level ground."""
+    need = Capability.DEPTH
+    if not backend.capabilities().has(need):
+        pytest.skip(f"{backend.name}: {backend.capabilities()[need].reason}")
+    camera = eye((1.5, -0.8, 0.9), (0.2, 0.1, 0.0), channels=(Channel.POSITION, Channel.INSTANCE), far=3.0)
+    center, radius = torch.tensor((0.2, 0.1, 0.2)), 0.2
+    ball = replace(entity("ball", (Shape(Sphere(radius)),)), pose=Pose(tuple(center.tolist())), fixed_base=True)
+    world = SimulatedWorld(Scene(objects=(ball,), terrain=(GROUND,), sensors=(camera,)), 2, backend.name)
+    sensor = world.sensors["eye"]
+    points, seen = sensor.image(Channel.POSITION), sensor.image(Channel.INSTANCE)[..., 0]
+    assert points.shape == (2, 48, 64, 3)
+    assert points.dtype == torch.float32
+    distance = (points[seen == 0] - center).norm(dim=-1)
+    assert len(distance) > 100
+    torch.testing.assert_close(distance, torch.full_like(distance, radius), atol=6e-3, rtol=0)
+    ground = points[seen == -2]
+    torch.testing.assert_close(ground[:, 2], torch.zeros(len(ground)), atol=1e-3, rtol=0)
+    missed = seen == -1
+    assert missed.any()
+    assert points[missed].isinf().all()
+    # And each lies on its own pixel's ray.
+    rays = pixel_rays(camera)[~missed[0]]
+    ends = points[0][~missed[0]] - torch.tensor(camera.pose.position)
+    assert torch.cosine_similarity(rays, ends, dim=-1).min() > 0.99999
+    world.close()
+
+
+def test_albedo_is_the_shapes_own_colour_in_light_and_shade(draw):
+    """A ball under a lid that shades it; both of a link with two colours."""
+    lid, ball, ground = (0.8, 0.5, 0.1, 1.0), (0.1, 0.6, 0.9, 1.0), GROUND.color
+    shapes = (Shape(Box((0.6, 0.6, 0.02)), Pose((0, 0, 0.5)), color=lid), Shape(Sphere(0.2), color=ball))
+    camera = eye((2.0, 0.3, 0.9), (0, 0, 0.3), far=3.0)
+    image = draw(
+        (entity("shaded", shapes),), (GROUND,), camera,
+        (Channel.ALBEDO, Channel.RGB, Channel.INSTANCE), poses(Pose((0, 0, 0.2)))[None],
+    )  # fmt: skip
+    assert image.albedo.shape == (1, 48, 64, 3)
+    assert image.albedo.dtype == torch.uint8
+    links = image.links[0, ..., 0]
+    colors = torch.tensor([lid, ball, ground])[:, :3] * 255.0
+    nearest = torch.cdist(image.albedo[0].float(), colors).min(-1)
+    seen = links != BACKGROUND
+    assert nearest.values[seen].max() < 1.8  # one step of each channel
+    assert set(nearest.indices[links == 0].tolist()) == {0, 1}
+    assert set(nearest.indices[links == TERRAIN].tolist()) == {2}
+    assert (image.albedo[0][~seen] == 0).all()
+    assert (image.rgb[0][links == 0].float().std(0) > 5.0).any(), "the light on the same pixels does vary"

@@ -108,6 +108,14 @@ def test_depth_noise_is_in_metres(make_rig):
     assert sensor.image(Channel.DEPTH)[:, :2].std().item() == pytest.approx(0.02, rel=0.3)
 
 
+def test_positions_follow_from_the_depth_that_is_held(make_rig):
+    channels, noise = (Channel.POSITION, Channel.DEPTH), Noise(std=0.02)
+    sensor = make_rig(view(camera(channels=channels, noise=noise))).sensors["camera"]
+    positions, depth = sensor.image(Channel.POSITION), sensor.image(Channel.DEPTH)
+    torch.testing.assert_close(positions[..., 2], 2.0 - depth[..., 0])
+    torch.testing.assert_close(sensor.images[Channel.POSITION], sensor.point_cloud())
+
+
 def test_cameras_that_cannot_be_are_refused(make_rig):
     with pytest.raises(ConfigurationError, match="both an entity and a frame"):
         make_rig(view(camera(entity="crate")))
@@ -115,3 +123,5 @@ def test_cameras_that_cannot_be_are_refused(make_rig):
         make_rig(view(camera(channels=(Channel.RGB,), noise=Noise(std=1.0))))
     with pytest.raises(ConfigurationError, match="no rgb channel: add it"):
         make_rig(view(camera())).sensors["camera"].image(Channel.RGB)
+    with pytest.raises(ConfigurationError, match="no position channel: add it"):
+        make_rig(view(camera(channels=(Channel.RGB,)))).sensors["camera"].point_cloud()

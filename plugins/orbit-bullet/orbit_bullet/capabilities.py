@@ -46,6 +46,7 @@ CAPABILITIES = Capabilities(
         Capability.RGB: EXACT,
         Capability.DEPTH: EXACT,
         Capability.NORMALS: approximate("computed from the depth image: blurred at the edges of things"),
+        Capability.ALBEDO: EXACT,
         Capability.SEGMENTATION: EXACT,
         Capability.RAY_TRACED_RGB: unsupported("Bullet rasterises"),
         Capability.GPU: unsupported("Bullet simulates on the CPU"),

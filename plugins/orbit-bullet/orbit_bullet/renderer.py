@@ -19,7 +19,16 @@ from orbit_bullet.library import Client, silence
 from orbit_bullet.normals import normals_of
 from orbit_bullet.rotations import compose, rotate
 from orbit_bullet.visuals import VisualShapes, marker_shapes
-from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image, Renderer, SceneLayout
+from orbit_core.interfaces import (
+    BACKGROUND,
+    TERRAIN,
+    ConfigurationError,
+    Image,
+    Renderer,
+    SceneLayout,
+    albedo_table,
+    drawn_shapes,
+)
 from orbit_core.scene import CameraSpec, Channel, Shape
 
 _Array = npt.NDArray[Any]
@@ -51,8 +60,7 @@ class BulletRenderer(Renderer):
         self._opengl = wanted and self._load_opengl(required=config.renderer == "egl")
         with tempfile.TemporaryDirectory(prefix="orbit-bullet-") as folder, silence():
             shapes = VisualShapes(self._client, Path(folder))
-            terrain = [(shape, TERRAIN) for shape in layout.scene.terrain]
-            things = terrain + [(shape, n) for n, link in enumerate(layout.links) for shape in link_looks(link)]
+            things = drawn_shapes(layout)
             self._links = np.array([link for _, link in things], dtype=np.int64)
             self._offsets = np.array([_flat(shape) for shape, _ in things]).reshape(-1, 7)
             self._bodies = [shapes.add(shape) for shape, _ in things]
@@ -63,7 +71,9 @@ class BulletRenderer(Renderer):
         self._place(self._marker_bodies, np.tile((*_HIDDEN, 1.0, 0, 0, 0), (len(marks), 1)))
         last = max((*self._bodies, *self._marker_bodies), default=0)
         self._link_of_body = np.full(last + 2, BACKGROUND, dtype=np.int32)
-        """At a body's number plus one."""
+        """At a body's number plus one, as the next."""
+        self._albedo_of_body = np.zeros((last + 2, 3), dtype=np.uint8)
+        self._albedo_of_body[np.array(self._bodies, dtype=np.int64) + 1] = albedo_table(layout)[1:]
         self._link_of_body[np.array(self._bodies, dtype=np.int64) + 1] = self._links
         still = self._links == TERRAIN
         self._place([body for body, here in zip(self._bodies, still, strict=True) if here], self._offsets[still])
@@ -100,15 +110,16 @@ class BulletRenderer(Renderer):
         colored = Channel.RGB in wanted
         measured = bool(wanted - {Channel.RGB})
         rgb, depth = np.empty((*shape, 3), np.uint8), np.empty((*shape, 1), np.float32)
-        seen = np.empty((*shape, 1), np.int32)
+        bodies = np.zeros(shape, np.int64)
         for i, pose in enumerate(cameras):
             self._place_links(links[i])
             if measured or marks is None:
-                rgb[i], depth[i], seen[i] = self._draw(camera, pose)
+                rgb[i], depth[i], bodies[i] = self._draw(camera, pose)
             if colored and marks is not None:
                 self._place_markers(marks[i])
                 rgb[i] = self._draw(camera, pose)[0]
                 self._place_markers(None)
+        seen = self._link_of_body[bodies][..., None]
         normals = normals_of(depth, seen, camera, cameras) if Channel.NORMALS in wanted else None
         device = link_poses.device
         segmented = not wanted.isdisjoint((Channel.INSTANCE, Channel.SEMANTIC))
@@ -117,6 +128,7 @@ class BulletRenderer(Renderer):
             depth=_tensor(depth if Channel.DEPTH in wanted else None, device),
             normals=_tensor(normals, device),
             links=_tensor(seen if segmented else None, device),
+            albedo=_tensor(self._albedo_of_body[bodies] if Channel.ALBEDO in wanted else None, device),
         )
 
     def close(self) -> None:
@@ -150,13 +162,12 @@ class BulletRenderer(Renderer):
         )
         size = (camera.height, camera.width)
         rgb = np.asarray(picture[2], dtype=np.uint8).reshape(*size, 4)[..., :3]
-        buffer = np.asarray(picture[3], dtype=np.float64).reshape(*size, 1)
-        bodies = np.asarray(picture[4], dtype=np.int64).reshape(*size, 1)
+        buffer = np.asarray(picture[3], dtype=np.float64).reshape(*size)
+        bodies = np.asarray(picture[4], dtype=np.int64).reshape(*size)
         near, far = camera.near, camera.far
         depth = far * near / np.maximum(far - (far - near) * buffer, 1e-12)
-        seen = self._link_of_body[np.where(bodies >= 0, bodies & 0xFFFFFF, -1) + 1]
-        nothing = (seen == BACKGROUND) | (depth >= far * (1 - 1e-6))
-        return rgb, np.where(nothing, np.inf, depth).astype(np.float32), np.where(nothing, BACKGROUND, seen)
+        nothing = (bodies < 0) | (depth >= far * (1 - 1e-6))
+        return rgb, np.where(nothing, np.inf, depth)[..., None], np.where(nothing, 0, (bodies & 0xFFFFFF) + 1)
 
     def _place_links(self, links: _Array) -> None:
         if len(self._moving):
@@ -181,13 +192,8 @@ class BulletRenderer(Renderer):
 def _suits_opengl(cameras: Sequence[CameraSpec]) -> bool:
     """Whether pictures are large, and none needs a depth finer than the 16 bits of Bullet's OpenGL."""
     largest = max((camera.width * camera.height for camera in cameras), default=0)
-    measured = any({Channel.DEPTH, Channel.NORMALS} & set(camera.channels) for camera in cameras)
+    measured = any({Channel.DEPTH, Channel.POSITION, Channel.NORMALS} & set(camera.channels) for camera in cameras)
     return largest > _TINY_PIXELS and not measured
-
-
-def link_looks(link: Any) -> tuple[Shape, ...]:
-    """What is drawn of a link."""
-    return link.visuals or link.collisions
 
 
 def _view_matrix(pose: _Array) -> list[float]:

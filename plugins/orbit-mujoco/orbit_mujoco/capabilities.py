@@ -51,6 +51,7 @@ CAPABILITIES = Capabilities(
         Capability.RGB: EXACT,
         Capability.DEPTH: EXACT,
         Capability.NORMALS: EXACT,
+        Capability.ALBEDO: EXACT,
         Capability.SEGMENTATION: EXACT,
         Capability.RAY_TRACED_RGB: unsupported("MuJoCo rasterises"),
         Capability.GPU: unsupported("this backend simulates on the CPU"),

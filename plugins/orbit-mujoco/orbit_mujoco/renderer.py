@@ -16,12 +16,21 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image, Renderer, SceneLayout
+from orbit_core.interfaces import (
+    BACKGROUND,
+    TERRAIN,
+    ConfigurationError,
+    Image,
+    Renderer,
+    SceneLayout,
+    albedo_table,
+)
 from orbit_core.scene import CameraSpec, Channel
+from orbit_mjmodel.looks import SUN
 from orbit_mujoco.config import MujocoConfig
 from orbit_mujoco.renderer_context import create_context
 from orbit_mujoco.renderer_markers import MAX_GEOMS, add_markers
-from orbit_mujoco.renderer_model import SUN, build_model, quaternion_matrix, shape_count
+from orbit_mujoco.renderer_model import build_model, quaternion_matrix, shape_count
 from orbit_mujoco.renderer_rays import trace
 
 _COLOR_FLAGS = (mujoco.mjtRndFlag.mjRND_SKYBOX, mujoco.mjtRndFlag.mjRND_CULL_FACE)
@@ -35,7 +44,8 @@ _open_renderers: weakref.WeakSet[MujocoRenderer] = weakref.WeakSet()
 class MujocoRenderer(Renderer):
     """Draws a scene with lights, shadows and a sky.
 
-    Depth, links and normals take transparent shapes for solid ones, and belong to the surface at each pixel's centre.
+    Depth, links, albedo and normals take transparent shapes for solid ones, and belong to the surface at each pixel's
+    centre.
     Asked for normals, the renderer casts a ray through each pixel and gives the exact normals of the faces, with
     depth and links from the same rays. Markers are seen in colour alone.
 
@@ -57,7 +67,9 @@ class MujocoRenderer(Renderer):
         mujoco.mj_forward(self._model, self._data)
         bodies = self._model.geom_bodyid
         links = np.where(bodies > 0, bodies - 1, TERRAIN)
-        self._link_of_geom = np.concatenate(((BACKGROUND,), links)).astype(np.int32)  # at the geom's index plus one
+        # At the geom's index plus one; zero stands for nothing.
+        self._link_of_geom = np.concatenate(((BACKGROUND,), links)).astype(np.int32)
+        self._albedo_of_geom = albedo_table(layout)
         # A colour pass serves for depth where it draws the same surfaces as an id pass, once a pixel.
         self._color_has_depth = config.antialiasing == 0 and bool(np.all(self._model.geom_rgba[:, 3] == 1.0))
         self._context = create_context(*self._size)
@@ -70,7 +82,7 @@ class MujocoRenderer(Renderer):
         self._option = mujoco.MjvOption()
         self._view = mujoco.MjvCamera()
         self._update_scene()
-        self._link_of_code = self._codes()
+        self._geom_of_code = self._codes()
         self._closed = False
         _open_renderers.add(self)
         # Registered after EGL's own farewell, this runs before it.
@@ -88,15 +100,14 @@ class MujocoRenderer(Renderer):
         self._check(camera)
         wanted = set(channels)
         segmented = not wanted.isdisjoint((Channel.INSTANCE, Channel.SEMANTIC))
+        named = segmented or Channel.ALBEDO in wanted
         colored = Channel.RGB in wanted
         scene = (camera, _numpy(camera_poses), _numpy(link_poses))
-        rgb = depth = normals = links = None
+        rgb = depth = normals = links = albedo = None
         if Channel.NORMALS in wanted:
-            depth, links, normals = self._trace(*scene)
-        elif segmented or (
-            Channel.DEPTH in wanted and not (colored and self._color_has_depth and marker_poses is None)
-        ):
-            depth, links = self._draw_ids(*scene)
+            depth, links, albedo, normals = self._trace(*scene)
+        elif named or (Channel.DEPTH in wanted and not (colored and self._color_has_depth and marker_poses is None)):
+            depth, links, albedo = self._draw_ids(*scene)
         if colored:
             rgb, color_depth = self._draw_colors(*scene, None if marker_poses is None else _numpy(marker_poses))
             depth = color_depth if depth is None else depth
@@ -106,6 +117,7 @@ class MujocoRenderer(Renderer):
             depth=_tensor(depth, device) if Channel.DEPTH in wanted else None,
             normals=_tensor(normals, device),
             links=_tensor(links, device) if segmented else None,
+            albedo=_tensor(albedo, device) if Channel.ALBEDO in wanted else None,
         )
 
     def close(self) -> None:
@@ -119,16 +131,16 @@ class MujocoRenderer(Renderer):
 
     # Kinds of pictures, (n, H, W, channels) --------------------------------------------------------------------------
 
-    def _trace(self, camera: CameraSpec, cameras: _Array, links: _Array) -> tuple[_Array, _Array, _Array]:
+    def _trace(self, camera: CameraSpec, cameras: _Array, links: _Array) -> tuple[_Array, _Array, _Array, _Array]:
         shape = (len(cameras), camera.height, camera.width)
         depth, normals = np.empty((*shape, 1), np.float32), np.empty((*shape, 3), np.float32)
         geoms = np.empty((*shape, 1), np.int32)
         for i, pose in enumerate(cameras):
             self._place(links[i])
             trace(self._model, self._data, camera, pose, depth[i], normals[i], geoms[i])
-        return depth, self._link_of_geom[geoms + 1], normals
+        return depth, *self._looks(geoms[..., 0] + 1), normals
 
-    def _draw_ids(self, camera: CameraSpec, cameras: _Array, links: _Array) -> tuple[_Array, _Array]:
+    def _draw_ids(self, camera: CameraSpec, cameras: _Array, links: _Array) -> tuple[_Array, _Array, _Array]:
         colors, heights = self._canvas(camera, len(cameras))
         for i, pose in enumerate(cameras):
             self._place(links[i])
@@ -136,7 +148,11 @@ class MujocoRenderer(Renderer):
             self._draw(camera, _ID_FLAGS, colors[i], heights[i])
         # An id is spread over the three colours; OpenGL's rows count from below.
         codes = colors[:, ::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
-        return _metric_depth(heights, camera), self._link_of_code[codes][..., None]
+        return _metric_depth(heights, camera), *self._looks(self._geom_of_code[codes])
+
+    def _looks(self, geoms: _Array) -> tuple[_Array, _Array]:
+        """Links and albedo of geoms (n, H, W) that count from one."""
+        return self._link_of_geom[geoms][..., None], self._albedo_of_geom[geoms]
 
     def _draw_colors(
         self, camera: CameraSpec, cameras: _Array, links: _Array, markers: _Array | None
@@ -192,11 +208,11 @@ class MujocoRenderer(Renderer):
         return np.empty((*shape, 3), np.uint8), np.empty(shape, np.float32)
 
     def _codes(self) -> npt.NDArray[np.int32]:
-        """The link of each number in an id picture; zero stands for nothing."""
-        links = np.full(self._scene.ngeom + 1, BACKGROUND, np.int32)
+        """The geom's index plus one of each number in an id picture; zero stands for nothing."""
+        geoms = np.zeros(self._scene.ngeom + 1, np.int32)
         for geom in self._scene.geoms[: self._scene.ngeom]:
-            links[geom.segid + 1] = self._link_of_geom[geom.objid + 1]
-        return links
+            geoms[geom.segid + 1] = geom.objid + 1
+        return geoms
 
     def _check(self, camera: CameraSpec) -> None:
         if self._closed:

@@ -6,6 +6,7 @@ _IMAGES = {
     Capability.RGB: EXACT,
     Capability.DEPTH: EXACT,
     Capability.NORMALS: EXACT,
+    Capability.ALBEDO: EXACT,
     Capability.SEGMENTATION: EXACT,
     Capability.RAY_TRACED_RGB: EXACT,
 }

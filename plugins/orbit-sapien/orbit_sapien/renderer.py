@@ -34,8 +34,8 @@ _SUN_REACH = 3.0
 class SapienRenderer(Renderer):
     """Draws one copy of the scene, posed as each environment is in turn.
 
-    Depth, normals and links come from a rasteriser at each pixel's centre in every tier; the tier is colour's. They
-    take transparent shapes for solid ones. Markers are seen in colour alone.
+    Depth, normals, albedo and links come from a rasteriser at each pixel's centre in every tier; the tier is colour's.
+    They take transparent shapes for solid ones. Markers are seen in colour alone.
     """
 
     def __init__(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: SapienConfig) -> None:
@@ -110,6 +110,7 @@ class SapienRenderer(Renderer):
         surfaces: list[_Array] = []
         numbers: list[_Array] = []
         normals: list[_Array] = []
+        albedos: list[_Array] = []
         for row in range(len(eyes)):
             taken = None
             self._place(links[row])
@@ -125,16 +126,17 @@ class SapienRenderer(Renderer):
                 surfaces.append(taken.get_picture("Position")[..., 2:3])
                 numbers.append(taken.get_picture("Segmentation")[..., 1:2])
                 normals.append(taken.get_picture("Normal")[..., :3] if Channel.NORMALS in wanted else _NOTHING)
-        return self._image(wanted, colors, (surfaces, numbers, normals), link_poses.device)
+                albedos.append(taken.get_picture("Albedo")[..., :3] if Channel.ALBEDO in wanted else _NOTHING)
+        return self._image(wanted, colors, (surfaces, numbers, normals, albedos), link_poses.device)
 
     def _image(
         self, wanted: set[Channel], colors: list[_Array], measured: tuple[list[_Array], ...], device: torch.device
     ) -> Image:
-        surfaces, numbers, normals = (np.stack(pictures) if pictures else None for pictures in measured)
-        rgb = depth = normal = links = None
+        surfaces, numbers, normals, albedos = (np.stack(pictures) if pictures else None for pictures in measured)
+        rgb = depth = normal = links = albedo = None
         if colors:
-            rgb = (255.0 * np.clip(np.stack(colors), 0.0, 1.0) + 0.5).astype(np.uint8)
-        if surfaces is not None and numbers is not None and normals is not None:
+            rgb = _bytes(np.stack(colors))
+        if surfaces is not None and numbers is not None and normals is not None and albedos is not None:
             seen = numbers > 0
             if Channel.DEPTH in wanted:
                 depth = np.where(seen, -surfaces, np.float32(np.inf))
@@ -143,7 +145,9 @@ class SapienRenderer(Renderer):
             if Channel.NORMALS in wanted:
                 length = np.linalg.norm(normals, axis=-1, keepdims=True)
                 normal = np.where(seen, normals / np.maximum(length, 1e-12), np.float32(0.0))
-        return Image(*(_tensor(array, device) for array in (rgb, depth, normal, links)))
+            if Channel.ALBEDO in wanted:
+                albedo = np.where(seen, _bytes(albedos), np.uint8(0))
+        return Image(*(_tensor(array, device) for array in (rgb, depth, normal, links, albedo)))
 
     def _checked(self, color: _Array) -> _Array:
         """A denoiser that fails leaves black and says so in SAPIEN's log alone."""
@@ -229,6 +233,10 @@ def _looking_along_x(q: _Array) -> _Array:
         ],
         np.float32,
     )
+
+
+def _bytes(color: _Array) -> npt.NDArray[np.uint8]:
+    return (255.0 * np.clip(color, 0.0, 1.0) + 0.5).astype(np.uint8)
 
 
 def _numpy(poses: Tensor) -> npt.NDArray[np.float32]:

@@ -55,6 +55,7 @@ CAPABILITIES = Capabilities(
         Capability.RGB: unsupported(_NO_IMAGES),
         Capability.DEPTH: unsupported(_NO_IMAGES),
         Capability.NORMALS: unsupported(_NO_IMAGES),
+        Capability.ALBEDO: unsupported(_NO_IMAGES),
         Capability.SEGMENTATION: unsupported(_NO_IMAGES),
         Capability.RAY_TRACED_RGB: unsupported(_NO_IMAGES),
         Capability.GPU: EXACT,

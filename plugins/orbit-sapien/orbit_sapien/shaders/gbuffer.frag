@@ -95,6 +95,7 @@ layout(location = 0) out vec4 outColorRaw;
 layout(location = 1) out vec4 outPosition;
 layout(location = 2) out vec4 outNormal;
 layout(location = 3) out uvec4 outSegmentation;
+layout(location = 4) out vec4 outAlbedo;
 
 // The share of a 2x2 neighbourhood in the shadow map that the light reaches.
 float lit(int light, vec3 position) {
@@ -130,4 +131,5 @@ void main() {
   outPosition = vec4(inPosition.xyz, 1);
   outNormal = vec4(worldNormal, 1);
   outSegmentation = inSegmentation;
+  outAlbedo = vec4(pow(clamp(albedo.rgb, 0.0, 1.0), vec3(1 / 2.2)), 1);
 }
