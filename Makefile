@@ -7,7 +7,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 BACKENDS := mujoco bullet sapien warp
-SOURCES := pyproject.toml constraints.txt $(BACKENDS:%=plugins/orbit-%/pyproject.toml)
+PLUGINS := mjmodel $(BACKENDS)
+SOURCES := pyproject.toml constraints.txt $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
 CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples
 
 .PHONY: demo view test lint types unit clean
@@ -43,7 +44,7 @@ $(VENV)/.ready-dev: $(VENV)/.ready
 	sh tools/system_packages.sh graphics vulkan browser
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable \
 		".[mujoco,bullet,sapien,warp,robots,usd,mjcf,viewer,video,plots,dev]"
-	$(BIN)/pip install --quiet --no-deps $(BACKENDS:%=--editable plugins/orbit-%)
+	$(BIN)/pip install --quiet --no-deps $(PLUGINS:%=--editable plugins/orbit-%)
 	touch $@
 
 clean:

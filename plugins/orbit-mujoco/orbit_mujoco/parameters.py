@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
-from orbit_mujoco.addresses import Addresses
+from orbit_mjmodel.addresses import Addresses
 from orbit_mujoco.state import FloatArray, Rows, block
 
 Indices = npt.NDArray[np.int64]

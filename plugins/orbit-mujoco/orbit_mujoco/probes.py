@@ -1,4 +1,4 @@
-"""Sensors in the model that measure contact forces and joint wrenches, and how to read them."""
+"""Sensors in the model that measure contact forces, and how to read them and those of joint wrenches."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is an extension module without type information.
@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 
 from orbit_core.interfaces import TERRAIN, ContactQuery, SceneLayout
-from orbit_mujoco.addresses import body_name
+from orbit_mjmodel.addresses import body_name
 
 _NET_FORCE = (2, 3, 1)
 """Data (bit 1: force), reduction (3: net force, world axes), slots."""
@@ -36,15 +36,6 @@ def add_contact_sensors(spec: mujoco.MjSpec, layout: SceneLayout) -> None:
 def contact_sensor_starts(layout: SceneLayout) -> npt.NDArray[np.int64]:
     """(K + 1,) number of the first sensor of each query, then the number of all."""
     return np.cumsum([0, *(len(_targets(query, layout)) for query in layout.contact_queries)])
-
-
-def add_wrench_sensors(spec: mujoco.MjSpec, layout: SceneLayout) -> None:
-    """For each of the layout's wrench links a force, then a torque sensor at its frame."""
-    for number, link in enumerate(layout.wrench_links):
-        site = f"wrench{number}"
-        spec.body(body_name(link)).add_site(name=site)
-        for kind in (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE):
-            spec.add_sensor(name=f"{site}.{kind.name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
 
 
 def _targets(query: ContactQuery, layout: SceneLayout) -> list[_Target | None]:

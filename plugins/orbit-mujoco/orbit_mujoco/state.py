@@ -16,7 +16,7 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
-from orbit_mujoco.addresses import Addresses, columns
+from orbit_mjmodel.addresses import Addresses, columns
 from orbit_mujoco.rotations import rotate, rotate_inverse
 
 FloatArray = npt.NDArray[np.floating]

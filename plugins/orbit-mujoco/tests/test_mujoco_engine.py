@@ -31,8 +31,8 @@ from orbit_core.scene import (
     Sphere,
     single_link,
 )
+from orbit_mjmodel.materials import contact_parameters
 from orbit_mujoco import MujocoBackend, MujocoConfig
-from orbit_mujoco.materials import contact_parameters
 
 
 def make(scene: Scene, num_envs: int = 1, **settings: object) -> Engine:

@@ -13,7 +13,7 @@ from mujoco_warp._src.support import contact_force_fn
 from mujoco_warp._src.types import vec5f
 
 from orbit_core.interfaces import TERRAIN, SceneLayout
-from orbit_warp.addresses import Addresses
+from orbit_mjmodel.addresses import Addresses
 
 
 @wp.func

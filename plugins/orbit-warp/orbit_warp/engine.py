@@ -15,13 +15,14 @@ import warp as wp
 from torch import Tensor
 
 from orbit_core.interfaces import Approximation, AssetError, Engine, RayHits, SceneLayout
+from orbit_mjmodel.model import BuiltModel
 from orbit_warp.buffers import BufferSizes, buffer_sizes
 from orbit_warp.config import WarpConfig
 from orbit_warp.contacts import ContactMeter
 from orbit_warp.faults import Faults
 from orbit_warp.graphs import Graphs
 from orbit_warp.kernels import reset_state, reset_tensors, write_commands
-from orbit_warp.model import BuiltModel, build_model
+from orbit_warp.model import build_model
 from orbit_warp.parameters import Parameters
 from orbit_warp.rays import RayCaster
 from orbit_warp.recording import Recording

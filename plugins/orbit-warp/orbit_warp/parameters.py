@@ -13,9 +13,9 @@ import warp as wp
 from torch import Tensor
 
 from orbit_core.interfaces import TERRAIN, SceneLayout
-from orbit_warp.addresses import Addresses
+from orbit_mjmodel.addresses import Addresses
 from orbit_warp.graphs import Graphs
-from orbit_warp.materials import LEAST_FRICTION
+from orbit_warp.model import LEAST_FRICTION
 
 _OF_MASS = ("body_mass", "body_inertia", "body_ipos", "body_subtreemass", "body_invweight0", "dof_invweight0")
 

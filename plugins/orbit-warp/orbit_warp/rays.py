@@ -13,7 +13,7 @@ from mujoco_warp._src.types import vec6f
 from torch import Tensor
 
 from orbit_core.interfaces import RayHits, SceneLayout
-from orbit_warp.addresses import Addresses
+from orbit_mjmodel.addresses import Addresses
 from orbit_warp.graphs import Graphs
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import warp as wp
 from torch import Tensor
 
 from orbit_core.interfaces import SceneLayout
-from orbit_warp.addresses import Addresses, columns
+from orbit_mjmodel.addresses import Addresses, columns
 from orbit_warp.graphs import Graphs
 from orbit_warp.kernels import read_joints, read_links, write_root
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, ConfigurationError
 from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, MeshCollision, Plane, Pose, Shape, Sphere
-from orbit_warp.materials import ContactParameters
+from orbit_mjmodel.materials import ContactParameters
 
 PRISM_DEPTH = 0.01
 """Metres that each triangle of a surface reaches inward."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import mujoco
 
 from orbit_core.interfaces import SceneLayout
-from orbit_warp.addresses import body_name
+from orbit_mjmodel.addresses import body_name
 
 
 def add_wrench_sensors(spec: mujoco.MjSpec, layout: SceneLayout) -> None:

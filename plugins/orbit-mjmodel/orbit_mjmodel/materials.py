@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from orbit_core.interfaces import Approximation
 from orbit_core.scene import Capsule, Compliance, Cylinder, PhysicsMaterial, Shape, Sphere
-from orbit_warp.config import WarpConfig
+from orbit_mjmodel.config import ModelConfig
 
 STEPS_PER_BOUNCE = 8
 """Physics steps that a rebound lasts, enough for the integrator to resolve it."""
@@ -21,8 +21,6 @@ _MOST_DAMPED = 1.3
 """Damping ratio above which the integrator would not follow; it rebounds at a tenth of the speed."""
 SOFT_IMPEDANCE = 0.1
 """Of a compliant contact: the share of a load that it cancels outright rather than by giving way."""
-LEAST_FRICTION = 1e-5
-"""Of any coefficient that MuJoCo-Warp is given."""
 OVERRIDING = 1e6
 """Weight of an impedance that is to hold whatever the other shape's is."""
 
@@ -39,10 +37,17 @@ class ContactParameters:
     """Weight of ``solimp`` against the other shape's."""
 
 
-def contact_parameters(shape: Shape, mass: float, rolls: bool, dt: float, config: WarpConfig) -> ContactParameters:
-    """Contact parameters of a shape on a body of ``mass`` kg; ``rolls`` says whether the body is free to roll."""
+def contact_parameters(
+    shape: Shape, mass: float, rolls: bool, dt: float, config: ModelConfig, least_friction: float = 0.0
+) -> ContactParameters:
+    """Contact parameters of a shape on a body of ``mass`` kg; ``rolls`` says whether the body is free to roll.
+
+    No coefficient of friction is below ``least_friction``.
+    """
     material = shape.material
-    friction = _positive(material.dynamic_friction, material.torsional_friction, material.rolling_friction)
+    asked = (material.dynamic_friction, material.torsional_friction, material.rolling_friction)
+    sliding, torsional, rolling = (max(value, least_friction) for value in asked)
+    friction = (sliding, torsional, rolling)
     condim = _condim(shape, rolls)
     if material.compliance:
         spring = _spring(material.compliance, mass)
@@ -113,8 +118,3 @@ def _restitution(ratio: float) -> float:
         return math.exp(-math.tan(angle) * (math.pi - 2 * angle))
     root = math.sqrt(ratio * ratio - 1)
     return math.exp(-ratio / root * math.log((ratio + root) / (ratio - root)))
-
-
-def _positive(sliding: float, torsional: float, rolling: float) -> tuple[float, float, float]:
-    """Friction cones of no width are degenerate in single precision."""
-    return max(sliding, LEAST_FRICTION), max(torsional, LEAST_FRICTION), max(rolling, LEAST_FRICTION)

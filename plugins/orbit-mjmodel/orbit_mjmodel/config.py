@@ -1,0 +1,42 @@
+"""Settings of a model. Each is described in MuJoCo's XML reference under ``option`` and ``geom``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from orbit_core.interfaces import ConfigurationError
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelConfig:
+    """Settings of the integrator, of the constraints, and of contacts between shapes that ask for nothing special."""
+
+    CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {"cone": ("elliptic", "pyramidal")}
+    """What settings given by a word may be; a backend adds its own."""
+
+    integrator: str = "implicitfast"
+    """``implicitfast`` and ``implicit`` integrate drive and joint damping implicitly; ``euler`` joint damping only."""
+    iterations: int = 100
+    """At most, per step."""
+    ls_iterations: int = 50
+    """At most, per line search."""
+    cone: str = "elliptic"
+    """``pyramidal`` weakens friction by up to 30 % in directions between the axes of a contact."""
+    impratio: float = 1.0
+    """Stiffness of friction over that of the normal; larger values creep less under load."""
+    contact_solref: tuple[float, float] = (0.02, 1.0)
+    """Time constant (s) and damping ratio of contacts."""
+    contact_solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)
+    """Impedance of contacts: least, greatest, width (m), midpoint, power."""
+
+    def __post_init__(self) -> None:
+        for name, known in self.CHOICES.items():
+            if getattr(self, name) not in known:
+                raise ConfigurationError(f"{name} '{getattr(self, name)}' is not one of {', '.join(known)}")
+        for name in ("iterations", "ls_iterations", "impratio"):
+            if getattr(self, name) <= 0:
+                raise ConfigurationError(f"{name} must be positive, not {getattr(self, name)}")
+        for name, length in (("contact_solref", 2), ("contact_solimp", 5)):
+            if len(getattr(self, name)) != length:
+                raise ConfigurationError(f"{name} takes {length} numbers, not {len(getattr(self, name))}")

@@ -1,0 +1,268 @@
+"""One environment's scene as a MuJoCo model: bodies, joints, drives, collision shapes and sensors.
+
+Every link is a body. A fixed base is a mocap body, so that each environment may place it; a free root has a free joint.
+Every movable joint has an actuator of its own number: ``force = ctrl - stiffness q - damping qd``, limited to the
+effort limit, with ``ctrl = stiffness target + damping velocity target + effort``.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is an extension module without type information.
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import combinations
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.interfaces import Approximation, AssetError, EntityLayout, SceneLayout
+from orbit_core.scene import Joint, JointType, Link, Shape
+from orbit_mjmodel.addresses import Addresses, body_name, joint_name
+from orbit_mjmodel.config import ModelConfig
+from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
+from orbit_mjmodel.materials import contact_parameters, material_approximations
+from orbit_mjmodel.wrenches import add_wrench_sensors
+
+AddSensors = Callable[[mujoco.MjSpec, SceneLayout], None]
+_UNLIMITED = 1e10
+"""Stands for infinity where only one side of a joint is limited."""
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltModel:
+    """A compiled model, where the layout's things stand in it, and what it does not honour."""
+
+    model: mujoco.MjModel
+    addresses: Addresses
+    report: tuple[Approximation, ...]
+
+
+def build_model(
+    layout: SceneLayout,
+    config: ModelConfig,
+    *,
+    solver: str,
+    disabled: int = 0,
+    least_friction: float = 0.0,
+    add_sensors: AddSensors | None = None,
+) -> BuiltModel:
+    """Compile one environment.
+
+    Args:
+        layout: of the scene.
+        config: settings.
+        solver: of the constraints, by MuJoCo's name.
+        disabled: bits of ``mjtDisableBit``: what of MuJoCo the engine is not to do.
+        least_friction: the least coefficient of friction that the engine bears.
+        add_sensors: adds the engine's sensors, before those of joint wrenches.
+
+    Raises:
+        AssetError: MuJoCo refuses the description; says why.
+    """
+    builder = _Builder(layout, config, least_friction)
+    builder.set_options(solver, disabled)
+    if add_sensors:
+        add_sensors(builder.spec, layout)
+    add_wrench_sensors(builder.spec, layout)
+    try:
+        model = builder.spec.compile()
+    except ValueError as error:
+        raise AssetError(f"MuJoCo refuses the scene: {str(error).replace(chr(10), ' ').strip()}") from error
+    addresses = Addresses.of(layout, model)
+    _set_home(layout, model, addresses)
+    return BuiltModel(model, addresses, tuple(builder.report))
+
+
+class _Builder:
+    def __init__(self, layout: SceneLayout, config: ModelConfig, least_friction: float) -> None:
+        self.layout = layout
+        self.config = config
+        self.spec = mujoco.MjSpec()
+        self.report: list[Approximation] = []
+        self._least_friction = least_friction
+        if config.cone == "pyramidal":
+            why = "the setting 'cone' asks for a pyramid: friction is up to 30 % weaker between a contact's axes"
+            self.report.append(Approximation("contacts", "the same friction in every direction", "a pyramid", why))
+        self._geoms = GeomBuilder(self.spec)
+        for shape in layout.scene.terrain:
+            self._add_shape(self.spec.worldbody, shape, 1.0, False, f"terrain shape '{shape.name}'")
+        for entity in layout.entities:
+            self._add_entity(entity)
+        for index in range(len(layout.joints)):
+            self._add_drive(index)
+        self.spec.add_key(name="home")
+
+    def set_options(self, solver: str, disabled: int) -> None:
+        """Tell MuJoCo how to step the model."""
+        spec, config = self.spec, self.config
+        spec.compiler.degree = False
+        spec.compiler.fusestatic = False
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+        spec.compiler.balanceinertia = True
+        option = spec.option
+        option.timestep = self.layout.scene.physics_dt
+        option.gravity = self.layout.scene.gravity
+        option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{config.integrator.upper()}")
+        option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{solver.upper()}")
+        option.cone = getattr(mujoco.mjtCone, f"mjCONE_{config.cone.upper()}")
+        option.iterations = config.iterations
+        option.ls_iterations = config.ls_iterations
+        option.impratio = config.impratio
+        # Which links may touch is written out pair by pair.
+        option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT) | disabled
+
+    # Bodies ----------------------------------------------------------------------------------------------------------
+
+    def _add_entity(self, entity: EntityLayout) -> None:
+        articulation = entity.spec.articulation
+        incoming = {joint.child: joint for joint in articulation.joints}
+        bodies: dict[str, mujoco.MjsBody] = {}
+        joints = iter(range(entity.joints.start, entity.joints.stop))
+        for offset, link in enumerate(articulation.links):
+            number = entity.links.start + offset
+            joint = incoming.get(link.name)
+            if joint is None:
+                bodies[link.name] = self._add_root(entity, number)
+            else:
+                bodies[link.name] = self._add_child(bodies[joint.parent], joint, number)
+                if joint.movable:
+                    self._add_joint(bodies[link.name], entity, joint, next(joints))
+            self._fill_body(bodies[link.name], entity, link)
+        self._exclude_pairs(entity)
+        self._report_joints(entity)
+
+    def _add_root(self, entity: EntityLayout, number: int) -> mujoco.MjsBody:
+        pose = entity.spec.pose
+        body = self.spec.worldbody.add_body(name=body_name(number), pos=pose.position, quat=pose.orientation)
+        if entity.spec.fixed_base:
+            body.mocap = True
+        else:
+            body.add_freejoint()
+        return body
+
+    @staticmethod
+    def _add_child(parent: mujoco.MjsBody, joint: Joint, number: int) -> mujoco.MjsBody:
+        pose = joint.parent_pose @ joint.child_pose.inverse()
+        return parent.add_body(name=body_name(number), pos=pose.position, quat=pose.orientation)
+
+    def _fill_body(self, body: mujoco.MjsBody, entity: EntityLayout, link: Link) -> None:
+        subject = f"link '{link.name}' of '{entity.name}'"
+        body.gravcomp = float(entity.spec.gravity_compensation)
+        body.simple = False  # a body compiled as simple cannot have its centre of mass moved
+        if link.mass > 0:
+            body.explicitinertial = True
+            body.mass, body.ipos = link.mass, link.center_of_mass
+            inertia = np.asarray(link.inertia)
+            body.fullinertia = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+            self._report_inertia(inertia, subject)
+        rolls = len(entity.spec.articulation.links) == 1 and not entity.spec.fixed_base
+        for shape in link.collisions:
+            self._add_shape(body, shape, link.mass or 1.0, rolls, subject)
+
+    def _add_shape(self, body: mujoco.MjsBody, shape: Shape, mass: float, rolls: bool, subject: str) -> None:
+        dt = self.layout.scene.physics_dt
+        contact = contact_parameters(shape, mass, rolls, dt, self.config, self._least_friction)
+        self._geoms.add(body, shape, contact, subject)
+        self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject)
+
+    def _report_inertia(self, inertia: npt.NDArray[np.float64], subject: str) -> None:
+        a, b, c = np.linalg.eigvalsh(inertia)
+        if a + b < c * (1 - 1e-9):
+            moments = f"principal moments {a:.4g}, {b:.4g}, {c:.4g} kg m^2"
+            why = "no solid has them (two must add up to at least the third), and MuJoCo takes none such"
+            self.report.append(Approximation(subject, moments, "their mean for all three", why))
+
+    def _exclude_pairs(self, entity: EntityLayout) -> None:
+        articulation = entity.spec.articulation
+        colliding = [link.name for link in articulation.links if link.collisions]
+        if articulation.self_collisions:
+            connected = {frozenset((joint.parent, joint.child)) for joint in articulation.joints}
+            apart = connected | {frozenset(pair) for pair in articulation.collision_exclusions}
+            pairs = [pair for pair in combinations(colliding, 2) if frozenset(pair) in apart]
+        else:
+            pairs = list(combinations(colliding, 2))
+        number = {name: entity.links.start + index for index, name in enumerate(articulation.link_names)}
+        for first, second in pairs:
+            self.spec.add_exclude(bodyname1=body_name(number[first]), bodyname2=body_name(number[second]))
+
+    # Joints ----------------------------------------------------------------------------------------------------------
+
+    def _add_joint(self, body: mujoco.MjsBody, entity: EntityLayout, joint: Joint, number: int) -> None:
+        parameters = self.layout.joint_parameters
+        lower, upper = float(parameters.lower_limit[number]), float(parameters.upper_limit[number])
+        prismatic = joint.type is JointType.PRISMATIC
+        limited = joint.type is not JointType.CONTINUOUS and bool(np.isfinite(lower) or np.isfinite(upper))
+        body.add_joint(
+            name=joint_name(number),
+            type=mujoco.mjtJoint.mjJNT_SLIDE if prismatic else mujoco.mjtJoint.mjJNT_HINGE,
+            pos=joint.child_pose.position,
+            axis=joint.child_pose.rotation_matrix() @ joint.axis,
+            limited=limited,
+            range=(max(lower, -_UNLIMITED), min(upper, _UNLIMITED)) if limited else (0.0, 0.0),
+            damping=[float(parameters.damping[number]), 0.0, 0.0],
+            frictionloss=float(parameters.friction[number]),
+            armature=float(parameters.armature[number]),
+        )
+        if joint.mimic:
+            names = entity.spec.articulation.joint_names
+            self._add_mimic(number, entity.joints.start + names.index(joint.mimic.joint), joint)
+
+    def _report_joints(self, entity: EntityLayout) -> None:
+        parameters, joints = self.layout.joint_parameters, self.layout.joints
+        numbers = range(entity.joints.start, entity.joints.stop)
+        fast = [joints[number].name for number in numbers if np.isfinite(parameters.velocity_limit[number])]
+        if fast:
+            why = "MuJoCo does not limit the velocity of a joint"
+            asked = f"velocity limits of joints {', '.join(fast)}"
+            self.report.append(Approximation(f"'{entity.name}'", asked, "no limits", why))
+        stiff = parameters.drive_stiffness + parameters.drive_damping > 0
+        for number in numbers:
+            if stiff[number] and joints[number].mimic:
+                subject = f"joint '{joints[number].name}' of '{entity.name}'"
+                why = "it mimics another joint, whose drive moves both"
+                self.report.append(Approximation(subject, "a drive of its own", "no drive", why))
+
+    def _add_mimic(self, number: int, driver: int, joint: Joint) -> None:
+        assert joint.mimic is not None
+        data = np.zeros(mujoco.mjNEQDATA)
+        data[:2] = joint.mimic.offset, joint.mimic.multiplier
+        self.spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_JOINT,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            name1=joint_name(number),
+            name2=joint_name(driver),
+            data=data,
+            solref=(2 * self.layout.scene.physics_dt, 1.0),  # the stiffest that MuJoCo integrates safely
+            solimp=(0.99, 0.999, 0.001, 0.5, 2.0),
+        )
+
+    def _add_drive(self, number: int) -> None:
+        parameters = self.layout.joint_parameters
+        actuator = self.spec.add_actuator(
+            name=joint_name(number),
+            target=joint_name(number),
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        )
+        if self.layout.joints[number].mimic is None:
+            stiffness, damping = parameters.drive_stiffness[number], parameters.drive_damping[number]
+            actuator.gainprm[0] = 1.0
+            actuator.biasprm[:3] = 0.0, -stiffness, -damping
+        else:  # it follows another joint, which carries the drive
+            actuator.gainprm[0] = 0.0
+        limit = float(parameters.effort_limit[number])
+        actuator.forcelimited = bool(np.isfinite(limit))
+        if np.isfinite(limit):
+            actuator.forcerange = (-limit, limit)
+
+
+def _set_home(layout: SceneLayout, model: mujoco.MjModel, addresses: Addresses) -> None:
+    """Make the model's one keyframe the scene's initial state."""
+    model.key_qpos[0] = model.qpos0
+    model.key_qpos[0][addresses.joint_positions] = layout.joint_parameters.home
+    model.key_mpos[0] = model.body_pos[model.body_mocapid >= 0].ravel()
+    model.key_mquat[0] = model.body_quat[model.body_mocapid >= 0].ravel()
