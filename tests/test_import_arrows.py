@@ -82,6 +82,16 @@ def test_a_plugin_imports_the_contract_alone() -> None:
     assert not wrong
 
 
+def test_a_plugin_imports_no_other_but_the_shared_model() -> None:
+    wrong = {
+        f"{path.relative_to(ROOT)} imports {module}"
+        for path in (ROOT / "plugins").glob("orbit-*/orbit_*/**/*.py")
+        for module in re.findall(r"^\s*(?:from|import) (orbit_\w+)", path.read_text(), re.MULTILINE)
+        if module not in {"orbit_core", "orbit_mjmodel", path.relative_to(ROOT).parts[2]}
+    }
+    assert not wrong
+
+
 def test_neither_core_nor_tasks_name_an_engine() -> None:
     # A file format is no engine, though one is named after its parser; and the schemas of USD bear their maker's name.
     formats = {"mjcf.py", "usd.py", "usd_writer.py", "usd_geometry.py"}
