@@ -18,12 +18,12 @@ import tyro
 from rich.progress import Progress
 
 from orbit_core.backends import default_backend
-from orbit_core.cli.agents import RandomAgent
 from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.runner import versions_of
 from orbit_core.interfaces import OrbitError
 from orbit_core.tasks import Environment, make, task_entries
+from orbit_core.tasks.agents import RandomAgent
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from rich.table import Table
 
-from orbit_core.cli.agents import make_agent
 from orbit_core.cli.checks import check_output, check_positive
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
@@ -18,6 +17,7 @@ from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.runner import versions_of
 from orbit_core.cli.settings import BenchSettings
 from orbit_core.interfaces.errors import ConfigurationError
+from orbit_core.tasks.agents import make_agent
 
 if TYPE_CHECKING:
     from orbit_core.tasks.environment import Environment

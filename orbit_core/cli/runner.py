@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from orbit_core import __version__
 from orbit_core.backends import renderer
-from orbit_core.cli.agents import check_agent, make_agent
 from orbit_core.cli.checks import check_output, check_positive
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.settings import RunSettings
+from orbit_core.tasks.agents import check_agent, make_agent
 
 if TYPE_CHECKING:
     from orbit_core.tasks.environment import Environment, EpisodeEnd

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from orbit_core.cli.agents import check_agent, make_agent
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.settings import ViewSettings
+from orbit_core.tasks.agents import check_agent, make_agent
 
 
 def main(words: Sequence[str]) -> None:

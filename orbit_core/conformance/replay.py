@@ -1,0 +1,66 @@
+"""A policy recorded on one backend, done again on another without looking: what of its success lies in the engine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from orbit_core.conformance.episodes import FirstEpisodes, TaskResult
+from orbit_core.conformance.recording import Divergence, Recording, divergence
+
+
+@dataclass(frozen=True)
+class ReplayResult:
+    """Actions recorded on one backend, taken on another without looking."""
+
+    recorded_on: str
+    result: TaskResult
+    divergence: list[Divergence]
+    """From what was recorded."""
+
+
+def replay(
+    recording: Path,
+    backend: str,
+    *,
+    replayed: Path | None = None,
+    device: str = "cpu",
+    settings: Mapping[str, Any] | None = None,
+) -> ReplayResult:
+    """Take the recorded actions again, open loop, from the same initial states.
+
+    Where an episode lasts longer than the recorded one did, its last action is held.
+
+    Args:
+        recording: what :func:`run_task` kept.
+        backend: name of an installed backend.
+        replayed: where to keep the replay's own trajectories.
+        device: where tensors live.
+        settings: of the backend, by field name.
+
+    Raises:
+        AssetError: the file is no recording.
+        UnsupportedCapabilityError: the backend lacks what the task needs.
+    """
+    kept = Recording.load(recording)
+    num_envs, tracked = kept.actions.shape[1], next(iter(kept.tracks.values())).shape[1]
+    actions = torch.from_numpy(_held(kept)).to(device)
+    with FirstEpisodes(kept.task, backend, num_envs, kept.seed, kept.fields, device, settings) as episodes:
+        episodes.run(lambda step: actions[min(step, len(actions) - 1)], tracked)
+        own = episodes.recording()
+        if replayed is not None:
+            own.save(replayed)
+        return ReplayResult(kept.backend, episodes.result(), divergence(own, kept))
+
+
+def _held(recording: Recording) -> npt.NDArray[np.float32]:
+    """(T, N, A) the actions, each environment's last one held after its episode's end."""
+    steps = np.arange(len(recording.actions))[:, None]
+    rows = np.minimum(steps, recording.lengths[None] - 1)
+    return recording.actions[rows, np.arange(recording.actions.shape[1])]
