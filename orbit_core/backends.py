@@ -26,7 +26,7 @@ from orbit_core.interfaces.errors import (
     UnknownNameError,
     UnsupportedCapabilityError,
 )
-from orbit_core.interfaces.requirements import required_capabilities
+from orbit_core.interfaces.requirements import IMAGES, required_capabilities
 from orbit_core.scene import Scene
 
 GROUP = "orbit.backends"
@@ -107,26 +107,39 @@ def renderer(name: str) -> Backend:
         raise UnknownNameError("renderer", name, known) from None
 
 
-def check_scene(backend: Backend, scene: Scene) -> None:
-    """Refuse a scene that needs what the backend lacks, before anything is built.
+def check_scene(backend: Backend, scene: Scene, renderer: Backend | None = None) -> None:
+    """Refuse a scene that needs what the backend, or the renderer of its images, lacks, before anything is built.
+
+    Args:
+        backend: what simulates.
+        scene: what is asked for.
+        renderer: what draws; the backend if None.
 
     Raises:
-        UnsupportedCapabilityError: names each capability, what needs it, why it is missing and which backends have it.
+        UnsupportedCapabilityError: names each capability, what needs it, why it is missing and what has it.
     """
-    capabilities = backend.capabilities()
-    missing = {need: culprit for need, culprit in required_capabilities(scene).items() if not capabilities.has(need)}
+    needs = required_capabilities(scene)
+    physics = {need: culprit for need, culprit in needs.items() if need not in IMAGES}
+    images = {need: culprit for need, culprit in needs.items() if need in IMAGES}
+    _check("backend", backend, physics, backend_names())
+    _check("renderer", renderer or backend, images, (*backend_names(), *renderer_names()))
+
+
+def _check(kind: str, plugin: Backend, needs: Mapping[Capability, str], others: Iterable[str]) -> None:
+    capabilities = plugin.capabilities()
+    missing = {need: culprit for need, culprit in needs.items() if not capabilities.has(need)}
     if not missing:
         return
     complaints = [
         f"{need.value} (needed by {culprit}; {capabilities[need].reason})" for need, culprit in missing.items()
     ]
-    others = _backends_with(missing)
-    remedy = f"choose backend {' or '.join(repr(other) for other in others)}" if others else "no installed backend does"
-    raise UnsupportedCapabilityError(f"backend '{backend.name}' does not do {', nor '.join(complaints)}: {remedy}")
+    able = _able(others, missing)
+    remedy = f"choose {kind} {' or '.join(repr(name) for name in able)}" if able else f"no installed {kind} does"
+    raise UnsupportedCapabilityError(f"{kind} '{plugin.name}' does not do {', nor '.join(complaints)}: {remedy}")
 
 
 def backend_config(backend: Backend, values: Mapping[str, Any] | None = None) -> Any:
-    """The backend's typed settings, defaults where ``values`` has none; lists become tuples.
+    """The typed settings of a backend or renderer, defaults where ``values`` has none; lists become tuples.
 
     Raises:
         ConfigurationError: a field that the backend does not have, or a value that it refuses.
@@ -137,13 +150,13 @@ def backend_config(backend: Backend, values: Mapping[str, Any] | None = None) ->
             near = difflib.get_close_matches(name, fields, n=3, cutoff=0.5)
             hint = f"did you mean {' or '.join(repr(field) for field in near)}? " if near else ""
             raise ConfigurationError(
-                f"backend '{backend.name}' has no setting '{name}': {hint}it has {', '.join(fields)}"
+                f"'{backend.name}' has no setting '{name}': {hint}it has {', '.join(fields) or 'none'}"
             )
     arguments = {name: tuple(value) if isinstance(value, list) else value for name, value in (values or {}).items()}
     try:
         return backend.config_type(**arguments)
     except (TypeError, ValueError) as error:
-        raise ConfigurationError(f"settings of backend '{backend.name}': {error}") from error
+        raise ConfigurationError(f"settings of '{backend.name}': {error}") from error
 
 
 def _made(entry_point: importlib_metadata.EntryPoint) -> Backend:
@@ -188,12 +201,12 @@ def _distribution(entry_point: importlib_metadata.EntryPoint) -> str:
     return f"distribution {entry_point.dist.name}" if entry_point.dist else entry_point.value
 
 
-def _backends_with(needs: Iterable[Capability]) -> list[str]:
-    """Installed backends that do all of ``needs``; one that fails to load does nothing."""
+def _able(names: Iterable[str], needs: Iterable[Capability]) -> list[str]:
+    """Which of these backends and renderers do all of ``needs``; one that fails to load does nothing."""
     able: list[str] = []
-    for name in backend_names():
+    for name in names:
         try:
-            capabilities = backend(name).capabilities()
+            capabilities = renderer(name).capabilities()  # which finds backends too
         except OrbitError:
             continue
         if all(capabilities.has(need) for need in needs):

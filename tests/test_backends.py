@@ -24,7 +24,7 @@ from orbit_core.interfaces import (
     UnsupportedCapabilityError,
     unsupported,
 )
-from orbit_core.scene import Mesh, ObjectSpec, Scene, Shape, single_link
+from orbit_core.scene import CameraSpec, Channel, Mesh, ObjectSpec, Scene, Shape, single_link
 from orbit_core.scene.shapes import MeshCollision
 
 
@@ -56,6 +56,15 @@ class MeshBackend(PlainBackend):
 
     def capabilities(self) -> Capabilities:
         return Capabilities({Capability.FRICTION: EXACT, Capability.TRIANGLE_MESHES: EXACT})
+
+
+class Tracer(PlainBackend):
+    """Draws depth, and simulates what nobody asks of it."""
+
+    name = "tracer"
+
+    def capabilities(self) -> Capabilities:
+        return Capabilities({Capability.DEPTH: EXACT, Capability.TRIANGLE_MESHES: EXACT})
 
 
 def broken() -> None:
@@ -163,6 +172,20 @@ def test_a_refusal_says_when_no_backend_would_do(install: Install) -> None:
     install(("plain", "orbit-plain", PlainBackend))
     with pytest.raises(UnsupportedCapabilityError, match="no installed backend does"):
         backends.check_scene(backends.backend("plain"), triangle_scene())
+
+
+def test_cameras_need_their_channels_of_what_draws(install: Install) -> None:
+    install(("plain", "orbit-plain", PlainBackend), renderers=(("tracer", "orbit-tracer", Tracer),))
+    plain, tracer = backends.backend("plain"), backends.renderer("tracer")
+    scene = Scene(sensors=(CameraSpec(name="eye", channels=(Channel.POSITION,)),))
+    backends.check_scene(plain, scene, tracer)
+    with pytest.raises(UnsupportedCapabilityError, match=r"renderer 'plain'.*depth.*'eye'.*choose renderer 'tracer'"):
+        backends.check_scene(plain, scene)
+    colored = Scene(sensors=(CameraSpec(name="eye", channels=(Channel.RGB,)),))
+    with pytest.raises(UnsupportedCapabilityError, match=r"renderer 'tracer'.*no installed renderer does"):
+        backends.check_scene(plain, colored, tracer)
+    with pytest.raises(UnsupportedCapabilityError, match=r"backend 'plain'.*mesh.*no installed backend does"):
+        backends.check_scene(plain, triangle_scene(), tracer)
 
 
 def test_settings_are_typed(install: Install) -> None:

@@ -1,4 +1,4 @@
-"""``orbit info``: everything about one task, robot or backend."""
+"""``orbit info``: everything about one task, robot, backend or renderer."""
 
 from __future__ import annotations
 
@@ -14,25 +14,27 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from orbit_core.assets.catalogue import robot_info, robot_names
-from orbit_core.backends import backend, backend_names, installable_backends
+from orbit_core.backends import backend, backend_names, installable_backends, renderer, renderer_names
 from orbit_core.cli.output import console as make_console
 from orbit_core.cli.output import new_table
 from orbit_core.cli.parsing import parse_words
 from orbit_core.interfaces.capabilities import Capability
 from orbit_core.interfaces.errors import UnknownNameError
+from orbit_core.interfaces.requirements import IMAGES
 from orbit_core.tasks.registry import task_entries
 
 if TYPE_CHECKING:
+    from orbit_core.interfaces.backend import Backend
     from orbit_core.scene import RobotSpec
     from orbit_core.tasks.task import Task
 
 
 @dataclass(frozen=True)
 class InfoSettings:
-    """Everything about one task, robot or backend."""
+    """Everything about one task, robot, backend or renderer."""
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
-    """Of a task, robot or backend."""
+    """Of a task, robot, backend or renderer."""
 
 
 def main(words: Sequence[str]) -> None:
@@ -44,11 +46,12 @@ def main(words: Sequence[str]) -> None:
     elif name in robot_names():
         _show_robot(console, name)
     elif name in backend_names() or name in installable_backends():
-        _show_backend(console, name)
+        _show_plugin(console, f"Backend {name}", backend(name), tuple(Capability))  # if missing, says how to install it
+    elif name in renderer_names():
+        _show_plugin(console, f"Renderer {name}", renderer(name), IMAGES)
     else:
-        raise UnknownNameError(
-            "task, robot or backend", name, [*task_entries(), *robot_names(), *backend_names(), *installable_backends()]
-        )
+        known = [*task_entries(), *robot_names(), *backend_names(), *installable_backends(), *renderer_names()]
+        raise UnknownNameError("task, robot, backend or renderer", name, known)
 
 
 def _show_task(console: Console, name: str) -> None:
@@ -123,15 +126,14 @@ def _joint_table(robot: RobotSpec) -> Table:
     return table
 
 
-def _show_backend(console: Console, name: str) -> None:
-    plugin = backend(name)  # one that is not installed says how to install it
+def _show_plugin(console: Console, title: str, plugin: Backend, shown: Sequence[Capability]) -> None:
     capabilities = plugin.capabilities()
     versions = ", ".join(f"{package} {version}" for package, version in plugin.versions().items())
-    _heading(console, f"Backend {name}", versions)
+    _heading(console, title, versions)
     settings = {field.name: field.default for field in dataclasses.fields(plugin.config_type)}
     _rows(console, "setting", "default", settings.items())
     table = new_table("capability", "level", "how it differs, or why it is missing")
-    for capability in Capability:
+    for capability in shown:
         support = capabilities[capability]
         table.add_row(capability.value, support.level.value, support.reason)
     console.print(table)

@@ -26,8 +26,7 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environmen
     entry = task_entry(settings.task)
     name = settings.backend or default_backend()
     plugin = backend(name)
-    if settings.renderer is not None:
-        renderer(settings.renderer)  # an unknown name is worth knowing before the task is built
+    drawing = renderer(settings.renderer or name)  # an unknown name is worth knowing before the task is built
     import torch
 
     from orbit_core.tasks.environment import make
@@ -43,10 +42,14 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environmen
         # threads or other programs hold the cores, waiting for each other makes them several times slower.
         torch.set_num_threads(1)
     fields = _merged(settings, settings.fields, settings.set, entry.task_type(), "field", f"task {entry.name}")
+    own = _merged(settings, settings.settings, settings.setting, plugin.config_type, "setting", f"backend '{name}'")
+    looks = _merged(
+        settings, settings.renderer_settings, settings.renderer_setting, drawing.config_type, "renderer_setting",
+        f"renderer '{drawing.name}'",
+    )  # fmt: skip
     chosen = {"robot": settings.robot, "action": settings.action}
     fields.update({key: value for key, value in chosen.items() if value is not None})
-    own = _merged(settings, settings.settings, settings.setting, plugin.config_type, "setting", f"backend '{name}'")
-    return make(entry.name, num_envs, name, device, settings.seed, settings.renderer, own, **fields)
+    return make(entry.name, num_envs, name, device, settings.seed, settings.renderer, own, looks, **fields)
 
 
 def _merged(
@@ -60,4 +63,4 @@ def _merged(
     """The command line's ``key=value`` over the file's table."""
     defaults = defaults_of(owner_type)
     table = check_values(from_file, defaults, kind, f"{owner}, table [{kind}s] of {settings.config}")
-    return {**table, **parse_values(pairs, defaults, kind, owner)}
+    return {**table, **parse_values(pairs, defaults, kind.replace("_", " "), owner)}

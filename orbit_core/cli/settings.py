@@ -27,7 +27,7 @@ class EnvironmentSettings:
     action: Name = None
     """Action space in the place of the task's own."""
     renderer: Name = None
-    """Backend that draws; the physics backend if left out."""
+    """Renderer ('orbit list renderers') or backend that draws; the physics backend if left out."""
     device: Annotated[str, arg(metavar="NAME")] = "cpu"
     """Torch device that holds all state, such as 'cpu' or 'cuda:0'."""
     seed: int = 0
@@ -36,12 +36,17 @@ class EnvironmentSettings:
     """A field of the task, such as cube_size=0.06 ('orbit info TASK')."""
     setting: KeyValues = ()
     """A setting of the physics backend, such as iterations=50 ('orbit info BACKEND')."""
+    renderer_setting: KeyValues = ()
+    """A setting of what draws, such as samples_per_pixel=4 ('orbit info RENDERER')."""
     config: File = None
-    """TOML file with the same keys as these options, and the tables [fields] and [settings]; options win over it."""
+    """TOML file with the same keys as these options, and the tables [fields], [settings] and [renderer_settings];
+    options win over it."""
     fields: Suppress[Mapping[str, Any]] = field(default_factory=dict)
     """The task's fields from the file; ``set`` wins over them."""
     settings: Suppress[Mapping[str, Any]] = field(default_factory=dict)
     """The physics backend's settings from the file; ``setting`` wins over them."""
+    renderer_settings: Suppress[Mapping[str, Any]] = field(default_factory=dict)
+    """The renderer's settings from the file; ``renderer_setting`` wins over them."""
 
 
 @dataclass(frozen=True, kw_only=True)

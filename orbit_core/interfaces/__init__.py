@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from orbit_core.interfaces.names import find_name, match_names, match_values
     from orbit_core.interfaces.node import Node, Port
     from orbit_core.interfaces.renderer import Image, Renderer, albedo_table, drawn_shapes
-    from orbit_core.interfaces.requirements import required_capabilities
+    from orbit_core.interfaces.requirements import IMAGES, required_capabilities
     from orbit_core.interfaces.sensor import Sensor
     from orbit_core.interfaces.world import Marker, Object, Robot, World
 
@@ -60,14 +60,14 @@ _MODULES = {
     "names": ("find_name", "match_names", "match_values"),
     "node": ("Node", "Port"),
     "renderer": ("Image", "Renderer", "albedo_table", "drawn_shapes"),
-    "requirements": ("required_capabilities",),
+    "requirements": ("IMAGES", "required_capabilities"),
     "sensor": ("Sensor",),
     "world": ("Marker", "Object", "Robot", "World"),
 }  # fmt: skip
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "BACKGROUND", "EXACT", "TERRAIN", "Approximation", "AssetError", "Backend", "BackendNotInstalledError",
+    "BACKGROUND", "EXACT", "IMAGES", "TERRAIN", "Approximation", "AssetError", "Backend", "BackendNotInstalledError",
     "Capabilities", "Capability", "ConfigurationError", "ContactQuery", "Engine", "EntityLayout", "Gap", "Image",
     "JointParameters", "Level", "Marker", "Node", "NonFiniteError", "Object", "OrbitError", "Port", "RayHits",
     "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError", "Support", "UnknownNameError",

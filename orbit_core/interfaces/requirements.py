@@ -23,6 +23,12 @@ from orbit_core.scene import (
     SoftBody,
 )
 
+IMAGES = (
+    Capability.RGB, Capability.DEPTH, Capability.NORMALS, Capability.ALBEDO, Capability.SEGMENTATION,
+    Capability.RAY_TRACED_RGB,
+)  # fmt: skip
+"""What scenes need of whatever draws them; all else they need of the engine."""
+
 _CHANNEL_NEEDS = {
     Channel.RGB: Capability.RGB,
     Channel.DEPTH: Capability.DEPTH,

@@ -61,6 +61,7 @@ class Environment:
         seed: of every environment's random stream.
         renderer: name of the backend that draws; the physics backend if None.
         settings: of the physics backend, by field name, over the task's preset.
+        renderer_settings: of the renderer, by field name.
     """
 
     def __init__(
@@ -72,13 +73,13 @@ class Environment:
         seed: int = 0,
         renderer: str | None = None,
         settings: Mapping[str, Any] | None = None,
+        renderer_settings: Mapping[str, Any] | None = None,
     ) -> None:
         self.task = task = copy.deepcopy(task)
         self.max_episode_steps = _whole_steps(task)
         merged = {**task.backend_presets.get(backend, {}), **(settings or {})}
-        self.world = SimulatedWorld(
-            _driven(task.scene(), task.action), num_envs, backend, merged, device, seed, renderer
-        )
+        scene = _driven(task.scene(), task.action)
+        self.world = SimulatedWorld(scene, num_envs, backend, merged, device, seed, renderer, renderer_settings)
         self.num_envs = num_envs
         self.device = self.world.device
         self.step_dt = task.physics_dt * task.decimation
@@ -304,6 +305,7 @@ def make(
     seed: int = 0,
     renderer: str | None = None,
     settings: Mapping[str, Any] | None = None,
+    renderer_settings: Mapping[str, Any] | None = None,
     **fields: Any,
 ) -> Environment:
     """The environment of a task, given by name or configured; ``fields`` set the task's own, such as ``robot``.
@@ -315,4 +317,5 @@ def make(
         task = configure(task_entry(task).task_type(), fields)
     elif fields:
         raise ConfigurationError(f"set {', '.join(fields)} on the task itself: it is given configured")
-    return Environment(task, num_envs, backend or default_backend(), device, seed, renderer, settings)
+    chosen = backend or default_backend()
+    return Environment(task, num_envs, chosen, device, seed, renderer, settings, renderer_settings)

@@ -50,10 +50,11 @@ class SimulatedWorld(World):
         device: where state tensors live.
         seed: of the environments' random streams.
         renderer: name of the renderer, or backend, that draws; the one that simulates if None.
+        renderer_settings: the renderer's own, by field name; over ``settings`` where one backend simulates and draws.
 
     Raises:
         UnknownNameError, BackendNotInstalledError: no such backend.
-        UnsupportedCapabilityError: the backend lacks what the scene needs.
+        UnsupportedCapabilityError: the backend lacks what the scene needs, or the renderer what its cameras need.
         AssetError: an articulation cannot be simulated.
     """
 
@@ -66,13 +67,14 @@ class SimulatedWorld(World):
         device: str | torch.device = "cpu",
         seed: int = 0,
         renderer: str | None = None,
+        renderer_settings: Mapping[str, Any] | None = None,
     ) -> None:
         if num_envs < 1:
             raise ConfigurationError(f"num_envs must be at least 1, not {num_envs}")
         plugin = find_backend(backend)
         self._renderer_plugin = find_renderer(renderer or backend)
         scene = _prepared(scene)
-        check_scene(plugin, scene)
+        check_scene(plugin, scene, self._renderer_plugin)
         self.scene = scene
         self.layout = SceneLayout.of(scene)
         self.num_envs = num_envs
@@ -80,8 +82,10 @@ class SimulatedWorld(World):
         self.device = torch.empty(0, device=device).device
         self.physics_dt = scene.physics_dt
         self.backend = backend
-        self._config = backend_config(plugin, settings)
-        self.engine = plugin.create_engine(self.layout, num_envs, self.device, self._config)
+        config = backend_config(plugin, settings)
+        shared = (settings or {}) if self._renderer_plugin.name == backend else {}
+        self._renderer_config = backend_config(self._renderer_plugin, {**shared, **(renderer_settings or {})})
+        self.engine = plugin.create_engine(self.layout, num_envs, self.device, config)
         self.random = RandomStreams(num_envs, seed, self.device)
         self.random.reset()
         self.actuators = Actuators(self.engine, self.layout, self.random)
@@ -126,9 +130,7 @@ class SimulatedWorld(World):
 
     def create_renderer(self, cameras: tuple[CameraSpec, ...]) -> Renderer:
         """Another renderer of this scene, for cameras that are no sensors. The caller closes it."""
-        same = self._renderer_plugin.name == self.backend
-        config = self._config if same else backend_config(self._renderer_plugin, None)
-        return self._renderer_plugin.create_renderer(self.layout, cameras, config)
+        return self._renderer_plugin.create_renderer(self.layout, cameras, self._renderer_config)
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:

@@ -25,6 +25,9 @@ cube_size = 0.06
 
 [settings]
 iterations = 50
+
+[renderer_settings]
+samples_per_pixel = 4
 """
 
 
@@ -49,6 +52,7 @@ def test_the_file_wins_over_defaults(file: Path):
     assert parsed.json == Path("result.json")
     assert parsed.fields == {"cube_size": 0.06}
     assert parsed.settings == {"iterations": 50}
+    assert parsed.renderer_settings == {"samples_per_pixel": 4}
 
 
 def test_the_command_line_wins_over_the_file(file: Path):

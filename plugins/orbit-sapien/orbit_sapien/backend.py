@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from orbit_core.interfaces import Backend, Capabilities, ConfigurationError, UnsupportedCapabilityError
-from orbit_sapien.capabilities import CAPABILITIES, IMAGES
-from orbit_sapien.config import SapienConfig
+from orbit_sapien.capabilities import CAPABILITIES, RASTERIZED_IMAGES, TRACED_IMAGES
+from orbit_sapien.config import PathConfig, RasterConfig, SapienConfig
 
 if TYPE_CHECKING:
     import torch
@@ -48,15 +48,18 @@ class _Tier(SapienBackend):
     """One tier of the renderer under a name of its own, for worlds that any backend simulates."""
 
     tier: ClassVar[str]
+    config_type: ClassVar[type] = RasterConfig
 
     def capabilities(self) -> Capabilities:
-        return IMAGES
+        return RASTERIZED_IMAGES
 
     def create_engine(self, layout: SceneLayout, num_envs: int, device: torch.device, config: SapienConfig) -> Engine:
         raise UnsupportedCapabilityError(f"'{self.name}' draws and simulates nothing: use backend 'sapien' for physics")
 
-    def create_renderer(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: SapienConfig) -> Renderer:
-        return super().create_renderer(layout, cameras, dataclasses.replace(config, tier=self.tier))
+    def create_renderer(
+        self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: RasterConfig | PathConfig
+    ) -> Renderer:
+        return super().create_renderer(layout, cameras, SapienConfig(tier=self.tier, **dataclasses.asdict(config)))
 
 
 class SapienFast(_Tier):
@@ -75,3 +78,7 @@ class SapienRt(_Tier):
     """Traced paths."""
 
     name, tier = "sapien-rt", "rt"
+    config_type: ClassVar[type] = PathConfig
+
+    def capabilities(self) -> Capabilities:
+        return TRACED_IMAGES

@@ -11,7 +11,34 @@ DENOISERS = ("none", "oidn", "optix")
 
 
 @dataclass(frozen=True, kw_only=True)
-class SapienConfig:
+class RasterConfig:
+    """Settings of the rasterisers, tiers ``fast`` and ``pbr``."""
+
+    shadow_size: int = 1024
+    """Width of the rasterisers' shadow map in pixels; 0 draws no shadows, 4096 suits videos."""
+
+    def __post_init__(self) -> None:
+        _at_least(self, 0, "shadow_size")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathConfig:
+    """Settings of the path tracer, tier ``rt``."""
+
+    samples_per_pixel: int = 8
+    """Of tier ``rt``."""
+    path_depth: int = 6
+    """Greatest number of surfaces that a path of tier ``rt`` meets."""
+    denoiser: str = "none"
+    """Of tier ``rt``; ``oidn`` and ``optix`` need an NVIDIA GPU."""
+
+    def __post_init__(self) -> None:
+        _one_of(self, "denoiser", DENOISERS)
+        _at_least(self, 1, "samples_per_pixel", "path_depth")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SapienConfig(RasterConfig, PathConfig):
     """Settings of PhysX and of the renderer."""
 
     workers: int = 2
@@ -37,25 +64,24 @@ class SapienConfig:
     """Number of environments above which a level ground plane is shared by all, which is faster."""
     tier: str = "fast"
     """Quality of images: ``fast`` and ``pbr`` rasterise, ``rt`` traces paths."""
-    shadow_size: int = 1024
-    """Width of the rasterisers' shadow map in pixels; 0 draws no shadows, 4096 suits videos."""
-    samples_per_pixel: int = 8
-    """Of tier ``rt``."""
-    path_depth: int = 6
-    """Greatest number of surfaces that a path of tier ``rt`` meets."""
-    denoiser: str = "none"
-    """Of tier ``rt``; ``oidn`` and ``optix`` need an NVIDIA GPU."""
 
     def __post_init__(self) -> None:
-        for name, known in (("tier", TIERS), ("denoiser", DENOISERS)):
-            if getattr(self, name) not in known:
-                raise ConfigurationError(f"{name} '{getattr(self, name)}' is not one of {', '.join(known)}")
-        for name in ("workers", "velocity_iterations", "bounce_threshold", "shared_ground_above", "shadow_size"):
-            if getattr(self, name) < 0:
-                raise ConfigurationError(f"{name} must be zero or more, not {getattr(self, name)}")
-        for name in (
-            "position_iterations", "contact_offset", "max_depenetration_velocity", "tendon_stiffness", "env_spacing",
-            "samples_per_pixel", "path_depth",
-        ):  # fmt: skip
+        RasterConfig.__post_init__(self)
+        PathConfig.__post_init__(self)
+        _one_of(self, "tier", TIERS)
+        _at_least(self, 0, "workers", "velocity_iterations", "bounce_threshold", "shared_ground_above")
+        _at_least(self, 1, "position_iterations")
+        for name in ("contact_offset", "max_depenetration_velocity", "tendon_stiffness", "env_spacing"):
             if getattr(self, name) <= 0:
                 raise ConfigurationError(f"{name} must be positive, not {getattr(self, name)}")
+
+
+def _one_of(config: object, name: str, known: tuple[str, ...]) -> None:
+    if getattr(config, name) not in known:
+        raise ConfigurationError(f"{name} '{getattr(config, name)}' is not one of {', '.join(known)}")
+
+
+def _at_least(config: object, least: int, *names: str) -> None:
+    for name in names:
+        if getattr(config, name) < least:
+            raise ConfigurationError(f"{name} must be at least {least}, not {getattr(config, name)}")

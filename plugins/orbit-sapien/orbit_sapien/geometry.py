@@ -20,6 +20,7 @@ Z_TO_X = Pose((0.0, 0.0, 0.0), (math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0))
 """PhysX's round shapes lie along x, and its plane looks along x."""
 _TOLERATED = 1e-4
 """Metres by which a cooked hull may differ from the one asked for before it is reported."""
+_UNSCALED = np.ones(3, np.float32)
 
 
 def collision_shape(
@@ -31,7 +32,6 @@ def collision_shape(
         AssetError: PhysX does not cook the shape; names it.
     """
     pose = shape.pose
-    ones = np.ones(3, np.float32)
     try:
         match shape.geometry:
             case Box(half_extents):
@@ -45,15 +45,14 @@ def collision_shape(
             case Plane():
                 made, pose = physx.PhysxCollisionShapePlane(material), pose @ Z_TO_X
             case Mesh(collision=MeshCollision.CONVEX_HULL) as mesh:
-                made = physx.PhysxCollisionShapeConvexMesh(mesh.vertices.astype(np.float32), ones, material)
+                made = physx.PhysxCollisionShapeConvexMesh(mesh.vertices.astype(np.float32), _UNSCALED, material)
                 if report is not None:
                     report += _hull_approximation(mesh.vertices, made, subject)
             case Mesh() as mesh:
                 vertices, faces = mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32)
-                made = physx.PhysxCollisionShapeTriangleMesh(vertices, faces, ones, material)
+                made = _surface(vertices, faces, material)
             case HeightField() as field:
-                vertices, faces = height_field_triangles(field)
-                made = physx.PhysxCollisionShapeTriangleMesh(vertices, faces, ones, material)
+                made = _surface(*height_field_triangles(field), material)
     except RuntimeError as error:
         what = (
             f"shape '{shape.name}' of {subject}" if shape.name else f"the {type(shape.geometry).__name__} of {subject}"
@@ -61,6 +60,14 @@ def collision_shape(
         raise AssetError(f"PhysX cannot collide {what} ({error}): repair its mesh or replace it") from error
     made.set_local_pose(native_pose(pose))
     return made
+
+
+def _surface(
+    vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], material: physx.PhysxMaterial
+) -> physx.PhysxCollisionShapeTriangleMesh:
+    if not len(faces):  # of which PhysX would make a triangle of its own
+        raise RuntimeError("it has no triangles")
+    return physx.PhysxCollisionShapeTriangleMesh(vertices, faces, _UNSCALED, material)
 
 
 def height_field_triangles(field: HeightField) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:

@@ -21,6 +21,9 @@ from orbit_core.interfaces import (
 from orbit_core.scene import (
     Articulation,
     Box,
+    ImplicitPd,
+    Joint,
+    JointType,
     Link,
     Mesh,
     MeshCollision,
@@ -28,9 +31,11 @@ from orbit_core.scene import (
     PhysicsMaterial,
     Plane,
     Pose,
+    RobotSpec,
     Scene,
     Shape,
 )
+from orbit_core.world import SimulatedWorld
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.geometry import height_field_triangles
 from orbit_sapien.isolation import color, grid_offset
@@ -114,11 +119,29 @@ def test_leaving_the_cell_over_a_shared_ground_is_an_error() -> None:
         made.step(1)
 
 
-def test_a_mesh_that_does_not_cook_is_named() -> None:
-    flat = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]), MeshCollision.TRIANGLES)
+@pytest.mark.parametrize("faces", [[[0, 1, 2]], np.zeros((0, 3), np.int64)])
+def test_a_mesh_that_does_not_cook_is_named(faces: list[list[int]]) -> None:
+    flat = Mesh(np.zeros((3, 3)), np.array(faces), MeshCollision.TRIANGLES)
     broken = dataclasses.replace(ground(), geometry=flat, name="rubble")
     with pytest.raises(AssetError, match="rubble"):
         engine(Scene(terrain=(broken,)))
+
+
+def hull(*points: tuple[float, float, float]) -> Shape:
+    return Shape(Mesh(np.array(points), np.zeros((0, 3), np.int64)))
+
+
+def test_a_hull_that_does_not_cook_is_named_with_its_link() -> None:
+    broken = hull((0.0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (np.nan, 0, 0.1))
+    with pytest.raises(AssetError, match="splinter"):
+        engine(Scene(objects=(thing("splinter", broken),)))
+
+
+def test_a_flat_hull_is_reported_for_its_thickness() -> None:
+    """PhysX makes boxes 2 mm thick of what has no volume."""
+    flat = hull((0.0, 0, 0), (0.1, 0, 0), (0, 0.1, 0))
+    report = engine(Scene(objects=(thing("sheet", flat),))).build_report
+    assert any("sheet" in line.subject and "hull" in line.asked for line in report), report
 
 
 def test_a_simplified_hull_is_reported() -> None:
@@ -139,8 +162,36 @@ def test_height_field_triangles_face_upwards() -> None:
     assert (normals[:, 2] > 0).all()
 
 
+def sagging_chain() -> RobotSpec:
+    """Two level links of 0.5 m and 1.02 kg, held by drives: the first has 10 N m to bear."""
+    half, mass = 0.25, 1.02
+    inertia = np.diag([1e-4, mass * half**2 / 3, mass * half**2 / 3])
+    links = [Link(name, mass, (half, 0.0, 0.0), inertia) for name in ("first", "second")]
+    joints = [
+        Joint(f"to_{child}", JointType.REVOLUTE, parent, child, Pose((x, 0.0, 0.0)), axis=(0.0, 1.0, 0.0))
+        for parent, child, x in (("base", "first", 0.0), ("first", "second", 2 * half))
+    ]
+    body = Articulation("chain", (Link("base", 1.0, inertia=np.eye(3) * 0.01), *links), tuple(joints))
+    drives = ImplicitPd(joints=(".*",), stiffness=1e4, damping=500.0)
+    return RobotSpec(name="chain", articulation=body, pose=Pose((0, 0, 1)), fixed_base=True, actuators=(drives,))
+
+
+def test_a_stiff_drive_sags_as_much_as_its_declaration_says() -> None:
+    for iterations, expected in ((24, 1.42), (48, 1.20)):
+        scene = Scene(robots=(sagging_chain(),), physics_dt=0.005)
+        world = SimulatedWorld(scene, 1, "sapien", {"position_iterations": iterations})
+        world.step(600)
+        sag = world.robots["chain"].joint_positions[0, 0].item()
+        assert 1e3 * sag == pytest.approx(expected, abs=0.05), "declared in capabilities.py and README.md"
+        world.close()
+
+
 def test_settings_are_checked() -> None:
-    for wrong in ({"tier": "best"}, {"position_iterations": 0}, {"workers": -1}, {"denoiser": "magic"}):
+    wrongs = (
+        {"tier": "best"}, {"position_iterations": 0}, {"workers": -1}, {"denoiser": "magic"}, {"samples_per_pixel": 0},
+        {"shadow_size": -1}, {"contact_offset": 0.0},
+    )  # fmt: skip
+    for wrong in wrongs:
         with pytest.raises(ConfigurationError, match=next(iter(wrong))):
             SapienConfig(**wrong)
 

@@ -106,3 +106,23 @@ def test_normals_are_shared_over_gentle_bends_alone() -> None:
     points, normals, faces = shaded(sharp)
     np.testing.assert_allclose(normals[faces[0]], [[0, 0, 1]] * 3)
     np.testing.assert_allclose(points[faces], sharp)
+
+
+def test_a_renderers_settings_reach_it_and_no_others_do() -> None:
+    """Through a world: fewer samples are noisier; what belongs to another tier or to physics is refused at once."""
+
+    def noise(samples: int) -> float:
+        settings = {"samples_per_pixel": samples}
+        world = SimulatedWorld(scene(), 1, "sapien", renderer="sapien-rt", renderer_settings=settings)
+        image = world.renderer.render(CAMERA, EYE, world.link_poses, (Channel.RGB,))
+        world.close()
+        ground = image.rgb[0, -8:].float()
+        return float((ground - ground.mean((0, 1))).abs().mean())
+
+    assert noise(1) > 1.5 * noise(16)
+    foreign = (("sapien-fast", "samples_per_pixel"), ("sapien-rt", "shadow_size"), ("sapien-rt", "workers"))
+    for renderer, wrong in foreign:
+        with pytest.raises(ConfigurationError, match=f"'{renderer}' has no setting '{wrong}'"):
+            SimulatedWorld(scene(), 1, "sapien", renderer=renderer, renderer_settings={wrong: 1})
+    with pytest.raises(ConfigurationError, match="denoiser 'magic'"):
+        SimulatedWorld(scene(), 1, "sapien", renderer_settings={"denoiser": "magic"})
