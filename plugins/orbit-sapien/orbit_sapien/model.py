@@ -26,6 +26,7 @@ from orbit_sapien.geometry import collision_shape
 from orbit_sapien.isolation import COLORS, color, exclusion_groups, grid_offset
 from orbit_sapien.materials import PairRule
 from orbit_sapien.native import native_pose, physx, sapien
+from orbit_sapien.tendons import add_mimic_tendon, mimic_approximations
 
 _FAST = 1e4
 """Stands for no limit on a body's speed; PhysX's own limits are a few metres per second."""
@@ -260,9 +261,11 @@ class _Builder:
         joints = {number[joint.name]: joint for joint in articulation.active_joints}
         order = tuple(number[joint.name] for joint in articulation.active_joints)
         made = NativeEntity(tuple(bodies), articulation, tuple(joints[i] for i in sorted(joints)), order)
-        for index, joint in enumerate(entity.spec.articulation.movable_joints):
+        links = dict(zip(entity.spec.articulation.link_names, bodies, strict=True))
+        for joint in entity.spec.articulation.movable_joints:
             if joint.mimic:
-                self._add_tendon(entity, made, index, joint)
+                stiffness = self.config.tendon_stiffness
+                add_mimic_tendon(articulation, links, entity.spec.articulation, joint, stiffness)
         return made
 
     # Joints ----------------------------------------------------------------------------------------------------------
@@ -285,29 +288,13 @@ class _Builder:
         native.set_friction(0.0)
         native.set_max_velocity(float(min(parameters.velocity_limit[number], _FAST)))
 
-    def _add_tendon(self, entity: EntityLayout, made: NativeEntity, index: int, joint: Joint) -> None:
-        """``q = multiplier q(leader) + offset`` as a tendon from the link that both joints hang on."""
-        assert joint.mimic is not None
-        assert made.articulation is not None
-        articulation = entity.spec.articulation
-        leader = articulation.movable_joints[articulation.joint_names.index(joint.mimic.joint)]
-        links = dict(zip(articulation.link_names, made.bodies, strict=True))
-        multiplier = joint.mimic.multiplier
-        chain = _tree_between(articulation.joints, leader.child, joint.child)
-        pull = {leader.child: -multiplier, joint.child: 1.0}
-        made.articulation.create_fixed_tendon(
-            [links[name] for name in chain],
-            [pull.get(name, 0.0) for name in chain],
-            [1.0 / pull[name] if pull.get(name) else 0.0 for name in chain],
-            rest_length=joint.mimic.offset,
-            stiffness=self.config.tendon_stiffness,
-        )
-
     def _report_joints(self, entity: EntityLayout) -> None:
         parameters, joints = self.layout.joint_parameters, self.layout.joints
         driven = parameters.drive_stiffness + parameters.drive_damping > 0
         for number in range(entity.joints.start, entity.joints.stop):
             subject = f"joint '{joints[number].name}' of '{entity.name}'"
+            if joints[number].mimic:
+                self.report += mimic_approximations(entity.spec.articulation, subject, joints[number])
             if driven[number] and joints[number].mimic:
                 why = "it mimics another joint, whose drive moves both"
                 self.report.append(Approximation(subject, "a drive of its own", "no drive", why))
@@ -354,16 +341,3 @@ def _x_to(axis: tuple[float, float, float]) -> Pose:
     if np.linalg.norm(turned) < 1e-9:
         return Pose() if cosine > 0 else Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
     return Pose.from_axis_angle(tuple(turned), math.atan2(float(np.linalg.norm(turned)), cosine))
-
-
-def _tree_between(joints: tuple[Joint, ...], one: str, other: str) -> list[str]:
-    """The links on the way from one to the other, parents first, with the parent of the first to move."""
-    parent = {joint.child: joint.parent for joint in joints}
-
-    def downwards(link: str) -> list[str]:
-        return [*downwards(parent[link]), link] if link in parent else [link]
-
-    ways = downwards(one)[:-1], downwards(other)[:-1]  # a moving link's parent is on its way
-    shared = [a for a, b in zip(*ways, strict=False) if a == b]
-    ways = [*ways[0], one], [*ways[1], other]
-    return [shared[-1], *dict.fromkeys(link for way in ways for link in way[len(shared) :])]
