@@ -2,7 +2,8 @@
 simulates nothing, ``orbit.renderers``, by name.
 
 Nothing is imported until a backend is asked for. The core knows no engine's name: those that could be installed are
-the extras of the distribution ``orbit-core`` that bring a distribution ``orbit-<extra>``.
+the extras of the distribution ``orbit-core`` that bring a distribution ``orbit-<extra>``. An entry point that ends in
+``[extra]`` needs that extra of its distribution, which ``orbit-core`` has under the same name.
 """
 
 from __future__ import annotations
@@ -62,7 +63,9 @@ def default_backend() -> str:
 
 def installable_backends() -> dict[str, str]:
     """Each backend that is known but not installed, with the command that installs it."""
-    return {name: f'pip install "orbit-core[{name}]"' for name in _extras() if name not in _entry_points()}
+    extras = {name: name for name in _extras()}
+    extras |= {name: point.extras[0] for name, point in _declared(GROUP).items() if not _is_complete(point)}
+    return {name: f'pip install "orbit-core[{extra}]"' for name, extra in extras.items() if name not in _entry_points()}
 
 
 def renderer_names() -> list[str]:
@@ -175,6 +178,25 @@ def _made(entry_point: importlib_metadata.EntryPoint) -> Backend:
 
 @functools.cache
 def _entry_points(group: str = GROUP) -> dict[str, importlib_metadata.EntryPoint]:
+    """Those whose distributions are all installed."""
+    return {name: entry_point for name, entry_point in _declared(group).items() if _is_complete(entry_point)}
+
+
+def _is_complete(entry_point: importlib_metadata.EntryPoint) -> bool:
+    """Whether what the entry point's extras bring is installed."""
+    for extra in entry_point.extras:
+        needs = re.compile(rf"([\w.-]+).*extra\s*==\s*['\"]{re.escape(extra)}['\"]")
+        requirements = (entry_point.dist.requires if entry_point.dist else None) or []
+        for match in filter(None, map(needs.match, requirements)):
+            try:
+                importlib_metadata.version(match[1])
+            except importlib_metadata.PackageNotFoundError:
+                return False
+    return True
+
+
+@functools.cache
+def _declared(group: str) -> dict[str, importlib_metadata.EntryPoint]:
     found: dict[str, importlib_metadata.EntryPoint] = {}
     for entry_point in importlib_metadata.entry_points(group=group):
         if entry_point.name in found:

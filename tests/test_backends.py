@@ -79,7 +79,9 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
     """Pretend that exactly these plugins are installed, each ``(name, distribution, factory)``."""
 
     def forget() -> None:
-        for cached in (backends.backend, backends.renderer, backends._entry_points, backends._extras):
+        for cached in (
+            backends.backend, backends.renderer, backends._entry_points, backends._declared, backends._extras
+        ):
             cached.cache_clear()
 
     def pretend(
@@ -104,8 +106,11 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
 
 
 def _entry_point(name: str, distribution: str, made: Any) -> SimpleNamespace:
-    dist = SimpleNamespace(name=distribution)
-    return SimpleNamespace(name=name, value=f"{name}:Backend", dist=dist, load=lambda: made)
+    requires = ["numpy>=1", "an-engine-that-nobody-has~=2.0 ; extra == 'more'", "pytest ; extra == 'tested'"]
+    dist = SimpleNamespace(name=distribution, requires=requires)
+    name, _, extra = name.partition(" ")
+    extras = [extra] if extra else []
+    return SimpleNamespace(name=name, value=f"{name}:Backend", dist=dist, extras=extras, load=lambda: made)
 
 
 def triangle_scene() -> Scene:
@@ -142,6 +147,15 @@ def test_a_known_backend_that_is_not_installed_says_how_to_install_it(install: I
     assert backends.installable_backends() == {"later": 'pip install "orbit-core[later]"'}
     with pytest.raises(BackendNotInstalledError, match=r'pip install "orbit-core\[later\]"'):
         backends.backend("later")
+
+
+def test_a_backend_whose_extra_is_not_installed_says_how_to_install_it(install: Install) -> None:
+    plain = ("plain", "orbit-plain", PlainBackend)
+    install(plain, ("plain-fast more", "orbit-plain", MeshBackend), ("plain-slow tested", "orbit-plain", MeshBackend))
+    assert backends.backend_names() == ["plain", "plain-slow"]
+    assert backends.installable_backends() == {"plain-fast": 'pip install "orbit-core[more]"'}
+    with pytest.raises(BackendNotInstalledError, match=r"'plain-fast' is not installed.*orbit-core\[more\]"):
+        backends.backend("plain-fast")
 
 
 def test_two_plugins_of_one_name_are_both_named(install: Install) -> None:
