@@ -1,0 +1,131 @@
+"""``orbit conformance``: how right and how fast each backend is, as a report."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from rich.table import Table
+from tyro.conf import arg
+
+from orbit_core.cli.checks import check_positive
+from orbit_core.cli.output import console, new_table, progress_bar
+from orbit_core.cli.parsing import parse_words
+from orbit_core.interfaces.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from orbit_core.conformance.pools import Pool
+    from orbit_core.conformance.results import Record, Result
+
+PROGRAM = "orbit conformance"
+Names = Annotated[tuple[str, ...], arg(metavar="NAME...")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """Hold backends against physics with known answers and whole tasks; write JSON and an HTML report.
+
+    A run that was interrupted goes on when the same command is given again. The exit code is 1 if a backend is not as
+    it declares. Other uses: 'orbit conformance compare A B' and 'orbit conformance report DIR'.
+    """
+
+    backend: Names = ()
+    """Backends; all that are installed if left out."""
+    part: Names = ()
+    """Of scenarios, tasks and throughput; all if left out, or what --scenario and --task name."""
+    scenario: Names = ()
+    """Scenarios; all if left out."""
+    task: Names = ()
+    """Tasks; all if left out."""
+    quick: bool = False
+    """Nominal time steps only, few episodes, few numbers of environments."""
+    output: Annotated[Path, arg(metavar="DIR")] = Path("out/conformance")
+    """Folder for the result, the report and the videos."""
+    jobs: int | None = None
+    """Worker processes; as many as there are cores if left out."""
+    time_limit: float = 900.0
+    """Seconds that a job may take before it is ended and counts as failed."""
+    ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Spread over the machines of the Ray cluster at that address; 'local' starts one here."""
+    device: Annotated[str, arg(metavar="NAME")] = "cpu"
+    """Torch device of the backends that simulate on a GPU; the others take the CPU."""
+    seed: int = 0
+    """Of every random stream."""
+
+
+def main(words: Sequence[str]) -> int:
+    """Run, compare or report; the exit code."""
+    _require_extra()
+    if words and words[0] in _COMMANDS:
+        return _COMMANDS[words[0]](words[1:])
+    return _run(words)
+
+
+def _run(words: Sequence[str]) -> int:
+    settings = parse_words(RunSettings, words, PROGRAM)
+    from orbit_core.conformance.runner import run
+    from orbit_core.conformance.settings import choose
+
+    chosen = choose(
+        backends=settings.backend,
+        scenarios=settings.scenario,
+        tasks=settings.task,
+        parts=settings.part,
+        quick=settings.quick,
+        device=settings.device,
+        seed=settings.seed,
+    )
+    with progress_bar() as bar:
+        task = bar.add_task("jobs", total=None)
+
+        def progress(record: Record | None, done: int, total: int) -> None:
+            description = "jobs" if record is None else f"{record.job.name} on {record.job.backend}"
+            bar.update(task, description=description, completed=done, total=total)
+            if record is not None and not record.ending.acceptable:
+                bar.console.print(f"{record.job.key}: {record.ending.value}: {record.reason}", markup=False)
+
+        result = run(chosen, settings.output, _pool(settings), progress)
+    return _tell(result, settings.output)
+
+
+def _pool(settings: RunSettings) -> Pool:
+    from orbit_core.conformance.hardware import cores
+    from orbit_core.conformance.journal import LOG
+    from orbit_core.conformance.pools import LocalPool, RayPool
+
+    workers = cores() if settings.jobs is None else settings.jobs
+    check_positive("jobs", workers)
+    if settings.time_limit <= 0:
+        raise ConfigurationError(f"time_limit must be positive, not {settings.time_limit:g}")
+    if settings.ray is not None:
+        return RayPool(settings.ray, settings.time_limit)
+    return LocalPool(workers, settings.time_limit, settings.output / LOG)
+
+
+def _tell(result: Result, folder: Path) -> int:
+    """Print the summary and each objection; the exit code."""
+    console().print(_summary(result))
+    for record in result.objections:
+        console().print(f"{record.job.key}: {record.status.value}: {record.why}", markup=False)
+    return 1 if result.objections else 0
+
+
+def _summary(result: Result) -> Table:
+    from orbit_core.conformance.verdict import Status
+
+    table = new_table("backend", *(status.value for status in Status), title="Jobs by status")
+    for backend in result.header.settings.backends:
+        mine = [record.status for record in result.judged if record.job.backend == backend]
+        table.add_row(backend, *(str(mine.count(status)) for status in Status))
+    return table
+
+
+def _require_extra() -> None:
+    if any(importlib.util.find_spec(name) is None for name in ("jinja2", "matplotlib", "msgspec", "pebble")):
+        raise ConfigurationError('the conformance suite needs its extra: pip install "orbit-core[conformance]"')
+
+
+_COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {"run": _run}

@@ -1,0 +1,131 @@
+"""Doing one job, in a worker process on this machine or another."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import torch
+
+from orbit_core.backends import backend as find_backend
+from orbit_core.conformance.jobs import Job, Kind
+from orbit_core.conformance.replay import replay
+from orbit_core.conformance.results import Ending, Record, ScenarioResult
+from orbit_core.conformance.scenario import Trial
+from orbit_core.conformance.settings import Settings, scenario
+from orbit_core.conformance.tasks import run_task
+from orbit_core.conformance.verdict import Status, run_scenario
+from orbit_core.conformance.videos import film
+from orbit_core.interfaces import UnsupportedCapabilityError
+
+RECORDING = "recording.npz"
+TRACES = "traces.json"
+VIDEO = "video.mp4"
+_DIGITS = 6
+"""Of a trace's numbers: more than a plot shows."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A job's record and its files: all that comes back from a worker, wherever it runs."""
+
+    record: Record
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    """By name."""
+
+
+def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcome:
+    """Do a job.
+
+    Args:
+        job: what to do.
+        settings: of the run.
+        inputs: files by name that earlier jobs made and this one needs.
+
+    Returns:
+        The outcome; an exception becomes a record of its own.
+    """
+    torch.set_num_threads(1)  # other jobs run on the other cores
+    begin = time.perf_counter()
+    record = Record(job, Ending.DONE, device=settings.device_of(job.backend))
+    with tempfile.TemporaryDirectory(prefix="orbit_conformance_") as name:
+        folder = Path(name)
+        for file, content in inputs.items():
+            (folder / file).write_bytes(content)
+        try:
+            record = _DOINGS[job.kind](record, settings, folder)
+        except UnsupportedCapabilityError as error:
+            record = replace(record, ending=Ending.UNSUPPORTED, reason=str(error))
+        except Exception as error:
+            traceback.print_exc()
+            record = replace(record, ending=Ending.ERROR, reason=f"{type(error).__name__}: {error}")
+        made = {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.name not in inputs}
+    return Outcome(replace(record, seconds=time.perf_counter() - begin, files=tuple(made)), made)
+
+
+def _scenario(record: Record, settings: Settings, folder: Path) -> Record:
+    job, described = record.job, scenario(record.job.name)
+    nominal = job.time_step == described.time_step
+    trial = Trial(job.backend, job.time_step, record.device, seed=settings.seed)
+    verdict = run_scenario(described, find_backend(job.backend), trial)
+    if nominal and trial.traces:
+        _write_traces(trial, folder / TRACES)
+    ending = Ending.UNSUPPORTED if verdict.status is Status.UNSUPPORTED else Ending.DONE
+    result = ScenarioResult(
+        status=verdict.status if nominal else None,
+        reason=verdict.reason if nominal else "",
+        errors=dict(verdict.errors),
+        simulated_seconds=trial.simulated_seconds,
+        wall_seconds=trial.wall_seconds,
+    )
+    return replace(record, ending=ending, reason="" if ending is Ending.DONE else verdict.reason, scenario=result)
+
+
+def _write_traces(trial: Trial, path: Path) -> None:
+    def rounded(values: list[float]) -> list[float]:
+        return [float(f"{value:.{_DIGITS}g}") for value in values]
+
+    columns = ("times", "measured", "truth")
+    path.write_text(
+        json.dumps(
+            [
+                {"name": trace.name, "unit": trace.unit, **{c: rounded(getattr(trace, c)) for c in columns}}
+                for trace in trial.traces
+            ]
+        )
+    )
+
+
+def _task(record: Record, settings: Settings, folder: Path) -> Record:
+    extent, job = settings.extent, record.job
+    result = run_task(
+        job.name,
+        job.backend,
+        num_envs=extent.episodes,
+        seed=settings.seed,
+        recording=folder / RECORDING,
+        device=record.device,
+    )
+    return replace(record, task=result)
+
+
+def _replay(record: Record, settings: Settings, folder: Path) -> Record:
+    return replace(record, replay=replay(folder / RECORDING, record.job.backend, device=record.device))
+
+
+def _video(record: Record, settings: Settings, folder: Path) -> Record:
+    film(record.job.name, record.job.backend, folder / VIDEO, seed=settings.seed, device=record.device)
+    return record
+
+
+_DOINGS: dict[Kind, Callable[[Record, Settings, Path], Record]] = {
+    Kind.SCENARIO: _scenario,
+    Kind.TASK: _task,
+    Kind.REPLAY: _replay,
+    Kind.VIDEO: _video,
+}

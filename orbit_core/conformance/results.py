@@ -1,0 +1,226 @@
+"""What a run found, as typed data and as JSON. Numbers that are not finite are written as text, such as "nan"."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from orbit_core.conformance.episodes import TaskResult
+from orbit_core.conformance.hardware import Hardware
+from orbit_core.conformance.jobs import Job, Kind
+from orbit_core.conformance.replay import ReplayResult
+from orbit_core.conformance.scenario import Metric, Scenario
+from orbit_core.conformance.settings import Settings
+from orbit_core.conformance.verdict import Status
+from orbit_core.interfaces import AssetError, Gap
+
+SCHEMA = 1
+RESULT_FILE = "result.json"
+_Type = TypeVar("_Type")
+
+
+class Ending(Enum):
+    """How a job came to its end."""
+
+    DONE = "done"
+    UNSUPPORTED = "unsupported"
+    """The backend declares that it lacks what is needed."""
+    ERROR = "error"
+    """It raised an exception."""
+    CRASH = "crash"
+    """Its process died."""
+    TIMEOUT = "timeout"
+    """It took longer than the limit and was ended."""
+
+    @property
+    def acceptable(self) -> bool:
+        """Whether nothing broke."""
+        return self in (Ending.DONE, Ending.UNSUPPORTED)
+
+
+@dataclass(frozen=True)
+class ScenarioResult:
+    """A scenario at one time step on one backend."""
+
+    status: Status | None
+    """At the nominal time step; None at the others, where no tolerance holds."""
+    reason: str
+    errors: dict[str, float]
+    """By metric."""
+    simulated_seconds: float
+    """Of all environments together."""
+    wall_seconds: float
+    """Spent in stepping."""
+
+    @property
+    def speed(self) -> float:
+        """Simulated seconds per second; NaN if nothing was stepped."""
+        return self.simulated_seconds / self.wall_seconds if self.wall_seconds else math.nan
+
+
+@dataclass(frozen=True)
+class Record:
+    """A job and what it came to."""
+
+    job: Job
+    ending: Ending
+    reason: str = ""
+    """For any ending but a good one."""
+    seconds: float = 0.0
+    """That the job took, building included."""
+    device: str = "cpu"
+    files: tuple[str, ...] = ()
+    """In the result's folder, below the job's own."""
+    scenario: ScenarioResult | None = None
+    task: TaskResult | None = None
+    replay: ReplayResult | None = None
+
+    @property
+    def status(self) -> Status:
+        """How the backend stands: what broke has failed."""
+        if self.ending is Ending.UNSUPPORTED:
+            return Status.UNSUPPORTED
+        if not self.ending.acceptable:
+            return Status.FAIL
+        return (self.scenario.status if self.scenario else None) or Status.PASS
+
+    @property
+    def why(self) -> str:
+        """The reason for anything but a pass."""
+        return self.reason or (self.scenario.reason if self.scenario else "")
+
+
+@dataclass(frozen=True)
+class ScenarioInfo:
+    """A scenario as reports show it."""
+
+    name: str
+    group: str
+    question: str
+    truth: str
+    source: str
+    time_step: float
+    metrics: tuple[Metric, ...]
+
+    @staticmethod
+    def of(scenario: Scenario) -> ScenarioInfo:
+        """What is to be told of a scenario."""
+        return ScenarioInfo(*(getattr(scenario, name) for name in ScenarioInfo.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class BackendInfo:
+    """A backend as it declared itself when the run began."""
+
+    name: str
+    versions: dict[str, str]
+    gaps: tuple[Gap, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Header:
+    """What a run is of, written before its first record."""
+
+    settings: Settings
+    versions: dict[str, str]
+    hardware: Hardware
+    started: str
+    """ISO 8601, UTC."""
+    scenarios: tuple[ScenarioInfo, ...]
+    backends: tuple[BackendInfo, ...]
+    schema: int = SCHEMA
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """A finished run."""
+
+    header: Header
+    records: tuple[Record, ...]
+    finished: str = ""
+    """ISO 8601, UTC."""
+
+    def of(self, kind: Kind) -> list[Record]:
+        """The records of one kind."""
+        return [record for record in self.records if record.job.kind is kind]
+
+    def scenario_records(self, name: str, backend: str) -> list[Record]:
+        """Of one scenario on one backend, the longest time step first."""
+        found = [r for r in self.of(Kind.SCENARIO) if r.job.name == name and r.job.backend == backend]
+        return sorted(found, key=lambda record: -record.job.time_step)
+
+    def nominal(self, scenario: ScenarioInfo, backend: str) -> Record | None:
+        """The record on which a backend is judged; None if it was not run."""
+        records = self.scenario_records(scenario.name, backend)
+        return next((record for record in records if record.job.time_step == scenario.time_step), None)
+
+    @property
+    def judged(self) -> list[Record]:
+        """What the backends answer for: scenarios at their nominal time steps, and everything of tasks."""
+        nominal = {info.name: info.time_step for info in self.header.scenarios}
+        return [
+            r for r in self.records if r.job.kind is not Kind.SCENARIO or r.job.time_step == nominal.get(r.job.name)
+        ]
+
+    @property
+    def objections(self) -> list[Record]:
+        """Where a backend is not as it declares."""
+        return [record for record in self.judged if not record.status.acceptable]
+
+
+def encode(value: Any) -> str:
+    """One line of JSON."""
+    return json.dumps(_finite(msgspec.to_builtins(value)), allow_nan=False)
+
+
+def decode(text: str | bytes, kind: type[_Type]) -> _Type:
+    """The value of that type.
+
+    Raises:
+        ValueError: it is none; says where.
+    """
+    return msgspec.convert(json.loads(text), kind, strict=False)
+
+
+def load(path: Path) -> Result:
+    """The result of a finished run, from its file or its folder.
+
+    Raises:
+        AssetError: it cannot be read, or is of another schema.
+    """
+    path = path / RESULT_FILE if path.is_dir() else path
+    try:
+        text = path.read_text()
+        schema = json.loads(text)["header"]["schema"]
+    except OSError as error:
+        raise AssetError(f"cannot read {path}: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise AssetError(f"{path} is no result of orbit conformance") from error
+    if schema != SCHEMA:
+        raise AssetError(f"{path} is of schema {schema}, and this version reads {SCHEMA}: make it anew")
+    try:
+        return decode(text, Result)
+    except ValueError as error:
+        raise AssetError(f"{path} is no result of orbit conformance: {error}") from error
+
+
+def save(result: Result, folder: Path) -> None:
+    """Write the result's file; it is whole or not there."""
+    partial = folder / f".{RESULT_FILE}.partial"
+    partial.write_text(encode(result) + "\n")
+    partial.replace(folder / RESULT_FILE)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return repr(value)
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    return [_finite(item) for item in value] if isinstance(value, list | tuple) else value

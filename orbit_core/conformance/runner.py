@@ -1,0 +1,79 @@
+"""Runs the suite: plans the jobs, leaves out those that are done, keeps each outcome as it comes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from orbit_core.backends import backend as find_backend
+from orbit_core.conformance.execution import RECORDING, Outcome
+from orbit_core.conformance.hardware import Hardware, versions
+from orbit_core.conformance.jobs import Job, Kind, plan
+from orbit_core.conformance.journal import Journal, now
+from orbit_core.conformance.pools import Pool, Work
+from orbit_core.conformance.results import BackendInfo, Ending, Header, Record, Result, ScenarioInfo
+from orbit_core.conformance.settings import Settings, scenario
+
+Progress = Callable[[Record | None, int, int], None]
+"""Takes the record that has come, if one has, how many are in, and how many there will be."""
+
+
+def run(settings: Settings, folder: Path, pool: Pool, progress: Progress = lambda record, done, total: None) -> Result:
+    """Do all jobs of the settings that the folder does not hold yet.
+
+    Args:
+        settings: what to run.
+        folder: for records and files.
+        pool: where to do it; closed in the end.
+        progress: called at the beginning and after each job.
+
+    Raises:
+        ConfigurationError: the folder holds an unfinished run of other settings.
+    """
+    phases = plan(settings)
+    total = sum(len(phase.jobs) for phase in phases)
+    try:
+        journal = Journal(folder, header_of(settings))
+        try:
+            progress(None, len(journal.records), total)
+            for phase in phases:
+                work = [one for job in phase.jobs if (one := _work(job, settings, journal)) is not None]
+                for outcome in pool.run(work, phase.alone) if work else ():
+                    journal.add(outcome)
+                    progress(outcome.record, len(journal.records), total)
+            return journal.finish()
+        finally:
+            journal.close()
+    finally:
+        pool.close()
+
+
+def header_of(settings: Settings) -> Header:
+    """What the run is of, where and when."""
+    return Header(
+        settings=settings,
+        versions=versions(),
+        hardware=Hardware.here(),
+        started=now(),
+        scenarios=tuple(ScenarioInfo.of(scenario(name)) for name in settings.scenarios),
+        backends=tuple(_backend_info(name) for name in settings.backends),
+    )
+
+
+def _backend_info(name: str) -> BackendInfo:
+    return BackendInfo(name, find_backend(name).versions(), find_backend(name).gaps())
+
+
+def _work(job: Job, settings: Settings, journal: Journal) -> Work | None:
+    """A job with the files that it needs; None if it is done, or cannot be."""
+    if job.key in journal.records:
+        return None
+    inputs: Mapping[str, bytes] = {}
+    if job.kind is Kind.REPLAY:
+        source = journal.records[Job(Kind.TASK, job.name, job.source).key]
+        if RECORDING not in source.files:
+            reason = f"nothing was recorded on backend '{job.source}': {source.reason}"
+            journal.add(Outcome(Record(job, Ending.UNSUPPORTED, reason)))
+            return None
+        inputs = {RECORDING: (journal.folder / source.job.key / RECORDING).read_bytes()}
+    return job, settings, inputs

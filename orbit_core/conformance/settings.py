@@ -1,0 +1,121 @@
+"""What a run of the suite covers, with every name checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from orbit_core.backends import backend as find_backend
+from orbit_core.backends import backend_names
+from orbit_core.conformance.scenario import Scenario
+from orbit_core.conformance.scenarios import SCENARIOS
+from orbit_core.interfaces import Capability, ConfigurationError, UnknownNameError
+from orbit_core.tasks.registry import task_entries
+
+
+class Part(Enum):
+    """A part of the suite."""
+
+    SCENARIOS = "scenarios"
+    """Physics with known answers."""
+    TASKS = "tasks"
+    """Every task with its scripted expert: success, divergence, replays, videos."""
+    THROUGHPUT = "throughput"
+    """Every task over numbers of environments."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extent:
+    """How much is spent on each task."""
+
+    num_envs: int
+    episodes: int
+    throughput_envs: tuple[int, ...]
+    throughput_steps: int
+
+
+QUICK = Extent(num_envs=8, episodes=8, throughput_envs=(1, 16), throughput_steps=20)
+FULL = Extent(num_envs=50, episodes=200, throughput_envs=(1, 16, 64, 256), throughput_steps=200)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What a run covers; two runs of equal settings and versions are the same run."""
+
+    backends: tuple[str, ...]
+    scenarios: tuple[str, ...]
+    """In the order of ``SCENARIOS``; empty if that part is left out."""
+    tasks: tuple[str, ...]
+    """Of the parts ``TASKS`` and ``THROUGHPUT``."""
+    parts: tuple[Part, ...]
+    quick: bool = False
+    """The nominal time step only, few episodes, few numbers of environments."""
+    device: str = "cpu"
+    """Torch device of the backends that simulate on a GPU; the others take the CPU."""
+    seed: int = 0
+
+    @property
+    def extent(self) -> Extent:
+        """How much is spent on each task."""
+        return QUICK if self.quick else FULL
+
+    def device_of(self, backend: str) -> str:
+        """Where the backend simulates."""
+        return self.device if find_backend(backend).capabilities().has(Capability.GPU) else "cpu"
+
+
+def choose(
+    *,
+    backends: Sequence[str] = (),
+    scenarios: Sequence[str] = (),
+    tasks: Sequence[str] = (),
+    parts: Sequence[str] = (),
+    quick: bool = False,
+    device: str = "cpu",
+    seed: int = 0,
+) -> Settings:
+    """Settings from names; none given means all of that kind.
+
+    Without ``parts``, naming scenarios leaves the tasks out, and naming tasks the scenarios.
+
+    Raises:
+        UnknownNameError: nothing bears a name; tells the nearest.
+        ConfigurationError: no backend is installed.
+    """
+    installed = backend_names()
+    if not installed:
+        raise ConfigurationError(
+            "no backend is installed: pip install \"orbit-core[BACKEND]\", see 'orbit list backends'"
+        )
+    of_tasks = (Part.TASKS, Part.THROUGHPUT)
+    implied = tuple(part for part in Part if not (scenarios or tasks) or (tasks if part in of_tasks else scenarios))
+    chosen = tuple(Part(name) for name in _known("part", parts, [part.value for part in Part])) if parts else implied
+    return Settings(
+        backends=_known("backend", backends, installed),
+        scenarios=_known("scenario", scenarios, [s.name for s in SCENARIOS]) if Part.SCENARIOS in chosen else (),
+        tasks=_known("task", tasks, task_entries()) if {*of_tasks} & {*chosen} else (),
+        parts=chosen,
+        quick=quick,
+        device=device,
+        seed=seed,
+    )
+
+
+def scenario(name: str) -> Scenario:
+    """The scenario of that name.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    _known("scenario", (name,), [s.name for s in SCENARIOS])
+    return next(s for s in SCENARIOS if s.name == name)
+
+
+def _known(kind: str, names: Sequence[str], known: Iterable[str]) -> tuple[str, ...]:
+    """Those of the known that are named, in their own order; all if none is."""
+    known = tuple(known)
+    for name in names:
+        if name not in known:
+            raise UnknownNameError(kind, name, known)
+    return tuple(name for name in known if name in names or not names)

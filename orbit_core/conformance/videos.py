@@ -1,0 +1,57 @@
+"""A short film of a task on a backend."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from orbit_core.backends import backend, backend_names
+from orbit_core.interfaces import Backend, Capability, Level, UnsupportedCapabilityError
+from orbit_core.tasks import make
+from orbit_core.tasks.agents import ExpertAgent
+from orbit_core.viewer.video import VideoRecorder
+
+WIDTH, HEIGHT = 320, 240
+SECONDS = 6.0
+"""At most; an episode may go on longer."""
+
+
+def film(task: str, backend_name: str, path: Path, *, seed: int, device: str) -> None:
+    """Film the first environment of a task, its expert acting, from the task's own view.
+
+    A backend that draws nothing is drawn by another one, the same for all such.
+
+    Raises:
+        UnsupportedCapabilityError: nothing that is installed draws, or the backend lacks what the task needs.
+    """
+    environment = make(task, 1, backend_name, device, seed, renderer_for(backend(backend_name)))
+    try:
+        expert = ExpertAgent(environment, seed)
+        environment.reset()
+        recorder = VideoRecorder(environment, path, 1, WIDTH, HEIGHT)
+        try:
+            for _ in range(min(environment.max_episode_steps, round(SECONDS / environment.step_dt))):
+                recorder.add()
+                environment.step(expert.act())
+        except BaseException:
+            recorder.discard()
+            raise
+        recorder.close()
+    finally:
+        environment.close()
+
+
+def renderer_for(simulating: Backend) -> str:
+    """The backend itself if it draws, else that which draws most exactly."""
+    if simulating.capabilities().has(Capability.RGB):
+        return simulating.name
+    drawing = [name for name in backend_names() if backend(name).capabilities().has(Capability.RGB)]
+    if not drawing:
+        raise UnsupportedCapabilityError(
+            f"backend '{simulating.name}' does not draw, and no other is installed that does"
+        )
+    images = (Capability.RGB, Capability.DEPTH, Capability.NORMALS, Capability.ALBEDO, Capability.SEGMENTATION)
+
+    def exactness(name: str) -> int:
+        return sum(backend(name).capabilities()[image].level is Level.EXACT for image in images)
+
+    return max(drawing, key=exactness)
