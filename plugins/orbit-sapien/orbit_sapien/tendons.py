@@ -5,7 +5,8 @@ joint, and the reaction acts on the link at its root, whatever joints lie betwee
 links are pulled as well.
 """
 
-# pyright: reportAttributeAccessIssue=false
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false
+# The links of an articulation are kept as bodies, which some of them alone are.
 
 from __future__ import annotations
 
