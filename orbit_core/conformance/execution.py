@@ -19,6 +19,7 @@ from orbit_core.conformance.results import Ending, Record, ScenarioResult
 from orbit_core.conformance.scenario import Trial
 from orbit_core.conformance.settings import Settings, scenario
 from orbit_core.conformance.tasks import run_task
+from orbit_core.conformance.throughput import measure_once
 from orbit_core.conformance.verdict import Status, run_scenario
 from orbit_core.conformance.videos import film
 from orbit_core.interfaces import UnsupportedCapabilityError
@@ -118,6 +119,14 @@ def _replay(record: Record, settings: Settings, folder: Path) -> Record:
     return replace(record, replay=replay(folder / RECORDING, record.job.backend, device=record.device))
 
 
+def _throughput(record: Record, settings: Settings, folder: Path) -> Record:
+    extent, job = settings.extent, record.job
+    measured = measure_once(
+        job.name, job.backend, job.num_envs, extent.blocks, extent.block_steps, settings.seed, device=record.device
+    )
+    return replace(record, throughput=measured)
+
+
 def _video(record: Record, settings: Settings, folder: Path) -> Record:
     film(record.job.name, record.job.backend, folder / VIDEO, seed=settings.seed, device=record.device)
     return record
@@ -128,4 +137,5 @@ _DOINGS: dict[Kind, Callable[[Record, Settings, Path], Record]] = {
     Kind.TASK: _task,
     Kind.REPLAY: _replay,
     Kind.VIDEO: _video,
+    Kind.THROUGHPUT: _throughput,
 }

@@ -31,12 +31,15 @@ class Job:
     """Seconds; of a scenario."""
     source: str = ""
     """The backend whose recording a replay plays."""
+    num_envs: int = 0
+    """Of a measurement of throughput."""
 
     @property
     def key(self) -> str:
         """Unique in a run, and the folder of the job's files."""
-        detail = f"{self.time_step:g}" if self.kind is Kind.SCENARIO else self.source
-        return "/".join(part for part in (self.kind.value, self.name, self.backend, detail) if part)
+        step = f"{self.time_step:g}" if self.time_step else ""
+        count = str(self.num_envs) if self.num_envs else ""
+        return "/".join(part for part in (self.kind.value, self.name, self.backend, step, self.source, count) if part)
 
 
 @dataclass(frozen=True)
@@ -45,18 +48,14 @@ class Phase:
 
     jobs: tuple[Job, ...]
     alone: bool = False
-    """One job at a time, since it measures time."""
+    """One job at a time, each in a process of its own, since it measures time and memory."""
 
 
 def plan(settings: Settings) -> list[Phase]:
     """All jobs of a run. A phase is of one backend, so that a worker never holds two engines."""
     phases = [Phase((*_scenarios(settings, backend), *_tasks(settings, backend))) for backend in settings.backends]
     phases += [Phase(tuple(_replays(settings, backend))) for backend in settings.backends]
-    if Part.THROUGHPUT in settings.parts:
-        phases += [
-            Phase(tuple(Job(Kind.THROUGHPUT, task, backend) for task in settings.tasks), alone=True)
-            for backend in settings.backends
-        ]
+    phases += [Phase(tuple(_throughput(settings, backend)), alone=True) for backend in settings.backends]
     return [phase for phase in phases if phase.jobs]
 
 
@@ -77,7 +76,15 @@ def _tasks(settings: Settings, backend: str) -> Iterable[Job]:
 
 def _replays(settings: Settings, backend: str) -> Iterable[Job]:
     if Part.TASKS in settings.parts:
+        sources = settings.backends[:1] if settings.quick else settings.backends
         for task in settings.tasks:
-            for source in settings.backends:
+            for source in sources:
                 if source != backend:
                     yield Job(Kind.REPLAY, task, backend, source=source)
+
+
+def _throughput(settings: Settings, backend: str) -> Iterable[Job]:
+    if Part.THROUGHPUT in settings.parts:
+        for task in settings.tasks:
+            for num_envs in settings.extent.throughput_envs:
+                yield Job(Kind.THROUGHPUT, task, backend, num_envs=num_envs)

@@ -30,7 +30,7 @@ class Pool(Protocol):
     """Does work of one backend on several workers."""
 
     def run(self, work: Sequence[Work], alone: bool) -> Iterator[Outcome]:
-        """Outcomes as they come; ``alone`` asks for one job at a time."""
+        """Outcomes as they come; ``alone`` asks for one job at a time, each in a fresh process."""
         ...
 
     def close(self) -> None:
@@ -57,7 +57,9 @@ class LocalPool:
 
         workers = 1 if alone else min(self._workers, len(work))
         context: Any = multiprocessing.get_context("spawn")  # engines and torch do not survive a fork
-        pool = ProcessPool(workers, initializer=_begin_worker, initargs=(str(self._log),), context=context)
+        pool = ProcessPool(
+            workers, max_tasks=int(alone), initializer=_begin_worker, initargs=(str(self._log),), context=context
+        )
         try:
             jobs: dict[Any, Job] = {pool.schedule(execute, args=one, timeout=self._time_limit): one[0] for one in work}
             for future in as_completed(jobs):
@@ -107,7 +109,7 @@ class RayPool:
                 job = waiting[-1][0]
                 # Workers of one environment are shared: the variable keeps those of each backend apart.
                 environment = {"env_vars": {"ORBIT_CONFORMANCE_WORKER": job.backend}}
-                doing = ray.remote(num_cpus=1, max_retries=0, runtime_env=environment)(execute)
+                doing = ray.remote(num_cpus=1, max_retries=0, max_calls=int(alone), runtime_env=environment)(execute)
                 running[doing.remote(*waiting.pop())] = (job, time.monotonic())
             done, _ = ray.wait(list(running), timeout=1.0)
             for reference in done:
@@ -135,6 +137,8 @@ def _begin_worker(log: str) -> None:
     os.dup2(stream, 1)
     os.dup2(stream, 2)
     faulthandler.enable()
+    # Engines may have workers of their own, which a daemon may not; nothing public takes the mark off again.
+    multiprocessing.current_process()._config["daemon"] = False  # pyright: ignore[reportAttributeAccessIssue]
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends the workers
 
 

@@ -18,6 +18,7 @@ from orbit_core.conformance.jobs import Job, Kind
 from orbit_core.conformance.replay import ReplayResult
 from orbit_core.conformance.scenario import Metric, Scenario
 from orbit_core.conformance.settings import Settings
+from orbit_core.conformance.throughput import Throughput
 from orbit_core.conformance.verdict import Status
 from orbit_core.interfaces import AssetError, Gap
 
@@ -81,6 +82,7 @@ class Record:
     scenario: ScenarioResult | None = None
     task: TaskResult | None = None
     replay: ReplayResult | None = None
+    throughput: Throughput | None = None
 
     @property
     def status(self) -> Status:
@@ -165,9 +167,7 @@ class Result:
     def judged(self) -> list[Record]:
         """What the backends answer for: scenarios at their nominal time steps, and everything of tasks."""
         nominal = {info.name: info.time_step for info in self.header.scenarios}
-        return [
-            r for r in self.records if r.job.kind is not Kind.SCENARIO or r.job.time_step == nominal.get(r.job.name)
-        ]
+        return [r for r in self.records if r.job.kind is not Kind.SCENARIO or r.job.time_step == nominal[r.job.name]]
 
     @property
     def objections(self) -> list[Record]:
@@ -177,7 +177,7 @@ class Result:
 
 def encode(value: Any) -> str:
     """One line of JSON."""
-    return json.dumps(_finite(msgspec.to_builtins(value)), allow_nan=False)
+    return json.dumps(_plain(msgspec.to_builtins(value)), allow_nan=False)
 
 
 def decode(text: str | bytes, kind: type[_Type]) -> _Type:
@@ -218,9 +218,12 @@ def save(result: Result, folder: Path) -> None:
     partial.replace(folder / RESULT_FILE)
 
 
-def _finite(value: Any) -> Any:
+def _plain(value: Any) -> Any:
+    """Finite numbers as they are, others as text; curves rounded to what a plot could show."""
     if isinstance(value, float) and not math.isfinite(value):
         return repr(value)
     if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    return [_finite(item) for item in value] if isinstance(value, list | tuple) else value
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(float(f"{item:.5g}") if isinstance(item, float) else item) for item in value]
+    return value

@@ -29,14 +29,16 @@ class Part(Enum):
 class Extent:
     """How much is spent on each task."""
 
-    num_envs: int
     episodes: int
+    """One in each environment."""
     throughput_envs: tuple[int, ...]
-    throughput_steps: int
+    blocks: int
+    """Of the environment's steps and the raw engine's, which alternate."""
+    block_steps: int
 
 
-QUICK = Extent(num_envs=8, episodes=8, throughput_envs=(1, 16), throughput_steps=20)
-FULL = Extent(num_envs=50, episodes=200, throughput_envs=(1, 16, 64, 256), throughput_steps=200)
+QUICK = Extent(episodes=8, throughput_envs=(1, 16), blocks=3, block_steps=10)
+FULL = Extent(episodes=100, throughput_envs=(1, 16, 64, 256), blocks=8, block_steps=50)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,55 @@
+"""Whether a tolerance asks as much as the best engine gives."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from orbit_core.conformance.results import Result
+
+FACTOR = 3.0
+"""A tolerance above so many times the best engine's error needs a reason."""
+
+
+@dataclass(frozen=True)
+class LooseTolerance:
+    """A tolerance that is looser than the best engine warrants, for no stated reason."""
+
+    scenario: str
+    metric: str
+    unit: str
+    tolerance: float
+    best: float
+    """The smallest error at the nominal time step."""
+    best_backend: str
+
+    def __str__(self) -> str:
+        return (
+            f"{self.scenario}: {self.metric} may be {self.tolerance:g} {self.unit}, but {self.best_backend} reaches "
+            f"{self.best:.3g}: tighten the tolerance to {FACTOR * self.best:.2g}, or say in looser_because why not"
+        )
+
+
+def loose_tolerances(result: Result) -> list[LooseTolerance]:
+    """Of all scenarios of a result, on the best of the backends that are in it."""
+    found: list[LooseTolerance] = []
+    for info in result.header.scenarios:
+        for metric in info.metrics:
+            errors = _errors(result, info.name, info.time_step, metric.name)
+            if not errors or metric.looser_because:
+                continue
+            best, backend = min(errors)
+            if metric.tolerance > FACTOR * best:
+                found.append(LooseTolerance(info.name, metric.name, metric.unit, metric.tolerance, best, backend))
+    return found
+
+
+def _errors(result: Result, scenario: str, time_step: float, metric: str) -> list[tuple[float, str]]:
+    """Finite ones at the nominal time step, with their backends."""
+    found: list[tuple[float, str]] = []
+    for backend in result.header.settings.backends:
+        for record in result.scenario_records(scenario, backend):
+            error = record.scenario.errors.get(metric, math.nan) if record.scenario else math.nan
+            if record.job.time_step == time_step and math.isfinite(error):
+                found.append((error, backend))
+    return found
