@@ -12,6 +12,7 @@ from orbit_core.assets.objects import SolidOptions, box, cabinet
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
 from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, common
+from orbit_core.tasks.ppo import PpoSettings
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
 
@@ -137,6 +138,7 @@ class Cabinet(Task):
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 8.0
+    ppo: PpoSettings = PpoSettings(iterations=600, initial_std=0.3)
     view: Pose = look_at(eye=(-0.4, 1.7, 1.3), target=(0.5, 0.0, 0.5))
     tolerance: float = 0.02
     """Metres."""

@@ -12,6 +12,7 @@ from torch.linalg import vector_norm
 from orbit_core.assets.objects import box
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
 from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, TerminationTerm, common
+from orbit_core.tasks.ppo import PpoSettings
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
 
@@ -144,6 +145,7 @@ class Lift(Task):
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 5.0
+    ppo: PpoSettings = PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005)
     cube_size: float = 0.05
     """Metres, the edge."""
     cube_mass: float = 0.1

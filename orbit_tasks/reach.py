@@ -11,6 +11,7 @@ from torch.linalg import vector_norm
 from orbit_core.dynamics.transforms import pose_error, quat_from_euler, quat_multiply
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
 from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, common
+from orbit_core.tasks.ppo import PpoSettings
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
 
@@ -88,6 +89,7 @@ class Reach(Task):
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 4.0
+    ppo: PpoSettings = PpoSettings(iterations=300, initial_std=0.3)
     position_tolerance: float = 0.02
     """Metres."""
     rotation_tolerance: float = 0.1

@@ -15,6 +15,7 @@ from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
 from orbit_core.sensors import ContactSensor
 from orbit_core.tasks import EventTerm, ObservationTerm, RewardTerm, Task, TerminationTerm, common
+from orbit_core.tasks.ppo import PpoSettings
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
 from orbit_tasks.trot import TrotGenerator
@@ -157,6 +158,7 @@ class VelocityFlat(Task):
     robot: str = "anymal_c"
     action: str = "joint_position"
     episode_length: float = 10.0
+    ppo: PpoSettings = PpoSettings(iterations=600, initial_std=0.6, entropy_weight=0.005, discount=0.99)
     view: Pose = look_at(eye=(3.0, 2.2, 1.5), target=(0.0, 0.0, 0.35))
     max_forward: float = 1.0
     """m/s."""

@@ -13,8 +13,12 @@ from orbit_core.cli.settings import RunSettings
 
 
 def main(words: Sequence[str]) -> None:
+    """Run what the words of the command line say."""
+    show_run(parse_settings(RunSettings, words, "orbit run"))
+
+
+def show_run(settings: RunSettings) -> None:
     """Run the episodes, print a table and write the result."""
-    settings = parse_settings(RunSettings, words, "orbit run")
     with progress_bar() as bar:
         counting = bar.add_task(f"{settings.task} episodes", total=settings.episodes)
         filming = bar.add_task("video, %", total=100, visible=settings.video is not None)

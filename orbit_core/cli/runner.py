@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from orbit_core import __version__
 from orbit_core.backends import renderer
+from orbit_core.cli.acting import check_actor, make_actor
 from orbit_core.cli.checks import check_output, check_positive
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.settings import RunSettings
-from orbit_core.tasks.agents import check_agent, make_agent
 
 if TYPE_CHECKING:
     from orbit_core.tasks.environment import Environment, EpisodeEnd
@@ -132,7 +132,7 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
     Raises:
         OrbitError: of many kinds; each names the setting.
     """
-    check_agent(settings.agent)
+    check_actor(settings.agent)
     check_positive("episodes", settings.episodes)
     check_output(settings.json, ".json")
     check_output(settings.video, ".mp4")
@@ -164,7 +164,7 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
 def _episodes(environment: Environment, settings: RunSettings, progress: Progress) -> tuple[Tally, float]:
     """Step until every environment's quota is in; also environment steps per second."""
     tally = Tally(settings.episodes, settings.num_envs)
-    agent = make_agent(settings.agent, environment, settings.seed)
+    agent = make_actor(settings.agent, environment, settings.seed)
     environment.reset(settings.seed)
     seconds, steps = 0.0, 0
     with _recording(environment, settings) as recorder:

@@ -57,12 +57,24 @@ class RunSettings(EnvironmentSettings):
     """Environments stepped together."""
     episodes: int = 200
     """Episodes that count, divided evenly over the environments, so that short ones are not preferred."""
-    agent: Annotated[str, arg(metavar="{expert,random,zero}")] = "expert"
-    """Who acts."""
+    agent: Annotated[str, arg(metavar="{expert,random,zero,FILE}")] = "expert"
+    """Who acts: a name, or the file or folder of a learned policy."""
     json: File = None
     """Write the result here."""
     video: File = None
     """Write an mp4 of the first episode of up to four environments here."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaySettings(RunSettings):
+    """Run a learned policy's task with it, on any backend, and report success, metrics, return and speed."""
+
+    policy: Annotated[Positional[Path], arg(metavar="POLICY")]
+    """File policy_<iteration>.pt, or the folder of a training, which stands for its last."""
+    task: Name = None
+    """Another task than the one it was learned for."""
+    agent: Suppress[str] = ""
+    """The policy."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +83,8 @@ class ViewSettings(EnvironmentSettings):
 
     num_envs: int = 1
     """Environments stepped together."""
-    agent: Annotated[str, arg(metavar="{expert,random,zero}")] = "expert"
-    """Who acts."""
+    agent: Annotated[str, arg(metavar="{expert,random,zero,FILE}")] = "expert"
+    """Who acts: a name, or the file or folder of a learned policy."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 lets other machines watch."""
     port: int = 8080

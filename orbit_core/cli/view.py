@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from orbit_core.cli.acting import check_actor, make_actor
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.settings import ViewSettings
-from orbit_core.tasks.agents import check_agent, make_agent
 
 
 def main(words: Sequence[str]) -> None:
     """Show the task until interrupted, or for ``max_steps``."""
     settings = parse_settings(ViewSettings, words, "orbit view")
-    check_agent(settings.agent)
+    check_actor(settings.agent)
     environment = make_environment(settings, settings.num_envs)
     try:
         from orbit_core.viewer.information import task_information
         from orbit_core.viewer.viewer import Viewer
 
-        agent = make_agent(settings.agent, environment, settings.seed)
+        agent = make_actor(settings.agent, environment, settings.seed)
         title = f"ORBIT {settings.task} on {environment.world.backend}"
         information = task_information(environment)
         with Viewer(environment, agent, settings.host, settings.port, title, information) as viewer:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from orbit_core.tasks.environment import Environment, make
     from orbit_core.tasks.expert import Expert, Phase
+    from orbit_core.tasks.ppo import PpoSettings
     from orbit_core.tasks.registry import TaskEntry, TaskRegistry, task_entries, task_entry
     from orbit_core.tasks.task import Task
     from orbit_core.tasks.terms import (
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "environment": ("Environment", "make"),
     "expert": ("Expert", "Phase"),
+    "ppo": ("PpoSettings",),
     "registry": ("TaskEntry", "TaskRegistry", "task_entries", "task_entry"),
     "task": ("Task",),
     "terms": ("EventTerm", "EventTime", "ObservationTerm", "RewardTerm", "TerminationTerm", "once_per_state"),
@@ -32,8 +34,8 @@ _MODULES = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "Environment", "EventTerm", "EventTime", "Expert", "ObservationTerm", "Phase", "RewardTerm", "Task", "TaskEntry",
-    "TaskRegistry", "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
+    "Environment", "EventTerm", "EventTime", "Expert", "ObservationTerm", "Phase", "PpoSettings", "RewardTerm", "Task",
+    "TaskEntry", "TaskRegistry", "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
 ]  # fmt: skip
 
 

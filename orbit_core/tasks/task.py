@@ -12,6 +12,7 @@ from torch import Tensor
 
 from orbit_core.interfaces import Node
 from orbit_core.scene import Pose, Scene, look_at
+from orbit_core.tasks.ppo import PpoSettings
 
 if TYPE_CHECKING:
     from orbit_core.motion import MotionGenerator
@@ -44,6 +45,9 @@ class Task(ABC):
     """Where pictures and videos are taken from, in the environment's frame."""
     backend_presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Engine settings by backend name, where this task needs other than an engine's defaults."""
+
+    ppo: PpoSettings = PpoSettings()
+    """How it is learned."""
 
     # Remembered while running
 

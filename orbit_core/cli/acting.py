@@ -1,0 +1,38 @@
+"""Who acts, by the name that a user gives: an agent's, or the file of a learned policy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from orbit_core.interfaces.errors import UnknownNameError
+from orbit_core.tasks.agents import AGENTS
+
+if TYPE_CHECKING:
+    from orbit_core.tasks.agents import Agent
+    from orbit_core.tasks.environment import Environment
+
+
+def check_actor(name: str) -> None:
+    """Refuse a name that no agent bears and that is no file or folder.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    if name not in AGENTS and not Path(name).exists():
+        raise UnknownNameError("agent or policy", name, AGENTS)
+
+
+def make_actor(name: str, environment: Environment, seed: int) -> Agent:
+    """The agent of that name, or the policy in that file or folder.
+
+    Raises:
+        UnknownNameError: there is none.
+        ConfigurationError: the policy was learned for another environment.
+    """
+    check_actor(name)
+    if name in AGENTS:
+        return AGENTS[name](environment, seed)
+    from orbit_core.learning.policy import PolicyAgent
+
+    return PolicyAgent(environment, Path(name))

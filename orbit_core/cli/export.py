@@ -1,0 +1,36 @@
+"""``orbit export``: a learned policy for use without ORBIT."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from orbit_core.cli.output import console
+from orbit_core.cli.parsing import parse_words
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportSettings:
+    """Write a learned policy as TorchScript and ONNX, with the description of observation and action beside them."""
+
+    policy: Annotated[Positional[Path], arg(metavar="POLICY")]
+    """File policy_<iteration>.pt, or the folder of a training, which stands for its last."""
+    output: Annotated[Path, arg(metavar="FOLDER")] = Path("out/policy")
+    """Takes policy.pt, policy.onnx and policy.json."""
+
+
+def main(words: Sequence[str]) -> None:
+    """Write the three files."""
+    from orbit_core.learning.policy import load_policy
+
+    settings = parse_words(ExportSettings, words, "orbit export")
+    policy = load_policy(settings.policy)
+    settings.output.mkdir(parents=True, exist_ok=True)
+    policy.save(settings.output / "policy.pt")
+    (settings.output / "policy.json").write_text(policy.description.as_json() + "\n")
+    policy.export_onnx(settings.output / "policy.onnx")
+    console().print(f"policy.pt, policy.onnx and policy.json are in {settings.output}")

@@ -1,0 +1,27 @@
+"""``orbit play``: a learned policy's task, with the policy, on any backend."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+from orbit_core.cli.parsing import parse_settings
+from orbit_core.cli.run import show_run
+from orbit_core.cli.settings import PlaySettings
+
+
+def main(words: Sequence[str]) -> None:
+    """Run the policy as ``orbit run`` runs an expert."""
+    from orbit_core.learning.policy import load_policy
+
+    settings = parse_settings(PlaySettings, words, "orbit play")
+    learned = load_policy(settings.policy).description
+    show_run(
+        dataclasses.replace(
+            settings,
+            task=settings.task or learned.task,
+            robot=settings.robot or learned.robot,
+            action=settings.action or learned.action,
+            agent=str(settings.policy),
+        )
+    )

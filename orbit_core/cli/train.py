@@ -1,0 +1,133 @@
+"""``orbit train``: learn a task with a library of the user's choice."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from rich.table import Table
+from tyro.conf import arg
+
+from orbit_core.cli.checks import check_positive
+from orbit_core.cli.making import make_environment
+from orbit_core.cli.output import console, new_table, progress_bar
+from orbit_core.cli.parsing import parse_settings
+from orbit_core.cli.runner import versions_of
+from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues
+from orbit_core.cli.values import defaults_of, parse_values
+from orbit_core.interfaces.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from orbit_core.learning.trainer import Progress
+    from orbit_core.tasks.ppo import PpoSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSettings(EnvironmentSettings):
+    """Learn a task."""
+
+    num_envs: int = 64
+    """Environments stepped together, on each GPU where there are several."""
+    library: Annotated[str, arg(metavar="NAME")] = "rsl-rl"
+    """Learning library: rsl-rl, sb3, rl-games, skrl or torchrl."""
+    iterations: Annotated[int | None, arg(metavar="INT")] = None
+    """Of collecting and learning, in all; the task's own number if left out."""
+    ppo: KeyValues = ()
+    """A setting of the algorithm, such as learning_rate=3e-4 ('orbit info TASK')."""
+    save_every: int = 100
+    """Iterations between checkpoints."""
+    output: File = None
+    """Folder of this training; out/train/<task>-<time> if left out."""
+    resume: File = None
+    """Folder of a training to go on with; give the same task and settings."""
+
+
+def main(words: Sequence[str]) -> None:
+    """Train, with a progress bar, and say where the policy lies."""
+    settings = parse_settings(TrainSettings, words, "orbit train")
+    train(settings)
+
+
+def train(settings: TrainSettings) -> Path:
+    """Train as the settings say; returns the folder.
+
+    Raises:
+        OrbitError: of many kinds; each names the setting.
+    """
+    from orbit_core.learning.trainer import trainer_type
+    from orbit_core.learning.training import Training
+
+    check_positive("num_envs", settings.num_envs)
+    check_positive("save_every", settings.save_every)
+    if settings.output is not None and settings.resume is not None:
+        raise ConfigurationError("a training resumes in its own folder: leave --output out")
+    make_trainer = trainer_type(settings.library)
+    settings, leader = _ranked(settings)
+    environment = make_environment(settings, settings.num_envs)
+    try:
+        algorithm = _algorithm(settings, environment.task.ppo)
+        folder = settings.resume or settings.output or _new_folder(settings)
+        record = {"settings": asdict(settings), "versions": versions_of(environment.world.backend)}
+        trainer = make_trainer(environment, algorithm, folder, settings.seed)
+        training = Training(trainer, settings.task or "", record, leader)
+        with progress_bar() as bar:
+            line = bar.add_task(f"{settings.task}", total=algorithm.iterations, visible=leader)
+            last: list[Progress] = []
+
+            def show(progress: Progress) -> None:
+                last[:] = [progress]
+                bar.update(line, completed=progress.iteration + 1, description=_words(settings, progress))
+
+            training.run(algorithm.iterations, settings.save_every, show, settings.resume is not None)
+    finally:
+        environment.close()
+    if leader:
+        console().print(_table(settings, last[0], folder))
+    return folder
+
+
+def _ranked(settings: TrainSettings) -> tuple[TrainSettings, bool]:
+    """Under torchrun: a GPU and a seed of this process's own; also whether this process leads."""
+    rank, local = int(os.environ.get("RANK", "0")), os.environ.get("LOCAL_RANK")
+    if local is None or int(os.environ.get("WORLD_SIZE", "1")) == 1:
+        return settings, True
+    if not settings.device.startswith("cuda"):
+        raise ConfigurationError("several processes train on several GPUs: add --device cuda")
+    return dataclasses.replace(settings, device=f"cuda:{local}", seed=settings.seed + 1000 * rank), rank == 0
+
+
+def _algorithm(settings: TrainSettings, defaults: PpoSettings) -> PpoSettings:
+    """The task's own settings with the user's over them."""
+    values = parse_values(settings.ppo, defaults_of(type(defaults)), "algorithm setting", "PPO")
+    if settings.iterations is not None:
+        values["iterations"] = settings.iterations
+    chosen = dataclasses.replace(defaults, **values)
+    check_positive("iterations", chosen.iterations)
+    return chosen
+
+
+def _new_folder(settings: TrainSettings) -> Path:
+    return Path("out/train") / f"{settings.task}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
+def _words(settings: TrainSettings, progress: Progress) -> str:
+    rate = progress.env_steps / progress.seconds
+    success = "" if math.isnan(progress.success_rate) else f", success {100.0 * progress.success_rate:.0f} %"
+    return f"{settings.task}: {rate:,.0f} steps/s, return {progress.episode_return:.2f}{success}"
+
+
+def _table(settings: TrainSettings, last: Progress, folder: Path) -> Table:
+    table = new_table("", "value", title=f"{settings.task} learned with {settings.library}")
+    table.add_row("environment steps", f"{last.env_steps:,}")
+    table.add_row("environment steps per second, learning included", f"{last.env_steps / last.seconds:,.0f}")
+    table.add_row("time of collecting and learning", f"{last.seconds:.1f} s")
+    table.add_row("return of the last episodes", f"{last.episode_return:.3f}")
+    table.add_row("success of the last episodes, exploring", f"{100.0 * last.success_rate:.1f} %")
+    table.add_row("play it", f"orbit play {folder}")
+    return table

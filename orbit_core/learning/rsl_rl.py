@@ -1,0 +1,166 @@
+"""RSL-RL: Schwarke et al., RSL-RL: A Learning Library for Robotics Research (2025)."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import os
+import statistics
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")  # its logger imports git, which need not be there
+
+import torch
+from rsl_rl.env import VecEnv
+from rsl_rl.runners import OnPolicyRunner
+from tensordict import TensorDict
+from torch import Tensor, nn
+
+from orbit_core.learning.trainer import Progress, Trainer
+from orbit_core.tasks.environment import Environment, Observation
+from orbit_core.tasks.ppo import PpoSettings
+
+
+class RslRlEnvironment(VecEnv):
+    """An environment as RSL-RL expects it. Time-outs are told apart in ``extras``, for bootstrapping."""
+
+    def __init__(self, environment: Environment, seed: int | None = None) -> None:
+        self.environment = environment
+        self.num_envs = environment.num_envs
+        self.num_actions = environment.action_size
+        self.max_episode_length = environment.max_episode_steps
+        self.device = environment.device
+        self.cfg = {"task": type(environment.task).__name__}
+        self._observation, _ = environment.reset(seed)  # the runner never resets
+
+    @property
+    def episode_length_buf(self) -> Tensor:  # pyright: ignore
+        """(N,) steps since reset; the runner sets it to spread the first episodes' ends."""
+        return self.environment.task.episode_step
+
+    @episode_length_buf.setter
+    def episode_length_buf(self, steps: Tensor) -> None:
+        self.environment.task.episode_step.copy_(steps)
+
+    def get_observations(self) -> TensorDict:
+        return self._dict(self._observation)
+
+    def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Any]]:
+        # The runner collects in inference mode, whose tensors an environment could not write to later.
+        with torch.inference_mode(False), torch.no_grad():
+            self._observation, reward, terminated, truncated, info = self.environment.step(actions.clone())
+            extras: dict[str, Any] = {"time_outs": truncated}
+            if "final" in info:
+                end = info["final"]
+                extras["log"] = {"success": end.success.float(), **end.metrics}
+            return self._dict(self._observation), reward, (terminated | truncated).long(), extras
+
+    def _dict(self, observation: Observation) -> TensorDict:
+        return TensorDict(dict(observation), batch_size=[self.num_envs], device=self.device)
+
+
+class RslRlTrainer(Trainer):
+    """PPO with the learning rate following the Kullback-Leibler divergence."""
+
+    name: ClassVar[str] = "rsl-rl"
+
+    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
+        super().__init__(environment, settings, folder, seed)
+        torch.manual_seed(seed)
+        adapted = RslRlEnvironment(environment, seed)
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints its networks
+            self._runner = _Runner(adapted, _configuration(settings), str(folder), str(environment.device))
+        self._runner.logger.git_status_repos = []
+
+    def learn(
+        self, iterations: int, save_every: int, saved: Callable[[int], None], report: Callable[[Progress], None]
+    ) -> None:
+        self._runner.cfg["save_interval"] = save_every
+        self._runner.saved = saved
+        with self._reporting(report), contextlib.redirect_stdout(io.StringIO()):
+            self._runner.learn(iterations, init_at_random_ep_len=True)
+
+    def resume(self, checkpoint: Path) -> int:
+        self._runner.load(str(checkpoint), map_location=str(self.environment.device))
+        self._runner.current_learning_iteration += 1
+        return self._runner.current_learning_iteration
+
+    def actor(self) -> nn.Module:
+        return self._runner.alg.get_policy().as_jit().cpu()
+
+    @contextlib.contextmanager
+    def _reporting(self, report: Callable[[Progress], None]) -> Iterator[None]:
+        """Call ``report`` where the library would print."""
+        logger = self._runner.logger
+        log = logger.log
+
+        def logged(*args: Any, **keywords: Any) -> None:
+            successes = [entry["success"] for entry in logger.ep_extras]
+            log(*args, **keywords)
+            report(
+                Progress(
+                    iteration=keywords["it"],
+                    env_steps=logger.tot_timesteps,
+                    seconds=logger.tot_time,
+                    episode_return=statistics.mean(logger.rewbuffer) if logger.rewbuffer else math.nan,
+                    success_rate=float(torch.cat(successes).mean()) if successes else math.nan,
+                )
+            )
+
+        logger.log = logged
+        try:
+            yield
+        finally:
+            logger.log = log
+
+
+class _Runner(OnPolicyRunner):
+    """Tells when it has saved."""
+
+    saved: Callable[[int], None]
+
+    def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
+        written = path + ".writing"
+        super().save(written, infos)
+        os.replace(written, path)
+        self.saved(self.current_learning_iteration)
+
+
+def _configuration(settings: PpoSettings) -> dict[str, Any]:
+    model = {
+        "class_name": "MLPModel",
+        "hidden_dims": list(settings.hidden_sizes),
+        "activation": "elu",
+        "obs_normalization": settings.normalize_observations,
+    }
+    distribution = {"class_name": "GaussianDistribution", "init_std": settings.initial_std, "std_type": "log"}
+    return {
+        "num_steps_per_env": settings.steps_per_iteration,
+        "save_interval": settings.iterations,
+        "obs_groups": {"actor": ["policy"], "critic": ["policy"]},
+        "actor": {**model, "distribution_cfg": distribution},
+        "critic": dict(model),
+        "check_for_nan": False,  # it would wait for the device at every step; the engine tells of divergence
+        "logger": "tensorboard",
+        "algorithm": {
+            "class_name": "PPO",
+            "num_learning_epochs": settings.epochs,
+            "num_mini_batches": settings.minibatches,
+            "clip_param": settings.clip,
+            "gamma": settings.discount,
+            "lam": settings.gae_lambda,
+            "entropy_coef": settings.entropy_weight,
+            "learning_rate": settings.learning_rate,
+            "schedule": "adaptive",
+            "desired_kl": settings.target_kl,
+            "value_loss_coef": 1.0,
+            "max_grad_norm": 1.0,
+            "use_clipped_value_loss": True,
+            "optimizer": "adam",
+            "rnd_cfg": None,
+            "symmetry_cfg": None,
+        },
+    }

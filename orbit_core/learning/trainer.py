@@ -1,0 +1,102 @@
+"""What every learning library must do for ``orbit train``."""
+
+from __future__ import annotations
+
+import importlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from torch import nn
+
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.tasks.ppo import PpoSettings
+
+if TYPE_CHECKING:
+    from orbit_core.tasks.environment import Environment
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a training has come."""
+
+    iteration: int
+    """The one just done, from 0."""
+    env_steps: int
+    """Of all environments together, since this command began."""
+    seconds: float
+    """Of collecting and learning, since this command began."""
+    episode_return: float
+    """Mean over the last episodes; NaN before any has ended."""
+    success_rate: float
+    """Of the last episodes; NaN before any has ended."""
+
+
+class Trainer(ABC):
+    """Trains one policy in one environment with one library.
+
+    Args:
+        environment: stepped by this trainer alone.
+        settings: of the algorithm.
+        folder: takes checkpoints and TensorBoard's files.
+        seed: of exploration and of the networks' weights.
+    """
+
+    name: ClassVar[str]
+    """As the user types it."""
+
+    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
+        self.environment = environment
+        self.settings = settings
+        self.folder = folder
+        self.seed = seed
+
+    @abstractmethod
+    def learn(
+        self, iterations: int, save_every: int, saved: Callable[[int], None], report: Callable[[Progress], None]
+    ) -> None:
+        """Collect and learn. Every ``save_every`` iterations, and at the end, a checkpoint is written and announced."""
+
+    @abstractmethod
+    def resume(self, checkpoint: Path) -> int:
+        """Go on from a checkpoint; returns the iteration to go on with."""
+
+    @abstractmethod
+    def actor(self) -> nn.Module:
+        """A copy of the policy on the CPU, observation (N, O) -> mean action (N, A), normalisation included."""
+
+    def checkpoint(self, iteration: int) -> Path:
+        """Where the library's own checkpoint of an iteration lies."""
+        return self.folder / f"model_{iteration}.pt"
+
+
+_LIBRARIES = {
+    "rsl-rl": "orbit_core.learning.rsl_rl:RslRlTrainer",
+    "sb3": "orbit_core.learning.sb3:Sb3Trainer",
+}
+"""Each is also the name of the extra that installs it."""
+
+
+def library_names() -> tuple[str, ...]:
+    """All libraries that train."""
+    return tuple(_LIBRARIES)
+
+
+def trainer_type(library: str) -> type[Trainer]:
+    """The trainer of that library.
+
+    Raises:
+        UnknownNameError: there is none.
+        ConfigurationError: the library is not installed.
+    """
+    if library not in _LIBRARIES:
+        raise UnknownNameError("learning library", library, _LIBRARIES)
+    module, _, attribute = _LIBRARIES[library].partition(":")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"library '{library}' needs {error.name}, which is not installed: pip install 'orbit-core[{library}]'"
+        ) from error
