@@ -13,8 +13,14 @@ from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, Plane, S
 SUN = np.array([-0.35, 0.45, -1.0]) / np.linalg.norm([-0.35, 0.45, -1.0])
 """Direction of the light that casts shadows."""
 
+CHECKER_SIZE = 1.0
+"""Metres of a plane's squares."""
+CHECKER_CONTRAST = 0.07
+"""Of the way to white that every other square is lighter."""
+SKY_HIGH, SKY_LOW = (0.55, 0.68, 0.82), (0.88, 0.91, 0.94)
+"""Colours straight above and below."""
+
 _HEIGHT_FIELD_BASE = 0.01
-_CHECKER_SIZE = 1.0
 _GEOM = mujoco.mjtGeom
 
 
@@ -40,8 +46,8 @@ def _set_lights(spec: mujoco.MjSpec) -> None:
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=(0.55, 0.68, 0.82),
-        rgb2=(0.88, 0.91, 0.94),
+        rgb1=SKY_HIGH,
+        rgb2=SKY_LOW,
         width=256,
         height=1536,
     )
@@ -86,7 +92,7 @@ class _Looks:
             case Cylinder(radius, half_length):
                 geom.type, geom.size = _GEOM.mjGEOM_CYLINDER, (radius, half_length, 0)
             case Plane():
-                geom.type, geom.size = _GEOM.mjGEOM_PLANE, (0, 0, _CHECKER_SIZE)
+                geom.type, geom.size = _GEOM.mjGEOM_PLANE, (0, 0, CHECKER_SIZE)
                 geom.material, geom.rgba = self._ground(shape.color), (1, 1, 1, shape.color[3])
             case Mesh() as mesh:
                 geom.type, geom.meshname = _GEOM.mjGEOM_MESH, self._mesh(mesh)
@@ -114,12 +120,12 @@ class _Looks:
                 type=mujoco.mjtTexture.mjTEXTURE_2D,
                 builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
                 rgb1=base,
-                rgb2=base + 0.07 * (1.0 - base),
+                rgb2=base + CHECKER_CONTRAST * (1.0 - base),
                 width=256,
                 height=256,
             )
             material = self._spec.add_material(
-                name=name, texuniform=True, texrepeat=(1 / _CHECKER_SIZE, 1 / _CHECKER_SIZE), specular=0.1
+                name=name, texuniform=True, texrepeat=(1 / CHECKER_SIZE, 1 / CHECKER_SIZE), specular=0.1
             )
             material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
         return self._grounds[color]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from orbit_core.interfaces import Backend, Capabilities, ConfigurationError
@@ -11,7 +12,8 @@ from orbit_warp.config import WarpConfig
 if TYPE_CHECKING:
     import torch
 
-    from orbit_core.interfaces import Engine, SceneLayout
+    from orbit_core.interfaces import Engine, Renderer, SceneLayout
+    from orbit_core.scene import CameraSpec
 
 _DEVICES = ("cpu", "cuda")
 
@@ -36,3 +38,8 @@ class WarpBackend(Backend):
         from orbit_warp.engine import WarpEngine
 
         return WarpEngine(layout, num_envs, device, config)
+
+    def create_renderer(self, layout: SceneLayout, cameras: Sequence[CameraSpec], config: WarpConfig) -> Renderer:
+        from orbit_warp.renderer import WarpRenderer
+
+        return WarpRenderer(layout, config)

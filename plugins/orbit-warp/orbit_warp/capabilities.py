@@ -2,8 +2,6 @@
 
 from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
 
-_NO_IMAGES = "MuJoCo-Warp's ray tracer is not connected to this backend: choose another renderer"
-
 CAPABILITIES = Capabilities(
     {
         Capability.ARTICULATIONS: EXACT,
@@ -52,12 +50,12 @@ CAPABILITIES = Capabilities(
         Capability.DETERMINISTIC: approximate(
             "bit for bit on a CPU; on a GPU only with WarpConfig(deterministic=True), for sums run in any order"
         ),
-        Capability.RGB: unsupported(_NO_IMAGES),
-        Capability.DEPTH: unsupported(_NO_IMAGES),
-        Capability.NORMALS: unsupported(_NO_IMAGES),
-        Capability.ALBEDO: unsupported(_NO_IMAGES),
-        Capability.SEGMENTATION: unsupported(_NO_IMAGES),
-        Capability.RAY_TRACED_RGB: unsupported(_NO_IMAGES),
+        Capability.RGB: EXACT,
+        Capability.DEPTH: EXACT,
+        Capability.NORMALS: EXACT,
+        Capability.ALBEDO: EXACT,
+        Capability.SEGMENTATION: EXACT,
+        Capability.RAY_TRACED_RGB: approximate("direct light and its shadows: no reflections, no light from surfaces"),
         Capability.GPU: EXACT,
         Capability.CLOTH: unsupported("MuJoCo-Warp's deformables are not connected to this backend"),
         Capability.SOFT_BODIES: unsupported("MuJoCo-Warp's deformables are not connected to this backend"),

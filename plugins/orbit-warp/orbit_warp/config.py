@@ -11,7 +11,7 @@ from orbit_mjmodel import ModelConfig
 
 @dataclass(frozen=True, kw_only=True)
 class WarpConfig(ModelConfig):
-    """Settings of the solver and of its buffers."""
+    """Settings of the solver, of its buffers, and of the renderer."""
 
     CHOICES: ClassVar = ModelConfig.CHOICES | {
         "integrator": ("implicitfast", "euler", "rk4"),
@@ -33,6 +33,9 @@ class WarpConfig(ModelConfig):
     """Whether a GPU repeats itself bit for bit, at a cost; a CPU always does."""
     capture: bool = True
     """Whether the launches of a step are recorded once and replayed as a graph; without, each is issued by Python."""
+
+    shadows: bool = True
+    """Whether colour images have shadows, at the cost of a ray for each lit pixel."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,0 +1,180 @@
+"""The scene on the device, every shape of every environment placed and in one tree of bounds."""
+
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
+
+from __future__ import annotations
+
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+from mujoco_warp._src.bvh import _compute_bvh_bounds, compute_bvh_group_roots
+from mujoco_warp._src.math import mul_quat, quat_to_mat, rot_vec_quat
+from torch import Tensor
+
+from orbit_warp.renderer_model import PictureModel
+
+
+@wp.struct
+class StageArrays:
+    """What a ray needs to know. G geoms, W worlds; colours may be one world's for all."""
+
+    geom_type: wp.array[int]
+    geom_dataid: wp.array2d[int]
+    geom_size: wp.array2d[wp.vec3]
+    geom_matid: wp.array2d[int]
+    colors: wp.array2d[wp.vec4]
+    """All that may be seen."""
+    solid_colors: wp.array2d[wp.vec4]
+    """The same, with markers invisible."""
+    shadow_colors: wp.array2d[wp.vec4]
+    """The same, with all that casts no shadow invisible."""
+    contrast: wp.array[float]
+    link_of_geom: wp.array[int]
+    xpos: wp.array2d[wp.vec3]
+    xmat: wp.array2d[wp.mat33]
+    bvh: wp.uint64
+    roots: wp.array[int]
+    geoms: int
+    every_geom: wp.array[int]
+    mesh_ids: wp.array[wp.uint64]
+    hfield_ids: wp.array[wp.uint64]
+    mesh_faceadr: wp.array[int]
+    mesh_normaladr: wp.array[int]
+    mesh_facenormal: wp.array[wp.vec3i]
+    mesh_normal: wp.array[wp.vec3]
+    ambient: wp.vec3
+    headlight: wp.vec3
+    light_dir: wp.array[wp.vec3]
+    light_color: wp.array[wp.vec3]
+    light_casts: wp.array[bool]
+    # MuJoCo-Warp's ray casts also take what is soft, of which there is none.
+    no_ints: wp.array[int]
+    no_floats: wp.array[float]
+    no_ids: wp.array[wp.uint64]
+    no_edges: wp.array[wp.vec2i]
+    no_colors: wp.array[wp.vec4]
+    no_points: wp.array2d[wp.vec3]
+    no_table: wp.array2d[int]
+
+
+@wp.func
+def pose_of(poses: wp.array3d[float], env: int, row: int):
+    position = wp.vec3(poses[env, row, 0], poses[env, row, 1], poses[env, row, 2])
+    return position, wp.quat(poses[env, row, 3], poses[env, row, 4], poses[env, row, 5], poses[env, row, 6])
+
+
+@wp.kernel(enable_backward=False)
+def place_geoms(
+    body_of_geom: wp.array[int],
+    local_pos: wp.array[wp.vec3],
+    local_quat: wp.array[wp.quat],
+    links: int,
+    link_poses: wp.array3d[float],
+    marker_poses: wp.array3d[float],
+    xpos: wp.array2d[wp.vec3],
+    xmat: wp.array2d[wp.mat33],
+):
+    """Body 0 is the world; then come links, then markers, which stay where they are if there are no poses for them."""
+    env, geom = wp.tid()
+    body = body_of_geom[geom]
+    if body > links and marker_poses.shape[0] == 0:
+        return
+    position, orientation = wp.vec3(0.0), wp.quat(1.0, 0.0, 0.0, 0.0)
+    if body > links:
+        position, orientation = pose_of(marker_poses, env, body - links - 1)
+    elif body > 0:
+        position, orientation = pose_of(link_poses, env, body - 1)
+    xpos[env, geom] = position + rot_vec_quat(local_pos[geom], orientation)
+    xmat[env, geom] = quat_to_mat(mul_quat(orientation, local_quat[geom]))
+
+
+class Stage:
+    """One device's copy of a picture model, posed in as many environments as were ever drawn at once."""
+
+    def __init__(self, model: PictureModel) -> None:
+        mjm = model.model
+        self.device = wp.get_device()
+        # It makes the trees of the meshes' triangles; the scene's own waits for the first poses, to be a good one.
+        self._meshes = mjw.create_render_context(mjm, nworld=1, cam_active=[], use_textures=False)
+        self._links, self._geoms = model.links, mjm.ngeom
+        self._bodies = wp.array(mjm.geom_bodyid, dtype=int)
+        self._local_pos, self._local_quat = (
+            wp.array(mjm.geom_pos, dtype=wp.vec3),
+            wp.array(mjm.geom_quat, dtype=wp.quat),
+        )
+        self._no_markers = wp.zeros((0, 0, 7), dtype=float)
+        self._capacity = 0
+        self._bvh: wp.Bvh | None = None
+        self.arrays = self._constant_arrays(model)
+
+    def place(self, link_poses: Tensor, marker_poses: Tensor | None) -> None:
+        """Move everything to where it is in the n environments of poses (n, L, 7) and (n, M, 7)."""
+        envs = len(link_poses)
+        fresh = envs > self._capacity
+        if fresh:
+            self._make_room(envs)
+        arrays = self.arrays
+        markers = self._no_markers if marker_poses is None else wp.from_torch(marker_poses.contiguous())
+        wp.launch(
+            place_geoms,
+            dim=(envs, self._geoms),
+            inputs=[
+                self._bodies, self._local_pos, self._local_quat, self._links,
+                wp.from_torch(link_poses.contiguous()), markers,
+            ],
+            outputs=[arrays.xpos, arrays.xmat],
+        )  # fmt: skip
+        wp.launch(
+            _compute_bvh_bounds,
+            dim=(envs, self._geoms),
+            inputs=[
+                arrays.geom_type, arrays.geom_dataid, arrays.geom_size, arrays.xpos, arrays.xmat, self._geoms,
+                arrays.every_geom, self._meshes.mesh_bounds_size, self._meshes.hfield_bounds_size,
+                self._lower, self._upper, self._group,
+            ],
+        )  # fmt: skip
+        if fresh:
+            self._grow_tree()
+        else:
+            assert self._bvh is not None
+            self._bvh.refit()
+
+    def _make_room(self, envs: int) -> None:
+        self._capacity = envs
+        self.arrays.xpos = wp.zeros((envs, self._geoms), dtype=wp.vec3)
+        self.arrays.xmat = wp.zeros((envs, self._geoms), dtype=wp.mat33)
+        self._lower, self._upper = (wp.zeros(envs * self._geoms, dtype=wp.vec3) for _ in range(2))
+        self._group = wp.zeros(envs * self._geoms, dtype=int)
+
+    def _grow_tree(self) -> None:
+        self._bvh = wp.Bvh(self._lower, self._upper, groups=self._group, constructor="sah")
+        self.arrays.bvh = self._bvh.id
+        self.arrays.roots = wp.zeros(self._capacity, dtype=int)
+        wp.launch(compute_bvh_group_roots, dim=self._capacity, inputs=[self._bvh.id], outputs=[self.arrays.roots])
+
+    def _constant_arrays(self, model: PictureModel) -> StageArrays:
+        mjm, meshes, arrays = model.model, self._meshes, StageArrays()
+        arrays.geom_type = wp.array(mjm.geom_type, dtype=int)
+        arrays.geom_dataid = wp.array(mjm.geom_dataid[None], dtype=int)
+        arrays.geom_size = wp.array(mjm.geom_size[None], dtype=wp.vec3)
+        arrays.geom_matid = wp.full((1, self._geoms), -1, dtype=int)  # colours are the table's
+        solid, casting = model.colors.copy(), model.colors.copy()
+        solid[model.is_marker, 3] = 0.0
+        casting[model.is_marker | (model.colors[:, 3] < 1.0), 3] = 0.0
+        for name, colors in (("colors", model.colors), ("solid_colors", solid), ("shadow_colors", casting)):
+            setattr(arrays, name, wp.array(colors[None], dtype=wp.vec4))
+        arrays.contrast = wp.array(model.contrast, dtype=float)
+        arrays.link_of_geom = wp.array(model.link_of_geom, dtype=int)
+        arrays.geoms, arrays.every_geom = self._geoms, wp.array(np.arange(self._geoms), dtype=int)
+        arrays.mesh_ids, arrays.hfield_ids = meshes.mesh_bvh_id, meshes.hfield_bvh_id
+        arrays.mesh_faceadr = wp.array(mjm.mesh_faceadr, dtype=int)
+        arrays.mesh_normaladr = wp.array(mjm.mesh_normaladr, dtype=int)
+        arrays.mesh_facenormal = meshes.mesh_facenormal
+        arrays.mesh_normal = wp.array(mjm.mesh_normal, dtype=wp.vec3)
+        arrays.ambient, arrays.headlight = meshes.headlight_ambient, meshes.headlight_diffuse
+        arrays.light_dir = wp.array(mjm.light_dir, dtype=wp.vec3)
+        arrays.light_color = wp.array(mjm.light_diffuse, dtype=wp.vec3)
+        arrays.light_casts = wp.array(mjm.light_castshadow, dtype=bool)
+        return arrays

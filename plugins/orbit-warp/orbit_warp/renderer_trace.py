@@ -1,0 +1,198 @@
+"""The ray through each pixel: what it meets, and in what light.
+
+The ray casts are MuJoCo-Warp's, compiled for the kinds of shapes that the scene has.
+"""
+
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+from mujoco_warp._src.math import rot_vec_quat
+from mujoco_warp._src.render import _make_cast_ray, vertex_normal
+from mujoco_warp._src.types import GeomType
+
+from orbit_core.interfaces import BACKGROUND
+from orbit_mjmodel.looks import CHECKER_SIZE, SKY_HIGH, SKY_LOW
+from orbit_warp.renderer_stage import StageArrays
+
+EVERY_TYPE = tuple(range(GeomType.MESH + 1))
+_LAYERS = 4
+"""Transparent shapes that a pixel shows, one behind the other."""
+_LIFT = wp.constant(1e-4)
+"""Metres, and share of the distance, that a ray starts above the surface that it leaves."""
+_FAR_AWAY = wp.constant(1e6)
+_SQUARE = wp.constant(CHECKER_SIZE)
+_BACKGROUND = wp.constant(BACKGROUND)
+_SKY_LOW, _SKY_HIGH = wp.constant(wp.vec3(*SKY_LOW)), wp.constant(wp.vec3(*SKY_HIGH))
+
+
+@wp.struct
+class Hit:
+    """Where a ray met a geom; -1 where it met none."""
+
+    geom: int
+    distance: float
+    normal: wp.vec3
+    """Of the face."""
+    smooth: wp.vec3
+    """Of the surface that the faces stand for."""
+
+
+@wp.func
+def surface_color(stage: StageArrays, env: int, geom: int, point: wp.vec3) -> wp.vec3:
+    """The geom's colour; a checkered plane's with every other square a little lighter."""
+    rgba = stage.colors[env % stage.colors.shape[0], geom]
+    color = wp.vec3(rgba[0], rgba[1], rgba[2])
+    contrast = stage.contrast[geom]
+    if contrast > 0.0:
+        local = wp.transpose(stage.xmat[env, geom]) @ (point - stage.xpos[env, geom])
+        square = wp.floor(local[0] / _SQUARE) + wp.floor(local[1] / _SQUARE)
+        if square - 2.0 * wp.floor(0.5 * square) < 0.5:
+            color += contrast * (wp.vec3(1.0) - color)
+    return color
+
+
+@wp.func
+def sky(direction: wp.vec3) -> wp.vec3:
+    return wp.lerp(_SKY_LOW, _SKY_HIGH, 0.5 + wp.asin(wp.clamp(direction[2], -1.0, 1.0)) / wp.pi)
+
+
+@wp.func
+def byte(value: float) -> wp.uint8:
+    return wp.uint8(wp.clamp(value, 0.0, 1.0) * 255.0 + 0.5)
+
+
+def _cast(geom_types: tuple[int, ...], first_hit: bool) -> wp.Function:
+    """A ray cast of MuJoCo-Warp, told of the stage; ``colors`` say what is seen at all."""
+    cast_ray = _make_cast_ray(geom_types, first_hit)
+
+    @wp.func
+    def cast(
+        stage: StageArrays, colors: wp.array2d[wp.vec4], env: int, origin: wp.vec3, direction: wp.vec3, reach: float
+    ) -> Hit:
+        geom, distance, normal, u, v, face, mesh = cast_ray(
+            stage.geom_type, stage.geom_dataid, stage.geom_matid, stage.geom_size, colors,
+            stage.no_ints, stage.no_edges, stage.no_floats, colors, stage.xpos, stage.xmat, stage.no_points,
+            stage.bvh, stage.roots[env], env, stage.geoms, 0, stage.every_geom, stage.mesh_ids, stage.hfield_ids,
+            stage.no_colors, stage.no_ints, stage.no_ints, stage.no_ids, stage.no_table,
+            origin, direction, reach, True,
+        )  # fmt: skip
+        hit = Hit()
+        hit.geom = geom
+        hit.distance = distance
+        hit.normal = normal
+        hit.smooth = normal
+        if mesh >= 0:
+            turn = stage.xmat[env, geom]
+            corners = stage.mesh_facenormal[stage.mesh_faceadr[mesh] + face]
+            first = stage.mesh_normaladr[mesh]
+            flat = wp.transpose(turn) @ normal
+            bent = (
+                u * vertex_normal(stage.mesh_normal[first + corners[0]], flat)
+                + v * vertex_normal(stage.mesh_normal[first + corners[1]], flat)
+                + (1.0 - u - v) * vertex_normal(stage.mesh_normal[first + corners[2]], flat)
+            )
+            hit.smooth = wp.normalize(turn @ bent)
+        return hit
+
+    return cast
+
+
+@functools.cache
+def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool) -> wp.Kernel:
+    """The kernel for scenes of those types of geoms, for pictures with colour or without."""
+    nearest, blocking = _cast(geom_types, first_hit=False), _cast(geom_types, first_hit=True)
+
+    @wp.func
+    def light(stage: StageArrays, env: int, hit: Hit, point: wp.vec3, forward: wp.vec3) -> wp.vec3:
+        """What of each colour's light reaches the point: from around, from the camera, and from the lights."""
+        total = stage.ambient + stage.headlight * wp.max(0.0, -wp.dot(hit.smooth, forward))
+        for i in range(stage.light_dir.shape[0]):
+            toward = -stage.light_dir[i]
+            share = wp.dot(hit.smooth, toward)
+            if share > 0.0:
+                if wp.static(shadows) and stage.light_casts[i]:
+                    start = point + (_LIFT + _LIFT * hit.distance) * hit.normal
+                    if blocking(stage, stage.shadow_colors, env, start, toward, _FAR_AWAY).geom >= 0:
+                        share = 0.0
+                total += share * stage.light_color[i]
+        return total
+
+    @wp.func
+    def color_along(
+        stage: StageArrays, env: int, first: Hit, origin: wp.vec3, direction: wp.vec3, reach: float, forward: wp.vec3
+    ) -> wp.vec3:
+        """The colour that comes along a ray, through what is transparent."""
+        color, through = wp.vec3(0.0), wp.float32(1.0)
+        hit, start, left = first, origin, reach
+        for _layer in range(_LAYERS):
+            if hit.geom < 0:
+                break
+            point = start + hit.distance * direction
+            opacity = stage.colors[env % stage.colors.shape[0], hit.geom][3]
+            seen = wp.cw_mul(surface_color(stage, env, hit.geom, point), light(stage, env, hit, point, forward))
+            color += through * opacity * seen
+            through *= 1.0 - opacity
+            if through < 0.01:
+                break
+            step = hit.distance + _LIFT
+            start += step * direction
+            left -= step
+            hit = nearest(stage, stage.colors, env, start, direction, left)
+        return color + through * sky(direction)
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def trace(
+        stage: StageArrays,
+        camera_poses: wp.array2d[float],
+        width: int,
+        height: int,
+        pixel_size: float,
+        near: float,
+        far: float,
+        with_markers: bool,
+        rgb: wp.array3d[wp.uint8],
+        depth: wp.array3d[float],
+        normals: wp.array3d[float],
+        links: wp.array3d[int],
+        albedo: wp.array3d[wp.uint8],
+    ):
+        env, pixel = wp.tid()
+        eye = wp.vec3(camera_poses[env, 0], camera_poses[env, 1], camera_poses[env, 2])
+        q = wp.quat(camera_poses[env, 3], camera_poses[env, 4], camera_poses[env, 5], camera_poses[env, 6])
+        x = (float(pixel % width) + 0.5 - 0.5 * float(width)) * pixel_size
+        y = (0.5 * float(height) - 0.5 - float(pixel // width)) * pixel_size
+        length = wp.sqrt(x * x + y * y + 1.0)
+        direction = rot_vec_quat(wp.vec3(x, y, -1.0), q) / length
+        origin = eye + near * length * direction
+        reach = (far - near) * length
+        hit = nearest(stage, stage.solid_colors, env, origin, direction, reach)
+        seen = hit.geom >= 0
+        if depth.shape[0] > 0:
+            depth[env, pixel, 0] = wp.where(seen, near + hit.distance / length, wp.inf)
+        if links.shape[0] > 0:
+            links[env, pixel, 0] = _BACKGROUND
+            if seen:
+                links[env, pixel, 0] = stage.link_of_geom[hit.geom]
+        for i in range(3):
+            if normals.shape[0] > 0:
+                normals[env, pixel, i] = wp.where(seen, hit.normal[i], 0.0)
+            if albedo.shape[0] > 0:
+                albedo[env, pixel, i] = wp.uint8(0)
+                if seen:
+                    albedo[env, pixel, i] = byte(stage.colors[env % stage.colors.shape[0], hit.geom][i])
+        if wp.static(with_color):
+            forward = rot_vec_quat(wp.vec3(0.0, 0.0, -1.0), q)
+            if with_markers:
+                hit = nearest(stage, stage.colors, env, origin, direction, reach)
+            color = color_along(stage, env, hit, origin, direction, reach, forward)
+            for i in range(3):
+                rgb[env, pixel, i] = byte(color[i])
+
+    return trace
