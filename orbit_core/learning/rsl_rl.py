@@ -37,12 +37,12 @@ class RslRlEnvironment(VecEnv):
         self._observation, _ = environment.reset(seed)  # the runner never resets
 
     @property
-    def episode_length_buf(self) -> Tensor:  # pyright: ignore
+    def episode_length_buf(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
         """(N,) steps since reset; the runner sets it to spread the first episodes' ends."""
         return self.environment.task.episode_step
 
     @episode_length_buf.setter
-    def episode_length_buf(self, steps: Tensor) -> None:
+    def episode_length_buf(self, steps: Tensor) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
         self.environment.task.episode_step.copy_(steps)
 
     def get_observations(self) -> TensorDict:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -66,7 +67,12 @@ class Training:
     def _report(self, progress: Progress, report: Callable[[Progress], None]) -> None:
         if self.leader:
             with (self.trainer.folder / CURVE).open("a") as file:
-                file.write(json.dumps(dataclasses.asdict(progress)) + "\n")
+                values = dataclasses.asdict(progress).items()
+                # Before any episode has ended there is no number, and JSON has no NaN.
+                line = {
+                    name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values
+                }
+                file.write(json.dumps(line) + "\n")
         report(progress)
 
 

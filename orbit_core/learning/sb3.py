@@ -1,0 +1,223 @@
+"""Stable-Baselines3: Raffin et al., Stable-Baselines3: Reliable Reinforcement Learning Implementations (2021)."""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from gymnasium import spaces
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from torch import Tensor, nn
+
+from orbit_core.learning.trainer import Progress, Trainer
+from orbit_core.tasks.environment import Environment
+from orbit_core.tasks.ppo import PpoSettings
+
+_RECENT = 100
+"""Episodes over which success is averaged, as the library does for returns."""
+
+
+class Sb3Environment(VecEnv):
+    """An environment as Stable-Baselines3 expects it: NumPy arrays, and at an episode's end the last observation and
+    whether the time limit ended it in ``infos``.
+    """
+
+    def __init__(self, environment: Environment, seed: int | None = None) -> None:
+        self.environment = environment
+        observation = spaces.Box(-np.inf, np.inf, (environment.observation_size,), np.float32)
+        super().__init__(environment.num_envs, observation, spaces.Box(-1.0, 1.0, (environment.action_size,)))
+        self._seed = seed
+        self._action = torch.zeros(environment.num_envs, environment.action_size)
+        self._return = torch.zeros(environment.num_envs, device=environment.device)
+
+    def reset(self) -> npt.NDArray[np.float32]:
+        observation, _ = self.environment.reset(self._seed)
+        self._seed = None
+        self._return.zero_()
+        return _array(observation["policy"])
+
+    def step_async(self, actions: npt.NDArray[np.float32]) -> None:
+        self._action = torch.as_tensor(actions, dtype=torch.float32, device=self.environment.device)
+
+    def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
+        observation, reward, terminated, truncated, info = self.environment.step(self._action)
+        self._return += reward
+        done = terminated | truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if "final" in info:
+            self._tell(infos, info["final"], truncated)
+            self._return[done] = 0.0
+        return _array(observation["policy"]), _array(reward), _array(done), infos
+
+    def _tell(self, infos: list[dict[str, Any]], end: Any, truncated: Tensor) -> None:
+        last = _array(end.observation["policy"])
+        for row, i in enumerate(end.env_ids.tolist()):
+            infos[i]["terminal_observation"] = last[row]
+            infos[i]["TimeLimit.truncated"] = bool(truncated[i])
+            infos[i]["is_success"] = bool(end.success[row])
+            infos[i]["episode"] = {"r": float(self._return[i]), "l": int(end.steps[row]), "t": time.time()}
+
+    def close(self) -> None:
+        """The environment belongs to whoever made it."""
+
+    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
+        return [getattr(self.environment, attr_name, None)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
+        setattr(self.environment, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: int | Iterable[int] | None = None, **method_kwargs: Any
+    ) -> list[Any]:
+        result = getattr(self.environment, method_name)(*method_args, **method_kwargs)
+        return [result] * len(list(self._get_indices(indices)))
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None) -> list[bool]:
+        return [False] * len(list(self._get_indices(indices)))
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        self._seed = seed
+        return [seed] * self.num_envs
+
+
+class Sb3Trainer(Trainer):
+    """PPO with a constant learning rate; an update ends early where the policy moves too far."""
+
+    name: ClassVar[str] = "sb3"
+
+    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
+        super().__init__(environment, settings, folder, seed)
+        self._environment = VecNormalize(
+            Sb3Environment(environment, seed), norm_obs=settings.normalize_observations, norm_reward=False
+        )
+        batch = environment.num_envs * settings.steps_per_iteration
+        self._model = PPO(
+            "MlpPolicy",
+            self._environment,
+            learning_rate=settings.learning_rate,
+            n_steps=settings.steps_per_iteration,
+            batch_size=max(1, batch // settings.minibatches),
+            n_epochs=settings.epochs,
+            gamma=settings.discount,
+            gae_lambda=settings.gae_lambda,
+            clip_range=settings.clip,
+            ent_coef=settings.entropy_weight,
+            target_kl=2.0 * settings.target_kl,
+            policy_kwargs={
+                "net_arch": list(settings.hidden_sizes),
+                "activation_fn": nn.ELU,
+                "log_std_init": math.log(settings.initial_std),
+            },
+            tensorboard_log=str(folder),
+            seed=seed,
+            device=environment.device,
+        )
+
+    def learn(
+        self, iterations: int, save_every: int, saved: Callable[[int], None], report: Callable[[Progress], None]
+    ) -> None:
+        batch = self.environment.num_envs * self.settings.steps_per_iteration
+        begin = self._model.num_timesteps // batch
+        callback = _Callback(self, batch, begin + iterations, save_every, saved, report)
+        self._model.learn(
+            iterations * batch, callback=callback, reset_num_timesteps=begin == 0, tb_log_name="tensorboard"
+        )
+        callback.finish_iteration()
+
+    def save(self, iteration: int) -> None:
+        """Write the checkpoint: weights, optimiser and the observations' statistics."""
+        path = self.checkpoint(iteration)
+        written = path.with_name(path.name + ".writing")
+        statistics = self._environment.obs_rms if self.settings.normalize_observations else None
+        state = {"parameters": self._model.get_parameters(), "observations": statistics}
+        torch.save({**state, "timesteps": self._model.num_timesteps}, written)
+        written.replace(path)
+
+    def resume(self, checkpoint: Path) -> int:
+        state = torch.load(checkpoint, weights_only=False, map_location=self.environment.device)
+        self._model.set_parameters(state["parameters"], device=self.environment.device)
+        self._model.num_timesteps = state["timesteps"]
+        if state["observations"] is not None:
+            self._environment.obs_rms = state["observations"]
+        return state["timesteps"] // (self.environment.num_envs * self.settings.steps_per_iteration)
+
+    def actor(self) -> nn.Module:
+        policy = self._model.policy
+        hidden, head = (copy.deepcopy(part).cpu() for part in (policy.mlp_extractor.policy_net, policy.action_net))
+        mean, variance = torch.zeros(1), torch.ones(1)
+        if self.settings.normalize_observations:
+            rms: Any = self._environment.obs_rms
+            mean, variance = torch.as_tensor(rms.mean), torch.as_tensor(rms.var)
+        std = (variance + self._environment.epsilon).sqrt()
+        return _Actor(mean.float(), std.float(), hidden, head)
+
+
+class _Actor(nn.Module):
+    def __init__(self, mean: Tensor, std: Tensor, hidden: nn.Module, head: nn.Module) -> None:
+        super().__init__()
+        self.mean, self.std = nn.Buffer(mean), nn.Buffer(std)
+        self.layers = nn.Sequential(hidden, head)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        return self.layers(((observation - self.mean) / self.std).clamp(-10.0, 10.0))
+
+
+class _Callback(BaseCallback):
+    """Saves and reports after each iteration."""
+
+    def __init__(
+        self,
+        trainer: Sb3Trainer,
+        batch: int,
+        last: int,
+        save_every: int,
+        saved: Callable[[int], None],
+        report: Callable[[Progress], None],
+    ) -> None:
+        super().__init__()
+        self._trainer, self._batch, self._last, self._save_every = trainer, batch, last, save_every
+        self._saved, self._report = saved, report
+        self._begin = time.perf_counter()
+        self._first_step = -1
+        self._successes: list[bool] = []
+
+    def _on_rollout_start(self) -> None:
+        if self._first_step < 0:
+            self._first_step = self.model.num_timesteps
+        else:
+            self.finish_iteration()
+
+    def _on_step(self) -> bool:
+        self._successes += [info["is_success"] for info in self.locals["infos"] if "is_success" in info]
+        del self._successes[:-_RECENT]
+        return True
+
+    def finish_iteration(self) -> None:
+        """Collected and learned."""
+        iteration = self.model.num_timesteps // self._batch - 1
+        if iteration % self._save_every == 0 or iteration == self._last - 1:
+            self._trainer.save(iteration)
+            self._saved(iteration)
+        episodes: Any = self.model.ep_info_buffer
+        self._report(
+            Progress(
+                iteration=iteration,
+                env_steps=self.model.num_timesteps - self._first_step,
+                seconds=time.perf_counter() - self._begin,
+                episode_return=float(np.mean([episode["r"] for episode in episodes])) if episodes else math.nan,
+                success_rate=float(np.mean(self._successes)) if self._successes else math.nan,
+            )
+        )
+
+
+def _array(values: Tensor) -> npt.NDArray[Any]:
+    return values.cpu().numpy().copy()
