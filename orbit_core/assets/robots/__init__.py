@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from orbit_core.assets.catalogue import RobotCatalogue, RobotEntry
+from orbit_core.assets.sources import installed_version
 
 # Name, description, package that the model comes from, licence.
 _ROBOTS = (
@@ -17,8 +18,23 @@ _ROBOTS = (
     ),
 )
 
+_NONCOMMERCIAL = "CC BY-NC 4.0 (no commercial use)"
+_MANISKILL = (
+    ("koch", "Koch v1.1: 5-joint low-cost arm, one moving jaw", "Apache-2.0"),
+    ("panda", "Franka Emika Panda, as ManiSkill has it: 7-joint arm, parallel jaw", _NONCOMMERCIAL),
+    ("panda_stick", "Franka Emika Panda with a stick for a hand, as ManiSkill has it", _NONCOMMERCIAL),
+    ("panda_wristcam", "Franka Emika Panda with a camera at its wrist, as ManiSkill has it", _NONCOMMERCIAL),
+    ("so100", "SO-100: 5-joint low-cost arm, one moving jaw", "Apache-2.0"),
+    ("xarm7_ability", "UFACTORY xArm 7: 7-joint arm, PSYONIC Ability hand", _NONCOMMERCIAL),
+)
+
 
 def register(catalogue: RobotCatalogue) -> None:
-    """Add ORBIT's robots."""
+    """Add ORBIT's robots, and those of ManiSkill where its package is installed."""
     for name, description, source, licence in _ROBOTS:
         catalogue.add(RobotEntry(name, description, f"{__name__}.{name}:build", source, licence))
+    if installed_version("mani-skill") is None:
+        return
+    for name, description, licence in _MANISKILL:
+        build = f"{__name__}.maniskill:{name}"
+        catalogue.add(RobotEntry(f"maniskill_{name}", description, build, "mani-skill", licence))
