@@ -184,14 +184,20 @@ def _entry_points(group: str = GROUP) -> dict[str, importlib_metadata.EntryPoint
 
 def _is_complete(entry_point: importlib_metadata.EntryPoint) -> bool:
     """Whether what the entry point's extras bring is installed."""
+    requirements = (entry_point.dist.requires if entry_point.dist else None) or []
     for extra in entry_point.extras:
-        needs = re.compile(rf"([\w.-]+).*extra\s*==\s*['\"]{re.escape(extra)}['\"]")
-        requirements = (entry_point.dist.requires if entry_point.dist else None) or []
-        for match in filter(None, map(needs.match, requirements)):
-            try:
-                importlib_metadata.version(match[1])
-            except importlib_metadata.PackageNotFoundError:
-                return False
+        pattern = re.compile(rf"([\w.-]+).*extra\s*==\s*['\"]{re.escape(extra)}['\"]")
+        needed = [match[1] for match in map(pattern.match, requirements) if match]
+        if not needed or not all(map(_is_installed, needed)):
+            return False
+    return True
+
+
+def _is_installed(distribution: str) -> bool:
+    try:
+        importlib_metadata.version(distribution)
+    except importlib_metadata.PackageNotFoundError:
+        return False
     return True
 
 

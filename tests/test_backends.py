@@ -80,7 +80,11 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
 
     def forget() -> None:
         for cached in (
-            backends.backend, backends.renderer, backends._entry_points, backends._declared, backends._extras
+            backends.backend,
+            backends.renderer,
+            backends._entry_points,
+            backends._declared,
+            backends._extras,
         ):
             cached.cache_clear()
 
