@@ -22,6 +22,8 @@ from orbit_core.scene import (
     Cylinder,
     HeightField,
     Link,
+    MarkerShape,
+    MarkerSpec,
     Mesh,
     ObjectSpec,
     Plane,
@@ -238,6 +240,26 @@ def test_only_channels_asked_for_come_back(draw):
     assert image.depth is None
     assert image.normals is None
     assert image.links is None
+
+
+def test_an_arrow_marker_is_as_long_as_it_says(backend):
+    if not backend.capabilities().has(Capability.RGB):
+        pytest.skip(f"{backend.name}: {backend.capabilities()[Capability.RGB].reason}")
+    camera = eye((2.0, 0, 0.5), (0, 0, 0.5))
+    arrow = MarkerSpec("arrow", MarkerShape.ARROW, 0.6, (1.0, 0.0, 0.0, 1.0))
+    layout = SceneLayout.of(Scene(terrain=(), sensors=(camera,), markers=(arrow,)))
+    renderer = backend.create_renderer(layout, (camera,), backends.backend_config(backend))
+    along_y = poses(Pose.from_euler(0.0, 0.0, np.pi / 2, (0.0, -0.1, 0.5)))
+    images = [
+        renderer.render(camera, poses(camera.pose), NO_LINKS, (Channel.RGB,), markers).rgb[0].float()
+        for markers in (along_y[None], None)
+    ]
+    columns = ((images[0] - images[1]).abs().sum(-1) > 60).any(0).nonzero().ravel()
+    ends = torch.tensor([[0.0, -0.1, 0.5], [0.0, 0.5, 0.5]])
+    expected = project(transform_points(pose_inverse(poses(camera.pose)), ends), intrinsic_matrix(camera))[:, 0]
+    seen = torch.tensor([columns.min(), columns.max() + 1.0])
+    torch.testing.assert_close(seen, expected.sort().values, atol=3.0, rtol=0)  # the tip is thinner than a pixel
+    renderer.close()
 
 
 def test_positions_lie_on_the_surfaces_that_are_seen(backend):

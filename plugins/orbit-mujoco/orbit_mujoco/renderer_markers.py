@@ -46,7 +46,8 @@ def _add_arrow(
     color: tuple[float, ...],
 ) -> None:
     geom = _next_geom(scene, _GEOM.mjGEOM_ARROW, np.zeros(3), start, np.eye(3), color)
-    mujoco.mjv_connector(geom, _GEOM.mjGEOM_ARROW, _SHAFT * length, start, start + length * direction)
+    # MuJoCo draws an arrow half as long as it is told.
+    mujoco.mjv_connector(geom, _GEOM.mjGEOM_ARROW, _SHAFT * length, start, start + 2 * length * direction)
 
 
 def _add_solid(
