@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 from orbit_bullet.capabilities import CAPABILITIES
 from orbit_bullet.config import BulletConfig
-from orbit_core.interfaces import Backend, Capabilities, ConfigurationError
+from orbit_bullet.gaps import GAPS
+from orbit_core.interfaces import Backend, Capabilities, ConfigurationError, Gap
 
 if TYPE_CHECKING:
     import torch
@@ -28,6 +29,9 @@ class BulletBackend(Backend):
 
     def capabilities(self) -> Capabilities:
         return CAPABILITIES
+
+    def gaps(self) -> tuple[Gap, ...]:
+        return GAPS
 
     def versions(self) -> dict[str, str]:
         found: dict[str, str] = {}

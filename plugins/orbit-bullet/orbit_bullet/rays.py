@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -27,13 +28,26 @@ def cast_rays(
     links = np.full(shape, BACKGROUND, np.int64)
     for row, slot in enumerate(slots):
         start = origins[row] + stage.origins[slot]
-        end = start + reach * directions[row].astype(np.float64)
-        for ray, hit in enumerate(_cast(stage.client, start, end, stage.ray_mask(slot))):
-            if hit[0] >= 0:
-                links[row, ray] = stage.places.get((hit[0], hit[1]), (slot, BACKGROUND))[1]
-                distances[row, ray] = hit[2] * reach
-                normals[row, ray] = hit[4]
+        for ray, distance, hit in _meet(stage, start, directions[row].astype(np.float64), reach, stage.ray_mask(slot)):
+            links[row, ray] = stage.places.get((hit[0], hit[1]), (slot, BACKGROUND))[1]
+            distances[row, ray] = distance
+            normals[row, ray] = hit[4]
     return distances, normals, links
+
+
+def _meet(
+    stage: Stage, start: FloatArray, directions: FloatArray, reach: float, mask: int
+) -> Iterator[tuple[int, float, Any]]:
+    """Number, distance and hit of each ray that meets something, looked for in one stretch after another."""
+    searching, begun = np.arange(len(start)), 0.0
+    while len(searching) and begun < reach:
+        length = min(reach - begun, stage.ray_stretch)
+        along = directions[searching]
+        begin = start[searching] + begun * along
+        hits = _cast(stage.client, begin, begin + length * along, mask)
+        met = np.array([hit[0] >= 0 for hit in hits])
+        yield from ((searching[n], begun + hits[n][2] * length, hits[n]) for n in met.nonzero()[0])
+        searching, begun = searching[~met], begun + length
 
 
 def _cast(client: Any, start: FloatArray, end: FloatArray, mask: int) -> list[Any]:

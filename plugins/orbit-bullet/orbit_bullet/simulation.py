@@ -63,8 +63,11 @@ class Simulation:
         self._contacts = ContactMeter(self.client, layout.contact_queries, self.stage.places, buffers.contact_forces)
         joints, links = len(layout.joints), len(layout.links)
         self._positions, self._velocities = np.zeros((2, self.count, joints))
-        self._raw = np.zeros((self.count, links, 16))
-        """Of each link its centre of mass, frame, quaternion (x, y, z, w), and velocities at the centre of mass."""
+        self._raw = np.zeros((self.count, links, 13))
+        """Of each link its centre of mass, principal axes (x, y, z, w), and velocities at the centre of mass.
+
+        Bullet also tells of the link's frame, but rounds it to single precision, in coordinates of kilometres.
+        """
         self._nominal_inertias = self._inertias()
         self._wrenches = WrenchMeter(self.stage, self.loads, buffers.joint_wrenches)
         self.reset(np.arange(self.count))
@@ -147,15 +150,14 @@ class Simulation:
                 self._read_links(slot, entity.index)
         rows = slice(None) if isinstance(slots, range) else slots
         raw = self._raw[rows]
-        quaternions = raw[..., [9, 6, 7, 8]]
-        positions, quaternions = compose(raw[..., 3:6], quaternions, self.stage.offsets)
+        positions, quaternions = compose(raw[..., :3], raw[..., [6, 3, 4, 5]], self.stage.offsets)
         lever = positions - raw[..., :3]
         positions -= self.stage.origins[rows, None]
         quaternions *= np.copysign(1.0, quaternions[..., :1])
         buffers = self.buffers
         buffers.link_poses[rows] = np.concatenate((positions, quaternions), -1)
-        buffers.link_velocities[rows, :, :3] = raw[..., 10:13] + cross(raw[..., 13:], lever)
-        buffers.link_velocities[rows, :, 3:] = raw[..., 13:]
+        buffers.link_velocities[rows, :, :3] = raw[..., 7:10] + cross(raw[..., 10:], lever)
+        buffers.link_velocities[rows, :, 3:] = raw[..., 10:]
         buffers.joint_positions[rows] = self._positions[rows]
         buffers.joint_velocities[rows] = self._velocities[rows]
 
@@ -168,15 +170,15 @@ class Simulation:
         if not entity.spec.fixed_base:
             position, orientation = client.getBasePositionAndOrientation(body)
             linear, angular = client.getBaseVelocity(body)
-            values += (*position, *position, *orientation, *linear, *angular)
+            values += (*position, *orientation, *linear, *angular)
         else:  # the root stands still where it was put
             start += 1
         indices = indices[1:]
         if indices:
             for state in client.getLinkStates(body, indices, 1, 1):
-                values += (*state[0], *state[4], *state[5], *state[6], *state[7])
+                values += (*state[0], *state[1], *state[6], *state[7])
         if values:
-            self._raw[slot, start : entity.links.stop] = np.array(values).reshape(-1, 16)
+            self._raw[slot, start : entity.links.stop] = np.array(values).reshape(-1, 13)
 
     # Writing ---------------------------------------------------------------------------------------------------------
 
@@ -218,7 +220,7 @@ class Simulation:
         center, axes = compose(origin, quaternion, inertial)
         if entity.spec.fixed_base:
             zeros = np.zeros((len(rows), 6))
-            self._raw[rows, entity.root_link] = np.concatenate((origin, origin, quaternion[:, [1, 2, 3, 0]], zeros), -1)
+            self._raw[rows, entity.root_link] = np.concatenate((origin, quaternion[:, [1, 2, 3, 0]], zeros), -1)
         linear = velocity[:, :3] + cross(velocity[:, 3:], center - origin)
         for index, slot in enumerate(rows):
             body = self.stage.bodies[slot][number]

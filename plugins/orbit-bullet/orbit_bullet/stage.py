@@ -25,6 +25,9 @@ GROUND, GROUND_DEPTH = 1000.0, 10.0
 on which sliding boxes rattle, and finds all of them on a box."""
 _ROW = 32
 """Environments in a row."""
+_RAY_CELLS = 15
+"""Bullet meets a height field cell by cell on shorter rays, and by chunks of 16 cells, some of which it misses, on
+longer ones."""
 _GEAR_FORCE = 1e9
 _GEAR_ERP = 0.2
 """Share of a mimic joint's error that a step removes."""
@@ -83,7 +86,11 @@ class Stage:
         """Slot and layout link (or TERRAIN) of each body and Bullet link."""
         self.root_inertials = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(layout.entities), 1))
         """Of each entity, the base's centre of mass and principal axes in the root link's frame (E, 7)."""
-        self.offsets = self._link_offsets()
+        self.ray_stretch = math.inf
+        """Metres that one ray may be cast: over more cells of a height field, Bullet overlooks some."""
+        self._colliding: list[list[int]] = [[] for _ in layout.entities]
+        self.offsets = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(layout.links), 1))
+        """Of each link, its pose (L, 7) in its principal axes; in its own frame where that is a fixed root."""
         self._terrain_shapes = [
             self._terrain_shape(shape, path) for shape, path in zip(layout.scene.terrain, files.terrain, strict=True)
         ]
@@ -117,12 +124,6 @@ class Stage:
         return self._colliding
 
     # Building --------------------------------------------------------------------------------------------------------
-
-    def _link_offsets(self) -> FloatArray:
-        """Of each link, its pose (L, 7) in the frame that Bullet tells of; a free root's is set when it is loaded."""
-        poses = [pose for entity in self.layout.entities for pose in child_poses(entity.spec)]
-        self._colliding: list[list[int]] = [[] for _ in self.layout.entities]
-        return np.array([(*pose.position, *pose.orientation) for pose in poses]).reshape(-1, 7)
 
     def _add_terrain(self, slot: int) -> None:
         client = self.client
@@ -171,6 +172,7 @@ class Stage:
             numHeightfieldRows=columns,
             numHeightfieldColumns=rows,
         )
+        self.ray_stretch = min(self.ray_stretch, _RAY_CELLS * scale[0], _RAY_CELLS * scale[1])
         middle = 0.5 * (float(heights.min()) + float(heights.max()))
         return number, pose @ Pose((0.0, 0.0, middle))
 
@@ -203,12 +205,17 @@ class Stage:
         self.joints[number] = [self.links[number][index_of[joint.child]] for joint in articulation.movable_joints]
         shaped = zip(self.links[number], articulation.links, strict=True)
         self._colliding[number] = [index for index, link in shaped if link.collisions]
-        position, orientation = client.getDynamicsInfo(body, -1)[3:5]
-        inertial = Pose(position, (orientation[3], *orientation[:3]))
-        self.root_inertials[number] = (*inertial.position, *inertial.orientation)
-        if not entity.spec.fixed_base:
-            inverse = inertial.inverse()
-            self.offsets[entity.root_link] = (*inverse.position, *inverse.orientation)
+        inertials = [self._inertial(body, link) for link in self.links[number]]
+        self.root_inertials[number] = (*inertials[0].position, *inertials[0].orientation)
+        for offset, (inertial, place) in enumerate(zip(inertials, child_poses(entity.spec), strict=True)):
+            if offset or not entity.spec.fixed_base:
+                frame = inertial.inverse() @ place
+                self.offsets[entity.links.start + offset] = (*frame.position, *frame.orientation)
+
+    def _inertial(self, body: int, link: int) -> Pose:
+        """Centre of mass and principal axes, in Bullet's frame of the link."""
+        position, orientation = self.client.getDynamicsInfo(body, link)[3:5]
+        return Pose(position, (orientation[3], *orientation[:3]))
 
     def _set_up_links(self, slot: int, body: int, entity: EntityLayout) -> None:
         client, number = self.client, entity.index

@@ -63,9 +63,9 @@ class WrenchMeter:
         masses = self._loads.masses[..., None]
         quaternions = poses[..., 3:].astype(np.float64)
         inverse = quaternions * np.array([1.0, -1.0, -1.0, -1.0])
-        spins = rotate(inverse, raw[..., 13:])
+        spins = rotate(inverse, raw[..., 10:])
         angular = rotate(quaternions, np.einsum("lij,klj->kli", self._unit_inertias, spins))
-        return masses * raw[..., 10:13], masses * angular
+        return masses * raw[..., 7:10], masses * angular
 
     def _contacts(self) -> FloatArray:
         """Contact forces on each link, and their moments about the world's origin (K, L, 6)."""

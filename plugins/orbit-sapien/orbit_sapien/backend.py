@@ -6,9 +6,10 @@ import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
-from orbit_core.interfaces import Backend, Capabilities, ConfigurationError, UnsupportedCapabilityError
+from orbit_core.interfaces import Backend, Capabilities, ConfigurationError, Gap, UnsupportedCapabilityError
 from orbit_sapien.capabilities import CAPABILITIES, RASTERIZED_IMAGES, TRACED_IMAGES
 from orbit_sapien.config import PathConfig, RasterConfig, SapienConfig
+from orbit_sapien.gaps import GAPS
 
 if TYPE_CHECKING:
     import torch
@@ -25,6 +26,9 @@ class SapienBackend(Backend):
 
     def capabilities(self) -> Capabilities:
         return CAPABILITIES
+
+    def gaps(self) -> tuple[Gap, ...]:
+        return GAPS
 
     def versions(self) -> dict[str, str]:
         import importlib.metadata

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
-from orbit_core.interfaces import Backend, Capabilities, ConfigurationError
+from orbit_core.interfaces import Backend, Capabilities, ConfigurationError, Gap
 from orbit_warp.capabilities import CAPABILITIES
 from orbit_warp.config import WarpConfig
+from orbit_warp.gaps import GAPS
 
 if TYPE_CHECKING:
     import torch
@@ -26,6 +27,9 @@ class WarpBackend(Backend):
 
     def capabilities(self) -> Capabilities:
         return CAPABILITIES
+
+    def gaps(self) -> tuple[Gap, ...]:
+        return GAPS
 
     def versions(self) -> dict[str, str]:
         import importlib.metadata
