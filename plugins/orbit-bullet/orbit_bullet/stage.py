@@ -23,6 +23,10 @@ SPACING = 2048.0
 GROUND, GROUND_DEPTH = 1000.0, 10.0
 """Half extents in metres of the box that stands for a plane: Bullet keeps one contact point a step on its own planes,
 on which sliding boxes rattle, and finds all of them on a box."""
+_REBOUND_ERP = 0.001
+"""Share of an overlap that a step removes between things that rebound."""
+_REBOUND_STIFFNESS = 1e9
+"""N/m, as good as rigid: Bullet takes the share from a spring and a damper."""
 _ROW = 32
 """Environments in a row."""
 _RAY_CELLS = 15
@@ -244,6 +248,16 @@ class Stage:
         if shape.material.compliance:
             spring = shape.material.compliance
             self.client.changeDynamics(body, link, contactStiffness=spring.stiffness, contactDamping=spring.damping)
+        elif shape.material.restitution:
+            self._let_rebound(body, link)
+
+    def _let_rebound(self, body: int, link: int) -> None:
+        """Bullet takes from a rebound what lies between the two before the impact, and adds what it removes of their
+        overlap: so it is to look at shapes that do overlap alone, and to remove hardly anything."""
+        damping = _REBOUND_STIFFNESS * self.layout.scene.physics_dt * (1.0 / _REBOUND_ERP - 1.0)
+        self.client.changeDynamics(
+            body, link, contactProcessingThreshold=0.0, contactStiffness=_REBOUND_STIFFNESS, contactDamping=damping
+        )
 
     def _set_up_joints(self, body: int, entity: EntityLayout) -> None:
         client = self.client
