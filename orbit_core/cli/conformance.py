@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rich.table import Table
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from orbit_core.cli.checks import check_positive
 from orbit_core.cli.output import console, new_table, progress_bar
@@ -54,6 +54,24 @@ class RunSettings:
     """Torch device of the backends that simulate on a GPU; the others take the CPU."""
     seed: int = 0
     """Of every random stream."""
+
+
+@dataclass(frozen=True)
+class CompareSettings:
+    """What got better or worse between two results, beyond noise. The exit code is 1 if a status got worse."""
+
+    before: Annotated[Positional[Path], arg(metavar="A")]
+    """A result's JSON file, or its folder."""
+    after: Annotated[Positional[Path], arg(metavar="B")]
+    """The same of the later one."""
+
+
+@dataclass(frozen=True)
+class ReportSettings:
+    """Make a result's HTML report anew."""
+
+    folder: Annotated[Positional[Path], arg(metavar="DIR")]
+    """The folder of a finished run."""
 
 
 def main(words: Sequence[str]) -> int:
@@ -107,9 +125,13 @@ def _pool(settings: RunSettings) -> Pool:
 
 def _tell(result: Result, folder: Path) -> int:
     """Print the summary and each objection; the exit code."""
+    from orbit_core.conformance.report.page import write_report
+
+    report = write_report(folder)
     console().print(_summary(result))
     for record in result.objections:
         console().print(f"{record.job.key}: {record.status.value}: {record.why}", markup=False)
+    print(report)
     return 1 if result.objections else 0
 
 
@@ -123,9 +145,36 @@ def _summary(result: Result) -> Table:
     return table
 
 
+def _compare(words: Sequence[str]) -> int:
+    settings = parse_words(CompareSettings, words, f"{PROGRAM} compare")
+    from orbit_core.conformance.compare import compare
+    from orbit_core.conformance.results import load
+
+    comparison = compare(load(settings.before), load(settings.after))
+    for better, title in ((False, "Worse"), (True, "Better")):
+        changes = [change for change in comparison.changes if change.better is better]
+        if changes:
+            table = new_table("job", "what", "before", "after", title=title)
+            for change in changes:
+                table.add_row(change.job.key, change.what, change.before, change.after)
+            console().print(table)
+    if not comparison.changes:
+        console().print("nothing changed beyond noise")
+    for note in comparison.notes:
+        console().print(note, markup=False)
+    return 1 if comparison.worse_status else 0
+
+
+def _report(words: Sequence[str]) -> int:
+    from orbit_core.conformance.report.page import write_report
+
+    print(write_report(parse_words(ReportSettings, words, f"{PROGRAM} report").folder))
+    return 0
+
+
 def _require_extra() -> None:
     if any(importlib.util.find_spec(name) is None for name in ("jinja2", "matplotlib", "msgspec", "pebble")):
         raise ConfigurationError('the conformance suite needs its extra: pip install "orbit-core[conformance]"')
 
 
-_COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {"run": _run}
+_COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {"run": _run, "compare": _compare, "report": _report}

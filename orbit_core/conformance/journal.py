@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from orbit_core.conformance.execution import Outcome
-from orbit_core.conformance.results import RESULT_FILE, Header, Record, Result, decode, encode, save
+from orbit_core.conformance.results import RESULT_FILE, Header, Parting, Record, Result, decode, encode, save
 from orbit_core.interfaces import ConfigurationError
 
 JOURNAL = "journal.jsonl"
@@ -61,10 +61,11 @@ class Journal:
         self.records[record.job.key] = record
         self._append(encode(record))
 
-    def finish(self) -> Result:
+    def finish(self, partings: Iterable[Parting] = ()) -> Result:
         """Write the result; the journal has done its work."""
         self._file.close()
-        result = Result(header=self.header, records=tuple(self.records.values()), finished=now())
+        records = tuple(self.records.values())
+        result = Result(header=self.header, records=records, partings=tuple(partings), finished=now())
         save(result, self.folder)
         self._path.unlink()
         return result

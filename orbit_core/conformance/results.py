@@ -15,6 +15,7 @@ import msgspec
 from orbit_core.conformance.episodes import TaskResult
 from orbit_core.conformance.hardware import Hardware
 from orbit_core.conformance.jobs import Job, Kind
+from orbit_core.conformance.recording import Divergence
 from orbit_core.conformance.replay import ReplayResult
 from orbit_core.conformance.scenario import Metric, Scenario
 from orbit_core.conformance.settings import Settings
@@ -140,12 +141,23 @@ class Header:
     schema: int = SCHEMA
 
 
+@dataclass(frozen=True)
+class Parting:
+    """How one task's trajectories on two backends part over time."""
+
+    task: str
+    backend: str
+    reference: str
+    things: list[Divergence]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Result:
     """A finished run."""
 
     header: Header
     records: tuple[Record, ...]
+    partings: tuple[Parting, ...] = ()
     finished: str = ""
     """ISO 8601, UTC."""
 

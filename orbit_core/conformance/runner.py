@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from orbit_core.backends import backend as find_backend
@@ -11,8 +12,9 @@ from orbit_core.conformance.hardware import Hardware, versions
 from orbit_core.conformance.jobs import Job, Kind, plan
 from orbit_core.conformance.journal import Journal, now
 from orbit_core.conformance.pools import Pool, Work
-from orbit_core.conformance.results import BackendInfo, Ending, Header, Record, Result, ScenarioInfo
+from orbit_core.conformance.results import BackendInfo, Ending, Header, Parting, Record, Result, ScenarioInfo
 from orbit_core.conformance.settings import Settings, scenario
+from orbit_core.conformance.tasks import compare_recordings
 
 Progress = Callable[[Record | None, int, int], None]
 """Takes the record that has come, if one has, how many are in, and how many there will be."""
@@ -41,11 +43,23 @@ def run(settings: Settings, folder: Path, pool: Pool, progress: Progress = lambd
                 for outcome in pool.run(work, phase.alone) if work else ():
                     journal.add(outcome)
                     progress(outcome.record, len(journal.records), total)
-            return journal.finish()
+            return journal.finish(_partings(settings, journal))
         finally:
             journal.close()
     finally:
         pool.close()
+
+
+def _partings(settings: Settings, journal: Journal) -> Iterator[Parting]:
+    """Of every pair of backends on which a task was recorded."""
+    for task in settings.tasks:
+        paths = {
+            backend: journal.folder / key / RECORDING
+            for backend in settings.backends
+            if RECORDING in getattr(journal.records.get(key := Job(Kind.TASK, task, backend).key), "files", ())
+        }
+        for reference, backend in itertools.combinations(paths, 2):
+            yield Parting(task, backend, reference, compare_recordings(paths[backend], paths[reference]))
 
 
 def header_of(settings: Settings) -> Header:

@@ -1,0 +1,291 @@
+"""The report's page: what the template shows, drawn from a result."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import jinja2
+from markupsafe import Markup
+
+from orbit_core.conformance.estimates import Estimate
+from orbit_core.conformance.execution import VIDEO
+from orbit_core.conformance.jobs import Kind
+from orbit_core.conformance.report import plots
+from orbit_core.conformance.results import Record, Result, ScenarioInfo, load
+from orbit_core.conformance.tolerances import loose_tolerances
+from orbit_core.conformance.verdict import Status
+
+REPORT = "report.html"
+_SYMBOLS = {Status.PASS: "✓", Status.GAP: "≈", Status.UNSUPPORTED: "–", Status.FAIL: "✗", Status.STALE: "!"}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One metric of a cell."""
+
+    metric: str
+    error: str
+    tolerance: str
+    within: bool
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A backend's standing in a scenario or a task."""
+
+    status: Status | None
+    """None where it was not run."""
+    label: str
+    reason: str = ""
+    rows: tuple[Row, ...] = ()
+
+    @property
+    def style(self) -> str:
+        """The class of its colour."""
+        return self.status.name.lower() if self.status else "absent"
+
+
+@dataclass(frozen=True)
+class Line:
+    """A row of the matrix."""
+
+    name: str
+    anchor: str
+    question: str
+    cells: tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class ScenarioSection:
+    """A scenario with its plots."""
+
+    info: ScenarioInfo
+    accuracy: Markup
+    traces: Markup
+
+
+@dataclass(frozen=True)
+class GapLine:
+    """A declared gap with what was measured."""
+
+    backend: str
+    scenario: str
+    metric: str
+    tolerance: str
+    limit: str
+    measured: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class TaskSection:
+    """A task with its films, its numbers and how backends part."""
+
+    name: str
+    videos: tuple[tuple[str, str], ...]
+    """Backend and file."""
+    rows: tuple[tuple[str, ...], ...]
+    divergence: Markup
+    replays: tuple[tuple[str, tuple[str, ...]], ...]
+    """Source backend, and success on each backend."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """Everything that the template shows."""
+
+    result: Result
+    statuses: tuple[tuple[Status, str], ...]
+    totals: tuple[tuple[str, tuple[int, ...]], ...]
+    matrix: tuple[tuple[str, tuple[Line, ...]], ...]
+    scenarios: tuple[ScenarioSection, ...]
+    tasks: tuple[TaskSection, ...]
+    success: Markup
+    throughput: Markup
+    rates: tuple[tuple[str, ...], ...]
+    gaps: tuple[GapLine, ...]
+    loose: tuple[str, ...]
+    broken: tuple[Record, ...]
+    """Jobs that crashed, hung or raised, at any time step."""
+
+
+def write_report(folder: Path) -> Path:
+    """Make the report of a finished run from its folder; the file.
+
+    Raises:
+        AssetError: the folder holds no result.
+    """
+    path = folder / REPORT
+    path.write_text(render(page_of(load(folder), folder)))
+    return path
+
+
+def render(page: Page) -> str:
+    """The page's HTML, with style and script in it."""
+    files = resources.files("orbit_core.conformance.report")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string((files / "page.html.jinja").read_text())
+    style, script = (Markup((files / name).read_text()) for name in ("style.css", "script.js"))
+    return template.render(page=page, style=style, script=script)
+
+
+def page_of(result: Result, folder: Path) -> Page:
+    """What is to be shown of a result; traces and videos are looked for in its folder."""
+    settings = result.header.settings
+    return Page(
+        result=result,
+        statuses=tuple(_SYMBOLS.items()),
+        totals=tuple(
+            (name, tuple(sum(r.status is status for r in result.judged if r.job.backend == name) for status in Status))
+            for name in settings.backends
+        ),
+        matrix=tuple(_matrix(result)),
+        scenarios=tuple(
+            ScenarioSection(info, Markup(plots.accuracy(result, info)), Markup(plots.traces(result, info, folder)))
+            for info in result.header.scenarios
+        ),
+        tasks=tuple(_task_section(result, task, folder) for task in settings.tasks if result.of(Kind.TASK)),
+        success=Markup(plots.success(result)),
+        throughput=Markup(plots.throughput(result)),
+        rates=tuple(_rates(result)),
+        gaps=tuple(_gaps(result)),
+        loose=tuple(map(str, loose_tolerances(result))),
+        broken=tuple(record for record in result.records if not record.ending.acceptable),
+    )
+
+
+def _matrix(result: Result) -> Iterator[tuple[str, tuple[Line, ...]]]:
+    for group, infos in itertools.groupby(result.header.scenarios, key=lambda info: info.group):
+        yield group, tuple(_scenario_line(result, info) for info in infos)
+    for kind, group in ((Kind.TASK, "Tasks"), (Kind.THROUGHPUT, "Throughput")):
+        lines = tuple(_task_line(result, kind, task) for task in result.header.settings.tasks if result.of(kind))
+        if lines:
+            yield group, lines
+
+
+def _scenario_line(result: Result, info: ScenarioInfo) -> Line:
+    backends = result.header.settings.backends
+    cells = tuple(_scenario_cell(info, result.nominal(info, backend)) for backend in backends)
+    return Line(info.name, info.name, info.question, cells)
+
+
+def _scenario_cell(info: ScenarioInfo, record: Record | None) -> Cell:
+    if record is None:
+        return Cell(None, "not run")
+    errors = record.scenario.errors if record.scenario else {}
+    rows = tuple(
+        Row(m.name, _number(errors[m.name], m.unit), _number(m.tolerance, m.unit), errors[m.name] <= m.tolerance)
+        for m in info.metrics
+        if m.name in errors
+    )
+    return Cell(record.status, _label(record), record.why, rows)
+
+
+def _task_line(result: Result, kind: Kind, task: str) -> Line:
+    def cell(backend: str) -> Cell:
+        records = [r for r in result.of(kind) if (r.job.name, r.job.backend) == (task, backend)]
+        if not records:
+            return Cell(None, "not run")
+        worst = max(records, key=lambda record: list(_SYMBOLS).index(record.status))
+        label = f"{100 * worst.task.success.value:.0f} %" if worst.task else _label(worst)
+        return Cell(worst.status, label, worst.why)
+
+    question = "Does the expert reach the goal?" if kind is Kind.TASK else "How fast does it step?"
+    anchor = f"task-{task}" if kind is Kind.TASK else "throughput"
+    return Line(task, anchor, question, tuple(map(cell, result.header.settings.backends)))
+
+
+def _label(record: Record) -> str:
+    words = {Status.GAP: "gap", Status.STALE: "stale"}
+    return words.get(record.status, record.status.value)
+
+
+def _task_section(result: Result, task: str, folder: Path) -> TaskSection:
+    backends = result.header.settings.backends
+    videos = [r.job for r in result.of(Kind.VIDEO) if r.job.name == task and (folder / r.job.key / VIDEO).exists()]
+    videos.sort(key=lambda job: backends.index(job.backend))
+    replays = {(r.job.source, r.job.backend): r for r in result.of(Kind.REPLAY) if r.job.name == task}
+    sources = [backend for backend in backends if any(source == backend for source, _ in replays)]
+    own = {r.job.backend: r for r in result.of(Kind.TASK) if r.job.name == task}
+    return TaskSection(
+        name=task,
+        videos=tuple((job.backend, f"{job.key}/{VIDEO}") for job in videos),
+        rows=tuple(_task_row(backend, own[backend]) for backend in backends if backend in own),
+        divergence=Markup(plots.divergences(result, task)),
+        replays=tuple(
+            (source, tuple(_replay_text(own if source == b else None, replays, source, b) for b in backends))
+            for source in sources
+        ),
+    )
+
+
+def _task_row(backend: str, record: Record) -> tuple[str, ...]:
+    task = record.task
+    if task is None:
+        return (backend, record.why, "", "", "")
+    name, metric = next(iter(task.metrics.items()))
+    time = _estimate(task.seconds_to_success) if task.seconds_to_success else "-"
+    return (backend, _estimate(task.success, 100), f"{name}: {_estimate(metric)}", _estimate(task.episode_return), time)
+
+
+def _replay_text(
+    own: dict[str, Record] | None, replays: dict[tuple[str, str], Record], source: str, backend: str
+) -> str:
+    if own is not None:
+        task = own[backend].task if backend in own else None
+        return f"{100 * task.success.value:.0f} % (recorded)" if task else "-"
+    record = replays.get((source, backend))
+    if record is None or record.replay is None:
+        return record.why if record else "-"
+    return f"{100 * record.replay.result.success.value:.0f} %"
+
+
+def _rates(result: Result) -> Iterator[tuple[str, ...]]:
+    for record in result.of(Kind.THROUGHPUT):
+        rate, job = record.throughput, record.job
+        if rate is None:
+            yield (job.name, job.backend, str(job.num_envs), record.why, *[""] * 7)
+            continue
+        raw = rate.raw
+        shares = (f"{100 * rate.shares[name]:.0f} %" for name in ("engine", "layer", "rendering"))
+        yield (
+            job.name,
+            job.backend,
+            f"{rate.num_envs:,}",
+            f"{rate.env_steps_per_second:,.0f}",
+            f"{raw.env_steps_per_second:,.0f} ({raw.way})" if raw else "-",
+            f"{100 * raw.ratio:.0f} %" if raw else "-",
+            *shares,
+            f"{rate.start_seconds:.1f}",
+            f"{rate.memory_mib:,.0f}",
+        )
+
+
+def _gaps(result: Result) -> Iterator[GapLine]:
+    infos = {info.name: info for info in result.header.scenarios}
+    for backend in result.header.backends:
+        for gap in backend.gaps:
+            if gap.scenario not in infos:
+                continue
+            info = infos[gap.scenario]
+            metric = next(metric for metric in info.metrics if metric.name == gap.metric)
+            record = result.nominal(info, backend.name)
+            error = record.scenario.errors.get(gap.metric, math.nan) if record and record.scenario else math.nan
+            tolerance, limit, measured = (_number(value, metric.unit) for value in (metric.tolerance, gap.limit, error))
+            yield GapLine(backend.name, gap.scenario, gap.metric, tolerance, limit, measured, gap.reason)
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{value:.3g} {unit}".strip()
+
+
+def _estimate(estimate: Estimate, factor: float = 1.0) -> str:
+    value, low, high = (factor * number for number in (estimate.value, estimate.low, estimate.high))
+    return f"{value:.3g} [{low:.3g}, {high:.3g}]"

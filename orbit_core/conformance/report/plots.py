@@ -1,0 +1,129 @@
+"""The report's plots, each from a result alone."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from orbit_core.conformance.execution import TRACES
+from orbit_core.conformance.jobs import Kind
+from orbit_core.conformance.report.svg import COLORS, color_of, plotting
+from orbit_core.conformance.results import Result, ScenarioInfo, decode
+from orbit_core.conformance.scenario import Metric, Trace
+from orbit_core.conformance.throughput import Throughput
+
+_LEAST = 1e-9
+"""Errors below are drawn here: a logarithmic axis has no zero."""
+
+
+def accuracy(result: Result, info: ScenarioInfo) -> str:
+    """Error of each metric against speed, a line a backend over its time steps; empty if nothing was measured."""
+    backends = result.header.settings.backends
+    drawn = False
+    with plotting([_title(metric) for metric in info.metrics]) as plot:
+        for metric, panel in zip(info.metrics, plot.panels.values(), strict=True):
+            for backend in backends:
+                points = [
+                    (r.scenario.speed, max(r.scenario.errors[metric.name], _LEAST), r.job.time_step == info.time_step)
+                    for r in result.scenario_records(info.name, backend)
+                    if r.scenario and math.isfinite(r.scenario.errors.get(metric.name, math.nan))
+                ]
+                points = [point for point in points if math.isfinite(point[0])]
+                if not points:
+                    continue
+                drawn = True
+                color = color_of(backend, backends)
+                speeds, errors, _ = zip(*points, strict=True)
+                panel.plot(speeds, errors, "-", color=color, marker=".", label=backend)
+                nominal = [point for point in points if point[2]]
+                panel.plot(*zip(*[point[:2] for point in nominal], strict=True), "o", color=color)
+            panel.axhline(max(metric.tolerance, _LEAST), color="#777", dashes=(3, 2), linewidth=0.9, label="tolerance")
+            panel.set(xscale="log", yscale="log", xlabel="simulated s / s")
+        return plot.svg(f"accuracy-{info.name}") if drawn else ""
+
+
+def traces(result: Result, info: ScenarioInfo, folder: Path) -> str:
+    """Measured curves beside the truth; empty if the scenario keeps none, or their files are not there."""
+    backends = result.header.settings.backends
+    curves: dict[str, list[tuple[str, Trace]]] = {}
+    for backend in backends:
+        record = result.nominal(info, backend)
+        path = folder / record.job.key / TRACES if record else None
+        if path is not None and path.exists():
+            for trace in decode(path.read_bytes(), list[Trace]):
+                curves.setdefault(_title(trace), []).append((backend, trace))
+    if not curves:
+        return ""
+    with plotting(list(curves)) as plot:
+        for title, panel in plot.panels.items():
+            truth = curves[title][0][1]
+            panel.plot(truth.times, truth.truth, color="#bbb", linewidth=3.5, label="truth")
+            for backend, trace in curves[title]:
+                panel.plot(trace.times, trace.measured, color=color_of(backend, backends), linewidth=1, label=backend)
+            panel.set_xlabel("s")
+        return plot.svg(f"traces-{info.name}")
+
+
+def success(result: Result) -> str:
+    """Rate of each task on each backend with its interval; empty without tasks."""
+    backends, records = result.header.settings.backends, [r for r in result.of(Kind.TASK) if r.task]
+    tasks = [task for task in result.header.settings.tasks if any(r.job.name == task for r in records)]
+    if not tasks:
+        return ""
+    with plotting(tasks) as plot:
+        for record in records:
+            estimate = record.task.success if record.task else None
+            assert estimate is not None
+            row = backends.index(record.job.backend)
+            panel, color = plot.panels[record.job.name], color_of(record.job.backend, backends)
+            panel.plot([100 * estimate.low, 100 * estimate.high], [row, row], color=color, linewidth=2)
+            panel.plot([100 * estimate.value], [row], "o", color=color)
+        for panel in plot.panels.values():
+            panel.set(xlim=(-3, 103), ylim=(len(backends) - 0.5, -0.5), xlabel="success (%)")
+            panel.set_yticks(range(len(backends)), backends)
+        return plot.svg("success")
+
+
+def divergences(result: Result, task: str) -> str:
+    """Median distance over time between each pair of backends, with its quartiles; empty if none was recorded."""
+    pairs = [pair for pair in result.partings if pair.task == task]
+    things = list(dict.fromkeys(thing.thing for pair in pairs for thing in pair.things))
+    if not things:
+        return ""
+    with plotting(things) as plot:
+        for index, pair in enumerate(pairs):
+            color, label = COLORS[index % len(COLORS)], f"{pair.backend} - {pair.reference}"
+            for thing in pair.things:
+                panel = plot.panels[thing.thing]
+                panel.plot(thing.times, thing.median, color=color, label=label)
+                quartiles = (thing.lower_quartile, thing.upper_quartile)
+                panel.fill_between(thing.times, *quartiles, color=color, alpha=0.12, linewidth=0)
+        for panel in plot.panels.values():
+            panel.set(xlabel="s", ylabel="m")
+        return plot.svg(f"divergence-{task}")
+
+
+def throughput(result: Result) -> str:
+    """Environment steps per second over numbers of environments, the raw engine's dashed; empty if none measured."""
+    backends = result.header.settings.backends
+    rates: dict[str, dict[str, list[Throughput]]] = {}
+    for record in result.of(Kind.THROUGHPUT):
+        if record.throughput:
+            rates.setdefault(record.job.name, {}).setdefault(record.job.backend, []).append(record.throughput)
+    if not rates:
+        return ""
+    with plotting(list(rates)) as plot:
+        for task, panel in plot.panels.items():
+            for backend, measured in rates[task].items():
+                measured.sort(key=lambda rate: rate.num_envs)
+                counts, color = [rate.num_envs for rate in measured], color_of(backend, backends)
+                own = [rate.env_steps_per_second for rate in measured]
+                raw = [rate.raw.env_steps_per_second if rate.raw else math.nan for rate in measured]
+                panel.plot(counts, own, "o-", markersize=3, color=color, label=backend)
+                panel.plot(counts, raw, "--", color=color, linewidth=0.9)
+            panel.set(xscale="log", yscale="log", xlabel="environments", ylabel="env. steps / s")
+        return plot.svg("throughput")
+
+
+def _title(quantity: Metric | Trace) -> str:
+    return f"{quantity.name} ({quantity.unit})" if quantity.unit else quantity.name

@@ -1,0 +1,90 @@
+"""Plots as small SVG for a page: text stays text, and no two plots share a name."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib as mpl
+
+mpl.use("agg")  # no window, whatever the process was told
+
+from matplotlib.figure import Figure
+
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "font.family": "sans-serif",
+    "font.size": 8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e3e3e3",
+    "grid.linewidth": 0.6,
+    "axes.titlesize": 8,
+    "lines.linewidth": 1.3,
+    "legend.frameon": False,
+    "legend.fontsize": 7,
+    "path.simplify_threshold": 0.5,
+}
+# Okabe and Ito's colours, which the colour-blind can tell apart; without the yellow, which white swallows.
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
+PANEL_WIDTH, PANEL_HEIGHT = 2.7, 2.1
+_COLUMNS = 4
+_LEGEND_COLUMNS = 3
+"""Below each panel."""
+
+
+class Plot:
+    """A grid of panels, with one legend for all."""
+
+    def __init__(self, titles: Sequence[str]) -> None:
+        columns = self._columns = min(_COLUMNS, len(titles))
+        rows = -(-len(titles) // columns)
+        self.figure = Figure(figsize=(PANEL_WIDTH * columns, PANEL_HEIGHT * rows + 0.3), layout="constrained")
+        axes = self.figure.subplots(rows, columns, squeeze=False).ravel()
+        for axis in axes[len(titles) :]:
+            axis.remove()
+        self.panels: dict[str, Any] = dict(zip(titles, axes, strict=False))
+        for title, panel in self.panels.items():
+            panel.set_title(title, loc="left")
+
+    def svg(self, name: str) -> str:
+        """The plot's markup; ``name`` is unique in the page."""
+        handles: dict[str, Any] = {}
+        for panel in self.panels.values():
+            handles.update({label: handle for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)})
+        if handles:
+            columns = min(len(handles), _LEGEND_COLUMNS * self._columns)
+            self.figure.legend(handles.values(), handles.keys(), loc="outside lower left", ncols=columns)
+        buffer = io.StringIO()
+        with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
+            self.figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
+        return _slim(buffer.getvalue())
+
+
+@contextmanager
+def plotting(titles: Sequence[str]) -> Iterator[Plot]:
+    """A plot with one panel a title, in the report's style."""
+    with mpl.rc_context(STYLE):
+        yield Plot(titles)
+
+
+def color_of(name: str, names: Sequence[str]) -> str:
+    """One colour a name, the same in all plots."""
+    return COLORS[names.index(name) % len(COLORS)]
+
+
+def _slim(svg: str) -> str:
+    """Without what only a file of its own needs."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
+    svg = re.sub(r' id="[A-Za-z0-9.]+_\d+"', "", svg)
+    svg = re.sub(r' (?:xmlns(?::xlink)?|version)="[^"]*"', "", svg)
+    svg = svg.replace("xlink:href", "href")
+    svg = re.sub(r"(\d\.\d\d)\d+", r"\1", svg)
+    svg = re.sub(r"\s*\n\s*", "\n", svg)
+    return svg.replace("<svg ", '<svg aria-hidden="true" ', 1)
