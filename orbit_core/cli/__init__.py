@@ -15,6 +15,7 @@ COMMANDS = {
     "run": ("run", "Run a task's episodes with an expert, random or zero agent, and report how they went"),
     "view": ("view", "Watch a task live in the browser"),
     "bench": ("bench", "Measure throughput over numbers of environments"),
+    "conformance": ("conformance", "Hold backends against known answers and whole tasks, and report"),
 }
 
 
@@ -49,11 +50,10 @@ def _dispatch(words: list[str]) -> int:
     if words[0] not in COMMANDS:
         raise UnknownNameError("command", words[0], COMMANDS)
     module = importlib.import_module(f"{__name__}.{COMMANDS[words[0]][0]}")
-    module.main(words[1:])
-    return 0
+    return module.main(words[1:]) or 0
 
 
 def _usage() -> str:
-    lines = [f"  {name:<6} {description}" for name, (_, description) in COMMANDS.items()]
+    lines = [f"  {name:<11} {description}" for name, (_, description) in COMMANDS.items()]
     hint = "'orbit COMMAND --help' describes a command's options; --debug shows where an error arose."
     return "\n".join(["usage: orbit [--version] COMMAND ...", "", *lines, "", hint])
