@@ -10,7 +10,7 @@ from orbit_core.assets.meshes import simplified_hull
 from orbit_core.assets.validation import check_structure, sort_links
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.interfaces.names import match_names
-from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, Mesh, Pose, Shape
+from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, LoopJoint, Mesh, Pose, Shape
 
 
 def attach(
@@ -41,6 +41,7 @@ def attach(
             frames=base.frames + other.frames,
             self_collisions=base.self_collisions or other.self_collisions,
             collision_exclusions=base.collision_exclusions + other.collision_exclusions,
+            loops=base.loops + other.loops,
             notes=tuple(dict.fromkeys(base.notes + other.notes)),
         )
     )
@@ -51,7 +52,7 @@ def subtree(articulation: Articulation, link: str, name: str | None = None) -> A
 
     Raises:
         UnknownNameError: there is no such link.
-        AssetError: a joint of the part mimics one outside it.
+        AssetError: a joint of the part mimics one outside it, or a loop closes through what lies outside.
     """
     if link not in articulation.link_names:
         raise UnknownNameError("link", link, articulation.link_names, f"'{articulation.name}'")
@@ -69,6 +70,12 @@ def subtree(articulation: Articulation, link: str, name: str | None = None) -> A
                 f"'{articulation.name}': joint '{joint.name}' mimics '{joint.mimic.joint}', which lies outside the "
                 f"part beyond link '{link}': cut at a link nearer to the root, or drop the mimic"
             )
+    for loop in articulation.loops:
+        if len(kept.intersection((loop.first, loop.second))) == 1:
+            raise AssetError(
+                f"'{articulation.name}': loop '{loop.name}' closes through what lies outside the part beyond link "
+                f"'{link}': cut at a link nearer to the root, or drop the loop"
+            )
     exclusions = tuple(pair for pair in articulation.collision_exclusions if kept.issuperset(pair))
     return replace(
         articulation,
@@ -77,6 +84,7 @@ def subtree(articulation: Articulation, link: str, name: str | None = None) -> A
         joints=tuple(joints),
         frames=tuple(frame for frame in articulation.frames if frame.link in kept),
         collision_exclusions=exclusions,
+        loops=tuple(loop for loop in articulation.loops if kept.issuperset((loop.first, loop.second))),
     )
 
 
@@ -159,6 +167,7 @@ def _prefixed(articulation: Articulation, prefix: str) -> Articulation:
         joints=tuple(_prefixed_joint(joint, prefix) for joint in articulation.joints),
         frames=tuple(Frame(prefix + frame.name, prefix + frame.link, frame.pose) for frame in articulation.frames),
         collision_exclusions=tuple((prefix + a, prefix + b) for a, b in articulation.collision_exclusions),
+        loops=tuple(_prefixed_loop(loop, prefix) for loop in articulation.loops),
     )
 
 
@@ -166,3 +175,7 @@ def _prefixed_joint(joint: Joint, prefix: str) -> Joint:
     mimic = joint.mimic and replace(joint.mimic, joint=prefix + joint.mimic.joint)
     names = {"name": prefix + joint.name, "parent": prefix + joint.parent, "child": prefix + joint.child}
     return replace(joint, mimic=mimic, **names)
+
+
+def _prefixed_loop(loop: LoopJoint, prefix: str) -> LoopJoint:
+    return replace(loop, name=prefix + loop.name, first=prefix + loop.first, second=prefix + loop.second)

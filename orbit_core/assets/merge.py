@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from orbit_core.assets.inertia import MassProperties, combine
-from orbit_core.scene import Articulation, Frame, Joint, Link, Pose, Shape
+from orbit_core.scene import Articulation, Frame, Joint, Link, LoopJoint, Pose, Shape
 
 
 def merge_fixed_links(articulation: Articulation) -> Articulation:
@@ -29,6 +29,7 @@ def merge_fixed_links(articulation: Articulation) -> Articulation:
         joints=tuple(_rebase_joint(joint, hosts) for joint in articulation.joints if joint.movable),
         frames=(*(_rebase_frame(frame, hosts) for frame in articulation.frames), *merged),
         collision_exclusions=_rename_pairs(articulation.collision_exclusions, hosts),
+        loops=tuple(_rebase_loop(loop, hosts) for loop in articulation.loops),
     )
 
 
@@ -74,6 +75,12 @@ def _rebase_joint(joint: Joint, hosts: dict[str, tuple[str, Pose]]) -> Joint:
 def _rebase_frame(frame: Frame, hosts: dict[str, tuple[str, Pose]]) -> Frame:
     host, pose = hosts[frame.link]
     return frame if host == frame.link else Frame(frame.name, host, pose @ frame.pose)
+
+
+def _rebase_loop(loop: LoopJoint, hosts: dict[str, tuple[str, Pose]]) -> LoopJoint:
+    (first, one), (second, other) = hosts[loop.first], hosts[loop.second]
+    points = (one @ Pose(loop.first_point)).position, (other @ Pose(loop.second_point)).position
+    return LoopJoint(loop.name, first, second, *points)
 
 
 def _rename_pairs(

@@ -40,8 +40,11 @@ def write_usd(articulation: Articulation, path: str | Path) -> None:
 
     Raises:
         AssetError: the file's suffix is another, a link collides but has no mass, a shape is of a kind that USD lacks,
-            or USD is not installed.
+            the links close a loop, or USD is not installed.
     """
+    if articulation.loops:
+        loop = articulation.loops[0].name
+        raise AssetError(f"'{articulation.name}': files hold trees of links and not loop '{loop}': remove it first")
     if Path(path).suffix not in (".usda", ".usdc", ".usd"):
         raise AssetError(f"{path} is to be a USD file: name it *.usda, *.usdc or *.usd")
     writer = _Writer(articulation)

@@ -10,10 +10,13 @@ import numpy as np
 
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.scene import Articulation, Entity, Joint, JointType, Link
+from orbit_core.interfaces.layout import home_positions
+from orbit_core.scene import Articulation, Entity, Joint, JointType, Link, LoopJoint, Pose
 
 _TRIANGLE_TOLERANCE = 1e-3
 """Of the largest principal moment: published models round their inertias to three digits."""
+_CLOSED = 1e-3
+"""Metres by which a loop may be open at home."""
 
 
 def validate(articulation: Articulation) -> Articulation:
@@ -39,6 +42,8 @@ def validate(articulation: Articulation) -> Articulation:
     joints = tuple(_checked_joint(articulation, joint) for joint in articulation.joints)
     for joint in joints:
         _check_mimic(articulation, joint)
+    for loop in articulation.loops:
+        _check_loop(articulation, loop)
     if any(new is not old for new, old in zip(joints, articulation.joints, strict=True)):
         articulation = replace(articulation, joints=joints)
     for link in articulation.links:
@@ -53,9 +58,11 @@ def validate_entity(entity: Entity) -> None:
     """Check the entity's articulation, and that a root that is free to move has mass.
 
     Raises:
-        AssetError: as :func:`validate`, or the root of a free base has no mass.
+        AssetError: as :func:`validate`, the root of a free base has no mass, or a loop is open at the home positions.
     """
     validate(entity.articulation)
+    if entity.articulation.loops:
+        _check_closed(entity)
     if not entity.fixed_base and merge_fixed_links(entity.articulation).root.mass <= 0:
         root = entity.articulation.root.name
         raise AssetError(
@@ -97,7 +104,7 @@ def check_structure(articulation: Articulation) -> None:
         raise _error(articulation, "there is no link: describe at least one")
     links = articulation.link_names
     _check_unique(articulation, "links or frames", (*links, *(frame.name for frame in articulation.frames)))
-    _check_unique(articulation, "joints", (joint.name for joint in articulation.joints))
+    _check_unique(articulation, "joints", (joint.name for joint in (*articulation.joints, *articulation.loops)))
     parent_of: dict[str, Joint] = {}
     for joint in articulation.joints:
         for role, name in (("parent", joint.parent), ("child", joint.child)):
@@ -199,6 +206,38 @@ def _check_mimic(articulation: Articulation, joint: Joint) -> None:
         articulation,
         f"joint '{joint.name}' mimics '{joint.mimic.joint}', {fault}: let a movable joint mimic another free one",
     )
+
+
+def _check_loop(articulation: Articulation, loop: LoopJoint) -> None:
+    for name in (loop.first, loop.second):
+        if name not in articulation.link_names:
+            raise _error(articulation, f"loop '{loop.name}' names unknown link '{name}': define the link")
+    if not all(math.isfinite(number) for number in (*loop.first_point, *loop.second_point)):
+        raise _error(articulation, f"loop '{loop.name}' has a point that is not finite: give finite numbers")
+    merged = merge_fixed_links(replace(articulation, loops=(loop,))).loops[0]
+    if merged.first == merged.second:
+        raise _error(articulation, f"loop '{loop.name}' holds a rigid body to itself: remove it")
+
+
+def _check_closed(entity: Entity) -> None:
+    """Every loop, at the home positions."""
+    articulation = entity.articulation
+    positions = dict(zip(articulation.joint_names, home_positions(entity).tolist(), strict=True))
+    poses = {articulation.root.name: Pose()}
+    for joint in articulation.joints:
+        position = positions.get(joint.name, 0.0)
+        moved = Pose.from_axis_angle(joint.axis, position)
+        if joint.type is JointType.PRISMATIC:
+            moved = Pose(tuple(position * along for along in joint.axis))
+        poses[joint.child] = poses[joint.parent] @ joint.parent_pose @ moved @ joint.child_pose.inverse()
+    for loop in articulation.loops:
+        ends = [poses[loop.first] @ Pose(loop.first_point), poses[loop.second] @ Pose(loop.second_point)]
+        apart = math.dist(ends[0].position, ends[1].position)
+        if apart > _CLOSED:
+            raise AssetError(
+                f"'{entity.name}': loop '{loop.name}' is {apart:.3g} m open at the home positions: give home positions "
+                "that close it"
+            )
 
 
 def _check_finite(articulation: Articulation, link: Link) -> None:

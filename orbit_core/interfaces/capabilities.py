@@ -52,6 +52,7 @@ class Capability(Enum):
     JOINT_FRICTION = "joint Coulomb friction"
     ARMATURE = "reflected motor inertia"
     MIMIC_JOINTS = "mimic joints"
+    LOOP_JOINTS = "joints that close kinematic loops"
     SELF_COLLISIONS = "self collisions"
     GRAVITY_COMPENSATION = "gravity compensation"
     FRICTION = "Coulomb friction, the larger coefficient of a pair"

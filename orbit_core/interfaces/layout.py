@@ -226,6 +226,11 @@ def _entity_parameters(entity: Entity) -> dict[str, npt.NDArray[np.float64]]:
     return values
 
 
+def home_positions(entity: Entity) -> npt.NDArray[np.float64]:
+    """Of the movable joints (J,), at reset."""
+    return _entity_parameters(entity)["home"]
+
+
 def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     home = np.clip(np.zeros_like(lower), lower, upper)
     names = entity.articulation.joint_names

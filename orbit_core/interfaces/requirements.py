@@ -74,6 +74,8 @@ def _entity_needs(entity: Entity) -> Iterator[tuple[Capability, str]]:
             yield Capability.SELF_COLLISIONS, culprit
     if entity.gravity_compensation:
         yield Capability.GRAVITY_COMPENSATION, culprit
+    for loop in articulation.loops:
+        yield Capability.LOOP_JOINTS, f"loop '{loop.name}' of {culprit}"
     for joint in articulation.movable_joints:
         where = f"joint '{joint.name}' of {culprit}"
         if joint.mimic:

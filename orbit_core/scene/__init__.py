@@ -4,7 +4,7 @@ Units are SI, angles radians, z is up, quaternions are ``(w, x, y, z)``.
 """
 
 from orbit_core.scene.actuators import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
-from orbit_core.scene.articulation import Articulation, Frame, Joint, JointType, Link, Mimic, single_link
+from orbit_core.scene.articulation import Articulation, Frame, Joint, JointType, Link, LoopJoint, Mimic, single_link
 from orbit_core.scene.deformables import Cloth, SoftBody
 from orbit_core.scene.entities import EndEffector, Entity, Gripper, ObjectSpec, RobotSpec
 from orbit_core.scene.markers import MarkerShape, MarkerSpec
@@ -40,7 +40,7 @@ __all__ = [
     "ActuatorConfig", "Articulation", "Box", "CameraSpec", "Capsule", "Channel", "Cloth", "Color", "Compliance",
     "ContactSensorSpec", "Cylinder", "DcMotor", "EndEffector", "Entity", "ForceTorqueSpec", "Frame",
     "FrameSensorSpec", "Geometry", "Gripper", "HeightField", "IdealPd", "ImplicitPd", "ImuSpec", "Joint",
-    "JointSensorSpec", "JointType", "Link", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision", "Mimic", "Noise",
-    "ObjectSpec", "PhysicsMaterial", "Plane", "Pose", "RayCasterSpec", "RobotSpec", "Scene", "SensorSpec", "Shape",
-    "SoftBody", "Sphere", "look_at", "single_link",
+    "JointSensorSpec", "JointType", "Link", "LoopJoint", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision", "Mimic",
+    "Noise", "ObjectSpec", "PhysicsMaterial", "Plane", "Pose", "RayCasterSpec", "RobotSpec", "Scene", "SensorSpec",
+    "Shape", "SoftBody", "Sphere", "look_at", "single_link",
 ]  # fmt: skip

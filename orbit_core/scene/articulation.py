@@ -66,6 +66,21 @@ class Joint:
         return self.type is not JointType.FIXED
 
 
+@dataclass(frozen=True)
+class LoopJoint:
+    """A ball joint that closes a kinematic loop: holds a point of one link at a point of another.
+
+    Each point is in its link's frame. The joint has no position of its own: those of the tree's joints must satisfy it,
+    at home and whenever they are written.
+    """
+
+    name: str
+    first: str
+    second: str
+    first_point: Vector3 = (0.0, 0.0, 0.0)
+    second_point: Vector3 = (0.0, 0.0, 0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class Link:
     """A rigid body.
@@ -94,7 +109,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Articulation:
-    """A tree of links. A rigid object is an articulation with one link.
+    """A tree of links, and joints that close loops in it. A rigid object is an articulation with one link.
 
     Links stand in topological order, the root first, and joints in the order of their child links; this order is the
     order of every tensor on every engine. :func:`orbit_core.assets.validation.validate` checks it.
@@ -108,6 +123,7 @@ class Articulation:
     """Whether links that no joint connects directly may collide with each other."""
     collision_exclusions: tuple[tuple[str, str], ...] = ()
     """Pairs of links that never collide, whatever ``self_collisions`` says."""
+    loops: tuple[LoopJoint, ...] = ()
     notes: tuple[str, ...] = ()
     """What a reader or the catalogue changed against the source, for the build report."""
 
@@ -128,6 +144,12 @@ class Articulation:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the movable joints."""
         return tuple(joint.name for joint in self.movable_joints)
+
+    @property
+    def joined_links(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of links that a joint connects, loops included: they never collide."""
+        tree = ((joint.parent, joint.child) for joint in self.joints)
+        return (*tree, *((loop.first, loop.second) for loop in self.loops))
 
     @property
     def mass(self) -> float:

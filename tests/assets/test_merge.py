@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.validation import validate
-from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, Pose, Shape, Sphere
+from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, LoopJoint, Pose, Shape, Sphere
 
 _number = st.floats(-1.0, 1.0)
 _vector = st.tuples(_number, _number, _number)
@@ -129,3 +129,16 @@ def test_nothing_to_merge_returns_the_same() -> None:
     assert merge_fixed_links(articulation) is articulation
     with pytest.raises(KeyError):
         merge_fixed_links(replace(articulation, frames=(Frame("tip", "ball"),))).frame("nowhere")
+
+
+def test_a_loop_moves_to_the_link_that_takes_its_end_in() -> None:
+    links = tuple(Link(name, 1.0, inertia=np.eye(3)) for name in ("base", "arm", "tip"))
+    turned = Pose.from_axis_angle((0.0, 0.0, 1.0), np.pi / 2, (0.5, 0.0, 0.0))
+    joints = (
+        Joint("turn", JointType.CONTINUOUS, "base", "arm"),
+        Joint("weld", JointType.FIXED, "arm", "tip", parent_pose=turned),
+    )
+    loop = LoopJoint("pin", "base", "tip", (0.1, 0.0, 0.0), (0.2, 0.0, 0.0))
+    (merged,) = merge_fixed_links(Articulation("arm", links, joints, loops=(loop,))).loops
+    assert (merged.first, merged.second, merged.first_point) == ("base", "arm", (0.1, 0.0, 0.0))
+    assert merged.second_point == pytest.approx((0.5, 0.2, 0.0))

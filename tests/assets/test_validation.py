@@ -11,7 +11,7 @@ import pytest
 
 from orbit_core.assets.validation import sort_links, validate, validate_entity
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, Mimic, ObjectSpec
+from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, LoopJoint, Mimic, ObjectSpec, Pose
 
 INERTIA = np.diag([0.01, 0.02, 0.02])
 
@@ -131,3 +131,34 @@ def test_a_free_root_needs_mass() -> None:
     validate_entity(ObjectSpec(name="thing", articulation=articulation, fixed_base=True))
     with pytest.raises(AssetError, match="fixed_base=True"):
         validate_entity(ObjectSpec(name="thing", articulation=articulation))
+
+
+def triangle(**changes: Any) -> Articulation:
+    """Two bars of 1 m that hang on the base 1 m apart and meet at their ends when they lean by 60 degrees."""
+    joints = (
+        joint("left", "base", "upper", lower_limit=-2.0, upper_limit=2.0),
+        joint("right", "base", "lower", lower_limit=-2.0, upper_limit=2.5, parent_pose=Pose((1.0, 0.0, 0.0))),
+    )
+    loop = LoopJoint("apex", "upper", "lower", (1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    return chain(joints=joints, loops=(replace(loop, **changes),))
+
+
+def test_a_loop_is_closed_at_home() -> None:
+    closed = {"left": math.pi / 3, "right": 2 * math.pi / 3}
+    validate_entity(ObjectSpec(name="triangle", articulation=triangle(), home=closed))
+    with pytest.raises(AssetError, match=r"loop 'apex' is 1 m open"):
+        validate_entity(ObjectSpec(name="triangle", articulation=triangle()))
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"second": "nothing"}, "unknown link 'nothing'"),
+        ({"second": "upper"}, "to itself"),
+        ({"first_point": (math.nan, 0.0, 0.0)}, "not finite"),
+        ({"name": "left"}, "share the name 'left'"),
+    ],
+)
+def test_impossible_loops(change: dict[str, Any], fault: str) -> None:
+    with pytest.raises(AssetError, match=fault):
+        validate(triangle(**change))

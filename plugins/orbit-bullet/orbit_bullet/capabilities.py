@@ -13,6 +13,7 @@ CAPABILITIES = Capabilities(
         Capability.JOINT_FRICTION: EXACT,
         Capability.ARMATURE: EXACT,
         Capability.MIMIC_JOINTS: EXACT,
+        Capability.LOOP_JOINTS: EXACT,
         Capability.SELF_COLLISIONS: EXACT,
         Capability.GRAVITY_COMPENSATION: EXACT,
         Capability.FRICTION: approximate(

@@ -22,6 +22,8 @@ class BulletConfig:
     """Of the constraint solver, per step. Fingers that hold a heavy thing need more than Bullet's usual 50."""
     contact_erp: float = 0.2
     """Share of the penetration that a step removes."""
+    joint_erp: float = 0.8
+    """Share of the opening of loops that a step removes."""
     contact_margin: float = 0.0005
     """Metres of rounding around convex meshes."""
     restitution_threshold: float = 0.05
@@ -37,7 +39,7 @@ class BulletConfig:
             raise ConfigurationError(f"workers must be 0 (one per core) or more, not {self.workers}")
         if not 1 <= self.envs_per_client <= MOST_PER_CLIENT:
             raise ConfigurationError(f"envs_per_client must be from 1 to {MOST_PER_CLIENT}, not {self.envs_per_client}")
-        for name in ("solver_iterations", "contact_erp"):
+        for name in ("solver_iterations", "contact_erp", "joint_erp"):
             if getattr(self, name) <= 0:
                 raise ConfigurationError(f"{name} must be positive, not {getattr(self, name)}")
         for name in ("contact_margin", "restitution_threshold"):

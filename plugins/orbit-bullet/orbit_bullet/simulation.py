@@ -80,7 +80,7 @@ class Simulation:
             minimumSolverIslandSize=1,
             deterministicOverlappingPairs=1,
             contactERP=config.contact_erp,
-            erp=config.contact_erp,
+            erp=config.joint_erp,
             restitutionVelocityThreshold=config.restitution_threshold,
             enableFileCaching=0,
             enableSAT=1,

@@ -15,7 +15,19 @@ import numpy.typing as npt
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.urdf import MeshFiles, child_poses, write_entity
 from orbit_core.interfaces import TERRAIN, ConfigurationError, EntityLayout, SceneLayout
-from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, MeshCollision, Plane, Pose, Shape, Sphere
+from orbit_core.scene import (
+    Box,
+    Capsule,
+    Cylinder,
+    HeightField,
+    LoopJoint,
+    Mesh,
+    MeshCollision,
+    Plane,
+    Pose,
+    Shape,
+    Sphere,
+)
 
 FloatArray = npt.NDArray[np.float64]
 SPACING = 2048.0
@@ -199,6 +211,8 @@ class Stage:
             self._number_links(body, entity)
         self._set_up_links(slot, body, entity)
         self._set_up_joints(body, entity)
+        for loop in articulation.loops:
+            self._add_loop(body, entity, loop)
 
     def _number_links(self, body: int, entity: EntityLayout) -> None:
         client, number = self.client, entity.index
@@ -238,8 +252,7 @@ class Stage:
         if not articulation.self_collisions:
             return
         index_of = dict(zip(articulation.link_names, self.links[entity.index], strict=True))
-        apart = [(joint.parent, joint.child) for joint in articulation.joints] + list(articulation.collision_exclusions)
-        for first, second in apart:
+        for first, second in (*articulation.joined_links, *articulation.collision_exclusions):
             self.client.setCollisionFilterPair(body, body, index_of[first], index_of[second], 0)
 
     def _set_contact(self, body: int, link: int, shape: Shape) -> None:
@@ -272,6 +285,18 @@ class Stage:
             if joint.mimic:
                 driver = self.joints[entity.index][names.index(joint.mimic.joint)]
                 self._add_mimic(body, driver, number, joint.mimic.multiplier, joint.mimic.offset)
+
+    def _add_loop(self, body: int, entity: EntityLayout, loop: LoopJoint) -> None:
+        """Bullet takes the points in the frames of the centres of mass and principal axes."""
+        client, names = self.client, entity.spec.articulation.link_names
+        links, points = [], []
+        for name, point in ((loop.first, loop.first_point), (loop.second, loop.second_point)):
+            offset = names.index(name)
+            links.append(self.links[entity.index][offset])
+            inertial = self._inertial(body, links[-1])
+            points.append((inertial.inverse() @ child_poses(entity.spec)[offset] @ Pose(point)).position)
+        ball = client.createConstraint(body, links[0], body, links[1], client.JOINT_POINT2POINT, [0] * 3, *points)
+        client.changeConstraint(ball, maxForce=_GEAR_FORCE)
 
     def _add_mimic(self, body: int, driver: int, follower: int, multiplier: float, offset: float) -> None:
         """A gear holds ``q_driver - q_follower / multiplier`` at ``- offset / multiplier``."""

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, AssetError, EntityLayout, SceneLayout
-from orbit_core.scene import Joint, JointType, Link, Shape
+from orbit_core.scene import Joint, JointType, Link, LoopJoint, Shape
 from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
 from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
@@ -29,6 +29,8 @@ from orbit_mjmodel.wrenches import add_wrench_sensors
 AddSensors = Callable[[mujoco.MjSpec, SceneLayout], None]
 _UNLIMITED = 1e10
 """Stands for infinity where only one side of a joint is limited."""
+_STIFF_COUPLING = (0.99, 0.999, 0.001, 0.5, 2.0)
+"""Impedance of mimic joints and of loops."""
 _HARD_FRICTION = (0.999, 0.9999, 0.001, 0.5, 2.0)
 """Impedance of joint friction. With MuJoCo's own, 0.9, a joint that friction holds creeps two hundred times faster."""
 
@@ -133,6 +135,8 @@ class _Builder:
                 if joint.movable:
                     self._add_joint(bodies[link.name], entity, joint, next(joints))
             self._fill_body(bodies[link.name], entity, link)
+        for loop in articulation.loops:
+            self._add_loop(f"{entity.index}_{loop.name}", loop, bodies)
         self._exclude_pairs(entity)
         self._report_joints(entity)
 
@@ -181,7 +185,7 @@ class _Builder:
         articulation = entity.spec.articulation
         colliding = [link.name for link in articulation.links if link.collisions]
         if articulation.self_collisions:
-            connected = {frozenset((joint.parent, joint.child)) for joint in articulation.joints}
+            connected = {frozenset(pair) for pair in articulation.joined_links}
             apart = connected | {frozenset(pair) for pair in articulation.collision_exclusions}
             pairs = [pair for pair in combinations(colliding, 2) if frozenset(pair) in apart]
         else:
@@ -206,7 +210,7 @@ class _Builder:
             range=(max(lower, -_UNLIMITED), min(upper, _UNLIMITED)) if limited else (0.0, 0.0),
             damping=[float(parameters.damping[number]), 0.0, 0.0],
             frictionloss=float(parameters.friction[number]),
-            solref_friction=(2 * self.layout.scene.physics_dt, 1.0),
+            solref_friction=self._stiffest,
             solimp_friction=_HARD_FRICTION,
             armature=float(parameters.armature[number]),
         )
@@ -239,9 +243,29 @@ class _Builder:
             name1=joint_name(number),
             name2=joint_name(driver),
             data=data,
-            solref=(2 * self.layout.scene.physics_dt, 1.0),  # the stiffest that MuJoCo integrates safely
-            solimp=(0.99, 0.999, 0.001, 0.5, 2.0),
+            solref=self._stiffest,
+            solimp=_STIFF_COUPLING,
         )
+
+    def _add_loop(self, name: str, loop: LoopJoint, bodies: dict[str, mujoco.MjsBody]) -> None:
+        sites = [f"{name}_first", f"{name}_second"]
+        for site, link, point in zip(
+            sites, (loop.first, loop.second), (loop.first_point, loop.second_point), strict=True
+        ):
+            bodies[link].add_site(name=site, pos=point)
+        self.spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_CONNECT,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            name1=sites[0],
+            name2=sites[1],
+            solref=self._stiffest,
+            solimp=_STIFF_COUPLING,
+        )
+
+    @property
+    def _stiffest(self) -> tuple[float, float]:
+        """Time constant and damping ratio of the stiffest constraint that MuJoCo integrates safely."""
+        return 2 * self.layout.scene.physics_dt, 1.0
 
     def _add_drive(self, number: int) -> None:
         parameters = self.layout.joint_parameters

@@ -37,6 +37,7 @@ CAPABILITIES = Capabilities(
         ),
         Capability.ARMATURE: EXACT,
         Capability.MIMIC_JOINTS: approximate("the coupling is a stiff spring: it gives way slightly under load"),
+        Capability.LOOP_JOINTS: EXACT,
         Capability.SELF_COLLISIONS: EXACT,
         Capability.GRAVITY_COMPENSATION: EXACT,
         Capability.FRICTION: approximate(

@@ -38,8 +38,7 @@ def exclusion_groups(entity: EntityLayout, report: list[Approximation] | None) -
     if not articulation.self_collisions:
         return [1] * len(names)
     words = [0] * len(names)
-    excluded = {frozenset(pair) for pair in articulation.collision_exclusions}
-    excluded |= {frozenset((joint.parent, joint.child)) for joint in articulation.joints}
+    excluded = {frozenset(pair) for pair in (*articulation.collision_exclusions, *articulation.joined_links)}
     open_pairs = [pair for pair in itertools.combinations(names, 2) if frozenset(pair) in excluded]
     for bit in range(_EXCLUSION_BITS):
         if not open_pairs:

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import TERRAIN, Approximation, AssetError, EntityLayout, SceneLayout
-from orbit_core.scene import Joint, JointType, Link, Plane, Pose, Shape
+from orbit_core.scene import Joint, JointType, Link, LoopJoint, Plane, Pose, Shape
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.geometry import collision_shape
 from orbit_sapien.isolation import COLORS, color, exclusion_groups, grid_offset
@@ -266,6 +266,8 @@ class _Builder:
             if joint.mimic:
                 stiffness = self.config.tendon_stiffness
                 add_mimic_tendon(articulation, links, entity.spec.articulation, joint, stiffness)
+        for loop in entity.spec.articulation.loops:
+            _add_loop(links[loop.first], links[loop.second], loop)
         return made
 
     # Joints ----------------------------------------------------------------------------------------------------------
@@ -328,6 +330,18 @@ def _place(
     entity.add_component(body)
     entity.set_pose(sapien.Pose(np.asarray(pose.p) + offset, pose.q))
     scene.add_entity(entity)
+
+
+def _add_loop(
+    first: physx.PhysxArticulationLinkComponent, second: physx.PhysxArticulationLinkComponent, loop: LoopJoint
+) -> None:
+    ball = physx.PhysxDriveComponent(second)
+    ball.parent = first
+    ball.pose_in_parent = native_pose(Pose(loop.first_point))
+    ball.pose_in_child = native_pose(Pose(loop.second_point))
+    for set_limit in (ball.set_limit_x, ball.set_limit_y, ball.set_limit_z):
+        set_limit(0.0, 0.0)
+    second.entity.add_component(ball)
 
 
 def _is_level(shape: Shape) -> bool:

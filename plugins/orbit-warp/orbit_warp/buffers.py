@@ -45,8 +45,14 @@ def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpCon
     nconmax = config.nconmax or max(min(possible, likely), 1)
     condim = int(model.geom_condim[touching].max(initial=1))
     rows = condim if config.cone == "elliptic" else max(2 * (condim - 1), 1)
-    always = int(np.count_nonzero(model.dof_frictionloss)) + int(np.count_nonzero(model.jnt_limited)) + model.neq
+    always = int(np.count_nonzero(model.dof_frictionloss)) + int(np.count_nonzero(model.jnt_limited))
+    always += _equality_rows(model)
     return BufferSizes(nconmax, config.njmax or max(always + rows * nconmax, 1))
+
+
+def _equality_rows(model: mujoco.MjModel) -> int:
+    """One of each mimic joint, three of each loop."""
+    return int(np.where(model.eq_type == mujoco.mjtEq.mjEQ_CONNECT, 3, 1).sum())
 
 
 def _contacts_of_pairs(model: mujoco.MjModel, pairs: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:

@@ -15,6 +15,7 @@ CAPABILITIES = Capabilities(
         Capability.MIMIC_JOINTS: approximate(
             "the coupling is a stiff soft constraint: it gives way slightly under load"
         ),
+        Capability.LOOP_JOINTS: approximate("the ball joint is a stiff soft constraint: it gives way slightly under load"),
         Capability.SELF_COLLISIONS: EXACT,
         Capability.GRAVITY_COMPENSATION: EXACT,
         Capability.FRICTION: approximate("friction is a soft constraint: a held contact creeps slowly under load"),
