@@ -10,6 +10,7 @@ from torch import Tensor
 
 from orbit_core.actuators.delay import CommandDelay, DelayState
 from orbit_core.actuators.models import DcMotorModel, PdModel
+from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout, match_names
 from orbit_core.scene import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
@@ -90,12 +91,11 @@ class Actuators:
             indices = torch.tensor([joints[column] for column in native], device=self._engine.device)
             self._engine.set_drive_gains(indices, stiffness[:, native], damping[:, native], env_ids)
         explicit = {joint: (model, i) for model in self._models for i, joint in enumerate(model.joints)}
-        rows = slice(None) if env_ids is None else env_ids
         for column, joint in enumerate(joints):
             if joint in explicit:
                 model, index = explicit[joint]
-                model.stiffness[rows, index] = stiffness[:, column]
-                model.damping[rows, index] = damping[:, column]
+                write_rows(model.stiffness[:, index], stiffness[:, column], env_ids)
+                write_rows(model.damping[:, index], damping[:, column], env_ids)
             elif joint not in self._implicit:
                 name = self._engine.layout.joints[joint].name
                 raise ConfigurationError(f"joint '{name}' has no actuator whose gains could be set: give it a group")

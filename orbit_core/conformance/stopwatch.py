@@ -57,12 +57,12 @@ def timed_parts(environment: Environment) -> Iterator[Stopwatch]:
         "_reward": "rewards",
         "_terminated": "terminations",
         "_observe": "observations",
-        "_finish": "resets",
-        "_begin": "resets",
+        "_everyone": "resets",
+        "begin": "resets",
     }
     for name, part in parts.items():
         setattr(environment, name, watch.wrap(part, getattr(environment, name)))
-    cut = environment._cut
+    cut = environment.cut
     acting = {"act": "agent and motion", "observe": "agent and motion"}
     for name, part in acting.items():
         setattr(cut, name, watch.wrap(part, getattr(cut, name)))

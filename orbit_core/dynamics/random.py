@@ -9,6 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import Masking, is_mask, write_rows
+
 _INCREMENT = -7046029254386353131  # 0x9E3779B97F4A7C15, as a signed 64-bit integer
 _MIX_1 = -4658895280553007687  # 0xBF58476D1CE4E5B9
 _MIX_2 = -7723592293110705685  # 0x94D049BB133111EB
@@ -25,8 +27,11 @@ class RandomStreams:
     finaliser takes any counter to 64 well-mixed bits, so that all environments draw in one batched call.
     """
 
-    def __init__(self, num_envs: int, seed: int, device: torch.device) -> None:
+    def __init__(self, num_envs: int, seed: int, device: torch.device, masking: Masking | None = None) -> None:
         self.device = device
+        self._masking = masking or Masking()
+        self.traceable = False
+        """Whether resets and draws are operations of torch, also where NumPy is quicker: these can be traced."""
         self._envs: _Array = _array(torch.arange(num_envs, dtype=torch.int64, device=device))
         self._key: _Array = self._envs * 0
         self._episode: _Array = self._envs * 0
@@ -42,6 +47,12 @@ class RandomStreams:
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Begin the next episode's stream; what the last episode drew does not matter to it."""
+        if is_mask(env_ids):
+            key, episode, counter = self._tensors
+            following = episode + 1
+            write_rows(episode, following, env_ids)
+            write_rows(counter, _mix(key + following * _INCREMENT), env_ids)
+            return
         ids = self._rows(env_ids)
         self._begin_stream(ids, self._episode[ids] + 1)
 
@@ -67,13 +78,18 @@ class RandomStreams:
 
     def save_state(self) -> tuple[Tensor, Tensor, Tensor]:
         """Detached copy of all streams."""
-        key, episode, counter = (torch.as_tensor(own).clone() for own in (self._key, self._episode, self._counter))
+        key, episode, counter = (own.clone() for own in self._tensors)
         return key, episode, counter
 
     def load_state(self, state: tuple[Tensor, Tensor, Tensor]) -> None:
         """Return to a saved state."""
         for own, saved in zip((self._key, self._episode, self._counter), state, strict=True):
             own[:] = _array(saved)
+
+    @property
+    def _tensors(self) -> tuple[Tensor, Tensor, Tensor]:
+        key, episode, counter = (torch.as_tensor(own) for own in (self._key, self._episode, self._counter))
+        return key, episode, counter
 
     def _rows(self, env_ids: Tensor | None) -> _Array:
         return self._envs if env_ids is None else _array(env_ids)
@@ -83,9 +99,16 @@ class RandomStreams:
         self._counter[ids] = _mix(self._key[ids] + episode * _INCREMENT)
 
     def _bits(self, draws: int, env_ids: Tensor | None) -> _Array:
-        ids = self._rows(env_ids)
-        counters = self._counter[ids][:, None] + _increments(draws, self.device)
-        self._counter[ids] = counters[:, -1]
+        env_ids = self._masking.rows(env_ids)
+        if self.traceable or is_mask(env_ids):
+            counter = self._tensors[2]
+            chosen = counter if env_ids is None or is_mask(env_ids) else counter[env_ids]
+            counters = chosen[:, None] + torch.as_tensor(_increments(draws, self.device))
+            write_rows(counter, counters[:, -1], env_ids)
+        else:
+            ids = self._rows(env_ids)
+            counters = self._counter[ids][:, None] + _increments(draws, self.device)
+            self._counter[ids] = counters[:, -1]
         return _mix(counters[:, 1:])
 
     def _bound(self, bound: Bound) -> float | Tensor:

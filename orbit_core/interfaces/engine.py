@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -48,6 +48,10 @@ class Engine(ABC):
 
     The engine trusts its caller: the core has checked names, shapes and finiteness.
     """
+
+    takes_masks: ClassVar[bool] = False
+    """Whether ``env_ids`` may also be a mask (N,) bool, in recordings above all; n is then N, and rows outside of the
+    mask count for nothing."""
 
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device) -> None:
         self.layout = layout

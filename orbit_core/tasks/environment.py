@@ -5,8 +5,9 @@ from __future__ import annotations
 import copy
 import functools
 import math
+import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -14,37 +15,20 @@ from torch import Tensor
 
 from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
 from orbit_core.backends import default_backend
+from orbit_core.dynamics.indexing import is_mask, write_rows
 from orbit_core.interfaces import ConfigurationError, Node, NonFiniteError, Port, ShapeError
 from orbit_core.motion import Actuate, action_space, with_drives_for
 from orbit_core.scene import Scene
+from orbit_core.tasks.closed import ClosedStep, StepResult
 from orbit_core.tasks.common import ROBOT
-from orbit_core.tasks.recording import RecordedStep, StepOutcome, needs_python
+from orbit_core.tasks.episode import EpisodeEnd, Observation
+from orbit_core.tasks.recording import needs_python, remembered
 from orbit_core.tasks.registry import task_entry
 from orbit_core.tasks.settings import configure
 from orbit_core.tasks.task import Task
 from orbit_core.tasks.terms import EventTerm, EventTime, ObservationTerm, RewardTerm, TerminationTerm, terms_of
 from orbit_core.world import SimulatedWorld
 from orbit_core.world.threads import SingleThreaded
-
-Observation = dict[str, Tensor]
-
-
-@dataclass(frozen=True)
-class EpisodeEnd:
-    """What n episodes came to."""
-
-    env_ids: Tensor
-    """(n,)"""
-    observation: Observation
-    """(n, O) of the last state, before the reset."""
-    success: Tensor
-    """(n,) bool"""
-    metrics: dict[str, Tensor]
-    """(n,) each."""
-    rewards: dict[str, Tensor]
-    """(n,) each term's contribution to the return."""
-    steps: Tensor
-    """(n,) int64"""
 
 
 class Environment:
@@ -62,6 +46,10 @@ class Environment:
         renderer: name of the backend that draws; the physics backend if None.
         settings: of the physics backend, by field name, over the task's preset.
         renderer_settings: of the renderer, by field name.
+        compile: whether to compile the layer's part of a step; the first step then takes seconds.
+
+    Raises:
+        ConfigurationError: among others, nothing compiles here, or the task's step cannot be compiled.
     """
 
     def __init__(
@@ -74,6 +62,7 @@ class Environment:
         renderer: str | None = None,
         settings: Mapping[str, Any] | None = None,
         renderer_settings: Mapping[str, Any] | None = None,
+        compile: bool = False,
     ) -> None:
         self.task = task = copy.deepcopy(task)
         self.max_episode_steps = _whole_steps(task)
@@ -91,8 +80,9 @@ class Environment:
         self._column_of_weights = self._weights[:, None]
         self.reward_sums = torch.zeros(len(self.reward_terms), num_envs, device=self.device)
         """(terms, N) each reward term's contribution to the episode so far."""
-        self._all = torch.arange(num_envs, device=self.device)
-        self._recorded: RecordedStep | None = None
+        self.all_ids = torch.arange(num_envs, device=self.device)
+        self.done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
+        """(N,) whose episode ended in the last step."""
         self._never = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         task.generators = action_space(self.world.robots[ROBOT], task.action)
         self.action_size = sum(generator.command_size for generator in task.generators)
@@ -100,12 +90,14 @@ class Environment:
         task.last_action = torch.zeros_like(self._action)
         task.action_before = torch.zeros_like(self._action)
         task.start(self.world)
+        self._seen: tuple[int, Tensor] | None = None
+        """Version of the world's state, and the observation of it that the closed step made."""
         self.observation_size = self._observation().shape[1]
-        self._cut = self._build_agent()
-        if self.device.type != "cpu" and not needs_python(self.world, task, self._cut):
-            self._recorded = RecordedStep(self.world, task, self._cut, self._advance, self._compute_observation)
-        self._run_events(EventTime.STARTUP, self._all)
-        self._begin(None)
+        self.cut = self._build_agent()
+        self._compile = compile
+        self._closed = self._close_step()
+        self._run_events(EventTime.STARTUP, self.all_ids)
+        self.begin(None)
         self._observe()
 
     # Gymnasium's way ------------------------------------------------------------------------------------------------
@@ -115,10 +107,10 @@ class Environment:
         if seed is not None:
             self.world.random.seed(seed, env_ids)
         with SingleThreaded():
-            self._begin(env_ids)
+            self.begin(env_ids)
             return self._observe(), {}
 
-    def step(self, action: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
+    def step(self, action: Tensor) -> StepResult:
         """One step of all environments.
 
         Returns:
@@ -134,17 +126,25 @@ class Environment:
         with SingleThreaded():
             return self._step(action)
 
-    def _step(self, action: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
+    def _step(self, action: Tensor) -> StepResult:
         self._check(action)
         torch.clamp(action, -1.0, 1.0, out=self._action)
-        reward, terminated, truncated, done = (self._recorded or self._advance)()
-        info: dict[str, Any] = {}
-        if bool(done.any()):
-            ended = done.nonzero().squeeze(-1)
-            info["final"] = self._finish(ended)
-            self._begin(ended)
-            truncated &= ~terminated
-        return self._observe(), reward, terminated, truncated, info
+        if self._closed is not None:
+            return self._step_closed(self._closed)
+        reward, terminated, truncated = self.advance()
+        if not bool(self.done.any()):
+            return self._observe(), reward, terminated, truncated, {}
+        ended = self.done.nonzero().squeeze(-1)
+        final = self._everyone(self._observe()["policy"]).only(ended)
+        self.begin(ended)
+        with self.world.masking.only(self.done):
+            observation = self._observe()
+        return observation, reward, terminated, truncated, {"final": final}
+
+    def observe(self) -> Observation:
+        """What a policy sees of the present state: what the last reset or step returned."""
+        with SingleThreaded():
+            return self._observe()
 
     def expert(self) -> Node:
         """The task's scripted policy: call its ``compute({})`` for an action."""
@@ -185,10 +185,30 @@ class Environment:
 
     # One step -------------------------------------------------------------------------------------------------------
 
-    def _advance(self) -> StepOutcome:
-        """From the action to what the step came to, and no reset yet: nothing here waits for the device."""
+    def _close_step(self) -> ClosedStep | None:
+        """The step without its Python, where that is asked for or the device is not Python's own."""
+        reason = needs_python(self.world, self.cut)
+        if self._compile and reason:
+            raise ConfigurationError(f"the step cannot be compiled, for it needs Python each time: {reason}")
+        if reason or (self.device.type == "cpu" and not self._compile):
+            return None
+        return ClosedStep(self, self._compile, whole=self.device.type != "cpu")
+
+    def _step_closed(self, closed: ClosedStep) -> StepResult:
+        result = closed()
+        self._seen = (self.world.clock.version, result[0]["policy"])
+        if closed.refusal:
+            if self._compile:
+                raise ConfigurationError(f"the step cannot be compiled: {closed.refusal}; or leave compile out")
+            self._closed = None
+            self._observe()  # from here on the agent counts its own steps
+            warnings.warn(f"each step waits for the device: {closed.refusal}", RuntimeWarning, stacklevel=4)
+        return result
+
+    def advance(self) -> tuple[Tensor, Tensor, Tensor]:
+        """From the action to reward, terminated and truncated, and no reset yet: nothing here waits for the device."""
         task = self.task
-        self._cut.act({"action": self._action})
+        self.cut.act({"action": self._action})
         self.world.step(task.decimation)
         task.episode_step += 1
         task.advance(self.world)
@@ -197,7 +217,8 @@ class Environment:
         reward = self._reward()
         terminated = self._terminated()
         late = task.episode_step >= self.max_episode_steps
-        return reward, terminated, late & ~terminated, late | terminated
+        torch.logical_or(late, terminated, out=self.done)
+        return reward, terminated, late & ~terminated
 
     def _check(self, action: Tensor) -> None:
         expected = (self.num_envs, self.action_size)
@@ -212,13 +233,14 @@ class Environment:
             raise NonFiniteError(f"action component {component} of environment {environment} is {value}")
 
     def _observe(self) -> Observation:
-        return {"policy": self._cut.observe()["observation"]}
+        return {"policy": self.cut.observe()["observation"]}
 
     def _observation(self) -> Tensor:
-        recorded = self._recorded.observation() if self._recorded else None
-        return self._compute_observation() if recorded is None else recorded
+        if self._seen is not None and self._seen[0] == self.world.clock.version:
+            return self._seen[1]
+        return self.compute_observation()
 
-    def _compute_observation(self) -> Tensor:
+    def compute_observation(self) -> Tensor:
         return torch.cat([self._observe_term(term) for term in self.observation_terms.values()], dim=1)
 
     def _observe_term(self, term: ObservationTerm) -> Tensor:
@@ -242,28 +264,37 @@ class Environment:
         ends = [term.function(self.world, self.task) for term in self.termination_terms.values()]
         return functools.reduce(torch.logical_or, ends) if ends else self._never.clone()
 
-    def _finish(self, ended: Tensor) -> EpisodeEnd:
-        """What ended, before it is reset."""
-        observation = {name: group[ended] for name, group in self._observe().items()}
-        metrics = {name: value[ended] for name, value in self.task.metrics(self.world).items()}
-        rewards = dict(zip(self.reward_terms, self.reward_sums[:, ended].unbind(), strict=True))
+    def _everyone(self, observation: Tensor) -> EpisodeEnd:
+        """What all episodes would have come to, ended now."""
         return EpisodeEnd(
-            env_ids=ended,
-            observation=observation,
-            success=self.task.success(self.world)[ended],
-            metrics=metrics,
-            rewards=rewards,
-            steps=self.task.episode_step[ended],
+            env_ids=self.all_ids,
+            observation={"policy": observation},
+            success=self.task.success(self.world),
+            metrics=self.task.metrics(self.world),
+            rewards=dict(zip(self.reward_terms, self.reward_sums.unbind(), strict=True)),
+            steps=self.task.episode_step,
         )
 
-    def _begin(self, env_ids: Tensor | None) -> None:
+    def begin(self, env_ids: Tensor | None) -> None:
         self.world.reset(env_ids)
         self.task.reset(env_ids)
-        self._cut.graph.reset(env_ids)
-        ids = self._all if env_ids is None else env_ids
-        self.reward_sums.index_fill_(1, ids, 0.0)
-        self._run_events(EventTime.RESET, ids)
+        self.cut.graph.reset(env_ids)
+        write_rows(self.reward_sums.T, 0.0, env_ids)
+        if is_mask(env_ids):
+            self._run_events_where(env_ids)
+        else:
+            self._run_events(EventTime.RESET, self.all_ids if env_ids is None else env_ids)
         self.world.clock.touch()  # an event may have changed what a cached term depends on
+
+    def _run_events_where(self, mask: Tensor) -> None:
+        """Run events as for all environments, and keep what they did to those of the mask."""
+        memory = [m for m in remembered(self.task, self.cut).values() if m.shape[:1] == (self.num_envs,)]
+        before = [tensor.clone() for tensor in memory]
+        with self.world.masking.only(mask):
+            self._run_events(EventTime.RESET, self.all_ids)
+        others = ~mask
+        for tensor, old in zip(memory, before, strict=True):
+            write_rows(tensor, old, others)
 
     def _run_events(self, time: EventTime, env_ids: Tensor) -> None:
         for event in self._events:
@@ -306,6 +337,7 @@ def make(
     renderer: str | None = None,
     settings: Mapping[str, Any] | None = None,
     renderer_settings: Mapping[str, Any] | None = None,
+    compile: bool = False,
     **fields: Any,
 ) -> Environment:
     """The environment of a task, given by name or configured; ``fields`` set the task's own, such as ``robot``.
@@ -318,4 +350,4 @@ def make(
     elif fields:
         raise ConfigurationError(f"set {', '.join(fields)} on the task itself: it is given configured")
     chosen = backend or default_backend()
-    return Environment(task, num_envs, chosen, device, seed, renderer, settings, renderer_settings)
+    return Environment(task, num_envs, chosen, device, seed, renderer, settings, renderer_settings, compile)

@@ -1,77 +1,116 @@
-"""The environment's step as one recording, where the engine makes one and nothing in the step needs Python anew."""
+"""Parts of a step without their Python: traced once, then replayed, compiled or recorded by the engine."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
-from torch import Tensor
+import torch
+from torch import Tensor, fx
+from torch.utils._pytree import keystr, tree_leaves_with_path
 
 from orbit_core.agent import Cut
+from orbit_core.tasks.compiling import check_compiler, compiled
 from orbit_core.tasks.task import Task
+from orbit_core.tasks.tracing import NotTraceable, Trace, Tracer
 from orbit_core.world import SimulatedWorld
 
-StepOutcome = tuple[Tensor, Tensor, Tensor, Tensor]
-"""Reward (N,), terminated, truncated, and either of them (N,) bool."""
 
+class Closed:
+    """Runs operations as they are the first time, watching them, and from then on does the same without their Python.
 
-class RecordedStep:
-    """Calls a step, or replays it, and keeps what is counted on the host right either way."""
+    What they count on the host is their caller's to keep right. Where the engine makes recordings, a replay is one.
+
+    Args:
+        world: that they work on.
+        operations: on tensors and on the world; what they give are tensors.
+        memory: the tensors that stand for the past, by name; they must be written in place.
+        compile: whether to compile what lies between uses of the engine.
+    """
 
     def __init__(
         self,
         world: SimulatedWorld,
-        task: Task,
-        cut: Cut,
-        step: Callable[[], StepOutcome],
-        observe: Callable[[], Tensor],
+        operations: Callable[[], tuple[Tensor, ...]],
+        memory: Callable[[], Mapping[str, Tensor]],
+        compile: bool,
     ) -> None:
-        self._world, self._task, self._cut = world, task, cut
-        self._step, self._observe = step, observe
-        self._count = 0
-        self._outcome: StepOutcome | None = None
-        self._observation: Tensor | None = None
-        self._observed = -1
-        """Version of the world's state that the observation shows."""
-        self._ran = False
-        self._run = world.engine.record(self._once)
+        if compile:
+            check_compiler(world.device)
+        self._world = world
+        self._operations = operations
+        self._memory = memory
+        self._build = compiled if compile else _as_it_is
+        self._replay: Callable[[], tuple[Tensor, ...]] | None = None
+        self.refusal = ""
+        """Why the operations cannot be repeated without Python; empty if they can, or have not run."""
 
-    def observation(self) -> Tensor | None:
-        """(N, O) of the state after the step, if nothing has changed since."""
-        if self._observation is None or self._observed != self._world.clock.version:
-            return None
-        return self._observation.clone()
+    def __call__(self) -> tuple[Tensor, ...]:
+        return self._traced() if self._replay is None else self._replay()
 
-    def __call__(self) -> StepOutcome:
-        self._count = self._cut.graph.step_count
-        self._world.clock.touch()  # what was derived before must not be taken for part of the recording
-        steps, self._ran = self._world.clock.steps, False
-        self._run()
-        if not self._ran:
-            self._cut.acted(self._count)
-        self._world.clock.advance(steps + self._task.decimation - self._world.clock.steps)
-        self._observed = self._world.clock.version
-        assert self._outcome is not None
-        reward, terminated, truncated, done = self._outcome
-        return reward.clone(), terminated.clone(), truncated.clone(), done  # a replay writes the same tensors
-
-    def _once(self) -> None:
-        self._cut.again(self._count)
-        self._outcome = self._step()
-        self._observation = self._observe()
-        self._ran = True
+    def _traced(self) -> tuple[Tensor, ...]:
+        world, tracer, before = self._world, Tracer(), self._memory()
+        world.clock.touch()  # what was derived before must not be taken for part of the step
+        world.random.traceable = True
+        try:
+            with torch.no_grad(), tracer.tracing(world.engine):
+                outputs = self._operations()
+        finally:
+            world.random.traceable = False
+        self.refusal = tracer.refusal or _rebound(before, self._memory())
+        if not self.refusal:
+            try:
+                trace = Trace(world.engine, tracer.stages, outputs, self._build)
+                self._replay = _recorded(trace, world.engine.record)
+            except NotTraceable as reason:
+                self.refusal = str(reason)
+        return outputs
 
 
-def needs_python(world: SimulatedWorld, task: Task, cut: Cut) -> str:
+def _as_it_is(graph: fx.GraphModule, inputs: list[Tensor]) -> fx.GraphModule:
+    return graph
+
+
+def _recorded(
+    operations: Callable[[], tuple[Tensor, ...]], record: Callable[[Callable[[], None]], Callable[[], None]]
+) -> Callable[[], tuple[Tensor, ...]]:
+    """The operations as the engine's recording, if it makes one."""
+    outputs: tuple[Tensor, ...] = ()
+
+    def run() -> None:
+        nonlocal outputs
+        outputs = operations()
+
+    recording = record(run)
+    if recording is run:
+        return operations
+
+    def replay() -> tuple[Tensor, ...]:
+        recording()
+        return tuple(output.clone() for output in outputs)  # the next replay writes the same tensors
+
+    return replay
+
+
+def _rebound(before: Mapping[str, Tensor], after: Mapping[str, Tensor]) -> str:
+    names = [name for name, tensor in after.items() if tensor is not before.get(name)]
+    return f"{names[0]} is another tensor after each step: write it in place" if names else ""
+
+
+def remembered(task: Task, cut: Cut) -> dict[str, Tensor]:
+    """What a task and its agent's nodes remember from step to step, by name."""
+    own = {name: value for name, value in vars(task).items() if name != "cache"}
+    memory = {f"node '{r.node.name}'": dict(r.node.memory()) for r in cut.graph.runners}
+    leaves = tree_leaves_with_path({type(task).__name__: own, "memory": memory})
+    return {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
+
+
+def needs_python(world: SimulatedWorld, cut: Cut) -> str:
     """What of a step Python has to do each time anew; empty if nothing."""
     if world.sensors:
         return f"sensor '{next(iter(world.sensors))}' keeps its own time"
     if world.actuators.delayed:
         return "an actuator's delay"
-    if type(task).advance is not Task.advance:
-        return f"{type(task).__name__}.advance"
     for runner in cut.graph.runners:
         if runner.period != 1:
             return f"node '{runner.node.name}' has a rate of its own"
-        if runner.node.memory():
-            return f"node '{runner.node.name}' remembers"
     return ""

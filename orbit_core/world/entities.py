@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.actuators import Actuators
-from orbit_core.dynamics.indexing import columns_of
+from orbit_core.dynamics.indexing import Masking, columns_of, is_mask, write_block
 from orbit_core.dynamics.kinematics import FixedFrame, PointJacobian
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import (
@@ -54,7 +54,9 @@ class _FrameHandle:
 class SimulatedObject(Object):
     """An articulation in N environments of one engine."""
 
-    def __init__(self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock) -> None:
+    def __init__(
+        self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, masking: Masking
+    ) -> None:
         self.layout = layout
         self.name = layout.name
         self.link_names = layout.spec.articulation.link_names
@@ -62,6 +64,7 @@ class SimulatedObject(Object):
         self._engine = engine
         self._actuators = actuators
         self._clock = clock
+        self._masking = masking
         self._frames: dict[str, _FrameHandle] = {}
         self._frame_poses: dict[str, tuple[int, Tensor]] = {}
         self._jacobians: dict[tuple[str, tuple[int, ...]], PointJacobian] = {}
@@ -161,11 +164,13 @@ class SimulatedObject(Object):
     # Writing state
 
     def set_root_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
+        env_ids = self._masking.rows(env_ids)
         self._check(pose, (7,), env_ids, "root pose")
         self._engine.write_root_state(self.layout.index, pose, None, env_ids)
         self._clock.touch()
 
     def set_root_velocity(self, velocity: Tensor, env_ids: Tensor | None = None) -> None:
+        env_ids = self._masking.rows(env_ids)
         self._check(velocity, (6,), env_ids, "root velocity")
         self._engine.write_root_state(self.layout.index, None, velocity, env_ids)
         self._clock.touch()
@@ -177,18 +182,18 @@ class SimulatedObject(Object):
         joints: Sequence[int] | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
+        env_ids = self._masking.rows(env_ids)
         count = len(self.joint_names) if joints is None else len(joints)
         for value, what in ((positions, "joint positions"), (velocities, "joint velocities")):
             if value is not None:
                 self._check(value, (count,), env_ids, what)
-        indices = self._all_joints
+        indices, columns = self._all_joints, self.layout.joints
         if joints is not None:
             chosen, positions, velocities = self._with_followers(list(joints), positions, velocities)
-            indices = indices[chosen]
+            indices = columns = indices[chosen]
         self._engine.write_joint_state(indices, positions, velocities, env_ids)
         if positions is not None:
-            rows = slice(None) if env_ids is None else env_ids[:, None]
-            self._actuators.position_targets[rows, indices] = positions
+            write_block(self._actuators.position_targets, columns, positions, env_ids)
         self._clock.touch()
 
     # Parameters per environment; they outlast resets
@@ -200,6 +205,7 @@ class SimulatedObject(Object):
             UnsupportedCapabilityError: the engine cannot.
         """
         indices = self._link_indices(links)
+        env_ids = self._masking.rows(env_ids)
         self._check(masses, (len(indices),), env_ids, "masses")
         self._engine.set_masses(indices, masses, env_ids)
 
@@ -212,6 +218,7 @@ class SimulatedObject(Object):
             UnsupportedCapabilityError: the engine cannot.
         """
         indices = self._link_indices(links)
+        env_ids = self._masking.rows(env_ids)
         self._check(centers, (len(indices), 3), env_ids, "centres of mass")
         self._engine.set_centers_of_mass(indices, centers, env_ids)
 
@@ -224,6 +231,7 @@ class SimulatedObject(Object):
             UnsupportedCapabilityError: the engine cannot.
         """
         indices = self._link_indices(links)
+        env_ids = self._masking.rows(env_ids)
         self._check(coefficients, (len(indices),), env_ids, "friction")
         self._engine.set_friction(indices, coefficients, env_ids)
 
@@ -234,6 +242,7 @@ class SimulatedObject(Object):
             UnsupportedCapabilityError: the engine cannot.
         """
         indices = self._link_indices(links)
+        env_ids = self._masking.rows(env_ids)
         self._check(wrenches, (len(indices), 6), env_ids, "wrenches")
         self._engine.set_wrenches(indices, wrenches, env_ids)
         self._clock.touch()
@@ -252,6 +261,7 @@ class SimulatedObject(Object):
             ConfigurationError: a joint has no actuator.
         """
         chosen = list(range(len(self.joint_names))) if joints is None else list(joints)
+        env_ids = self._masking.rows(env_ids)
         self._check(stiffness, (len(chosen),), env_ids, "stiffness")
         self._check(damping, (len(chosen),), env_ids, "damping")
         start = self.layout.joints.start
@@ -306,7 +316,7 @@ class SimulatedObject(Object):
         expected = (self._engine.num_envs if env_ids is None else len(env_ids), *shape)
         if tuple(value.shape) != expected:
             raise ShapeError(f"{what} of '{self.name}' must have shape {expected}, not {tuple(value.shape)}")
-        if value.device.type != "cpu":
+        if value.device.type != "cpu" or is_mask(env_ids):
             return  # to look would be to wait for the device: its engine tells which environments diverged
         # One sum finds any NaN or infinity; where it is, is worth a search only then.
         if not math.isfinite(float(value.sum())) and not bool(torch.isfinite(value).all()):
@@ -329,8 +339,10 @@ class SimulatedRobot(SimulatedObject, Robot):
         assert isinstance(spec, RobotSpec)  # the world makes robots of robots' layouts alone
         return spec
 
-    def __init__(self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock) -> None:
-        super().__init__(layout, engine, actuators, clock)
+    def __init__(
+        self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, masking: Masking
+    ) -> None:
+        super().__init__(layout, engine, actuators, clock, masking)
         self._position_targets = _Targets(actuators.position_targets[:, layout.joints])
         self._velocity_targets = _Targets(actuators.velocity_targets[:, layout.joints])
         self._effort_targets = _Targets(actuators.effort_targets[:, layout.joints])

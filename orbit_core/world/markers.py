@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import Masking, write_rows
 from orbit_core.interfaces import Marker
 from orbit_core.scene import MarkerSpec
 
@@ -12,19 +13,17 @@ from orbit_core.scene import MarkerSpec
 class SimulatedMarker(Marker):
     """A pose (N, 7) that viewers and videos draw."""
 
-    def __init__(self, spec: MarkerSpec, poses: Tensor) -> None:
+    def __init__(self, spec: MarkerSpec, poses: Tensor, masking: Masking) -> None:
         self.spec = spec
         self._poses = poses
+        self._masking = masking
 
     @property
     def pose(self) -> Tensor:
         return self._poses
 
     def set_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
-        if env_ids is None:
-            self._poses.copy_(pose)
-        else:
-            self._poses[env_ids] = pose
+        write_rows(self._poses, pose, self._masking.rows(env_ids))
 
 
 def identity_poses(num_envs: int, markers: int, device: torch.device) -> Tensor:

@@ -16,6 +16,7 @@ from orbit_core.assets.validation import validate_entity
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_config, check_scene
 from orbit_core.backends import renderer as find_renderer
+from orbit_core.dynamics.indexing import Masking, write_rows
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import TERRAIN, Approximation, ConfigurationError, Renderer, SceneLayout, Sensor, World
 from orbit_core.scene import CameraSpec, Entity, Scene
@@ -86,7 +87,9 @@ class SimulatedWorld(World):
         shared = (settings or {}) if self._renderer_plugin.name == backend else {}
         self._renderer_config = backend_config(self._renderer_plugin, {**shared, **(renderer_settings or {})})
         self.engine = plugin.create_engine(self.layout, num_envs, self.device, config)
-        self.random = RandomStreams(num_envs, seed, self.device)
+        self.masking = Masking()
+        """Set a mask, and what is written for all environments reaches those of the mask alone."""
+        self.random = RandomStreams(num_envs, seed, self.device, self.masking)
         self.random.reset()
         self.actuators = Actuators(self.engine, self.layout, self.random)
         self.clock = Clock()
@@ -95,13 +98,14 @@ class SimulatedWorld(World):
         self._add_sensors()
 
     def _add_entities(self) -> None:
-        parts = (self.engine, self.actuators, self.clock)
+        parts = (self.engine, self.actuators, self.clock, self.masking)
         count = len(self.scene.robots)
         self.robots = {e.name: SimulatedRobot(e, *parts) for e in self.layout.entities[:count]}
         self.objects = {e.name: SimulatedObject(e, *parts) for e in self.layout.entities[count:]}
         self.marker_poses = identity_poses(self.num_envs, len(self.scene.markers), self.device)
         self.markers = {
-            spec.name: SimulatedMarker(spec, self.marker_poses[:, i]) for i, spec in enumerate(self.scene.markers)
+            spec.name: SimulatedMarker(spec, self.marker_poses[:, i], self.masking)
+            for i, spec in enumerate(self.scene.markers)
         }
 
     def _add_sensors(self) -> None:
@@ -174,8 +178,9 @@ class SimulatedWorld(World):
         Raises:
             UnsupportedCapabilityError: the engine cannot.
         """
+        env_ids = self.masking.rows(env_ids)
         self.engine.set_gravity(gravity, env_ids)
-        self._sensing.gravity[slice(None) if env_ids is None else env_ids] = gravity
+        write_rows(self._sensing.gravity, gravity, env_ids)
 
     def set_terrain_friction(self, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
         """Friction (n,), static and dynamic alike, of all terrain shapes.
@@ -183,9 +188,11 @@ class SimulatedWorld(World):
         Raises:
             UnsupportedCapabilityError: the engine cannot.
         """
-        self.engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], env_ids)
+        rows = self.masking.rows(env_ids)
+        self.engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], rows)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
+        """Begin anew in some environments, by index, or by mask (N,) bool where the step is traced."""
         self.random.reset(env_ids)
         self.engine.reset(env_ids)
         self.actuators.reset(env_ids)

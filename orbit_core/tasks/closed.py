@@ -1,0 +1,93 @@
+"""An environment's step without its Python, resets by mask: for compiled steps, and for devices that must not wait."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from orbit_core.tasks.episode import EpisodeEnd, Observation, StepInfo
+from orbit_core.tasks.recording import Closed, remembered
+
+if TYPE_CHECKING:
+    from orbit_core.tasks.environment import Environment
+
+StepResult = tuple[Observation, Tensor, Tensor, Tensor, Mapping[str, EpisodeEnd]]
+
+
+class ClosedStep:
+    """The environment's step in parts that are traced once.
+
+    Args:
+        environment: that steps.
+        compile: whether to compile the parts.
+        whole: whether the resets are in the step, so that nothing waits for the device; else they are another part, run
+            only where an episode ended, which on a CPU costs nothing to know.
+    """
+
+    def __init__(self, environment: Environment, compile: bool, whole: bool) -> None:
+        self._environment = environment
+        self._observed = torch.zeros(environment.num_envs, environment.observation_size, device=environment.device)
+        self._metrics: tuple[str, ...] = ()
+        parts = (self._play_and_renew,) if whole else (self._play, self._renew)
+        memory = lambda: remembered(environment.task, environment.cut)  # noqa: E731
+        self._parts = [Closed(environment.world, part, memory, compile) for part in parts]
+
+    def __call__(self) -> StepResult:
+        environment = self._environment
+        graph, clock = environment.cut.graph, environment.world.clock
+        count, steps = graph.step_count, clock.steps
+        observation, reward, terminated, truncated, *end = self._parts[0]()
+        environment.cut.acted(count)
+        clock.advance(steps + environment.task.decimation - clock.steps)
+        if len(self._parts) > 1:
+            if not environment.done.numpy().any():
+                return {"policy": observation}, reward, terminated, truncated, {}
+            end.append(observation)
+            (observation,) = self._parts[1]()
+            clock.touch()
+        return {"policy": observation}, reward, terminated, truncated, self._info(end)
+
+    @property
+    def refusal(self) -> str:
+        """Why the step cannot be repeated without Python; empty if it can, as far as is known."""
+        return next((part.refusal for part in self._parts if part.refusal), "")
+
+    def _info(self, end: list[Tensor]) -> StepInfo:
+        done, success, steps, rewards, *metrics, last = end
+        everyone = EpisodeEnd(
+            env_ids=self._environment.all_ids,
+            observation={"policy": last},
+            success=success,
+            metrics=dict(zip(self._metrics, metrics, strict=True)),
+            rewards=dict(zip(self._environment.reward_terms, rewards.unbind(), strict=True)),
+            steps=steps,
+        )
+        return StepInfo(done, everyone)
+
+    def _play(self) -> tuple[Tensor, ...]:
+        """A step before resets: observation, reward, terminated, truncated, then what :meth:`_info` needs."""
+        environment, task, world = self._environment, self._environment.task, self._environment.world
+        outcome = environment.advance()
+        observation = environment.compute_observation()
+        self._observed.copy_(observation)
+        metrics = task.metrics(world)
+        self._metrics = tuple(metrics)
+        # Copies, for resets write the same memory before anyone looks.
+        end = (environment.done, task.success(world), task.episode_step, environment.reward_sums, *metrics.values())
+        return (observation, *outcome, *(tensor.clone() for tensor in end))
+
+    def _renew(self) -> tuple[Tensor]:
+        """New episodes where one ended, and the observation with theirs."""
+        environment, done = self._environment, self._environment.done
+        environment.begin(done)
+        with environment.world.masking.only(done):
+            observation = environment.compute_observation()
+        return (torch.where(done[:, None], observation, self._observed),)
+
+    def _play_and_renew(self) -> tuple[Tensor, ...]:
+        """What :meth:`_play` gives with the new observation in the place of the last, which comes at the end."""
+        last, *rest = self._play()
+        return (*self._renew(), *rest, last)

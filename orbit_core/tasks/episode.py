@@ -1,0 +1,81 @@
+"""How episodes end, and what a step says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from torch import Tensor
+
+Observation = dict[str, Tensor]
+
+
+@dataclass(frozen=True)
+class EpisodeEnd:
+    """What n episodes came to."""
+
+    env_ids: Tensor
+    """(n,)"""
+    observation: Observation
+    """(n, O) of the last state, before the reset."""
+    success: Tensor
+    """(n,) bool"""
+    metrics: dict[str, Tensor]
+    """(n,) each."""
+    rewards: dict[str, Tensor]
+    """(n,) each term's contribution to the return."""
+    steps: Tensor
+    """(n,) int64"""
+
+    def only(self, rows: Tensor) -> EpisodeEnd:
+        """Those of the rows (k,), by index."""
+        return EpisodeEnd(
+            env_ids=self.env_ids[rows],
+            observation=_rows_of(self.observation, rows),
+            success=self.success[rows],
+            metrics=_rows_of(self.metrics, rows),
+            rewards=_rows_of(self.rewards, rows),
+            steps=self.steps[rows],
+        )
+
+
+class StepInfo(Mapping[str, EpisodeEnd]):
+    """Holds an :class:`EpisodeEnd` under ``"final"`` where an episode ended in the step, and else nothing.
+
+    It is looked for when it is asked for, and only that waits for the device. Who would not wait takes :attr:`done` and
+    :attr:`everyone`.
+    """
+
+    def __init__(self, done: Tensor, everyone: EpisodeEnd) -> None:
+        self.done = done
+        """(N,) bool: whose episode ended."""
+        self.everyone = everyone
+        """Of all environments: what their episodes would have come to, had they ended with this step."""
+        self._final: EpisodeEnd | None = None
+        self._looked = False
+
+    @property
+    def _found(self) -> EpisodeEnd | None:
+        if not self._looked:
+            rows = self.done.nonzero().squeeze(-1)
+            self._final = self.everyone.only(rows) if len(rows) else None
+            self._looked = True
+        return self._final
+
+    def __getitem__(self, key: str) -> EpisodeEnd:
+        if key != "final" or self._found is None:
+            raise KeyError(key)
+        return self._found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(() if self._found is None else ("final",))
+
+    def __len__(self) -> int:
+        return int(self._found is not None)
+
+    def __repr__(self) -> str:
+        return repr(dict(self))
+
+
+def _rows_of(values: dict[str, Tensor], rows: Tensor) -> dict[str, Tensor]:
+    return {name: value[rows] for name, value in values.items()}

@@ -1,0 +1,121 @@
+"""A step without its Python, compiled or not, resets by mask or not, is the step that it stands for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from orbit_core.backends import default_backend
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.tasks import EventTerm, ObservationTerm, TerminationTerm, make
+from orbit_core.tasks.closed import ClosedStep
+from orbit_core.tasks.environment import Environment
+from orbit_core.tasks.recording import needs_python
+from orbit_tasks.lift import Lift
+
+BACKEND = default_backend()
+STEPS = 30
+
+
+def lift(**changes: object) -> Lift:
+    """Episodes that end often, at different times, with noise that every environment draws for itself."""
+    task = Lift(episode_length=0.2, **changes)  # pyright: ignore[reportArgumentType]
+    task.observations.cube_pose = replace(task.observations.cube_pose, noise_std=0.01)
+    task.terminations.dropped = TerminationTerm(lambda world, task: task.last_action[:, 0] > 0.9)
+    return task
+
+
+def closed(environment: Environment, whole: bool) -> Environment:
+    environment._closed = ClosedStep(environment, compile=False, whole=whole)
+    return environment
+
+
+def assert_same_life(plain: Environment, other: Environment, exact: bool) -> None:
+    tolerance = {"rtol": 0.0, "atol": 0.0} if exact else {"rtol": 1e-4, "atol": 1e-5}
+    generator = torch.Generator().manual_seed(0)
+    plain.reset(seed=5), other.reset(seed=5)
+    ends = 0
+    for _ in range(STEPS):
+        action = 2.2 * torch.rand(plain.num_envs, plain.action_size, generator=generator) - 1.1
+        mine, its = plain.step(action), other.step(action)
+        torch.testing.assert_close(its[0]["policy"], mine[0]["policy"], **tolerance)
+        torch.testing.assert_close(its[1], mine[1], rtol=1e-4, atol=1e-6)
+        assert torch.equal(its[2], mine[2])
+        assert torch.equal(its[3], mine[3])
+        assert ("final" in its[4]) == ("final" in mine[4])
+        if "final" in mine[4]:
+            own, end = mine[4]["final"], its[4]["final"]
+            ends += len(own.env_ids)
+            assert torch.equal(own.env_ids, end.env_ids)
+            assert torch.equal(own.steps, end.steps)
+            assert torch.equal(own.success, end.success)
+            torch.testing.assert_close(end.observation, own.observation, **tolerance)
+            torch.testing.assert_close(end.metrics, own.metrics, **tolerance)
+            torch.testing.assert_close(end.rewards, own.rewards, rtol=1e-4, atol=1e-6)
+    assert ends > plain.num_envs
+    assert plain.world.clock.steps == other.world.clock.steps
+    # The one continues where the other stopped: all that they remember is the same.
+    torch.testing.assert_close(other.observe()["policy"], plain.observe()["policy"], **tolerance)
+    plain.close(), other.close()
+
+
+@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("action", ["joint_position_relative", "ik_relative"])
+def test_a_closed_step_is_the_same_step(whole: bool, action: str) -> None:
+    plain, other = (Environment(lift(action=action), 5, BACKEND) for _ in range(2))
+    assert_same_life(plain, closed(other, whole), exact=True)
+
+
+@pytest.mark.parametrize("task", ["Reach", "Cabinet"])
+def test_events_written_for_indices_hold_under_a_mask(task: str) -> None:
+    plain, other = (make(task, 3, BACKEND, episode_length=0.2) for _ in range(2))
+    other.task.episode_step[:] = plain.task.episode_step[:] = torch.tensor([0, 3, 7])
+    assert_same_life(plain, closed(other, whole=True), exact=True)
+
+
+def test_a_compiled_step_is_the_same_step() -> None:
+    assert_same_life(Environment(lift(), 5, BACKEND), Environment(lift(), 5, BACKEND, compile=True), exact=False)
+
+
+def test_what_looks_at_values_cannot_be_compiled() -> None:
+    task = lift()
+    task.observations.goal = ObservationTerm(lambda world, task: task.goal * float(task.goal.sum() > 1.0))
+    environment = Environment(task, 2, BACKEND, compile=True)
+    with pytest.raises(ConfigurationError, match=r"cannot be compiled: aten\._local_scalar_dense.*leave compile out"):
+        environment.step(torch.zeros(2, environment.action_size))
+    environment.close()
+
+
+def test_memory_that_is_not_written_in_place_cannot_be_compiled() -> None:
+    def move_goal(world, task, env_ids) -> None:
+        task.goal = task.goal + 0.1
+
+    task = lift(action="joint_position")
+    task.events.sample_goal = EventTerm(move_goal)
+    environment = Environment(task, 2, BACKEND, compile=True)
+    action = torch.zeros(2, environment.action_size)
+    environment.task.episode_step[:] = environment.max_episode_steps - 1  # the first step ends in a reset
+    with pytest.raises(ConfigurationError, match=r"goal.* is another tensor after each step: write it in place"):
+        environment.step(action)
+    environment.close()
+
+
+def test_without_a_compiler_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    from torch._inductor import cpp_builder, exc
+
+    def none_found() -> None:
+        raise exc.InvalidCxxCompiler
+
+    monkeypatch.setattr(cpp_builder, "get_cpp_compiler", none_found)
+    with pytest.raises(ConfigurationError, match=r"C\+\+ compiler.*install g\+\+.*leave compile out"):
+        make("Reach", 1, BACKEND, compile=True)
+
+
+@pytest.mark.parametrize(("task", "reason"), [("Lift", ""), ("Reach", ""), ("Velocity-Flat", "sensor 'contacts'")])
+def test_what_needs_python_is_named(task: str, reason: str) -> None:
+    environment = make(task, 1, BACKEND)
+    assert needs_python(environment.world, environment.cut)[: len(reason)] == reason
+    assert bool(needs_python(environment.world, environment.cut)) == bool(reason)
+    environment.close()
