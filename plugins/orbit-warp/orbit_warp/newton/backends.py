@@ -1,0 +1,65 @@
+"""What the plugin registers for Newton's solvers. Newton is imported only when an engine is made."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from orbit_core.interfaces import Backend, Capabilities, ConfigurationError
+from orbit_warp.newton.capabilities import FEATHERSTONE, XPBD
+from orbit_warp.newton.config import FeatherstoneConfig, NewtonConfig, XpbdConfig
+
+if TYPE_CHECKING:
+    import torch
+
+    from orbit_core.interfaces import Engine, SceneLayout
+    from orbit_warp.newton.plant import Dynamics
+
+
+class NewtonBackend(Backend):
+    """One of Newton's solvers, on ``cpu`` or ``cuda``."""
+
+    solver_capabilities: ClassVar[Capabilities]
+
+    def capabilities(self) -> Capabilities:
+        return self.solver_capabilities
+
+    def versions(self) -> dict[str, str]:
+        return {name: importlib.metadata.version(name) for name in ("newton", "warp-lang")}
+
+    def create_engine(self, layout: SceneLayout, num_envs: int, device: torch.device, config: NewtonConfig) -> Engine:
+        if device.type not in ("cpu", "cuda"):
+            raise ConfigurationError(f"backend '{self.name}' simulates on devices 'cpu' and 'cuda', not on '{device}'")
+        from orbit_warp.newton.engine import NewtonEngine
+
+        return NewtonEngine(layout, num_envs, device, config, self.dynamics(), self.capabilities())
+
+    def dynamics(self) -> type[Dynamics]:
+        """The solver, which is imported now."""
+        raise NotImplementedError
+
+
+class FeatherstoneBackend(NewtonBackend):
+    """Reduced coordinates, explicit contact forces."""
+
+    name: ClassVar[str] = "warp-featherstone"
+    config_type: ClassVar[type[Any]] = FeatherstoneConfig
+    solver_capabilities = FEATHERSTONE
+
+    def dynamics(self) -> type[Dynamics]:
+        from orbit_warp.newton.featherstone import FeatherstoneDynamics
+
+        return FeatherstoneDynamics
+
+
+class XpbdBackend(NewtonBackend):
+    """Positions of free bodies, corrected constraint by constraint."""
+
+    name: ClassVar[str] = "warp-xpbd"
+    config_type: ClassVar[type[Any]] = XpbdConfig
+    solver_capabilities = XPBD
+
+    def dynamics(self) -> type[Dynamics]:
+        from orbit_warp.newton.xpbd import XpbdDynamics
+
+        return XpbdDynamics

@@ -1,0 +1,85 @@
+"""What Newton's solvers do of the contract, and why not more."""
+
+from __future__ import annotations
+
+from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
+
+_NO_IMAGES = "Newton's ray tracer is not connected to this backend: choose another renderer"
+_NO_RAYS = "Newton's ray casts are not connected to this backend"
+_NO_DEFORMABLES = "Newton's deformables are not connected to this backend"
+_ORDER = "bit for bit on a CPU; on a GPU contacts are found in any order, and sums run in any"
+
+_COMMON = {
+    Capability.ARTICULATIONS: EXACT,
+    Capability.FLOATING_BASE: EXACT,
+    Capability.VELOCITY_LIMITS: unsupported("the solver does not limit the velocity of a joint"),
+    Capability.SELF_COLLISIONS: EXACT,
+    Capability.GRAVITY_COMPENSATION: EXACT,
+    Capability.STATIC_FRICTION: approximate("one coefficient of sliding friction, the dynamic one"),
+    Capability.CONVEX_MESHES: EXACT,
+    Capability.TRIANGLE_MESHES: EXACT,
+    Capability.DYNAMIC_TRIANGLE_MESHES: unsupported("Newton collides two moving surfaces on a GPU only"),
+    Capability.HEIGHT_FIELDS: EXACT,
+    Capability.EXTERNAL_WRENCHES: EXACT,
+    Capability.RAY_CASTS: unsupported(_NO_RAYS),
+    Capability.RANDOMIZE_MASS: EXACT,
+    Capability.RANDOMIZE_CENTER_OF_MASS: EXACT,
+    Capability.RANDOMIZE_FRICTION: EXACT,
+    Capability.RANDOMIZE_GAINS: EXACT,
+    Capability.RANDOMIZE_GRAVITY: EXACT,
+    Capability.SNAPSHOTS: EXACT,
+    Capability.DETERMINISTIC: approximate(_ORDER),
+    Capability.RGB: unsupported(_NO_IMAGES),
+    Capability.DEPTH: unsupported(_NO_IMAGES),
+    Capability.NORMALS: unsupported(_NO_IMAGES),
+    Capability.SEGMENTATION: unsupported(_NO_IMAGES),
+    Capability.RAY_TRACED_RGB: unsupported(_NO_IMAGES),
+    Capability.ALBEDO: unsupported(_NO_IMAGES),
+    Capability.GPU: EXACT,
+    Capability.CLOTH: unsupported(_NO_DEFORMABLES),
+    Capability.SOFT_BODIES: unsupported(_NO_DEFORMABLES),
+}
+
+FEATHERSTONE = Capabilities(
+    _COMMON
+    | {
+        Capability.IMPLICIT_DRIVES: EXACT,
+        Capability.EFFORT_LIMITS: EXACT,
+        Capability.JOINT_DAMPING: EXACT,
+        Capability.JOINT_FRICTION: approximate(
+            "friction is viscous below 0.005 rad/s (m/s): a held joint creeps so fast"
+        ),
+        Capability.ARMATURE: EXACT,
+        Capability.MIMIC_JOINTS: EXACT,
+        Capability.FRICTION: approximate("friction grows with the speed of slip: a held contact creeps at some mm/s"),
+        Capability.TORSIONAL_FRICTION: EXACT,
+        Capability.ROLLING_FRICTION: EXACT,
+        Capability.RESTITUTION: approximate("contacts are spring-dampers tuned to the rebound"),
+        Capability.COMPLIANT_CONTACT: approximate(
+            "the stiffness is shared evenly by the contacts of a body, and no larger than the step resolves"
+        ),
+        Capability.CONTACT_FORCES: EXACT,
+        Capability.JOINT_WRENCHES: approximate("of statics: what accelerates the links is left out"),
+    }
+)
+
+XPBD = Capabilities(
+    _COMMON
+    | {
+        Capability.IMPLICIT_DRIVES: approximate("sweeps apply a drive in parts: stiff ones give way under load"),
+        Capability.EFFORT_LIMITS: approximate("judged where a physics step begins"),
+        Capability.JOINT_DAMPING: EXACT,
+        Capability.JOINT_FRICTION: approximate(
+            "friction is viscous below 0.005 rad/s (m/s): a held joint creeps so fast"
+        ),
+        Capability.ARMATURE: approximate("inertia of the driven link about the joint's axis; none of sliding joints"),
+        Capability.MIMIC_JOINTS: EXACT,
+        Capability.FRICTION: EXACT,
+        Capability.TORSIONAL_FRICTION: EXACT,
+        Capability.ROLLING_FRICTION: EXACT,
+        Capability.RESTITUTION: EXACT,
+        Capability.COMPLIANT_CONTACT: unsupported("XPBD's contacts are rigid"),
+        Capability.CONTACT_FORCES: EXACT,
+        Capability.JOINT_WRENCHES: EXACT,
+    }
+)

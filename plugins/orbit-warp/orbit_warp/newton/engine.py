@@ -1,0 +1,247 @@
+"""N environments of one scene on one of Newton's solvers."""
+
+# pyright: reportArgumentType=false
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import newton
+import torch
+import warp as wp
+from torch import Tensor
+
+from orbit_core.interfaces import Approximation, Capabilities, Engine, SceneLayout, SimulationError
+from orbit_warp.graphs import Graphs
+from orbit_warp.newton.builder import build_model
+from orbit_warp.newton.config import NewtonConfig
+from orbit_warp.newton.contacts import ContactFinder, ContactMeter
+from orbit_warp.newton.kernels import note_divergence, note_overflow, reset_commands
+from orbit_warp.newton.parameters import Parameters
+from orbit_warp.newton.plant import Dynamics, Plant
+from orbit_warp.newton.report import approximations
+from orbit_warp.newton.state import State
+
+_DIVERGED, _OVERFLOWN = 1, 2
+
+
+@dataclass(frozen=True)
+class Native:
+    """Newton's own objects."""
+
+    model: newton.Model
+    state: newton.State
+    control: newton.Control
+    contacts: newton.Contacts
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Everything that the continuation depends on."""
+
+    tensors: tuple[Tensor, ...]
+    parameters: tuple[Tensor, ...]
+
+
+class NewtonEngine(Engine):
+    """Holds all environments in Newton's arrays; a step is one recorded graph, in which nothing waits for the host."""
+
+    def __init__(
+        self,
+        layout: SceneLayout,
+        num_envs: int,
+        device: torch.device,
+        config: NewtonConfig,
+        dynamics: type[Dynamics],
+        capabilities: Capabilities,
+    ) -> None:
+        super().__init__(layout, num_envs, device)
+        wp.config.log_level = wp.LOG_WARNING
+        wp.init()
+        self._graphs = Graphs(device, config.capture)
+        with self._graphs.stream():
+            built = build_model(layout, num_envs, self._graphs.device, config.contact_gap, dynamics.armature_on_links)
+            finder = ContactFinder(built, num_envs, config.contacts_per_env)
+            meter = ContactMeter(layout, built, num_envs, finder)
+            commands = (self.position_targets, self.velocity_targets, self.efforts)
+            self._plant = plant = Plant(layout, built, num_envs, config, finder, meter, *commands)
+            self._dynamics = dynamics(plant)
+            self._state = State(plant, self._graphs, self._dynamics.maximal)
+            self._diverged = wp.zeros(num_envs, dtype=int)
+            self._summary = wp.zeros(1, dtype=int)
+        self._parameters = Parameters(plant, self._dynamics.masses_changed)
+        self._report = approximations(layout, capabilities)
+        self._all = torch.arange(num_envs, device=device)
+        self._commands = commands
+        self._home_targets = wp.from_torch(self.position_targets[0].clone())
+        self._contact_forces = wp.to_torch(meter.forces)
+        self._wrenches = wp.to_torch(plant.wrenches)
+        self.reset()
+
+    # Time ------------------------------------------------------------------------------------------------------------
+
+    def step(self, steps: int) -> None:
+        self._parameters.settle()
+        self._state.settle()
+        self._graphs.run(("step", steps), lambda: self._take(steps))
+        self.check()
+
+    def _take(self, steps: int) -> None:
+        plant = self._plant
+        plant.meter.clear()
+        self._summary.zero_()
+        for _ in range(steps):
+            self._dynamics.take(steps)
+            self._state.take()
+        if plant.finder.any:
+            count = plant.finder.contacts.rigid_contact_count
+            wp.launch(note_overflow, dim=1, inputs=[count, plant.finder.capacity], outputs=[self._summary])
+        rows = (plant.rows(plant.state.body_q), plant.rows(plant.state.body_qd), plant.rows(plant.state.joint_q))
+        wp.launch(note_divergence, dim=self.num_envs, inputs=rows, outputs=[self._diverged, self._summary])
+        self._state.read()
+
+    def check(self) -> None:
+        """Raise what went wrong in the last step.
+
+        Raises:
+            SimulationError: environments diverged, or the contact buffer was full.
+        """
+        fault = int(self._summary.numpy()[0])
+        if fault & _DIVERGED:
+            environments = torch.nonzero(wp.to_torch(self._diverged))[:, 0].tolist()
+            shown = ", ".join(map(str, environments[:8])) + (", ..." if len(environments) > 8 else "")
+            raise SimulationError(
+                f"environments {shown} diverged: a position or velocity is not finite; reset them, and use more "
+                "substeps, a smaller physics_dt, softer drives or larger masses"
+            )
+        if fault & _OVERFLOWN:
+            size = -(-self._plant.finder.capacity // self.num_envs)
+            raise SimulationError(
+                f"{size} contacts per environment are too few: some were lost; use settings contacts_per_env={2 * size}"
+            )
+
+    # State -----------------------------------------------------------------------------------------------------------
+
+    @property
+    def joint_positions(self) -> Tensor:
+        self._state.settle()
+        return self._state.joint_positions
+
+    @property
+    def joint_velocities(self) -> Tensor:
+        self._state.settle()
+        return self._state.joint_velocities
+
+    @property
+    def joint_efforts(self) -> Tensor:
+        return self._plant.joint_efforts
+
+    @property
+    def link_poses(self) -> Tensor:
+        self._state.settle()
+        return self._state.link_poses
+
+    @property
+    def link_velocities(self) -> Tensor:
+        self._state.settle()
+        return self._state.link_velocities
+
+    def write_joint_state(
+        self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
+    ) -> None:
+        self._state.write_joints(joints, positions, velocities, _rows(env_ids))
+
+    def write_root_state(
+        self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor | None = None
+    ) -> None:
+        self._state.write_root(entity, pose, velocity, self._all if env_ids is None else env_ids)
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        ids = self._all if env_ids is None else env_ids
+        with self._graphs.stream():
+            wp.launch(
+                reset_commands,
+                dim=len(ids),
+                inputs=[wp.from_torch(ids.contiguous()), self._home_targets],
+                outputs=[
+                    *(wp.from_torch(command) for command in self._commands), wp.from_torch(self._plant.joint_efforts),
+                    self._plant.meter.forces, self._plant.wrenches,
+                ],
+            )  # fmt: skip
+        self._state.reset(ids)
+        self._dynamics.reset(ids)
+
+    # Measurements ----------------------------------------------------------------------------------------------------
+
+    @property
+    def contact_forces(self) -> Tensor:
+        return self._contact_forces
+
+    @property
+    def joint_wrenches(self) -> Tensor:
+        return self._wrenches
+
+    # Parameters per environment --------------------------------------------------------------------------------------
+
+    def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
+        rows = self._all if env_ids is None else env_ids
+        self._plant.applied[rows[:, None], links] = wrenches
+
+    def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_masses(links, masses, _rows(env_ids))
+
+    def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
+        velocities = self.link_velocities.clone()
+        self._parameters.set_centers_of_mass(links, centers, _rows(env_ids))
+        for entity in self.layout.entities:  # a free root's coordinates are of its centre of mass
+            if not entity.spec.fixed_base:
+                rows = self._all if env_ids is None else env_ids
+                self.write_root_state(entity.index, None, velocities[rows, entity.root_link], rows)
+        self._state.mark_written(_rows(env_ids))
+
+    def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_friction(links, coefficients, _rows(env_ids))
+
+    def set_drive_gains(
+        self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
+    ) -> None:
+        self._parameters.set_drive_gains(joints, stiffness, damping, _rows(env_ids))
+
+    def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_gravity(gravity, _rows(env_ids))
+
+    # Snapshots and the rest ------------------------------------------------------------------------------------------
+
+    @property
+    def _saved(self) -> tuple[Tensor, ...]:
+        return (
+            *self._commands, *self._state.saved, *self._dynamics.memory, self._plant.joint_efforts,
+            self._contact_forces, self._wrenches,
+        )  # fmt: skip
+
+    def save_state(self) -> Snapshot:
+        self._state.settle()
+        return Snapshot(tuple(tensor.clone() for tensor in self._saved), self._parameters.save())
+
+    def load_state(self, state: Snapshot) -> None:
+        self._parameters.load(state.parameters)
+        self._state.settle()
+        for own, saved in zip(self._saved, state.tensors, strict=True):
+            own.copy_(saved)
+        self._state.reread()
+
+    @property
+    def build_report(self) -> tuple[Approximation, ...]:
+        return self._report
+
+    @property
+    def native(self) -> Native:
+        plant = self._plant
+        return Native(plant.model, plant.state, plant.control, plant.finder.contacts)
+
+    def close(self) -> None:
+        vars(self).clear()  # the arrays go with the last tensor that views them
+
+
+def _rows(env_ids: Tensor | None) -> Tensor | slice:
+    return slice(None) if env_ids is None else env_ids

@@ -1,0 +1,101 @@
+"""Collision shapes as Newton's."""
+
+# pyright: reportArgumentType=false
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import newton
+import numpy as np
+import trimesh
+import warp as wp
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.scene import (
+    Box,
+    Capsule,
+    Cylinder,
+    HeightField,
+    Mesh,
+    MeshCollision,
+    PhysicsMaterial,
+    Plane,
+    Pose,
+    Shape,
+    Sphere,
+)
+
+
+@dataclass
+class ShapeBuilder:
+    """Adds shapes to a world; a mesh that several shapes share is stored once."""
+
+    world: newton.ModelBuilder
+    gap: float
+    links: list[int] = field(default_factory=list)
+    """Link of each shape so far."""
+    materials: list[PhysicsMaterial] = field(default_factory=list)
+    _meshes: dict[Mesh, newton.Mesh] = field(default_factory=dict)
+
+    def add(self, body: int, link: int, shape: Shape, subject: str) -> None:
+        """Add ``shape`` of ``link`` to ``body``, -1 for the world; ``subject`` is for messages.
+
+        Raises:
+            ConfigurationError: Newton has no such shape there.
+        """
+        place = {"xform": transform(shape.pose), "cfg": self._config(shape.material)}
+        match shape.geometry:
+            case Box((x, y, z)):
+                self.world.add_shape_box(body, hx=float(x), hy=float(y), hz=float(z), **place)
+            case Sphere(radius):
+                self.world.add_shape_sphere(body, radius=float(radius), **place)
+            case Capsule(radius, half_length):
+                self.world.add_shape_capsule(body, radius=float(radius), half_height=float(half_length), **place)
+            case Cylinder(radius, half_length):
+                self.world.add_shape_cylinder(body, radius=float(radius), half_height=float(half_length), **place)
+            case Plane():
+                self.world.add_shape_plane(None, body=body, width=0.0, length=0.0, **place)
+            case Mesh(collision=MeshCollision.CONVEX_HULL) as mesh:
+                self.world.add_shape_convex_hull(body, mesh=self._mesh(mesh), **place)
+            case Mesh() as mesh:
+                self.world.add_shape_mesh(body, mesh=self._mesh(mesh), **place)
+            case HeightField() as heights if body == -1:
+                self.world.add_shape_heightfield(heightfield=_height_field(heights), **place)
+            case other:
+                raise ConfigurationError(f"Newton cannot collide the {type(other).__name__} of {subject} as it is")
+        self.links.append(link)
+        self.materials.append(shape.material)
+
+    def _config(self, material: PhysicsMaterial) -> newton.ModelBuilder.ShapeConfig:
+        return newton.ModelBuilder.ShapeConfig(
+            density=0.0,
+            mu=float(material.dynamic_friction),
+            mu_torsional=float(material.torsional_friction),
+            mu_rolling=float(material.rolling_friction),
+            restitution=float(material.restitution),
+            gap=self.gap,
+            has_particle_collision=False,
+        )
+
+    def _mesh(self, mesh: Mesh) -> newton.Mesh:
+        if mesh not in self._meshes:
+            vertices, faces = np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces)
+            if mesh.collision is MeshCollision.CONVEX_HULL:
+                hull = trimesh.Trimesh(vertices, faces, process=False).convex_hull
+                vertices, faces = np.asarray(hull.vertices, dtype=np.float32), np.asarray(hull.faces)
+            self._meshes[mesh] = newton.Mesh(vertices, faces.astype(np.int32).ravel(), compute_inertia=False)
+        return self._meshes[mesh]
+
+
+def _height_field(field: HeightField) -> newton.Heightfield:
+    heights = np.asarray(field.heights, dtype=np.float32)
+    rows, columns = heights.shape
+    x, y = field.size
+    return newton.Heightfield(heights, nrow=rows, ncol=columns, hx=x / 2, hy=y / 2)
+
+
+def transform(pose: Pose) -> wp.transform:
+    """Newton's form of a pose: quaternions have their real part last."""
+    w, x, y, z = map(float, pose.orientation)
+    return wp.transform(wp.vec3(*map(float, pose.position)), wp.quat(x, y, z, w))

@@ -1,0 +1,179 @@
+"""Positions and velocities, read and written.
+
+Writes go to joint coordinates, from which Newton derives the poses of the environments written when they are next
+needed. After a step of a solver that moves bodies, joint coordinates are derived from the bodies.
+"""
+
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import newton
+import torch
+import warp as wp
+from torch import Tensor
+
+from orbit_warp.graphs import Graphs
+from orbit_warp.newton.kernels import (
+    mark_articulations,
+    read_joints,
+    read_links,
+    reset_state,
+    unwrap_joints,
+    write_root,
+)
+from orbit_warp.newton.plant import Plant
+
+
+class State:
+    """The state of all environments."""
+
+    def __init__(self, plant: Plant, graphs: Graphs, maximal: bool) -> None:
+        self._plant, self._graphs, self._maximal = plant, graphs, maximal
+        built, state, envs = plant.built, plant.state, plant.num_envs
+        device = plant.efforts.device
+        self._joint_q, self._joint_qd = plant.rows(state.joint_q), plant.rows(state.joint_qd)
+        self._q, self._qd = wp.to_torch(self._joint_q), wp.to_torch(self._joint_qd)
+        self._position_columns = torch.as_tensor(built.positions, device=device)
+        self._velocity_columns = torch.as_tensor(built.velocities, device=device)
+        self.joint_positions = torch.zeros(envs, len(plant.layout.joints), device=device)
+        self.joint_velocities = torch.zeros_like(self.joint_positions)
+        self.link_poses = torch.zeros(envs, len(plant.layout.links), 7, device=device)
+        self.link_velocities = torch.zeros(envs, len(plant.layout.links), 6, device=device)
+        self._written = torch.ones(envs, dtype=torch.bool, device=device)
+        with wp.ScopedDevice(plant.model.device):
+            self._columns = [wp.array(columns, dtype=int) for columns in (built.positions, built.velocities)]
+            self._articulations = wp.zeros(plant.model.articulation_count, dtype=bool)
+            self._derived_q = wp.zeros_like(state.joint_q)
+            self._no_rows = wp.zeros((1, 7), dtype=float)
+            home = wp.to_torch(plant.model.joint_q).view(envs, -1)[0].clone()
+            home[self._position_columns] = plant.position_targets[0]
+            self._home_q = wp.clone(wp.from_torch(home))
+            joints = plant.model.joint_count // envs
+            self._home_frames = wp.clone(plant.model.joint_X_p[:joints])
+        self._applied = wp.from_torch(plant.applied, dtype=wp.spatial_vector)
+        self._current = False
+
+    # Time ------------------------------------------------------------------------------------------------------------
+
+    def settle(self) -> None:
+        """Derive what writes left behind."""
+        if not self._current:
+            self._graphs.run("derive", self._derive)
+            self._written.zero_()
+            self._current = True
+
+    def reread(self) -> None:
+        """Give what a snapshot brought back."""
+        self._graphs.run("read", self.read)
+
+    def take(self) -> None:
+        """Launch what brings the state up to date after a physics step of a solver that moves bodies."""
+        if not self._maximal:
+            return
+        state = self._plant.state
+        newton.eval_ik(self._plant.model, state, self._derived_q, state.joint_qd)
+        wp.launch(
+            unwrap_joints,
+            dim=self._joint_q.shape,
+            inputs=[self._turns(), self._plant.rows(self._derived_q)],
+            outputs=[self._joint_q],
+        )
+
+    def read(self) -> None:
+        """Launch what gives the contract's tensors."""
+        plant = self._plant
+        if plant.layout.joints:
+            wp.launch(
+                read_joints,
+                dim=self.joint_positions.shape,
+                inputs=[*self._columns, self._joint_q, self._joint_qd],
+                outputs=[wp.from_torch(self.joint_positions), wp.from_torch(self.joint_velocities)],
+            )
+        wp.launch(
+            read_links,
+            dim=self.link_poses.shape[:2],
+            inputs=[plant.state.body_q, plant.state.body_qd, plant.model.body_com],
+            outputs=[wp.from_torch(self.link_poses), wp.from_torch(self.link_velocities)],
+        )
+
+    def _derive(self) -> None:
+        plant = self._plant
+        wp.launch(
+            mark_articulations,
+            dim=len(self._articulations),
+            inputs=[wp.from_torch(self._written)],
+            outputs=[self._articulations],
+        )
+        state = plant.state
+        newton.eval_fk(plant.model, state.joint_q, state.joint_qd, state, mask=self._articulations)
+        self.read()
+
+    def _turns(self) -> wp.array:
+        if not hasattr(self, "_turning"):
+            types = self._plant.model.joint_type.numpy()
+            starts = self._plant.model.joint_q_start.numpy()
+            turning = torch.zeros(self._q.numel(), dtype=torch.bool)
+            turning[torch.as_tensor(starts[:-1][types == newton.JointType.REVOLUTE], dtype=torch.int64)] = True
+            turning = turning.view(self._q.shape)[0].to(self._q.device)
+            self._turning = wp.clone(wp.from_torch(turning.contiguous()))
+        return self._turning
+
+    # Writing ---------------------------------------------------------------------------------------------------------
+
+    def mark_written(self, rows: Tensor | slice) -> None:
+        """What is derived no longer holds in these environments."""
+        self._written[rows] = True
+        self._current = False
+
+    def write_joints(
+        self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, rows: Tensor | slice
+    ) -> None:
+        block = rows if isinstance(rows, slice) else rows[:, None]
+        if positions is not None:
+            self._q[block, self._position_columns[joints]] = positions
+        if velocities is not None:
+            self._qd[block, self._velocity_columns[joints]] = velocities
+        self.mark_written(rows)
+
+    def write_root(self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor) -> None:
+        plant, built = self._plant, self._plant.built
+        links, joints = len(plant.layout.links), plant.model.joint_count // plant.num_envs
+        places = (
+            built.root_joints[entity],
+            built.root_positions[entity],
+            built.root_velocities[entity],
+        )
+        with self._graphs.stream():
+            wp.launch(
+                write_root,
+                dim=len(env_ids),
+                inputs=[
+                    wp.from_torch(env_ids.contiguous()), links, plant.layout.entities[entity].root_link, joints,
+                    *map(int, places), pose is not None, velocity is not None, self._rows(pose), self._rows(velocity),
+                    plant.model.body_com,
+                ],
+                outputs=[self._joint_q, self._joint_qd, plant.model.joint_X_p],
+            )  # fmt: skip
+        self.mark_written(env_ids)
+
+    def reset(self, env_ids: Tensor) -> None:
+        """Home positions, no velocities, no wrenches."""
+        with self._graphs.stream():
+            wp.launch(
+                reset_state,
+                dim=len(env_ids),
+                inputs=[wp.from_torch(env_ids.contiguous()), self._home_q, self._home_frames],
+                outputs=[self._joint_q, self._joint_qd, self._plant.rows(self._plant.model.joint_X_p), self._applied],
+            )
+        self.mark_written(env_ids)
+
+    @property
+    def saved(self) -> tuple[Tensor, ...]:
+        """What the continuation depends on."""
+        state = self._plant.state
+        flat = (state.joint_q, state.joint_qd, state.body_q, state.body_qd, self._plant.model.joint_X_p)
+        return (*(wp.to_torch(array) for array in flat if array.size), self._plant.applied)
+
+    def _rows(self, values: Tensor | None) -> wp.array:
+        return self._no_rows if values is None else wp.from_torch(values.contiguous())

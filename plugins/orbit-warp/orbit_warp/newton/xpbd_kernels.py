@@ -1,0 +1,108 @@
+"""What Newton's XPBD solver is given: targets of drives, and a surface of each contact's own."""
+
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
+
+from __future__ import annotations
+
+import warp as wp
+
+from orbit_warp.newton.joints import JointTable
+
+
+@wp.struct
+class Drives:
+    """Newton's arrays of drives, with a row per environment."""
+
+    target_q: wp.array2d[float]
+    target_qd: wp.array2d[float]
+    stiffness: wp.array2d[float]
+    damping: wp.array2d[float]
+    force: wp.array2d[float]
+
+
+@wp.kernel(enable_backward=False)
+def write_drives(
+    friction_speed: float,
+    scales: wp.array[float],
+    table: JointTable,
+    stiffness: wp.array2d[float],
+    damping: wp.array2d[float],
+    position_targets: wp.array2d[float],
+    velocity_targets: wp.array2d[float],
+    efforts: wp.array2d[float],
+    joint_q: wp.array2d[float],
+    joint_qd: wp.array2d[float],
+    drives: Drives,
+    joint_efforts: wp.array2d[float],
+):
+    """A drive that asks for more than its limit is replaced by the limit; friction acts as a damper with its force.
+
+    ``scales`` undo that every sweep applies the drive anew.
+    """
+    env, joint = wp.tid()
+    dof = table.velocities[joint]
+    q, v = joint_q[env, table.positions[joint]], joint_qd[env, dof]
+    ke, kd = stiffness[env, joint], damping[env, joint]
+    target, speed, effort = position_targets[env, joint], velocity_targets[env, joint], efforts[env, joint]
+    force = ke * (target - q) + kd * (speed - v) + effort
+    limit = table.effort_limit[joint]
+    if wp.abs(force) > limit:
+        force = wp.clamp(force, -limit, limit)
+        effort, ke, kd = force, 0.0, 0.0
+    joint_efforts[env, joint] = force
+    drag = table.damping[joint] + table.friction[joint] / wp.max(wp.abs(v), friction_speed)
+    drives.target_q[env, table.targets[joint]] = target
+    drives.target_qd[env, dof] = 0.0
+    if kd + drag > 0.0:
+        drives.target_qd[env, dof] = speed * kd / (kd + drag)
+    drives.stiffness[env, dof] = ke * scales[joint]
+    drives.damping[env, dof] = (kd + drag) * scales[joint]
+    drives.force[env, dof] = effort
+
+
+@wp.struct
+class Coefficients:
+    """Newton's arrays of surfaces, with room for one of each contact behind those of the shapes."""
+
+    body: wp.array[int]
+    friction: wp.array[float]
+    torsional: wp.array[float]
+    rolling: wp.array[float]
+    restitution: wp.array[float]
+
+
+@wp.func
+def _to_larger(one: float, other: float) -> float:
+    """What averages with ``other`` to the larger of the two."""
+    return 2.0 * wp.max(one, other) - other
+
+
+@wp.kernel(enable_backward=False)
+def give_own_surfaces(
+    count: wp.array[int],
+    shapes: int,
+    coefficients: Coefficients,
+    shape0: wp.array[int],
+    shape1: wp.array[int],
+):
+    """Newton averages the coefficients of a pair; the contract takes the larger."""
+    i = wp.tid()
+    if i >= count[0]:
+        return
+    a, b, own = shape0[i], shape1[i], shapes + i
+    coefficients.body[own] = coefficients.body[a]
+    coefficients.friction[own] = _to_larger(coefficients.friction[a], coefficients.friction[b])
+    coefficients.torsional[own] = _to_larger(coefficients.torsional[a], coefficients.torsional[b])
+    coefficients.rolling[own] = _to_larger(coefficients.rolling[a], coefficients.rolling[b])
+    coefficients.restitution[own] = _to_larger(coefficients.restitution[a], coefficients.restitution[b])
+    shape0[i] = own
+
+
+@wp.kernel(enable_backward=False)
+def take_forces(count: wp.array[int], contact_f: wp.array[wp.spatial_vector], forces: wp.array[wp.vec3]):
+    """Force of each contact on its first shape."""
+    i = wp.tid()
+    if i < count[0]:
+        forces[i] = wp.spatial_top(contact_f[i])
