@@ -36,8 +36,12 @@ class SapienBackend(Backend):
         return {"sapien": importlib.metadata.version("sapien")}
 
     def create_engine(self, layout: SceneLayout, num_envs: int, device: torch.device, config: SapienConfig) -> Engine:
+        if device.type == "cuda":
+            from orbit_sapien.gpu_engine import SapienGpuEngine
+
+            return SapienGpuEngine(layout, num_envs, device, config)
         if device.type != "cpu":
-            raise ConfigurationError(f"backend '{self.name}' simulates on device 'cpu' only, not on '{device}'")
+            raise ConfigurationError(f"backend '{self.name}' simulates on device 'cpu' or 'cuda', not on '{device}'")
         from orbit_sapien.engine import SapienEngine
 
         return SapienEngine(layout, num_envs, device, config)

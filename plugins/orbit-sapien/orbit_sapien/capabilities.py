@@ -66,6 +66,7 @@ CAPABILITIES = Capabilities(
         Capability.RANDOMIZE_FRICTION: approximate("averages of a pair's coefficients, as for friction"),
         Capability.RANDOMIZE_GAINS: EXACT,
         Capability.RANDOMIZE_GRAVITY: EXACT,
+        Capability.SHAPES_PER_ENVIRONMENT: unsupported("this backend builds every environment alike"),
         Capability.SNAPSHOTS: EXACT,
         Capability.DETERMINISTIC: approximate(
             "a run repeats bit for bit with the same number of environments; with another, PhysX's TGS solver sums "
@@ -73,7 +74,8 @@ CAPABILITIES = Capabilities(
         ),
         **_TRACED,
         Capability.GPU: unsupported(
-            "PhysX's GPU library is no part of SAPIEN's package: this backend steps on the CPU"
+            "untested: PhysX's GPU library is no part of SAPIEN's package and was never at hand; where it is installed "
+            "(python -m orbit_sapien.physx_gpu), device 'cuda' runs code that no test has run"
         ),
         Capability.CLOTH: unsupported("SAPIEN has no deformable bodies"),
         Capability.SOFT_BODIES: unsupported("SAPIEN has no deformable bodies"),

@@ -49,6 +49,15 @@ class Drives:
         self._properties = np.full((3, *shape), np.nan)
         self._settle()
 
+    def to(self, device: torch.device) -> Drives:
+        """The same, with the tensors of its law on another device; what it told PhysX stays told."""
+        for name, value in vars(self).items():
+            if isinstance(value, Tensor):
+                setattr(self, name, value.to(device))
+        stiffness, damping = self._gains
+        self._gains = stiffness.to(device), damping.to(device)
+        return self
+
     # Gains -----------------------------------------------------------------------------------------------------------
 
     def set_gains(self, joints: npt.NDArray[np.int64], stiffness: Tensor, damping: Tensor, rows: list[int]) -> None:
@@ -116,11 +125,15 @@ class Drives:
             self._send_forces(wanted[2], changed[2])
         self.sent = wanted.copy()
 
-    def send_forces(self, commands: Tensor, velocities: Tensor, dt: float) -> None:
-        """Generalised forces of efforts, and of friction and damping at the present velocity."""
+    def forces(self, commands: Tensor, velocities: Tensor, dt: float) -> Tensor:
+        """(N, J) generalised forces of efforts, and of friction and damping at the present velocity."""
         friction = torch.minimum(self._rubbing, self._inertia * velocities.abs() / dt)
-        forces = commands[2] - friction * velocities.sign() - self._dragging * velocities
-        self._send_forces(forces.numpy(), np.ones(forces.shape, dtype=bool))
+        return commands[2] - friction * velocities.sign() - self._dragging * velocities
+
+    def send_forces(self, commands: Tensor, velocities: Tensor, dt: float) -> None:
+        """Write :meth:`forces`."""
+        forces = self.forces(commands, velocities, dt).numpy()
+        self._send_forces(forces, np.ones(forces.shape, dtype=bool))
 
     def _send_forces(self, forces: npt.NDArray[np.float32], changed: npt.NDArray[np.bool_]) -> None:
         for entity in self._layout.entities:

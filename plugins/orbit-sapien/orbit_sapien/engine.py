@@ -14,7 +14,7 @@ from torch import Tensor
 from orbit_core.interfaces import Approximation, Engine, RayHits, SceneLayout, SimulationError
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.drives import Drives
-from orbit_sapien.model import BuiltWorld, build_world
+from orbit_sapien.model import BuiltWorld, build_world, configure_physx
 from orbit_sapien.native import physx, sapien
 from orbit_sapien.parameters import Parameters
 from orbit_sapien.probes import ContactMeter, WrenchMeter, held_links
@@ -40,12 +40,14 @@ class SapienEngine(Engine):
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: SapienConfig) -> None:
         super().__init__(layout, num_envs, device)
         self.config = config
-        self._world: BuiltWorld = build_world(layout, num_envs, config)
-        self._system, self._dt = self._world.system, layout.scene.physics_dt
-        self._state = State(layout, self._world)
+        configure_physx(layout, config, enable_enhanced_determinism=True)
+        self._system = physx.PhysxCpuSystem()
+        self._system.timestep = self._dt = layout.scene.physics_dt
+        self._world: BuiltWorld = build_world(layout, num_envs, config, self._system)
+        self._state = State(layout, self._world, self._system)
         self._drives = Drives(layout, self._world)
         self._parameters = Parameters(layout, self._world, self._state)
-        self._contacts = ContactMeter(layout, self._world, held_links(layout))
+        self._contacts = ContactMeter(layout, self._world, self._system, held_links(layout))
         self._wrenches = WrenchMeter(layout, self._world, self._contacts, self._parameters)
         self._rays: RayWorld | None = None
         self._joints = np.arange(len(layout.joints))

@@ -71,7 +71,6 @@ class NativeEnvironment:
 class BuiltWorld:
     """All environments, and what they do not honour."""
 
-    system: physx.PhysxCpuSystem
     environments: tuple[NativeEnvironment, ...]
     rule: PairRule
     report: tuple[Approximation, ...]
@@ -80,17 +79,31 @@ class BuiltWorld:
     """Metres that bodies may go from their origin, over a shared ground, before they could meet other environments'."""
 
 
-def build_world(layout: SceneLayout, num_envs: int, config: SapienConfig) -> BuiltWorld:
-    """Make every environment.
+def build_world(layout: SceneLayout, num_envs: int, config: SapienConfig, system: physx.PhysxSystem) -> BuiltWorld:
+    """Make every environment in that system.
 
     Raises:
         AssetError: PhysX refuses a shape or link; names it.
     """
-    return _Builder(layout, num_envs, config).world
+    return _Builder(layout, num_envs, config, system).world
+
+
+def configure_physx(layout: SceneLayout, config: SapienConfig, *, enable_enhanced_determinism: bool) -> None:
+    """PhysX's defaults, which whatever is made from now on takes over."""
+    physx.set_scene_config(
+        gravity=np.asarray(layout.scene.gravity, np.float32),
+        bounce_threshold=config.bounce_threshold,
+        enable_tgs=config.temporal_gauss_seidel,
+        enable_enhanced_determinism=enable_enhanced_determinism,
+        enable_friction_every_iteration=True,
+        cpu_workers=config.workers,
+    )
+    physx.set_body_config(config.position_iterations, config.velocity_iterations, 0.0)
+    physx.set_shape_config(config.contact_offset, 0.0)
 
 
 class _Builder:
-    def __init__(self, layout: SceneLayout, num_envs: int, config: SapienConfig) -> None:
+    def __init__(self, layout: SceneLayout, num_envs: int, config: SapienConfig, system: physx.PhysxSystem) -> None:
         self.layout, self.config = layout, config
         self.report: list[Approximation] = []
         self.rule = PairRule(layout)
@@ -100,31 +113,14 @@ class _Builder:
         tilted = any(isinstance(s.geometry, Plane) and not _is_level(s) for s in layout.scene.terrain)
         self.shared_ground = num_envs > config.shared_ground_above and bool(self.level) and not tilted
         self.spacing = config.env_spacing * (_SHARED_SPREAD if self.shared_ground else 1.0)
-        system = self._make_system()
         environments = [NativeEnvironment(sapien.Scene([system]), np.zeros(3)) for _ in range(num_envs)]
         for index, environment in enumerate(environments):
             environment.offset = grid_offset(index, self.spacing)
             self._fill(environment, index)
         self.report += self.rule.approximations(layout)
         self.world = BuiltWorld(
-            system, tuple(environments), self.rule, tuple(self.report), self.shared_ground, _FREE_CELLS * self.spacing
+            tuple(environments), self.rule, tuple(self.report), self.shared_ground, _FREE_CELLS * self.spacing
         )
-
-    def _make_system(self) -> physx.PhysxCpuSystem:
-        config, scene = self.config, self.layout.scene
-        physx.set_scene_config(
-            gravity=np.asarray(scene.gravity, np.float32),
-            bounce_threshold=config.bounce_threshold,
-            enable_tgs=config.temporal_gauss_seidel,
-            enable_enhanced_determinism=True,
-            enable_friction_every_iteration=True,
-            cpu_workers=config.workers,
-        )
-        physx.set_body_config(config.position_iterations, config.velocity_iterations, 0.0)
-        physx.set_shape_config(config.contact_offset, 0.0)
-        system = physx.PhysxCpuSystem()
-        system.timestep = scene.physics_dt
-        return system
 
     def _fill(self, environment: NativeEnvironment, index: int) -> None:
         first = index == 0

@@ -13,6 +13,7 @@ import torch
 
 from orbit_core.interfaces import TERRAIN, ContactQuery, SceneLayout
 from orbit_sapien.model import BuiltWorld
+from orbit_sapien.native import physx
 from orbit_sapien.parameters import Parameters
 
 
@@ -22,11 +23,13 @@ class ContactMeter:
     Queries past the layout's own are those of :class:`WrenchMeter`: what presses on links that the world holds.
     """
 
-    def __init__(self, layout: SceneLayout, world: BuiltWorld, held: tuple[int, ...]) -> None:
+    def __init__(
+        self, layout: SceneLayout, world: BuiltWorld, system: physx.PhysxCpuSystem, held: tuple[int, ...]
+    ) -> None:
         self._queries = (*layout.contact_queries, *(ContactQuery(link) for link in held))
         self._own = len(layout.contact_queries)
         self.active = bool(self._queries)
-        self._world, self._dt = world, layout.scene.physics_dt
+        self._system, self._dt = system, layout.scene.physics_dt
         self._place: dict[object, tuple[int, int]] = {}
         for row, environment in enumerate(world.environments):
             bodies = [body for entity in environment.entities for body in entity.bodies]
@@ -51,7 +54,7 @@ class ContactMeter:
         signs: list[float] = []
         impulses: list[npt.NDArray[np.float32]] = []
         points: list[npt.NDArray[np.float32]] = []
-        for contact in self._world.system.get_contacts():
+        for contact in self._system.get_contacts():
             one, other = contact.bodies
             (row, first), (other_row, second) = self._place[one], self._place[other]
             asked = self._asked_of(first, second)

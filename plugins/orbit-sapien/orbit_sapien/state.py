@@ -17,7 +17,7 @@ from torch import Tensor
 from orbit_core.interfaces import SceneLayout
 from orbit_sapien.kinematics import Kinematics, rotate
 from orbit_sapien.model import BuiltWorld, NativeEntity
-from orbit_sapien.native import NativePose
+from orbit_sapien.native import NativePose, physx
 
 _ROOT = 13
 
@@ -25,9 +25,8 @@ _ROOT = 13
 class State:
     """The kinematic state of every environment, read when first asked for after a step or a write."""
 
-    def __init__(self, layout: SceneLayout, world: BuiltWorld) -> None:
-        self._layout, self._world = layout, world
-        self._system = world.system
+    def __init__(self, layout: SceneLayout, world: BuiltWorld, system: physx.PhysxCpuSystem) -> None:
+        self._layout, self._world, self._system = layout, world, system
         self._num_envs = len(world.environments)
         self._kinematics = Kinematics(layout)
         self._offsets = torch.from_numpy(np.stack([e.offset for e in world.environments]))

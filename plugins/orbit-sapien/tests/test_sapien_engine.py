@@ -198,5 +198,5 @@ def test_settings_are_checked() -> None:
 
 def test_another_device_is_refused() -> None:
     plugin = backends.backend("sapien")
-    with pytest.raises(ConfigurationError, match="cpu"):
-        plugin.create_engine(SceneLayout.of(Scene()), 1, torch.device("cuda"), SapienConfig())
+    with pytest.raises(ConfigurationError, match="'cpu' or 'cuda', not on 'meta'"):
+        plugin.create_engine(SceneLayout.of(Scene()), 1, torch.device("meta"), SapienConfig())
