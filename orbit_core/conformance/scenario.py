@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +13,10 @@ import torch
 from orbit_core.interfaces import Capability
 from orbit_core.scene import Scene
 from orbit_core.world import SimulatedWorld
+
+SINGLE = "states are told in single precision, and engines that reckon in it round at each step"
+FIRST_ORDER = "integrators of first order err in proportion to the time step; the best one divides the step"
+"""Reasons for a :attr:`Metric.looser_because`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +113,17 @@ class Trial:
         world.engine.joint_positions.sum().item()  # a device is done when it answers
         self.wall_seconds += time.perf_counter() - begin
         self.simulated_seconds += steps * self.time_step * world.num_envs
+
+    def advance(self, world: SimulatedWorld, seconds: float, every: float = 0.0) -> Iterator[float]:
+        """Step a world through a stretch of time: gives the time at its beginning, and again after each ``every``.
+
+        ``every`` is a multiple of the time step, or zero for each step.
+        """
+        stride = max(1, self.steps(every))
+        for count in range(self.steps(seconds) // stride + 1):
+            if count:
+                self.step(world, stride)
+            yield count * stride * self.time_step
 
     def trace(
         self, name: str, unit: str, times: Sequence[float], measured: Sequence[float], truth: Sequence[float]

@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 from orbit_core.conformance.scenario import Scenario
-from orbit_core.conformance.scenarios import free_motion
+from orbit_core.conformance.scenarios import drives, free_motion, joints, linkages, pendula
 
-SCENARIOS: tuple[Scenario, ...] = (*free_motion.SCENARIOS,)
+SCENARIOS: tuple[Scenario, ...] = (
+    *free_motion.SCENARIOS,
+    *pendula.SCENARIOS,
+    *joints.SCENARIOS,
+    *drives.SCENARIOS,
+    *linkages.SCENARIOS,
+)

@@ -3,5 +3,6 @@
 from __future__ import annotations
 
 from orbit_core.interfaces import Gap
+from orbit_mjmodel.gaps import MOTION
 
-GAPS: tuple[Gap, ...] = ()
+GAPS: tuple[Gap, ...] = (*MOTION,)
