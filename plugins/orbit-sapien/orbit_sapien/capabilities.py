@@ -66,7 +66,6 @@ CAPABILITIES = Capabilities(
         Capability.RANDOMIZE_FRICTION: approximate("averages of a pair's coefficients, as for friction"),
         Capability.RANDOMIZE_GAINS: EXACT,
         Capability.RANDOMIZE_GRAVITY: EXACT,
-        Capability.SHAPES_PER_ENVIRONMENT: unsupported("this backend builds every environment alike"),
         Capability.SNAPSHOTS: EXACT,
         Capability.DETERMINISTIC: approximate(
             "a run repeats bit for bit with the same number of environments; with another, PhysX's TGS solver sums "
