@@ -14,6 +14,9 @@ COMMANDS = {
     "info": ("info", "Everything about one task, robot or backend"),
     "run": ("run", "Run a task's episodes with an expert, random or zero agent, and report how they went"),
     "view": ("view", "Watch a task live in the browser"),
+    "train": ("train", "Learn a task with a reinforcement learning library"),
+    "play": ("play", "Run a learned policy on any backend, and report how it went"),
+    "export": ("export", "Write a learned policy as TorchScript and ONNX, with its description"),
     "bench": ("bench", "Measure throughput over numbers of environments"),
     "conformance": ("conformance", "Hold backends against known answers and whole tasks, and report"),
 }
