@@ -22,7 +22,7 @@ _SOFT = {"under": (50.0, 2.0), "critical": (50.0, 10.0), "over": (50.0, 30.0)}
 def _response(trial: Trial, kind: Callable[..., ActuatorConfig]) -> Mapping[str, float]:
     """Steps of under-, critically and overdamped drives, and of one on a prismatic joint."""
     robots: list[RobotSpec] = []
-    truths = []
+    truths: list[tuple[float, float, float]] = []
     for name, (stiffness, damping) in _SOFT.items():
         drive = kind(joints=(".*",), stiffness=stiffness, damping=damping)
         robots.append(named(name, rotor(inertia=_INERTIA, actuators=(drive,))))
