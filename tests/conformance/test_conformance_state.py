@@ -21,10 +21,9 @@ from orbit_core.conformance.bodies import (
     tree,
     yaw_quaternion,
 )
-from orbit_core.interfaces import Capability
 from orbit_core.scene import Articulation, Joint, JointType, Pose, RobotSpec
 
-from .conftest import MakeEngine, Needs
+from .conftest import MakeEngine
 
 EXACT = {"rtol": 1e-5, "atol": 1e-5}
 
@@ -177,12 +176,3 @@ def test_a_continuous_joint_counts_whole_turns(make_engine: MakeEngine) -> None:
     engine.write_joint_state(index(0), None, torch.tensor([[20.0]]))
     engine.step(200)
     assert engine.joint_positions[0, 0] == pytest.approx(20.0, rel=1e-4)
-
-
-def test_free_fall(make_engine: MakeEngine, needs: Needs) -> None:
-    """After n steps of dt the velocity is -g n dt, and the fall g t^2 / 2 within one step's worth."""
-    needs(Capability.FRICTION)
-    engine = make_engine(scene(ball(height=10.0), dt=0.002), num_envs=2)
-    engine.step(250)
-    assert engine.link_velocities[0, 0, 2] == pytest.approx(-9.81 * 0.5, rel=1e-5)
-    assert engine.link_poses[0, 0, 2] == pytest.approx(10 - 9.81 * 0.125, abs=9.81 * 0.5 * 0.002)
