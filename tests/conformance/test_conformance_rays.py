@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 import torch
 
-from orbit_core.conformance.bodies import WEIGHTLESS, cube, fixed, index, scene, yaw_quaternion
-from orbit_core.interfaces import BACKGROUND, TERRAIN, Capability
-from orbit_core.scene import Box, Pose, Sphere
+from orbit_core.conformance.bodies import WEIGHTLESS, cube, index, scene, yaw_quaternion
+from orbit_core.interfaces import BACKGROUND, Capability
 
 from .conftest import MakeEngine, Needs
 
@@ -19,23 +16,6 @@ TOLERANCE = {"rtol": 0, "atol": 1e-4}
 @pytest.fixture(autouse=True)
 def rays_needed(needs: Needs) -> None:
     needs(Capability.RAY_CASTS)
-
-
-def test_distances_normals_and_what_was_hit(make_engine: MakeEngine) -> None:
-    """Down on the ground, on a ball at 45 degrees, on a box's face, and into nothing."""
-    round_thing = fixed("ball", Sphere(0.5), Pose((5.0, 0.0, 1.0)))
-    box = fixed("box", Box((0.5, 0.5, 0.5)), Pose((0.0, 5.0, 0.5)))
-    engine = make_engine(scene(round_thing, box), num_envs=2)
-    origins = torch.tensor([[0.0, 0.0, 2.0], [5.0 + 0.5 * math.sqrt(0.5), 0.0, 3.0], [0.0, 3.0, 0.5], [0.0, 0.0, 2.0]])
-    directions = torch.tensor([[0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    hits = engine.cast_rays(origins.expand(2, 4, 3), directions.expand(2, 4, 3), 10.0)
-    for env in range(2):
-        expected = torch.tensor([2.0, 2.0 - 0.5 * math.sqrt(0.5), 1.5, torch.inf])
-        torch.testing.assert_close(hits.distances[env], expected, **TOLERANCE)
-        diagonal = math.sqrt(0.5)
-        normals = torch.tensor([[0.0, 0.0, 1.0], [diagonal, 0.0, diagonal], [0.0, -1.0, 0.0], [0.0, 0.0, 0.0]])
-        torch.testing.assert_close(hits.normals[env], normals, rtol=0, atol=1e-3)
-        assert hits.links[env].tolist() == [TERRAIN, 0, 1, BACKGROUND]
 
 
 def test_beyond_the_greatest_distance_there_is_nothing(make_engine: MakeEngine) -> None:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.conformance.bodies import cube, index, pendulum, scene
-from orbit_core.interfaces import Backend, Capability, Engine, Level, SimulationError
+from orbit_core.interfaces import Backend, Capability, Engine, SimulationError
 from orbit_core.scene import ContactSensorSpec, ForceTorqueSpec, ImplicitPd, Pose, Scene
 
 from .conftest import MakeEngine, Needs
@@ -37,41 +37,6 @@ def drive(engine: Engine, env_ids: Tensor, steps: int) -> None:
 
 def everything(engine: Engine) -> dict[str, Tensor]:
     return {name: getattr(engine, name).clone() for name in STATE}
-
-
-def test_the_same_run_twice(make_engine: MakeEngine, needs: Needs) -> None:
-    needs(Capability.DETERMINISTIC)
-    runs = [make_engine(busy_scene(), num_envs=3) for _ in range(2)]
-    for engine in runs:
-        drive(engine, index(0, 1, 2), 30)
-    for name, values in everything(runs[0]).items():
-        assert torch.equal(values, getattr(runs[1], name)), name
-
-
-def test_an_environment_is_the_same_however_many_there_are(
-    make_engine: MakeEngine, needs: Needs, backend: Backend
-) -> None:
-    needs(Capability.DETERMINISTIC)
-    support = backend.capabilities()[Capability.DETERMINISTIC]
-    if support.level is Level.APPROXIMATE:  # what else the capability says still holds
-        pytest.skip(f"{backend.name}: {support.reason}")
-    one, five = make_engine(busy_scene()), make_engine(busy_scene(), num_envs=5)
-    for engine in (one, five):
-        drive(engine, torch.arange(engine.num_envs), 30)
-    for name, values in everything(one).items():
-        assert torch.equal(values[0], getattr(five, name)[0]), name
-
-
-def test_a_reset_leaves_the_others_alone(make_engine: MakeEngine, needs: Needs) -> None:
-    needs(Capability.DETERMINISTIC)
-    disturbed, calm = make_engine(busy_scene(), num_envs=3), make_engine(busy_scene(), num_envs=3)
-    for engine in (disturbed, calm):
-        drive(engine, index(0, 1, 2), 10)
-    disturbed.reset(index(1))
-    for engine in (disturbed, calm):
-        drive(engine, index(0, 1, 2), 10)
-    for name, values in everything(calm).items():
-        assert torch.equal(values[[0, 2]], getattr(disturbed, name)[[0, 2]]), name
 
 
 def test_a_reset_is_complete(make_engine: MakeEngine, needs: Needs, backend: Backend) -> None:

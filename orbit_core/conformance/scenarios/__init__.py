@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 from orbit_core.conformance.scenario import Scenario
-from orbit_core.conformance.scenarios import drives, free_motion, joints, linkages, pendula
+from orbit_core.conformance.scenarios import (
+    drives,
+    free_motion,
+    joints,
+    linkages,
+    parameters,
+    pendula,
+    rays,
+    repeatability,
+    sensing,
+)
 
 SCENARIOS: tuple[Scenario, ...] = (
     *free_motion.SCENARIOS,
@@ -11,4 +21,8 @@ SCENARIOS: tuple[Scenario, ...] = (
     *joints.SCENARIOS,
     *drives.SCENARIOS,
     *linkages.SCENARIOS,
+    *sensing.SCENARIOS,
+    *rays.SCENARIOS,
+    *parameters.SCENARIOS,
+    *repeatability.SCENARIOS,
 )

@@ -34,6 +34,7 @@ class WrenchMeter:
     def begin(self, raw: FloatArray, poses: FloatArray) -> None:
         """Before the last step: the state that it starts from."""
         self._before = self._momenta(raw, poses)
+        self._centers_before, self._poses_before = raw[..., :3].copy(), poses.astype(np.float64)
 
     def end(self, raw: FloatArray, poses: FloatArray) -> None:
         """After the last step."""
@@ -42,11 +43,11 @@ class WrenchMeter:
             (new - old) / self._stage.layout.scene.physics_dt for new, old in zip(after, self._before, strict=True)
         ]
         contacts = self._contacts()
-        centers = raw[..., :3]
+        centers, poses = 0.5 * (raw[..., :3] + self._centers_before), self._halfway(poses)
         for column, (link, beyond) in enumerate(zip(self._stage.layout.wrench_links, self._links, strict=True)):
             if not self._held[column]:
                 continue
-            origins = poses[:, link, None, :3].astype(np.float64) + self._stage.origins[:, None]
+            origins = poses[:, link, None, :3] + self._stage.origins[:, None]
             arms = centers[:, beyond] - origins
             forces = rates[0][:, beyond] - self._loads.bearing[:, beyond]
             force = forces.sum(1) - contacts[:, beyond, :3].sum(1)
@@ -57,6 +58,14 @@ class WrenchMeter:
             inverse = poses[:, link, 3:] * np.array([1.0, -1.0, -1.0, -1.0])
             self._out[:, column, :3] = rotate(inverse, force)
             self._out[:, column, 3:] = rotate(inverse, torque)
+
+    def _halfway(self, after: FloatArray) -> FloatArray:
+        """(K, L, 7) poses in the middle of the last step, over which a wrench is the mean."""
+        before = self._poses_before
+        same = np.copysign(1.0, (after[..., 3:] * before[..., 3:]).sum(-1, keepdims=True))
+        quaternions = after[..., 3:] + same * before[..., 3:]
+        quaternions /= np.linalg.norm(quaternions, axis=-1, keepdims=True)
+        return np.concatenate((0.5 * (after[..., :3] + before[..., :3]), quaternions), -1)
 
     def _momenta(self, raw: FloatArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Linear momentum, and angular momentum about the centre of mass (K, L, 3)."""

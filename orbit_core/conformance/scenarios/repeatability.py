@@ -1,0 +1,140 @@
+"""What must come out the same, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import torch
+from torch import Tensor
+
+from orbit_core.conformance.bodies import cube, pendulum, scene
+from orbit_core.conformance.scenario import Metric, Scenario, Trial
+from orbit_core.interfaces import Capability
+from orbit_core.scene import ContactSensorSpec, ImplicitPd, Pose, Scene, SensorSpec
+from orbit_core.world import SimulatedWorld
+
+_STATE = ("joint_positions", "joint_velocities", "joint_efforts", "link_poses", "link_velocities")
+_STEPS = 4
+"""Physics steps that a command is held."""
+
+
+def _busy_scene(*sensors: SensorSpec) -> Scene:
+    """A driven arm that strikes a cube, which another one stands on."""
+    drive = ImplicitPd(joints=(".*",), stiffness=50.0, damping=5.0)
+    arm = pendulum(actuators=(drive,), base=Pose((0.0, 0.0, 0.3)))
+    cubes = (cube("one", pose=Pose((0.3, 0.0, 0.06))), cube("two", pose=Pose((0.35, 0.0, 0.2))))
+    return scene(arm, *cubes, sensors=sensors)
+
+
+def _drive(trial: Trial, world: SimulatedWorld, seconds: float, begin: int = 0) -> None:
+    """Commands that depend on the environment's number and the time alone."""
+    numbers = torch.arange(1.0, world.num_envs + 1.0, device=world.device)[:, None]
+    for turn in range(begin, begin + trial.steps(seconds) // _STEPS):
+        phase = 0.1 * numbers * (turn + 1)
+        world.robots["pendulum"].set_position_targets(torch.cat((phase.sin(), phase.cos()), -1))
+        trial.step(world, _STEPS)
+
+
+def _state(world: SimulatedWorld) -> dict[str, Tensor]:
+    state = {name: getattr(world.engine, name).clone() for name in _STATE}
+    return state | {name: sensor.forces.clone() for name, sensor in world.sensors.items()}  # pyright: ignore
+
+
+def _apart(first: Mapping[str, Tensor], second: Mapping[str, Tensor], env_ids: tuple[int, ...]) -> dict[str, float]:
+    rows = list(env_ids)
+    return {"difference": max(float((first[name][rows] - second[name][rows]).abs().max()) for name in first)}
+
+
+def _the_same_run_twice(trial: Trial) -> Mapping[str, float]:
+    worlds = [trial.world(_busy_scene(), num_envs=3) for _ in range(2)]
+    for world in worlds:
+        _drive(trial, world, 0.6)
+    return _apart(_state(worlds[0]), _state(worlds[1]), (0, 1, 2))
+
+
+def _alone_and_among_seven(trial: Trial) -> Mapping[str, float]:
+    alone, among = trial.world(_busy_scene()), trial.world(_busy_scene(), num_envs=7)
+    for world in (alone, among):
+        _drive(trial, world, 0.6)
+    return _apart(_state(alone), _state(among), (0,))
+
+
+def _beside_a_reset(trial: Trial) -> Mapping[str, float]:
+    disturbed, calm = (trial.world(_busy_scene(), num_envs=3) for _ in range(2))
+    for world in (disturbed, calm):
+        _drive(trial, world, 0.2)
+    disturbed.reset(torch.tensor([1], device=disturbed.device))
+    for world in (disturbed, calm):
+        _drive(trial, world, 0.2, begin=100)
+    return _apart(_state(disturbed), _state(calm), (0, 2))
+
+
+def _reset(trial: Trial) -> Mapping[str, float]:
+    """One world has been driven, and its things pushed, before it is reset."""
+    used, fresh = (trial.world(_busy_scene(), num_envs=2) for _ in range(2))
+    _drive(trial, used, 0.3)
+    used.robots["pendulum"].set_effort_targets(torch.full((2, 2), 3.0, device=used.device))
+    trial.step(used, 3)
+    used.reset()
+    for world in (used, fresh):
+        trial.step(world, trial.steps(0.25))
+    return _apart(_state(used), _state(fresh), (0, 1))
+
+
+def _snapshot(trial: Trial) -> Mapping[str, float]:
+    """Taken in the midst of contact; another life lies between the two continuations."""
+    world = trial.world(_busy_scene(ContactSensorSpec(name="touch", entity="one")), num_envs=3)
+    _drive(trial, world, 0.2)
+    saved = world.save_state()
+    _drive(trial, world, 0.2, begin=50)
+    first = _state(world)
+    _drive(trial, world, 0.1, begin=99)
+    world.reset(torch.tensor([1], device=world.device))
+    world.load_state(saved)
+    _drive(trial, world, 0.2, begin=50)
+    return _apart(first, _state(world), (0, 1, 2))
+
+
+def _scenario(
+    name: str, question: str, truth: str, run: Callable[[Trial], Mapping[str, float]], need: Capability
+) -> Scenario:
+    contacts = (Capability.CONTACT_FORCES,) if need is Capability.SNAPSHOTS else ()
+    return Scenario(
+        name=name,
+        group="Repeatability",
+        question=question,
+        truth=truth,
+        source="equality",
+        run=run,
+        needs=(need, Capability.IMPLICIT_DRIVES, *contacts),
+        time_steps=(),
+        metrics=(
+            Metric(
+                name="difference", unit="", tolerance=0.0, meaning="largest of any number of the state, in its SI unit"
+            ),
+        ),
+    )
+
+
+SCENARIOS = (
+    _scenario(
+        "same_run_twice", "Does the same run come out the same?",
+        "every state of the second run is that of the first", _the_same_run_twice, Capability.DETERMINISTIC,
+    ),
+    _scenario(
+        "alone_and_among_seven", "Does an environment do the same however many there are?",
+        "environment 0 of seven does what it does alone", _alone_and_among_seven, Capability.DETERMINISTIC,
+    ),
+    _scenario(
+        "beside_a_reset", "Does the reset of one environment leave the others alone?",
+        "they do what they do without it", _beside_a_reset, Capability.DETERMINISTIC,
+    ),
+    _scenario(
+        "life_after_a_reset", "Is a reset complete?",
+        "an environment that was driven, pushed and reset repeats a fresh one's life", _reset, Capability.DETERMINISTIC,
+    ),
+    _scenario(
+        "snapshot", "Does a saved state continue as it did?",
+        "its second continuation is the first", _snapshot, Capability.SNAPSHOTS,
+    ),
+)  # fmt: skip
