@@ -1,6 +1,6 @@
 # make demo    a Franka lifts cubes on MuJoCo; the video lands in out/lift.mp4
 # make view    the same, live in the browser
-# make test    style, types and all tests
+# make test    style, types, all tests, and the conformance suite's quick run
 # Each sets up the environment in .venv first, as far as it needs it.
 
 PYTHON ?= python3
@@ -11,7 +11,7 @@ PLUGINS := mjmodel $(BACKENDS)
 SOURCES := pyproject.toml constraints.txt $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
 CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples
 
-.PHONY: demo view test lint types unit clean
+.PHONY: demo view test lint types unit conformance clean
 
 demo: $(VENV)/.ready
 	@mkdir -p out
@@ -20,7 +20,7 @@ demo: $(VENV)/.ready
 view: $(VENV)/.ready
 	$(BIN)/orbit view Lift --backend mujoco
 
-test: $(VENV)/.ready-dev lint types unit
+test: $(VENV)/.ready-dev lint types unit conformance
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check $(CODE)
@@ -30,7 +30,11 @@ types: $(VENV)/.ready-dev
 	$(BIN)/basedpyright
 
 unit: $(VENV)/.ready-dev
-	$(BIN)/pytest -n auto --cov --cov-report=term:skip-covered --cov-fail-under=90
+	$(BIN)/pytest -n auto --ignore tests/conformance/test_scenarios.py --cov --cov-report=term:skip-covered --cov-fail-under=90
+
+# Every scenario on every backend: what tests/conformance/test_scenarios.py collects for those who write them.
+conformance: $(VENV)/.ready-dev
+	$(BIN)/orbit conformance --quick --output out/conformance
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
@@ -43,7 +47,7 @@ $(VENV)/.ready: $(VENV)/bin/python $(SOURCES)
 $(VENV)/.ready-dev: $(VENV)/.ready
 	sh tools/system_packages.sh graphics vulkan browser
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable \
-		".[mujoco,bullet,sapien,warp,newton,robots,usd,mjcf,viewer,video,plots,dev]"
+		".[mujoco,bullet,sapien,warp,newton,robots,usd,mjcf,viewer,video,plots,conformance,dev]"
 	$(BIN)/pip install --quiet --no-deps $(PLUGINS:%=--editable plugins/orbit-%)
 	touch $@
 

@@ -6,6 +6,7 @@ A worker serves one backend and dies alone: an engine that crashes or hangs cost
 from __future__ import annotations
 
 import faulthandler
+import logging
 import multiprocessing
 import os
 import signal
@@ -94,7 +95,7 @@ class RayPool:
         except ImportError as error:
             raise ConfigurationError('spreading over machines needs Ray: pip install "orbit-core[ray]"') from error
         try:
-            ray.init(None if address == "local" else address, log_to_driver=False, include_dashboard=False)
+            ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, ValueError) as error:
             raise ConfigurationError(f"no Ray cluster answers at '{address}': {error}") from error
         self._ray: Any = ray

@@ -37,7 +37,7 @@ class Extent:
     block_steps: int
 
 
-QUICK = Extent(episodes=8, throughput_envs=(1, 16), blocks=3, block_steps=10)
+QUICK = Extent(episodes=8, throughput_envs=(16,), blocks=3, block_steps=10)
 FULL = Extent(episodes=100, throughput_envs=(1, 16, 64, 256), blocks=8, block_steps=50)
 
 
