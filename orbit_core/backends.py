@@ -123,7 +123,8 @@ def check_scene(backend: Backend, scene: Scene, renderer: Backend | None = None)
     """
     needs = required_capabilities(scene)
     physics = {need: culprit for need, culprit in needs.items() if need not in IMAGES}
-    images = {need: culprit for need, culprit in needs.items() if need in IMAGES}
+    drawn = (*IMAGES, Capability.SHAPES_PER_ENVIRONMENT)  # who draws must know of other shapes too
+    images = {need: culprit for need, culprit in needs.items() if need in drawn}
     _check("backend", backend, physics, backend_names())
     _check("renderer", renderer or backend, images, (*backend_names(), *renderer_names()))
 

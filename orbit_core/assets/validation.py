@@ -11,7 +11,7 @@ import numpy as np
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.interfaces.layout import home_positions
-from orbit_core.scene import Articulation, Entity, Joint, JointType, Link, LoopJoint, Pose
+from orbit_core.scene import Articulation, Entity, HeightField, Joint, JointType, Link, LoopJoint, Plane, Pose
 
 _TRIANGLE_TOLERANCE = 1e-3
 """Of the largest principal moment: published models round their inertias to three digits."""
@@ -58,9 +58,13 @@ def validate_entity(entity: Entity) -> None:
     """Check the entity's articulation, and that a root that is free to move has mass.
 
     Raises:
-        AssetError: as :func:`validate`, the root of a free base has no mass, or a loop is open at the home positions.
+        AssetError: as :func:`validate`, the root of a free base has no mass, a loop is open at the home positions, or a
+            variant is no single link like the entity's own.
     """
     validate(entity.articulation)
+    for variant in entity.alternatives[1:]:
+        _check_variant(entity, variant)
+        validate_entity(replace(entity, articulation=variant, variants=()))
     if entity.articulation.loops:
         _check_closed(entity)
     if not entity.fixed_base and merge_fixed_links(entity.articulation).root.mass <= 0:
@@ -68,6 +72,18 @@ def validate_entity(entity: Entity) -> None:
         raise AssetError(
             f"'{entity.name}': root link '{root}' moves freely but has no mass: give it one or set fixed_base=True"
         )
+
+
+def _check_variant(entity: Entity, variant: Articulation) -> None:
+    """Refuse what cannot stand in for the entity's own articulation."""
+    own = entity.articulation
+    if len(own.links) > 1 or len(variant.links) > 1:
+        raise _error(variant, f"'{entity.name}' has variants, which are for single links: join its links")
+    if (variant.link_names, variant.frames) != (own.link_names, own.frames):
+        raise _error(variant, f"as a variant of '{entity.name}' it needs its link's name and frames: take them over")
+    for link in (own.root, variant.root):
+        if any(isinstance(shape.geometry, Plane | HeightField) for shape in (*link.collisions, *link.visuals)):
+            raise _error(variant, f"'{entity.name}' has variants, which are for solids: use terrain for ground")
 
 
 def sort_links(articulation: Articulation) -> Articulation:

@@ -74,6 +74,7 @@ class Capability(Enum):
     RANDOMIZE_FRICTION = "friction per environment"
     RANDOMIZE_GAINS = "drive gains per environment"
     RANDOMIZE_GRAVITY = "gravity per environment"
+    SHAPES_PER_ENVIRONMENT = "different object shapes per environment"
     SNAPSHOTS = "snapshots whose continuation repeats"
     DETERMINISTIC = "the same run twice, whatever the number of environments"
     RGB = "colour images"

@@ -6,7 +6,8 @@ an entity in the articulation's order. An engine then moves one tensor per kind 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -96,6 +97,19 @@ class SceneLayout:
         return SceneLayout(
             scene, entities, _contact_queries(scene, by_name), _wrench_links(scene, by_name), _parameters(entities)
         )
+
+    @cached_property
+    def variants(self) -> tuple[SceneLayout, ...]:
+        """The layout of each kind of environment, no choice left: environment i is of kind i modulo their number."""
+        count = math.lcm(*(len(entity.spec.alternatives) for entity in self.entities))
+        return (self,) if count == 1 else tuple(self._variant(kind) for kind in range(count))
+
+    def _variant(self, kind: int) -> SceneLayout:
+        objects = (
+            replace(thing, articulation=thing.alternatives[kind % len(thing.alternatives)], variants=())
+            for thing in self.scene.objects
+        )
+        return SceneLayout.of(replace(self.scene, objects=tuple(objects)))
 
     @cached_property
     def links(self) -> tuple[Link, ...]:

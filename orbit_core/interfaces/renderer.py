@@ -41,6 +41,7 @@ class Renderer(ABC):
         link_poses: Tensor,
         channels: Sequence[Channel],
         marker_poses: Tensor | None = None,
+        env_ids: Tensor | None = None,
     ) -> Image:
         """One picture per environment.
 
@@ -50,6 +51,8 @@ class Renderer(ABC):
             link_poses: (n, L, 7) of every link of the scene.
             channels: what to draw. POSITION is not among them: the camera sensor has it from depth.
             marker_poses: (n, M, 7) of the scene's markers; None draws none.
+            env_ids: (n,) which environments these are, for objects differ between them where the scene has variants;
+                None stands for the first n.
         """
 
     def close(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from orbit_core.interfaces.capabilities import Capability
 from orbit_core.scene import (
@@ -50,7 +51,10 @@ def required_capabilities(scene: Scene) -> dict[Capability, str]:
 
 def _needs(scene: Scene) -> Iterator[tuple[Capability, str]]:
     for entity in scene.entities:
-        yield from _entity_needs(entity)
+        for articulation in entity.alternatives:
+            yield from _entity_needs(replace(entity, articulation=articulation))
+        if len(entity.alternatives) > 1:
+            yield Capability.SHAPES_PER_ENVIRONMENT, f"'{entity.name}'"
     for shape in scene.terrain:
         yield from _shape_needs(shape, f"terrain shape '{shape.name}'", moving=False)
     for deformable in scene.deformables:

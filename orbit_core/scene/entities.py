@@ -50,10 +50,25 @@ class Entity:
     gravity_compensation: bool = False
     """Whether the controller of the thing cancels gravity on its links, as those of most robot arms do."""
 
+    @property
+    def alternatives(self) -> tuple[Articulation, ...]:
+        """What the entity may be: environment i has the one of index i modulo their number."""
+        return (self.articulation,)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectSpec(Entity):
-    """A passive thing: rigid (one link) or articulated. With ``fixed_base`` its root does not move."""
+    """A passive thing: rigid (one link) or articulated. With ``fixed_base`` its root does not move.
+
+    ``variants`` are other rigid bodies that take the place of ``articulation`` in some environments: environment i has
+    the one of index i modulo their number, ``articulation`` being the first. All are single links of one name.
+    """
+
+    variants: tuple[Articulation, ...] = ()
+
+    @property
+    def alternatives(self) -> tuple[Articulation, ...]:
+        return (self.articulation, *self.variants)
 
 
 @dataclass(frozen=True, kw_only=True)

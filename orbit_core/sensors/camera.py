@@ -93,7 +93,7 @@ class CameraSensor(TimedSensor):
         else:
             pose = self._mount.pose(env_ids)
         link_poses = self.engine.link_poses if env_ids is None else self.engine.link_poses[env_ids]
-        image = self._renderer().render(self._camera, pose, link_poses, self._drawn)
+        image = self._renderer().render(self._camera, pose, link_poses, self._drawn, env_ids=env_ids)
         return {"pose": pose} | {channel.value: self._channel(image, channel) for channel in self._drawn}
 
     def _channel(self, image: Image, channel: Channel) -> Tensor:

@@ -28,6 +28,7 @@ class OverviewCamera:
             links,
             (Channel.RGB,),
             self._world.marker_poses[rows] if self._world.markers else None,
+            env_ids,
         )
         assert image.rgb is not None  # it was asked for
         return image.rgb.cpu()

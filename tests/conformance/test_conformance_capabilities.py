@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,6 +55,7 @@ SCENES: dict[Capability, Callable[[], Scene]] = {
     Capability.JOINT_FRICTION: lambda: scene(rotor(friction=0.1)),
     Capability.GRAVITY_COMPENSATION: lambda: scene(pendulum(gravity_compensation=True)),
     Capability.IMPLICIT_DRIVES: lambda: scene(rotor(actuators=(ImplicitPd(joints=(".*",), stiffness=1.0),))),
+    Capability.SHAPES_PER_ENVIRONMENT: lambda: scene(replace(cube(), variants=(cube(half=0.1).articulation,))),
     Capability.CONTACT_FORCES: lambda: scene(cube(), sensors=(ContactSensorSpec(name="c", entity="cube"),)),
     Capability.JOINT_WRENCHES: lambda: scene(
         rotor(), sensors=(ForceTorqueSpec(name="w", entity="rotor", link="rotor"),)

@@ -42,6 +42,7 @@ CAPABILITIES = Capabilities(
         Capability.RANDOMIZE_FRICTION: approximate("Bullet multiplies the coefficients of a pair, as said of friction"),
         Capability.RANDOMIZE_GAINS: EXACT,
         Capability.RANDOMIZE_GRAVITY: EXACT,
+        Capability.SHAPES_PER_ENVIRONMENT: unsupported("this backend builds every environment alike"),
         Capability.SNAPSHOTS: EXACT,
         Capability.DETERMINISTIC: EXACT,
         Capability.RGB: EXACT,

@@ -100,6 +100,7 @@ class BulletRenderer(Renderer):
         link_poses: Tensor,
         channels: Sequence[Channel],
         marker_poses: Tensor | None = None,
+        env_ids: Tensor | None = None,
     ) -> Image:
         if self._closed:
             raise ConfigurationError("the renderer is closed: make another")

@@ -21,7 +21,7 @@ _GROUND_DEPTH = 0.1
 """Metres of ground below the lowest point of a height field."""
 _LEAST_WIDTH = 1e-5
 """Metres; narrower triangles are left out."""
-_Part = tuple[mujoco.mjtGeom, tuple[float, float, float], str, Pose]
+Part = tuple[mujoco.mjtGeom, tuple[float, float, float], str, Pose]
 """A geom's type, size, asset and pose."""
 
 
@@ -32,29 +32,30 @@ class GeomBuilder:
         self._spec = spec
         self._hulls: dict[Mesh, str] = {}
 
-    def add(self, body: mujoco.MjsBody, shape: Shape, contact: ContactParameters, name: str) -> None:
-        """Add ``shape`` to ``body``; ``name`` is for messages.
+    def add(self, body: mujoco.MjsBody, part: Part, contact: ContactParameters, name: str = "") -> None:
+        """Add ``part`` to ``body``, under a name or none."""
+        kind, size, asset, pose = part
+        body.add_geom(
+            name=name,
+            type=kind,
+            size=size,
+            meshname=asset if kind == mujoco.mjtGeom.mjGEOM_MESH else "",
+            hfieldname=asset if kind == mujoco.mjtGeom.mjGEOM_HFIELD else "",
+            pos=pose.position,
+            quat=pose.orientation,
+            friction=contact.friction,
+            condim=contact.condim,
+            solref=contact.solref,
+            solimp=contact.solimp,
+            solmix=contact.solmix,
+        )
+
+    def parts(self, body: mujoco.MjsBody, shape: Shape, name: str) -> Iterator[Part]:
+        """The geoms that make up a shape on ``body``: one, but for a surface of triangles. ``name`` is for messages.
 
         Raises:
             ConfigurationError: MuJoCo has no such shape.
         """
-        for kind, size, asset, pose in self._parts(body, shape, name):
-            body.add_geom(
-                type=kind,
-                size=size,
-                meshname=asset if kind == mujoco.mjtGeom.mjGEOM_MESH else "",
-                hfieldname=asset if kind == mujoco.mjtGeom.mjGEOM_HFIELD else "",
-                pos=pose.position,
-                quat=pose.orientation,
-                friction=contact.friction,
-                condim=contact.condim,
-                solref=contact.solref,
-                solimp=contact.solimp,
-                solmix=contact.solmix,
-            )
-
-    def _parts(self, body: mujoco.MjsBody, shape: Shape, name: str) -> Iterator[_Part]:
-        """The geoms that make up a shape: one, but for a surface of triangles."""
         pose = shape.pose
         match shape.geometry:
             case Box(half_extents):

@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout
-from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, Plane, Shape, Sphere
+from orbit_core.scene import Box, Capsule, Cylinder, Entity, HeightField, Mesh, Plane, Shape, Sphere
 
 SUN = np.array([-0.35, 0.45, -1.0]) / np.linalg.norm([-0.35, 0.45, -1.0])
 """Direction of the light that casts shadows."""
@@ -22,6 +25,35 @@ SKY_HIGH, SKY_LOW = (0.55, 0.68, 0.82), (0.88, 0.91, 0.94)
 
 _HEIGHT_FIELD_BASE = 0.01
 _GEOM = mujoco.mjtGeom
+
+
+def all_variants(layout: SceneLayout) -> tuple[SceneLayout, npt.NDArray[np.bool_]]:
+    """The scene with each object looking like all its alternatives at once, and which shapes are whose.
+
+    Returns:
+        The layout to draw, and (kinds, shapes) whether each kind of environment has each of its drawn shapes.
+    """
+    kinds = np.arange(len(layout.variants))
+    objects = []
+    for thing in layout.scene.objects:
+        root = replace(thing.articulation.root, visuals=tuple(shape for seen in _seen(thing) for shape in seen))
+        whole = replace(thing.articulation, links=(root, *thing.articulation.links[1:]))
+        objects.append(thing if len(thing.alternatives) == 1 else replace(thing, articulation=whole, variants=()))
+    columns = [kinds >= 0 for _ in layout.scene.terrain]
+    for entity in layout.entities:
+        if len(entity.spec.alternatives) == 1:
+            links = entity.spec.articulation.links
+            columns += [kinds >= 0 for link in links for _ in link.visuals or link.collisions]
+        else:
+            choices = _seen(entity.spec)
+            columns += [kinds % len(choices) == number for number, seen in enumerate(choices) for _ in seen]
+    shown = np.array(columns, dtype=bool).reshape(-1, len(kinds)).T
+    return SceneLayout.of(replace(layout.scene, objects=tuple(objects))), shown
+
+
+def _seen(entity: Entity) -> list[tuple[Shape, ...]]:
+    """The shapes of each alternative's root that are drawn."""
+    return [alternative.root.visuals or alternative.root.collisions for alternative in entity.alternatives]
 
 
 def looks_spec(layout: SceneLayout) -> mujoco.MjSpec:

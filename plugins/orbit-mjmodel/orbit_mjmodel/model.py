@@ -10,7 +10,7 @@ effort limit, with ``ctrl = stiffness target + damping velocity target + effort`
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -24,6 +24,7 @@ from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
 from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
 from orbit_mjmodel.materials import contact_parameters, material_approximations
+from orbit_mjmodel.slots import ABSENT, Slot, slots
 from orbit_mjmodel.wrenches import add_wrench_sensors
 
 AddSensors = Callable[[mujoco.MjSpec, SceneLayout], None]
@@ -42,9 +43,11 @@ class BuiltModel:
     model: mujoco.MjModel
     addresses: Addresses
     report: tuple[Approximation, ...]
+    absent: npt.NDArray[np.int64]
+    """Geoms that only other kinds of environments have; here grains."""
 
 
-def build_model(
+def build_models(
     layout: SceneLayout,
     config: ModelConfig,
     *,
@@ -52,8 +55,8 @@ def build_model(
     disabled: int = 0,
     least_friction: float = 0.0,
     add_sensors: AddSensors | None = None,
-) -> BuiltModel:
-    """Compile one environment.
+) -> tuple[BuiltModel, ...]:
+    """Compile one environment of each of the layout's variants: models that are alike but for numbers.
 
     Args:
         layout: of the scene.
@@ -66,23 +69,37 @@ def build_model(
     Raises:
         AssetError: MuJoCo refuses the description; says why.
     """
-    builder = _Builder(layout, config, least_friction)
-    builder.set_options(solver, disabled)
-    if add_sensors:
-        add_sensors(builder.spec, layout)
-    add_wrench_sensors(builder.spec, layout)
+    models: list[BuiltModel] = []
+    for kind in layout.variants:
+        builder = _Builder(kind, layout.variants, config, least_friction)
+        builder.set_options(solver, disabled)
+        if add_sensors:
+            add_sensors(builder.spec, kind)
+        add_wrench_sensors(builder.spec, kind)
+        models.append(_compiled(builder))
+    return tuple(models)
+
+
+def _compiled(builder: _Builder) -> BuiltModel:
     try:
         model = builder.spec.compile()
     except ValueError as error:
         raise AssetError(f"MuJoCo refuses the scene: {str(error).replace(chr(10), ' ').strip()}") from error
-    addresses = Addresses.of(layout, model)
-    _set_home(layout, model, addresses)
-    return BuiltModel(model, addresses, tuple(builder.report))
+    addresses = Addresses.of(builder.layout, model)
+    _set_home(builder.layout, model, addresses)
+    absent = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(ABSENT)]
+    model.geom_rgba[absent, 3] = 0.0  # which rays take for not there
+    return BuiltModel(model, addresses, tuple(builder.report), np.array(absent, dtype=np.int64))
 
 
 class _Builder:
-    def __init__(self, layout: SceneLayout, config: ModelConfig, least_friction: float) -> None:
+    """Builds the model of ``layout``, one of the ``kinds`` of environments."""
+
+    def __init__(
+        self, layout: SceneLayout, kinds: Sequence[SceneLayout], config: ModelConfig, least_friction: float
+    ) -> None:
         self.layout = layout
+        self.kinds = kinds
         self.config = config
         self.spec = mujoco.MjSpec()
         self.report: list[Approximation] = []
@@ -134,7 +151,7 @@ class _Builder:
                 bodies[link.name] = self._add_child(bodies[joint.parent], joint, number)
                 if joint.movable:
                     self._add_joint(bodies[link.name], entity, joint, next(joints))
-            self._fill_body(bodies[link.name], entity, link)
+            self._fill_body(bodies[link.name], entity, link, [kind.links[number] for kind in self.kinds])
         for loop in articulation.loops:
             self._add_loop(f"{entity.index}_{loop.name}", loop, bodies)
         self._exclude_pairs(entity)
@@ -154,7 +171,7 @@ class _Builder:
         pose = joint.parent_pose @ joint.child_pose.inverse()
         return parent.add_body(name=body_name(number), pos=pose.position, quat=pose.orientation)
 
-    def _fill_body(self, body: mujoco.MjsBody, entity: EntityLayout, link: Link) -> None:
+    def _fill_body(self, body: mujoco.MjsBody, entity: EntityLayout, link: Link, kinds: Sequence[Link]) -> None:
         subject = f"link '{link.name}' of '{entity.name}'"
         body.gravcomp = float(entity.spec.gravity_compensation)
         body.simple = False  # a body compiled as simple cannot have its centre of mass moved
@@ -165,14 +182,34 @@ class _Builder:
             body.fullinertia = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
             self._report_inertia(inertia, subject)
         rolls = len(entity.spec.articulation.links) == 1 and not entity.spec.fixed_base
-        for shape in link.collisions:
-            self._add_shape(body, shape, link.mass or 1.0, rolls, subject)
+        if all(kind is link for kind in kinds):
+            for shape in link.collisions:
+                self._add_shape(body, shape, link.mass or 1.0, rolls, subject)
+        else:
+            self._add_slots(body, link, kinds, rolls, subject)
 
     def _add_shape(self, body: mujoco.MjsBody, shape: Shape, mass: float, rolls: bool, subject: str) -> None:
+        for slot in self._slots(body, shape, mass, rolls, subject):
+            self._geoms.add(body, slot.part, slot.contact)
+        self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject)
+
+    def _slots(self, body: mujoco.MjsBody, shape: Shape, mass: float, rolls: bool, subject: str) -> list[Slot]:
         dt = self.layout.scene.physics_dt
         contact = contact_parameters(shape, mass, rolls, dt, self.config, self._least_friction)
-        self._geoms.add(body, shape, contact, subject)
-        self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject)
+        return [Slot(part, contact) for part in self._geoms.parts(body, shape, subject)]
+
+    def _add_slots(self, body: mujoco.MjsBody, link: Link, kinds: Sequence[Link], rolls: bool, subject: str) -> None:
+        """Add a link that is another one in other kinds of environments."""
+        # Those of every kind are made in every model, so that all have the same meshes under the same names.
+        of_kind = [
+            [slot for shape in kind.collisions for slot in self._slots(body, shape, kind.mass or 1.0, rolls, subject)]
+            for kind in kinds
+        ]
+        for slot in slots(of_kind[kinds.index(link)], of_kind):
+            name = f"{ABSENT}{len(self.spec.geoms)}" if slot.absent else ""
+            self._geoms.add(body, slot.part, slot.contact, name)
+        for shape in link.collisions:
+            self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject)
 
     def _report_inertia(self, inertia: npt.NDArray[np.float64], subject: str) -> None:
         a, b, c = np.linalg.eigvalsh(inertia)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from orbit_core.interfaces import Approximation, Engine, RayHits, SceneLayout, SimulationError
 from orbit_mujoco.config import MujocoConfig
-from orbit_mujoco.model import build_model
+from orbit_mujoco.model import build_models
 from orbit_mujoco.parameters import Parameters
 from orbit_mujoco.probes import ContactMeter, WrenchMeter
 from orbit_mujoco.state import DERIVED_STAGE, Rows, State, block
@@ -42,7 +42,7 @@ class MujocoEngine(Engine):
 
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: MujocoConfig) -> None:
         super().__init__(layout, num_envs, device)
-        built = build_model(layout, config)
+        (built,) = build_models(layout, config)
         # Warnings come as SimulationError; MuJoCo would write them to the terminal and to a file as well.
         mujoco.set_mju_user_warning(_ignore)
         self._model, self._addresses, self._report = built.model, built.addresses, built.report

@@ -13,13 +13,16 @@ from orbit_mujoco.config import MujocoConfig
 from orbit_mujoco.probes import add_contact_sensors
 
 
-def build_model(layout: SceneLayout, config: MujocoConfig) -> model.BuiltModel:
-    """Compile one environment.
+def build_models(layout: SceneLayout, config: MujocoConfig) -> tuple[model.BuiltModel, ...]:
+    """Compile one environment of each of the layout's variants.
 
     Raises:
         AssetError: MuJoCo refuses the description; says why.
     """
     never_put_back = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a diverged environment must be seen
-    return model.build_model(
+    built = model.build_models(
         layout, config, solver=config.solver, disabled=never_put_back, add_sensors=add_contact_sensors
     )
+    for one in built:
+        one.model.geom_contype[one.absent] = one.model.geom_conaffinity[one.absent] = 0
+    return built

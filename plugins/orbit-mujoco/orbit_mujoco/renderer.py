@@ -96,6 +96,7 @@ class MujocoRenderer(Renderer):
         link_poses: Tensor,
         channels: Sequence[Channel],
         marker_poses: Tensor | None = None,
+        env_ids: Tensor | None = None,
     ) -> Image:
         self._check(camera)
         wanted = set(channels)

@@ -44,7 +44,9 @@ CAPABILITIES = Capabilities(
             "PhysX averages a pair's coefficients; each shape is given those whose averages come nearest to the larger "
             "ones, exactly unless the build report says otherwise"
         ),
-        Capability.STATIC_FRICTION: EXACT,
+        Capability.STATIC_FRICTION: approximate(
+            "PhysX's TGS solver lets faces slip below static friction; its PGS, temporal_gauss_seidel=False, holds them"
+        ),
         Capability.TORSIONAL_FRICTION: unsupported("PhysX 5.3 through SAPIEN has no torsional friction at points"),
         Capability.ROLLING_FRICTION: unsupported("PhysX has no rolling friction"),
         Capability.RESTITUTION: approximate(
@@ -57,7 +59,7 @@ CAPABILITIES = Capabilities(
             "PhysX moves triangle meshes on the GPU only: split the mesh into convex pieces"
         ),
         Capability.HEIGHT_FIELDS: EXACT,
-        Capability.CONTACT_FORCES: EXACT,
+        Capability.CONTACT_FORCES: approximate("normal forces alone: PhysX does not tell those of friction"),
         Capability.JOINT_WRENCHES: EXACT,
         Capability.EXTERNAL_WRENCHES: EXACT,
         Capability.RAY_CASTS: EXACT,
@@ -66,6 +68,7 @@ CAPABILITIES = Capabilities(
         Capability.RANDOMIZE_FRICTION: approximate("averages of a pair's coefficients, as for friction"),
         Capability.RANDOMIZE_GAINS: EXACT,
         Capability.RANDOMIZE_GRAVITY: EXACT,
+        Capability.SHAPES_PER_ENVIRONMENT: unsupported("this backend builds every environment alike"),
         Capability.SNAPSHOTS: EXACT,
         Capability.DETERMINISTIC: approximate(
             "a run repeats bit for bit with the same number of environments; with another, PhysX's TGS solver sums "

@@ -99,6 +99,7 @@ class SapienRenderer(Renderer):
         link_poses: Tensor,
         channels: Sequence[Channel],
         marker_poses: Tensor | None = None,
+        env_ids: Tensor | None = None,
     ) -> Image:
         if self._closed:
             raise ConfigurationError("the renderer is closed: make another")

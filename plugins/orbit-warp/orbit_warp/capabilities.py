@@ -15,7 +15,9 @@ CAPABILITIES = Capabilities(
         Capability.MIMIC_JOINTS: approximate(
             "the coupling is a stiff soft constraint: it gives way slightly under load"
         ),
-        Capability.LOOP_JOINTS: approximate("the ball joint is a stiff soft constraint: it gives way slightly under load"),
+        Capability.LOOP_JOINTS: approximate(
+            "the ball joint is a stiff soft constraint: it gives way slightly under load"
+        ),
         Capability.SELF_COLLISIONS: EXACT,
         Capability.GRAVITY_COMPENSATION: EXACT,
         Capability.FRICTION: approximate("friction is a soft constraint: a held contact creeps slowly under load"),
@@ -47,6 +49,7 @@ CAPABILITIES = Capabilities(
         Capability.RANDOMIZE_FRICTION: EXACT,
         Capability.RANDOMIZE_GAINS: EXACT,
         Capability.RANDOMIZE_GRAVITY: EXACT,
+        Capability.SHAPES_PER_ENVIRONMENT: EXACT,
         Capability.SNAPSHOTS: EXACT,
         Capability.DETERMINISTIC: approximate(
             "bit for bit on a CPU; on a GPU only with WarpConfig(deterministic=True), for sums run in any order"

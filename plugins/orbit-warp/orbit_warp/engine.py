@@ -14,15 +14,14 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from orbit_core.interfaces import Approximation, AssetError, Engine, RayHits, SceneLayout
-from orbit_mjmodel.model import BuiltModel
+from orbit_core.interfaces import Approximation, Engine, RayHits, SceneLayout
 from orbit_warp.buffers import BufferSizes, buffer_sizes
 from orbit_warp.config import WarpConfig
 from orbit_warp.contacts import ContactMeter
 from orbit_warp.faults import Faults
 from orbit_warp.graphs import Graphs
 from orbit_warp.kernels import reset_state, reset_tensors, write_commands
-from orbit_warp.model import build_model
+from orbit_warp.model import build_models, on_device
 from orbit_warp.parameters import Parameters
 from orbit_warp.rays import RayCaster
 from orbit_warp.recording import Recording
@@ -59,12 +58,13 @@ class WarpEngine(Engine):
         wp.init()
         wp.config.quiet = True
         wp.init()
-        built = build_model(layout, config)
-        self._report, addresses = built.report, built.addresses
+        kinds = build_models(layout, config)
+        built, addresses = kinds[0], kinds[0].addresses
+        self._report = tuple(dict.fromkeys(line for kind in kinds for line in kind.report))
         self._capture = config.capture
         self._graphs = Graphs(device, config.capture)
         with self._graphs.stream():
-            self._model = _on_device(built, config)
+            self._model = on_device(kinds, config)
             self.buffer_sizes = sizes = buffer_sizes(built.model, self._model, config)
             self._data = mjw.make_data(built.model, nworld=num_envs, nconmax=sizes.nconmax, njmax=sizes.njmax)
             self._native = Native(built.model, self._model, self._data)
@@ -276,16 +276,6 @@ class WarpEngine(Engine):
 
     def close(self) -> None:
         vars(self).clear()  # the arrays go with the last tensor that views them
-
-
-def _on_device(built: BuiltModel, config: WarpConfig) -> mjw.Model:
-    try:
-        model = mjw.put_model(built.model)
-    except (NotImplementedError, ValueError) as error:
-        raise AssetError(f"MuJoCo-Warp refuses the scene: {error}") from error
-    model.opt.warn_overflow = 0  # faults are noted and raised, not printed
-    model.opt.deterministic = int(mjw.DeterminismType.ALL if config.deterministic else mjw.DeterminismType.NONE)
-    return model
 
 
 def _rows(env_ids: Tensor | None) -> Tensor | slice:

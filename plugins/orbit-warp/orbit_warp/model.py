@@ -1,13 +1,19 @@
-"""One environment's scene as the model that MuJoCo-Warp steps."""
+"""A scene as the model that MuJoCo-Warp steps: of one environment, or of one of each kind where they differ."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is an extension module without type information.
 
 from __future__ import annotations
 
-import mujoco
+import dataclasses
+from collections.abc import Sequence
 
-from orbit_core.interfaces import SceneLayout
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from orbit_core.interfaces import AssetError, SceneLayout
 from orbit_mjmodel import model
 from orbit_warp.config import WarpConfig
 
@@ -15,14 +21,51 @@ LEAST_FRICTION = 1e-5
 """Of any coefficient: friction cones of no width are degenerate in single precision."""
 
 
-def build_model(layout: SceneLayout, config: WarpConfig) -> model.BuiltModel:
-    """Compile one environment.
+def build_models(layout: SceneLayout, config: WarpConfig) -> tuple[model.BuiltModel, ...]:
+    """Compile one environment of each of the layout's variants.
 
     Raises:
         AssetError: MuJoCo refuses the description; says why.
     """
     # Two boxes meet by MuJoCo's own analytic test: the general one misses boxes that overlap symmetrically.
     no_general_box_test = int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
-    return model.build_model(
+    return model.build_models(
         layout, config, solver=config.algorithm, disabled=no_general_box_test, least_friction=LEAST_FRICTION
     )
+
+
+def on_device(built: Sequence[model.BuiltModel], config: WarpConfig) -> mjw.Model:
+    """The model on the current device.
+
+    A field in which kinds differ has a row for each: MuJoCo-Warp gives environment i the one of index i modulo theirs.
+
+    Raises:
+        AssetError: MuJoCo-Warp refuses the scene; says why.
+    """
+    most = np.max([one.model.geom_condim for one in built], axis=0)
+    kinds: list[mjw.Model] = []
+    for one in built:
+        one.model.geom_condim[:] = most  # has no rows
+        try:
+            kinds.append(mjw.put_model(one.model))
+        except (NotImplementedError, ValueError) as error:
+            raise AssetError(f"MuJoCo-Warp refuses the scene: {error}") from error
+    target = kinds[0]
+    if len(kinds) > 1:
+        _give_rows(target, kinds, built)
+    target.opt.warn_overflow = 0  # faults are noted and raised, not printed
+    target.opt.deterministic = int(mjw.DeterminismType.ALL if config.deterministic else mjw.DeterminismType.NONE)
+    return target
+
+
+def _give_rows(target: mjw.Model, kinds: Sequence[mjw.Model], built: Sequence[model.BuiltModel]) -> None:
+    for field in dataclasses.fields(mjw.Model):
+        shape = getattr(field.type, "shape", ())
+        if not (isinstance(shape, tuple) and shape and shape[0] == "*"):
+            continue
+        rows = [getattr(kind, field.name).numpy() for kind in kinds]
+        if field.name == "geom_dataid":
+            for row, one in zip(rows, built, strict=True):
+                row[0, one.absent] = -1  # a mesh that is not there
+        if any(not np.array_equal(row, rows[0]) for row in rows[1:]):
+            setattr(target, field.name, wp.array(np.concatenate(rows), dtype=getattr(target, field.name).dtype))

@@ -48,9 +48,9 @@ class Parameters:
         self._expand_masses()
         bodies = self._bodies[links]
         index = _block(rows, bodies)
-        scale = masses / self._nominal["body_mass"][bodies]
+        scale = masses / self._nominal["body_mass"][index]
         self._fields["body_mass"][index] = masses
-        self._fields["body_inertia"][index] = self._nominal["body_inertia"][bodies] * scale[..., None]
+        self._fields["body_inertia"][index] = self._nominal["body_inertia"][index] * scale[..., None]
         self._constants_due = True
 
     def set_centers_of_mass(self, links: Tensor, centers: Tensor, rows: Tensor | slice) -> None:
@@ -98,12 +98,12 @@ class Parameters:
             owner, attribute = (self._model.opt, name[4:]) if name.startswith("opt.") else (self._model, name)
             shared: wp.array = getattr(owner, attribute)
             with self._graphs.stream():
-                values = np.repeat(shared.numpy()[:1], self._data.nworld, axis=0)
+                values = shared.numpy()[np.arange(self._data.nworld) % shared.shape[0]]
                 expanded = wp.array(values, dtype=shared.dtype)
             setattr(owner, attribute, expanded)
             self._graphs.forget()
             self._fields[name] = wp.to_torch(expanded)
-            self._nominal[name] = self._fields[name][0].clone()
+            self._nominal[name] = self._fields[name].clone()
         return self._fields[name]
 
 

@@ -45,11 +45,13 @@ class WarpRenderer(Renderer):
         link_poses: Tensor,
         channels: Sequence[Channel],
         marker_poses: Tensor | None = None,
+        env_ids: Tensor | None = None,
     ) -> Image:
         if self._closed:
             raise ConfigurationError("the renderer is closed: make another")
         graphs, stage = self._stage(link_poses.device)
         with torch.no_grad(), graphs.stream():
+            stage.choose(env_ids)
             stage.place(link_poses, marker_poses)
             return self._trace(camera, camera_poses, stage, set(channels), marker_poses is not None)
 

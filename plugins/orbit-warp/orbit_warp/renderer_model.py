@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout, drawn_shapes
 from orbit_core.scene import Color, MarkerShape, MarkerSpec, Plane
-from orbit_mjmodel.looks import CHECKER_CONTRAST, looks_spec
+from orbit_mjmodel.looks import CHECKER_CONTRAST, all_variants, looks_spec
 
 _AXIS_COLORS = ((0.9, 0.2, 0.2), (0.2, 0.8, 0.25), (0.2, 0.4, 0.95))
 _ARROW = ((0.0, 0.035), (0.75, 0.035), (0.75, 0.08), (1.0, 0.0))
@@ -28,6 +28,7 @@ class PictureModel:
     """The compiled model, and the table of its geoms. Bodies: the terrain, the links, the markers."""
 
     def __init__(self, layout: SceneLayout) -> None:
+        layout, shown = all_variants(layout)
         spec = looks_spec(layout)
         shapes = drawn_shapes(layout)
         self.links = len(layout.links)
@@ -36,9 +37,10 @@ class PictureModel:
             self._add_marker(spec, marker)
         self.model = spec.compile()
         markers = len(self._colors) - len(shapes)
-        self.colors = np.array(self._colors, dtype=np.float32).reshape(-1, 4)
-        """(geoms, 4), with what is seen through."""
-        self.is_marker = np.arange(len(self.colors)) >= len(shapes)
+        self.colors = np.tile(np.array(self._colors, dtype=np.float32).reshape(-1, 4), (len(shown), 1, 1))
+        """(kinds, geoms, 4) with opacity, which is zero for what a kind of environment does not have."""
+        self.colors[:, : len(shapes), 3] *= shown
+        self.is_marker = np.arange(self.colors.shape[1]) >= len(shapes)
         self.link_of_geom = np.array([*(link for _, link in shapes), *[0] * markers], dtype=np.int32)
         planes = [isinstance(shape.geometry, Plane) for shape, _ in shapes] + [False] * markers
         self.contrast = np.where(planes, np.float32(CHECKER_CONTRAST), np.float32(0.0))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import mujoco_warp as mjw
 import numpy as np
+import torch
 import warp as wp
 from mujoco_warp._src.bvh import _compute_bvh_bounds, compute_bvh_group_roots
 from mujoco_warp._src.math import mul_quat, quat_to_mat, rot_vec_quat
@@ -18,7 +19,7 @@ from orbit_warp.renderer_model import PictureModel
 
 @wp.struct
 class StageArrays:
-    """What a ray needs to know. G geoms, W worlds; colours may be one world's for all."""
+    """What a ray needs to know. Rows of colours are of kinds of environments: row i modulo their number is i's."""
 
     geom_type: wp.array[int]
     geom_dataid: wp.array2d[int]
@@ -108,6 +109,8 @@ class Stage:
         self._capacity = 0
         self._bvh: wp.Bvh | None = None
         self.arrays = self._constant_arrays(model)
+        self._colors = self._kinds_of_colors(model)
+        self.choose(None)
 
     def place(self, link_poses: Tensor, marker_poses: Tensor | None) -> None:
         """Move everything to where it is in the n environments of poses (n, L, 7) and (n, M, 7)."""
@@ -141,6 +144,13 @@ class Stage:
             assert self._bvh is not None
             self._bvh.refit()
 
+    def choose(self, env_ids: Tensor | None) -> None:
+        """Let row i look as environment ``env_ids[i]``, or as environment i."""
+        for name, colors in self._colors.items():
+            if env_ids is not None and len(colors) > 1:
+                colors = colors[env_ids.to(colors.device) % len(colors)]
+            setattr(self.arrays, name, wp.from_torch(colors, dtype=wp.vec4))
+
     def _make_room(self, envs: int) -> None:
         self._capacity = envs
         self.arrays.xpos = wp.zeros((envs, self._geoms), dtype=wp.vec3)
@@ -154,17 +164,20 @@ class Stage:
         self.arrays.roots = wp.zeros(self._capacity, dtype=int)
         wp.launch(compute_bvh_group_roots, dim=self._capacity, inputs=[self._bvh.id], outputs=[self.arrays.roots])
 
+    def _kinds_of_colors(self, model: PictureModel) -> dict[str, Tensor]:
+        solid, casting = model.colors.copy(), model.colors.copy()
+        solid[:, model.is_marker, 3] = 0.0
+        casting[model.is_marker | (model.colors[..., 3] < 1.0), 3] = 0.0
+        tables = {"colors": model.colors, "solid_colors": solid, "shadow_colors": casting}
+        device = wp.device_to_torch(self.device)
+        return {name: torch.as_tensor(table, device=device) for name, table in tables.items()}
+
     def _constant_arrays(self, model: PictureModel) -> StageArrays:
         mjm, meshes, arrays = model.model, self._meshes, StageArrays()
         arrays.geom_type = wp.array(mjm.geom_type, dtype=int)
         arrays.geom_dataid = wp.array(mjm.geom_dataid[None], dtype=int)
         arrays.geom_size = wp.array(mjm.geom_size[None], dtype=wp.vec3)
         arrays.geom_matid = wp.full((1, self._geoms), -1, dtype=int)  # colours are the table's
-        solid, casting = model.colors.copy(), model.colors.copy()
-        solid[model.is_marker, 3] = 0.0
-        casting[model.is_marker | (model.colors[:, 3] < 1.0), 3] = 0.0
-        for name, colors in (("colors", model.colors), ("solid_colors", solid), ("shadow_colors", casting)):
-            setattr(arrays, name, wp.array(colors[None], dtype=wp.vec4))
         arrays.contrast = wp.array(model.contrast, dtype=float)
         arrays.link_of_geom = wp.array(model.link_of_geom, dtype=int)
         arrays.geoms, arrays.every_geom = self._geoms, wp.array(np.arange(self._geoms), dtype=int)
