@@ -94,10 +94,3 @@ class Cut:
             runner.last_turn = step
             runner.pending.clear()
         self.graph.step_count = step + 1
-
-    def again(self, step: int) -> None:
-        """Make ready to :meth:`act` at ``step``, whether or not that was begun before."""
-        for runner in (self._replaced, *self._downstream):
-            if runner.last_turn == step:
-                runner.last_turn = step - 1
-        self.graph.step_count = step

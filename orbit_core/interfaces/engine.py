@@ -49,9 +49,9 @@ class Engine(ABC):
     The engine trusts its caller: the core has checked names, shapes and finiteness.
     """
 
-    takes_masks: ClassVar[bool] = False
-    """Whether ``env_ids`` may also be a mask (N,) bool, in recordings above all; n is then N, and rows outside of the
-    mask count for nothing."""
+    takes_masks: ClassVar[frozenset[str]] = frozenset()
+    """Names of the methods whose ``env_ids`` may also be a mask (N,) bool; n is then N, and rows outside of the mask
+    count for nothing. An engine whose :meth:`record` records needs them for resets within a recording."""
 
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device) -> None:
         self.layout = layout

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import write_rows
 from orbit_core.scene import SensorSpec
 from orbit_core.sensors.context import SensorContext
 from orbit_core.sensors.timed import TimedSensor
@@ -36,29 +37,29 @@ class AveragingSensor(TimedSensor):
     def advance(self, steps: int) -> None:
         total = self._integrate(steps)
         if self._window_over:
-            self._sum = total
-            self._count = torch.full_like(self._count, steps)
+            self._sum.copy_(total)
+            self._count.fill_(steps)
         else:
-            self._sum = self._sum + total
-            self._count = self._count + steps
+            self._sum += total
+            self._count += steps
         self._window_over = not self._announced if self.period is None else self._elapsed + steps >= self.period
         super().advance(steps)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         super().reset(env_ids)
         # Zero sums make the next chunk's replacement and its addition the same.
-        keep = torch.ones_like(self._count)
-        keep[slice(None) if env_ids is None else env_ids] = 0.0
-        self._sum, self._count = self._sum * keep, self._count * keep
+        write_rows(self._sum, 0.0, env_ids)
+        write_rows(self._count, 0.0, env_ids)
 
     def save_state(self) -> dict[str, Any]:
-        window = {"sum": self._sum, "count": self._count, "over": self._window_over, "announced": self._announced}
-        return super().save_state() | {"window": window}
+        sums = {"sum": self._sum.clone(), "count": self._count.clone()}
+        return super().save_state() | {"window": sums | {"over": self._window_over, "announced": self._announced}}
 
     def load_state(self, state: dict[str, Any]) -> None:
         super().load_state(state)
         window = state["window"]
-        self._sum, self._count = window["sum"], window["count"]
+        self._sum.copy_(window["sum"])
+        self._count.copy_(window["count"])
         self._window_over, self._announced = window["over"], window["announced"]
 
     @abstractmethod

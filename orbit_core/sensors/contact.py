@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import write_rows
 from orbit_core.interfaces.layout import contact_queries_of
 from orbit_core.scene import ContactSensorSpec
 from orbit_core.sensors.averaging import AveragingSensor
@@ -21,6 +22,7 @@ class ContactSensor(AveragingSensor):
     """
 
     noisy = ("forces", "filtered")
+    sums_in_place = True
 
     def __init__(self, spec: ContactSensorSpec, context: SensorContext) -> None:
         layout = context.layout
@@ -62,12 +64,12 @@ class ContactSensor(AveragingSensor):
             timer.reset(env_ids)
 
     def save_state(self) -> dict[str, Any]:
-        return super().save_state() | {"timers": {key: timer.times for key, timer in self._timers.items()}}
+        return super().save_state() | {"timers": {key: timer.times.clone() for key, timer in self._timers.items()}}
 
     def load_state(self, state: dict[str, Any]) -> None:
         super().load_state(state)
         for threshold, times in state["timers"].items():
-            self.timer(threshold).times = times
+            self.timer(threshold).times.copy_(times)
 
     def _integrate(self, steps: int) -> Tensor:
         forces = self.engine.contact_forces.index_select(1, self._columns).unflatten(1, self._sum.shape[1:3])
@@ -119,16 +121,14 @@ class ContactTimer:
         """Account for ``duration`` seconds of forces (N, links, 3)."""
         contact = forces.norm(dim=-1) > self.threshold
         touching, flying, last_touch, last_flight = self.times
-        self.times = torch.stack(
-            (
-                torch.where(contact, touching + duration, 0.0),
-                torch.where(contact, 0.0, flying + duration),
-                torch.where(~contact & (touching > 0.0), touching, last_touch),
-                torch.where(contact & (flying > 0.0), flying, last_flight),
-            )
+        times = (
+            torch.where(contact, touching + duration, 0.0),
+            torch.where(contact, 0.0, flying + duration),
+            torch.where(~contact & (touching > 0.0), touching, last_touch),
+            torch.where(contact & (flying > 0.0), flying, last_flight),
         )
+        self.times.copy_(torch.stack(times))
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Start some environments at zero."""
-        self.times = self.times.clone()
-        self.times[:, slice(None) if env_ids is None else env_ids] = 0.0
+        write_rows(self.times.transpose(0, 1), 0.0, env_ids)

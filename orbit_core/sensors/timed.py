@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import is_mask, write_rows
 from orbit_core.interfaces import ConfigurationError, Sensor
 from orbit_core.scene import SensorSpec
 from orbit_core.sensors.context import SensorContext
@@ -34,6 +35,8 @@ class TimedSensor(Sensor):
     """
 
     noisy: ClassVar[tuple[str, ...]] = ()
+    sums_in_place: ClassVar[bool] = False
+    """Whether all that the sensor remembers, besides what it measured last, stays in the same memory."""
 
     def __init__(self, spec: SensorSpec, context: SensorContext) -> None:
         """Check the timing.
@@ -54,6 +57,7 @@ class TimedSensor(Sensor):
         self._elapsed = 0
         self._outdated = False
         self._waiting: Tensor | None = None  # (N,) environments that were reset and not measured since
+        self._masked = False
         self._bias: Values = {}
 
     # The world's side ------------------------------------------------------------------------------------------------
@@ -79,8 +83,9 @@ class TimedSensor(Sensor):
             self._waiting = None
         else:
             waiting = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-            waiting[env_ids] = True
+            write_rows(waiting, True, env_ids)
             self._waiting = waiting if self._waiting is None else self._waiting | waiting
+            self._masked = is_mask(env_ids)
         for name, bias in self._bias.items():
             self._bias[name] = _replace(bias, env_ids, self._draw_bias(bias.shape[1:], env_ids))
 
@@ -101,6 +106,21 @@ class TimedSensor(Sensor):
         self._waiting = state["waiting"]
         self._history = deque(state["history"], maxlen=self._history.maxlen)
         self._bias = dict(state["bias"])
+
+    # In a step that is traced once, and repeated without Python ------------------------------------------------------
+
+    @property
+    def untraceable(self) -> str:
+        """What Python has to do anew for the sensor at each step; empty if nothing.
+
+        A sensor that measures when the state changes, and keeps what it sums up in place, needs none.
+        """
+        return "keeps its own time" if not (self.sums_in_place and self._lazy) else "draws noise" if self._noisy else ""
+
+    def repeated(self) -> None:
+        """A step was repeated without Python: what is held is of the step before."""
+        self._outdated = True
+        self._waiting = None
 
     # The subclass's side ---------------------------------------------------------------------------------------------
 
@@ -133,13 +153,17 @@ class TimedSensor(Sensor):
 
     def _sample(self, env_ids: Tensor | None) -> Values:
         values = self._measure(env_ids)
-        if self.spec.noise.std or self.spec.noise.bias_std:
+        if self._noisy:
             self._corrupt(values, env_ids)
         return values
 
+    @property
+    def _noisy(self) -> bool:
+        return bool(self.spec.noise.std or self.spec.noise.bias_std)
+
     def _settle(self) -> None:
-        if self._outdated or not self._history:
-            self._update()
+        if self._outdated or not self._history or (self._masked and self._waiting is not None):
+            self._update()  # for all, where to count those that wait is to look at a mask
         elif self._waiting is not None:
             ids = self._waiting.nonzero().squeeze(-1)
             self._overwrite(ids, self._sample(ids))
@@ -155,6 +179,7 @@ class TimedSensor(Sensor):
             self._overwrite(ids, {name: value[ids] for name, value in values.items()})
         self._outdated = False
         self._waiting = None
+        self._masked = False
 
     def _overwrite(self, env_ids: Tensor, values: Values) -> None:
         for index, held in enumerate(self._history):

@@ -38,16 +38,16 @@ class ClosedStep:
     def __call__(self) -> StepResult:
         environment = self._environment
         graph, clock = environment.cut.graph, environment.world.clock
-        count, steps = graph.step_count, clock.steps
+        count, steps, decimation = graph.step_count, clock.steps, environment.task.decimation
         observation, reward, terminated, truncated, *end = self._parts[0]()
         environment.cut.acted(count)
-        clock.advance(steps + environment.task.decimation - clock.steps)
+        environment.world.repeated(steps + decimation - clock.steps)
         if len(self._parts) > 1:
             if not environment.done.numpy().any():
                 return {"policy": observation}, reward, terminated, truncated, {}
             end.append(observation)
             (observation,) = self._parts[1]()
-            clock.touch()
+            environment.world.repeated(0)
         return {"policy": observation}, reward, terminated, truncated, self._info(end)
 
     @property

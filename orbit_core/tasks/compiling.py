@@ -50,7 +50,7 @@ def compiled(graph: fx.GraphModule, inputs: list[Tensor]) -> Callable[..., Seque
     options = {"cpp.threads": 1} if inputs and inputs[0].device.type == "cpu" else {}
     try:
         with torch.no_grad():
-            return inductor.compile(graph, inputs, options=options)  # pyright: ignore[reportReturnType]
+            return inductor.compile(graph, list(inputs), options=options)  # pyright: ignore[reportReturnType]
     except Exception as error:  # of many kinds: inductor's own, the compiler's, the operating system's
         first = next(iter(str(error).splitlines()), "")
         raise ConfigurationError(

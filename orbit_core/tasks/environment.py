@@ -95,6 +95,8 @@ class Environment:
         self.observation_size = self._observation().shape[1]
         self.cut = self._build_agent()
         self._compile = compile
+        self._started = False
+        """Whether a step was made, and with it all that is made at first use: a trace would make it anew each time."""
         self._closed = self._close_step()
         self._run_events(EventTime.STARTUP, self.all_ids)
         self.begin(None)
@@ -129,8 +131,9 @@ class Environment:
     def _step(self, action: Tensor) -> StepResult:
         self._check(action)
         torch.clamp(action, -1.0, 1.0, out=self._action)
-        if self._closed is not None:
+        if self._closed is not None and self._started:
             return self._step_closed(self._closed)
+        self._started = True
         reward, terminated, truncated = self.advance()
         if not bool(self.done.any()):
             return self._observe(), reward, terminated, truncated, {}

@@ -106,8 +106,8 @@ def remembered(task: Task, cut: Cut) -> dict[str, Tensor]:
 
 def needs_python(world: SimulatedWorld, cut: Cut) -> str:
     """What of a step Python has to do each time anew; empty if nothing."""
-    if world.sensors:
-        return f"sensor '{next(iter(world.sensors))}' keeps its own time"
+    for name, reason in world.untraceable_sensors().items():
+        return f"sensor '{name}' {reason}"
     if world.actuators.delayed:
         return "an actuator's delay"
     for runner in cut.graph.runners:

@@ -108,6 +108,8 @@ class Tracer(TorchDispatchMode):
     def _noting_call(self, name: str, call: Callable[..., None]) -> Callable[..., None]:
         def noted(engine: Engine, *arguments: Any) -> None:
             with self._silence():
+                if _by_index(engine, name, arguments) and engine.device.type != "cpu":
+                    self.refusal = f"the engine's {name} takes no mask"
                 _call(engine, name, call, arguments)
             if not self._paused:
                 self.stages[-1].call = (name, arguments)
@@ -287,12 +289,17 @@ class _StageGraph:
 
 def _call(engine: Engine, name: str, call: Callable[..., None], arguments: tuple[Any, ...]) -> None:
     """Call the engine, with indices in the place of a mask where it takes none: to find them is to look at the mask."""
-    if name != "step" and not engine.takes_masks and is_mask(arguments[-1]):
+    if _by_index(engine, name, arguments):
         env_ids = arguments[-1].nonzero().squeeze(-1)
         rows = CALLS[name]
         arguments = tuple(a[env_ids] if i in rows and a is not None else a for i, a in enumerate(arguments[:-1]))
         arguments = (*arguments, env_ids)
     call(engine, *arguments)
+
+
+def _by_index(engine: Engine, name: str, arguments: tuple[Any, ...]) -> bool:
+    """Whether the last argument is a mask that the method does not take."""
+    return name != "step" and name not in engine.takes_masks and is_mask(arguments[-1])
 
 
 def _nothing() -> tuple[()]:

@@ -172,6 +172,16 @@ class SimulatedWorld(World):
             self.actuators.apply()
             self.engine.step(1)
 
+    def untraceable_sensors(self) -> dict[str, str]:
+        """Sensors for which Python has something to do at each step, and what."""
+        return {name: sensor.untraceable for name, sensor in self._timed.items() if sensor.untraceable}
+
+    def repeated(self, steps: int) -> None:
+        """A call of :meth:`step` was repeated without its Python: count it."""
+        self.clock.advance(steps)
+        for sensor in self._timed.values():
+            sensor.repeated()
+
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         """Gravity (n, 3) in m/s^2 of some environments, for good.
 

@@ -52,6 +52,8 @@ class WarpEngine(Engine):
     velocities up to date. Nothing in it waits for the host.
     """
 
+    takes_masks = frozenset({"reset", "write_joint_state", "write_root_state"})
+
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: WarpConfig) -> None:
         super().__init__(layout, num_envs, device)
         wp.config.log_level = wp.LOG_WARNING  # Graphs tells what the user should know
@@ -169,15 +171,15 @@ class WarpEngine(Engine):
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
-        self._state.write_joints(joints, positions, velocities, _rows(env_ids))
+        self._state.write_joints(joints, positions, velocities, env_ids)
 
     def write_root_state(
         self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
-        self._state.write_root(entity, pose, velocity, self._all if env_ids is None else env_ids)
+        self._state.write_root(entity, pose, velocity, self._indices(env_ids))
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        ids = wp.from_torch((self._all if env_ids is None else env_ids).contiguous())
+        ids = wp.from_torch(self._indices(env_ids).contiguous())
         data = self._data
         with self._graphs.stream():
             wp.launch(
@@ -196,6 +198,12 @@ class WarpEngine(Engine):
                 outputs=[*self._warp_commands, data.actuator_force, self._contacts.forces, data.sensordata],
             )
         self._state.mark_written()
+
+    def _indices(self, env_ids: Tensor | None) -> Tensor:
+        """Of environments given by index or by mask; -1 stands for one outside of the mask."""
+        if env_ids is None:
+            return self._all
+        return torch.where(env_ids, self._all, -1) if env_ids.dtype == torch.bool else env_ids
 
     # Measurements ----------------------------------------------------------------------------------------------------
 

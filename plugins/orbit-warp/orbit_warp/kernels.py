@@ -2,6 +2,7 @@
 
 Each is one launch over environments (and links or contacts); quaternions are (w, x, y, z), as MuJoCo-Warp stores them
 in ``wp.quat``.
+A negative index of an environment stands for none: a mask becomes indices without counting them.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
@@ -106,6 +107,8 @@ def write_root(
     """A free root's angular velocity is in its own axes, so that a new pose alone must turn it."""
     row = wp.tid()
     env = int(env_ids[row])
+    if env < 0:
+        return
     orientation = wp.quat(0.0, 0.0, 0.0, 0.0)
     if with_pose:
         orientation = wp.normalize(wp.quat(pose[row, 3], pose[row, 4], pose[row, 5], pose[row, 6]))
@@ -149,6 +152,8 @@ def reset_state(
     overflow: wp.array[int],
 ):
     env = int(env_ids[wp.tid()])
+    if env < 0:
+        return
     for i in range(qpos.shape[1]):
         qpos[env, i] = home_qpos[i]
     for i in range(qvel.shape[1]):
@@ -176,6 +181,8 @@ def reset_tensors(
 ):
     """Commands to their defaults, measurements to zero."""
     env = int(env_ids[wp.tid()])
+    if env < 0:
+        return
     for i in range(home_targets.shape[0]):
         position_targets[env, i] = home_targets[i]
         velocity_targets[env, i] = 0.0

@@ -114,13 +114,12 @@ class State:
     # Writing ---------------------------------------------------------------------------------------------------------
 
     def write_joints(
-        self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, rows: Tensor | slice
+        self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None
     ) -> None:
-        rows = rows if isinstance(rows, slice) else rows[:, None]
         if positions is not None:
-            self._qpos[rows, self._position_columns[joints]] = positions
+            _write(self._qpos, self._position_columns[joints], positions, env_ids)
         if velocities is not None:
-            self._qvel[rows, self._velocity_columns[joints]] = velocities
+            _write(self._qvel, self._velocity_columns[joints], velocities, env_ids)
         self.mark_written()
 
     def write_root(self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor) -> None:
@@ -140,3 +139,13 @@ class State:
 
     def _rows(self, values: Tensor | None) -> wp.array:
         return self._no_rows if values is None else wp.from_torch(values.contiguous())
+
+
+def _write(target: Tensor, columns: Tensor, values: Tensor, env_ids: Tensor | None) -> None:
+    """Set columns of the environments given by index or by mask."""
+    if env_ids is None:
+        target[:, columns] = values
+    elif env_ids.dtype == torch.bool:
+        target[:, columns] = torch.where(env_ids[:, None], values, target[:, columns])
+    else:
+        target[env_ids[:, None], columns] = values
