@@ -33,7 +33,37 @@ _MOTION = (
     Gap("implicit_drive", "final", 0.015, _BACKWARD),
 )
 
+_CACHED = "cylinders and hulls stand on contact points that come and go from step to step, and tremble between them"
+_LATE_IMPACT = "an impact is seen in the step after the two have met, with the speed that gravity has added by then"
+_ONE_POINT = (
+    "sequential impulses load one point of a face with most of the normal force; what friction the others then have "
+    "does not balance its torque, and the box turns out of the grasp"
+)
+_HULL_MARGIN = "hulls read from files collide at a margin of 1 mm that cannot be changed"
+
+_CONTACT = (
+    Gap("stick_and_slip", "creep", 6e-3, _CACHED),
+    Gap("stick_and_slip", "friction", 0.08, _CACHED),
+    Gap("static_above_dynamic", "slip", 0.5, "there is one coefficient of sliding friction, the dynamic one"),
+    Gap("bounce", "ball", 0.06, _LATE_IMPACT),
+    Gap("bounce", "box", 0.06, _LATE_IMPACT),
+    Gap("bouncing_on", "path", 0.2, _LATE_IMPACT),
+    Gap("grasp", "lift", 6e-3, _ONE_POINT),
+    Gap("grasp", "limit", 0.12, _ONE_POINT),
+    Gap("grasp", "creep", 0.2, _ONE_POINT),
+    Gap("resting_weight", "force", 0.01, _CACHED),
+    Gap("resting_weight", "depth", 1.5e-3, _HULL_MARGIN),
+    Gap("resting_weight", "drift", 7e-5, _CACHED),
+    Gap("heap", "penetration", 0.05, "the many contacts of a heap are not solved to the end in 200 iterations"),
+)
+
+_IMAGES = (
+    Gap("normal_images", "normal", 0.5, "normals are those of the drawn facets, from the depth of neighbouring pixels"),
+)
+
 GAPS: tuple[Gap, ...] = (
     *_RAYS,
+    *_IMAGES,
+    *_CONTACT,
     *_MOTION,
 )

@@ -30,3 +30,36 @@ MOTION = (
     Gap("four_bar_linkage", "opening", 0.018, _DRIVEN_LOOP),
 )
 """Of free motion and joints."""
+
+_CREEP = (
+    "friction is a soft constraint, whose force grows with the speed of creep; impratio=10 makes that 16 times slower, "
+    "for about a tenth more time per step"
+)
+_HOP = (
+    "the convex friction cone pushes what slides off the surface, so that it hops; the less, the shorter the contact's "
+    "time constant and the step"
+)
+_ONE_COEFFICIENT = "there is one coefficient of sliding friction, the dynamic one"
+_SPRING = (
+    "a rebound is that of a spring and damper over eight steps, and depends on where in a step it begins; least near "
+    "restitution 0 and 1"
+)
+_SOFT = "contacts are springs: they give way under load, and what stands on them settles for seconds"
+
+CONTACT = (
+    Gap("stick_and_slip", "creep", 0.012, _CREEP),
+    Gap("stick_and_slip", "friction", 0.12, _HOP),
+    Gap("static_above_dynamic", "slip", 0.5, _ONE_COEFFICIENT),
+    Gap("ball_on_slope", "slipping", 0.08, _HOP),
+    Gap("sliding_to_rolling", "way", 0.1, _HOP),
+    Gap("bounce", "ball", 0.14, _SPRING),
+    Gap("bounce", "box", 0.14, _SPRING),
+    Gap("bouncing_on", "path", 0.4, _SPRING),
+    Gap("collision_chain", "energy", 0.025, _SPRING),
+    Gap("unequal_collision", "speeds", 0.09, _SPRING),
+    Gap("grasp", "limit", 0.08, f"{_CREEP}; once it slips, {_HOP}"),
+    Gap("stack", "penetration", 1.6e-3, _SOFT),
+    Gap("stack", "drift", 1.6e-3, _SOFT),
+    Gap("heap", "penetration", 0.14, _SOFT),
+)
+"""Of contact."""

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from orbit_core.interfaces import Gap
-from orbit_mjmodel.gaps import MOTION
+from orbit_mjmodel.gaps import CONTACT, MOTION
 
-GAPS: tuple[Gap, ...] = (*MOTION,)
+GAPS: tuple[Gap, ...] = (*MOTION, *CONTACT)

@@ -33,8 +33,18 @@ _SENSORS = (
     ),
 )  # fmt: skip
 
+_CONTACT = (
+    Gap(
+        "static_above_dynamic", "slip", 0.5,
+        "PhysX's TGS solver lets a face slip before its whole normal force is there, and then takes the dynamic "
+        "coefficient; its PGS, temporal_gauss_seidel=False, holds",
+    ),
+    Gap("contact_force_with_friction", "force", 0.5, "PhysX tells contacts' normal forces, not those of friction"),
+)  # fmt: skip
+
 GAPS: tuple[Gap, ...] = (
     *_RAYS,
+    *_CONTACT,
     *_SENSORS,
     *_MOTION,
 )

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import TERRAIN, Approximation, AssetError, EntityLayout, SceneLayout
-from orbit_core.scene import Joint, JointType, Link, LoopJoint, Plane, Pose, Shape
+from orbit_core.scene import Joint, JointType, Link, LoopJoint, PhysicsMaterial, Plane, Pose, Shape
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.geometry import collision_shape
 from orbit_sapien.isolation import COLORS, color, exclusion_groups, grid_offset
@@ -34,6 +34,7 @@ _FREE_CELLS = 2.5
 """Less than half the distance between environments of one colour, in cells."""
 _SHARED_SPREAD = 4.0
 """Environments on a shared ground stand so many times farther apart."""
+_SLIPS = "PhysX's TGS solver slips before the whole normal force is there; temporal_gauss_seidel=False holds"
 _NO_REBOUND = "PhysX takes slower contacts for resting, by the setting 'bounce_threshold'"
 
 
@@ -177,10 +178,19 @@ class _Builder:
         made = collision_shape(shape, self.materials[group], subject, report)
         body.attach(made)
         environment.shapes.setdefault(link, []).append((group, made))
-        if report is not None and shape.material.restitution:
-            got = f"none below {self.config.bounce_threshold:g} m/s"
-            report.append(Approximation(subject, f"restitution {shape.material.restitution:g}", got, _NO_REBOUND))
+        if report is not None:
+            report += self._material_approximations(shape.material, subject)
         return made
+
+    def _material_approximations(self, material: PhysicsMaterial, subject: str) -> list[Approximation]:
+        found: list[Approximation] = []
+        if material.restitution:
+            got = f"none below {self.config.bounce_threshold:g} m/s"
+            found.append(Approximation(subject, f"restitution {material.restitution:g}", got, _NO_REBOUND))
+        if material.static_friction > material.dynamic_friction and self.config.temporal_gauss_seidel:
+            asked = f"static friction {material.static_friction:g}, dynamic {material.dynamic_friction:g}"
+            found.append(Approximation(subject, asked, "faces may slip below static friction", _SLIPS))
+        return found
 
     # Bodies ----------------------------------------------------------------------------------------------------------
 

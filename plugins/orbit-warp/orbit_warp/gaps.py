@@ -3,6 +3,18 @@
 from __future__ import annotations
 
 from orbit_core.interfaces import Gap
-from orbit_mjmodel.gaps import MOTION
+from orbit_mjmodel.gaps import CONTACT, MOTION
 
-GAPS: tuple[Gap, ...] = (*MOTION,)
+_TURNING = (
+    "in single precision the contact points of a cylinder on its end turn about its axis from step to step, and it "
+    "trembles"
+)
+
+_CONTACT = (
+    *(gap for gap in CONTACT if gap.scenario != "stick_and_slip"),
+    Gap("stick_and_slip", "creep", 0.2, _TURNING),
+    Gap("stick_and_slip", "friction", 0.2, _TURNING),
+    Gap("static_above_dynamic", "friction", 0.06, _TURNING),
+)
+
+GAPS: tuple[Gap, ...] = (*MOTION, *_CONTACT)
