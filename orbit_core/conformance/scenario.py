@@ -59,6 +59,8 @@ class Scenario:
     """Seconds, where the tolerances hold."""
     time_steps: tuple[float, ...] = (0.01, 0.005, 0.0025, 0.00125)
     """Seconds, of the sweep that shows accuracy against speed; empty where the step plays no part."""
+    slow: bool = False
+    """Whether some engine takes minutes: quick runs and the tests leave it out."""
 
     def metric(self, name: str) -> Metric:
         """The metric of that name."""
@@ -93,6 +95,7 @@ class Trial:
     wall_seconds: float = 0.0
     """Spent in stepping."""
     _worlds: list[SimulatedWorld] = field(default_factory=list)
+    _stepped: list[SimulatedWorld] = field(default_factory=list)
 
     def world(self, scene: Scene, num_envs: int = 1) -> SimulatedWorld:
         """A world of the scene, at this trial's time step; closed with the trial."""
@@ -107,7 +110,13 @@ class Trial:
         return round(seconds / self.time_step)
 
     def step(self, world: SimulatedWorld, steps: int = 1) -> None:
-        """Advance a world by physics steps, on the clock."""
+        """Advance a world by physics steps, on the clock; without a world's first step, in which engines compile."""
+        if world not in self._stepped:
+            self._stepped.append(world)
+            world.step(1)
+            steps -= 1
+        if not steps:
+            return
         begin = time.perf_counter()
         world.step(steps)
         world.engine.joint_positions.sum().item()  # a device is done when it answers
@@ -135,6 +144,7 @@ class Trial:
         """Free the worlds."""
         while self._worlds:
             self._worlds.pop().close()
+        self._stepped.clear()
 
     def __enter__(self) -> Trial:
         return self

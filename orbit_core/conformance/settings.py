@@ -52,7 +52,7 @@ class Settings:
     """Of the parts ``TASKS`` and ``THROUGHPUT``."""
     parts: tuple[Part, ...]
     quick: bool = False
-    """The nominal time step only, few episodes, few numbers of environments."""
+    """The nominal time step only, no slow scenarios but those that are named, few episodes, one number of environments."""
     device: str = "cpu"
     """Torch device of the backends that simulate on a GPU; the others take the CPU."""
     seed: int = 0
@@ -90,12 +90,14 @@ def choose(
         raise ConfigurationError(
             "no backend is installed: pip install \"orbit-core[BACKEND]\", see 'orbit list backends'"
         )
+    known = [s.name for s in SCENARIOS]
+    tried = [s.name for s in SCENARIOS if not (quick and s.slow)]
     of_tasks = (Part.TASKS, Part.THROUGHPUT)
     implied = tuple(part for part in Part if not (scenarios or tasks) or (tasks if part in of_tasks else scenarios))
     chosen = tuple(Part(name) for name in _known("part", parts, [part.value for part in Part])) if parts else implied
     return Settings(
         backends=_known("backend", backends, installed),
-        scenarios=_known("scenario", scenarios, [s.name for s in SCENARIOS]) if Part.SCENARIOS in chosen else (),
+        scenarios=_known("scenario", scenarios or tried, known) if Part.SCENARIOS in chosen else (),
         tasks=_known("task", tasks, task_entries()) if {*of_tasks} & {*chosen} else (),
         parts=chosen,
         quick=quick,
