@@ -10,7 +10,7 @@ from orbit_core.conformance.verdict import Status, run_scenario
 from orbit_core.interfaces import Backend
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
+@pytest.mark.parametrize("scenario", [s for s in SCENARIOS if not s.slow], ids=lambda scenario: scenario.name)
 def test_a_backend_is_as_it_declares(backend: Backend, scenario: Scenario, request: pytest.FixtureRequest) -> None:
     device = str(request.config.getoption("--device", "cpu"))
     verdict = run_scenario(scenario, backend, Trial(backend.name, scenario.time_step, device))
