@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.scenarios import (
+    contact_forces,
     drives,
     free_motion,
+    friction,
+    grasp,
+    impact,
     joints,
     linkages,
     parameters,
     pendula,
     rays,
     repeatability,
+    resting,
     sensing,
 )
 
@@ -21,6 +26,11 @@ SCENARIOS: tuple[Scenario, ...] = (
     *joints.SCENARIOS,
     *drives.SCENARIOS,
     *linkages.SCENARIOS,
+    *friction.SCENARIOS,
+    *impact.SCENARIOS,
+    *resting.SCENARIOS,
+    *grasp.SCENARIOS,
+    *contact_forces.SCENARIOS,
     *sensing.SCENARIOS,
     *rays.SCENARIOS,
     *parameters.SCENARIOS,
