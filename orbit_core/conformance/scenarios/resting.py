@@ -201,6 +201,7 @@ SCENARIOS = (
         run=_heap,
         time_step=0.01,
         time_steps=(),
+        slow=True,
         metrics=(
             Metric(name="penetration", unit="", tolerance=0.02, meaning="greatest overlap at 1.2 s, over the radius"),
             Metric(name="energy", unit="", tolerance=0.01, meaning="kinetic energy at 1.2 s, over m g r of all"),
