@@ -31,7 +31,7 @@ MOTION = (
 )
 """Of free motion and joints."""
 
-_CREEP = (
+CREEP = (
     "friction is a soft constraint, whose force grows with the speed of creep; impratio=10 makes that 16 times slower, "
     "for about a tenth more time per step"
 )
@@ -44,10 +44,10 @@ _SPRING = (
     "a rebound is that of a spring and damper over eight steps, and depends on where in a step it begins; least near "
     "restitution 0 and 1"
 )
-_SOFT = "contacts are springs: they give way under load, and what stands on them settles for seconds"
+_SOFT = "contacts are springs, which give way under load"
 
 CONTACT = (
-    Gap("stick_and_slip", "creep", 0.012, _CREEP),
+    Gap("stick_and_slip", "creep", 0.012, CREEP),
     Gap("stick_and_slip", "friction", 0.12, _HOP),
     Gap("static_above_dynamic", "slip", 0.5, _ONE_COEFFICIENT),
     Gap("ball_on_slope", "slipping", 0.08, _HOP),
@@ -57,9 +57,8 @@ CONTACT = (
     Gap("bouncing_on", "path", 0.4, _SPRING),
     Gap("collision_chain", "energy", 0.025, _SPRING),
     Gap("unequal_collision", "speeds", 0.09, _SPRING),
-    Gap("grasp", "limit", 0.08, f"{_CREEP}; once it slips, {_HOP}"),
+    Gap("grasp", "limit", 0.08, f"{CREEP}; once it slips, {_HOP}"),
     Gap("stack", "penetration", 1.6e-3, _SOFT),
-    Gap("stack", "drift", 1.6e-3, _SOFT),
     Gap("heap", "penetration", 0.14, _SOFT),
 )
 """Of contact."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from orbit_core.interfaces import Gap
-from orbit_mjmodel.gaps import CONTACT, MOTION
+from orbit_mjmodel.gaps import CONTACT, CREEP, MOTION
 
-GAPS: tuple[Gap, ...] = (*MOTION, *CONTACT)
+_LEANING = Gap("stack", "drift", 1.6e-3, f"the tower slowly leans over: {CREEP}")
+
+GAPS: tuple[Gap, ...] = (*MOTION, *CONTACT, _LEANING)
