@@ -52,7 +52,7 @@ class Settings:
     """Of the parts ``TASKS`` and ``THROUGHPUT``."""
     parts: tuple[Part, ...]
     quick: bool = False
-    """The nominal time step only, no slow scenarios but those that are named, few episodes, one number of environments."""
+    """The nominal time steps of the quick scenarios and of those that are named; few episodes, few environments."""
     device: str = "cpu"
     """Torch device of the backends that simulate on a GPU; the others take the CPU."""
     seed: int = 0
