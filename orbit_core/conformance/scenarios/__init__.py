@@ -9,6 +9,7 @@ from orbit_core.conformance.scenarios import (
     free_motion,
     friction,
     grasp,
+    images,
     impact,
     joints,
     linkages,
@@ -33,6 +34,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     *contact_forces.SCENARIOS,
     *sensing.SCENARIOS,
     *rays.SCENARIOS,
+    *images.SCENARIOS,
     *parameters.SCENARIOS,
     *repeatability.SCENARIOS,
 )

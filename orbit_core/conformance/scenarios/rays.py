@@ -55,7 +55,7 @@ def bowl(radius: float = 0.5, depth: float = 0.3, sides: int = 8) -> Mesh:
 def ridges() -> HeightField:
     """Slopes that bend along lines of y alone: however its cells are split into triangles, the surface is the same."""
     heights = np.array([0.1, 0.1, 0.5, 0.3, 0.3, 0.0, 0.2, 0.4, 0.1])
-    rise = np.linspace(0.0, 0.3, 7)
+    rise = np.linspace(0.0, 0.3, 3)
     return HeightField(heights[None] + rise[:, None], (4.0, 3.0))
 
 

@@ -51,12 +51,11 @@ class VisualShapes:
             case Box(half_extents):
                 return {"shapeType": client.GEOM_BOX, "halfExtents": half_extents}
             case Sphere(radius):
-                vertices, faces = _ball()
-                return self._mesh(radius * vertices, faces)
+                return self._mesh(*_turned(*_capsule_profile(radius, 0.0)))
             case Capsule(radius, half_length):
-                return {"shapeType": client.GEOM_CAPSULE, "radius": radius, "length": 2 * half_length}
-            case Cylinder(radius, half_length):
-                return {"shapeType": client.GEOM_CYLINDER, "radius": radius, "length": 2 * half_length}
+                return self._mesh(*_turned(*_capsule_profile(radius, half_length)))
+            case Cylinder(radius, half):
+                return self._mesh(*_turned((0.0, radius, radius, 0.0), (half, half, -half, -half)))
             case Plane():
                 corners = _GROUND * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
                 return self._mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
@@ -85,17 +84,24 @@ def height_field_mesh(field: HeightField) -> tuple[Any, Any]:
     return vertices, np.concatenate((lower, upper))
 
 
-def _ball() -> tuple[Any, Any]:
-    """A unit sphere, finer than Bullet's own."""
-    up = np.linspace(0.0, np.pi, _BALL_ROWS + 1)
-    around = np.linspace(0.0, 2 * np.pi, 2 * _BALL_ROWS + 1)
-    up, around = np.meshgrid(up, around, indexing="ij")
-    vertices = np.stack((np.sin(up) * np.cos(around), np.sin(up) * np.sin(around), np.cos(up)), -1).reshape(-1, 3)
+def _capsule_profile(radius: float, half_length: float) -> tuple[Any, Any]:
+    """Of a sphere where it has no length."""
+    cap = np.linspace(0.0, 0.5 * np.pi, _BALL_ROWS // 2 + 1)
+    up = np.concatenate((cap, cap + 0.5 * np.pi if half_length else cap[1:] + 0.5 * np.pi))
+    middle = np.where(np.arange(len(up)) < len(cap), half_length, -half_length)
+    return radius * np.sin(up), middle + radius * np.cos(up)
+
+
+def _turned(radii: Any, heights: Any) -> tuple[Any, Any]:
+    """The surface that a profile, from top to bottom, sweeps about z: finer than Bullet's own round shapes."""
     columns = 2 * _BALL_ROWS + 1
-    corner = (np.arange(_BALL_ROWS)[:, None] * columns + np.arange(columns - 1)).ravel()
+    around = np.linspace(0.0, 2 * np.pi, columns)
+    level = np.broadcast_to(np.asarray(heights)[:, None], (len(heights), columns))
+    vertices = np.stack((np.outer(radii, np.cos(around)), np.outer(radii, np.sin(around)), level), -1)
+    corner = (np.arange(len(heights) - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     first = np.stack((corner, corner + columns, corner + columns + 1), -1)
     second = np.stack((corner, corner + columns + 1, corner + 1), -1)
-    return vertices, np.concatenate((first, second))
+    return vertices.reshape(-1, 3), np.concatenate((first, second))
 
 
 def marker_shapes(spec: MarkerSpec) -> list[Shape]:
