@@ -24,6 +24,7 @@ FloatArray = npt.NDArray[np.float32]
 VIEW_DIRECTION = np.array((0.35, 0.83, 0.43)) / math.hypot(0.35, 0.83, 0.43)
 """From the scene to the camera: from the left of a robot that faces +x, so that it does not hide its work."""
 FIELD_OF_VIEW = math.radians(45.0)
+_ALL = slice(None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,22 @@ class Frame:
     """(n, M, 7) in the scene's order."""
     particles: tuple[FloatArray, ...] = ()
     """(n, P, 3) of each deformable."""
+    first: int = 0
+    """Index of the first of them in the world."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """A link as it looks in the environments of one kind: those of index ``kind`` modulo ``kinds``."""
+
+    link: int
+    drawing: Drawing
+    kind: int
+    kinds: int
+
+    def rows(self, first: int) -> slice:
+        """Which of the environments from ``first`` on."""
+        return slice((self.kind - first) % self.kinds, None, self.kinds)
 
 
 class SceneView:
@@ -52,18 +69,19 @@ class SceneView:
         self._server = server
         self._scene = layout.scene
         self._collisions = collisions
-        self._drawings: list[Drawing | None] = []
+        self._bodies: list[_Body] = []
         self._layout = layout
         self._markers = [Drawing.of(marker_shapes(marker)) for marker in layout.scene.markers]
         planes = [shape for shape in layout.scene.terrain if isinstance(shape.geometry, Plane)]
         solids = [shape for shape in layout.scene.terrain if not isinstance(shape.geometry, Plane)]
         self._terrain = Drawing.of(solids) if solids else None
-        self._links_drawn: dict[int, BatchedGlbHandle] = {}
+        self._bodies_drawn: list[tuple[_Body, BatchedGlbHandle]] = []
         self._markers_drawn: list[BatchedGlbHandle] = []
         self._particles_drawn: list[list[MeshHandle]] = []
         self._terrain_drawn: BatchedGlbHandle | None = None
         self._offsets = np.zeros((0, 3), dtype=np.float32)
         self._markers_visible = True
+        self._first = 0
         server.scene.set_up_direction("+z")
         self._light()
         for index, plane in enumerate(planes):
@@ -77,12 +95,12 @@ class SceneView:
 
     def update(self, frame: Frame) -> None:
         """Move everything; what does not move costs nothing to send."""
-        if len(frame.link_poses) != self.count:
+        if len(frame.link_poses) != self.count or (frame.first != self._first and len(self._layout.variants) > 1):
             self._draw(frame)
             return
         with self._server.atomic():
-            for link, handle in self._links_drawn.items():
-                self._place(handle, frame.link_poses[:, link])
+            for body, handle in self._bodies_drawn:
+                self._place(handle, frame.link_poses[:, body.link], body.rows(self._first))
             for index, handle in enumerate(self._markers_drawn):
                 self._place(handle, frame.marker_poses[:, index])
             for handles, particles in zip(self._particles_drawn, frame.particles, strict=True):
@@ -105,22 +123,29 @@ class SceneView:
 
     def _draw_links(self) -> None:
         """Prepare the links' shapes; the next frame sends them."""
-        self._drawings = []
-        for link in self._layout.links:
-            shapes = link.collisions if self._collisions or not link.visuals else link.visuals
-            self._drawings.append(Drawing.of(shapes) if shapes else None)
+        self._bodies = []
+        for entity in self._layout.entities:
+            alternatives = entity.spec.alternatives
+            for kind, articulation in enumerate(alternatives):
+                for number, link in enumerate(articulation.links, start=entity.links.start):
+                    shapes = link.collisions if self._collisions or not link.visuals else link.visuals
+                    if shapes:
+                        self._bodies.append(_Body(number, Drawing.of(shapes), kind, len(alternatives)))
         self._offsets = np.zeros((0, 3), dtype=np.float32)
 
     def _draw(self, frame: Frame) -> None:
-        """Send everything anew, for another number of environments."""
+        """Send everything anew, for other environments."""
         self._remove()
-        low, high = self._extent(frame, range(len(self._drawings)))
+        self._first = frame.first
+        low, high = self._extent(frame, range(len(self._layout.links)))
         self._offsets = _square_grid(len(frame.link_poses), spacing=1.25 * float((high - low)[:2].max()) + 0.2)
         with self._server.atomic():
-            for link, drawing in enumerate(self._drawings):
-                if drawing:
-                    handle = self._add(f"/links/{link}", drawing, frame.link_poses[:, link])
-                    self._links_drawn[link] = handle
+            for body in self._bodies:
+                rows = body.rows(self._first)
+                if len(self._offsets[rows]):
+                    name = f"/links/{body.link}" + (f".{body.kind}" if body.kind else "")
+                    handle = self._add(name, body.drawing, frame.link_poses[:, body.link], rows)
+                    self._bodies_drawn.append((body, handle))
             for index, drawing in enumerate(self._markers):
                 handle = self._add(f"/markers/{index}", drawing, frame.marker_poses[:, index])
                 handle.cast_shadow = False
@@ -136,21 +161,21 @@ class SceneView:
         self._look_at(low + self._offsets.min(axis=0), high + self._offsets.max(axis=0))
 
     def _remove(self) -> None:
-        for handle in (*self._links_drawn.values(), *self._markers_drawn, *chain(*self._particles_drawn)):
+        bodies = (handle for _, handle in self._bodies_drawn)
+        for handle in (*bodies, *self._markers_drawn, *chain(*self._particles_drawn)):
             handle.remove()
         if self._terrain_drawn is not None:
             self._terrain_drawn.remove()
-        self._links_drawn, self._markers_drawn, self._particles_drawn = {}, [], []
+        self._bodies_drawn, self._markers_drawn, self._particles_drawn = [], [], []
         self._terrain_drawn = None
 
-    def _add(self, name: str, drawing: Drawing, poses: FloatArray) -> BatchedGlbHandle:
-        return self._server.scene.add_batched_glb(
-            name, drawing.glb, poses[:, 3:], poses[:, :3] + self._offsets, lod="off"
-        )
+    def _add(self, name: str, drawing: Drawing, poses: FloatArray, rows: slice = _ALL) -> BatchedGlbHandle:
+        places = (poses[:, :3] + self._offsets)[rows]
+        return self._server.scene.add_batched_glb(name, drawing.glb, poses[rows, 3:], places, lod="off")
 
-    def _place(self, handle: BatchedGlbHandle, poses: FloatArray) -> None:
-        handle.batched_positions = poses[:, :3] + self._offsets
-        handle.batched_wxyzs = poses[:, 3:]
+    def _place(self, handle: BatchedGlbHandle, poses: FloatArray, rows: slice = _ALL) -> None:
+        handle.batched_positions = (poses[:, :3] + self._offsets)[rows]
+        handle.batched_wxyzs = poses[rows, 3:]
 
     def _add_deformable(self, index: int, particles: FloatArray) -> list[MeshHandle]:
         spec = self._scene.deformables[index]
@@ -203,8 +228,8 @@ class SceneView:
 
     def _extent(self, frame: Frame, links: Iterable[int]) -> tuple[FloatArray, FloatArray]:
         """Corners of the box round these links and all deformables of the first environment, or else the terrain."""
-        drawn = [(link, drawing) for link in links if (drawing := self._drawings[link])]
-        points = [_transformed(frame.link_poses[0, link], drawing.corners) for link, drawing in drawn]
+        first = [body for body in self._bodies if body.rows(frame.first).start == 0 and body.link in set(links)]
+        points = [_transformed(frame.link_poses[0, body.link], body.drawing.corners) for body in first]
         points += [particles[0] for particles in frame.particles]
         if not points:
             points = [self._terrain.corners if self._terrain else np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 0.5]])]

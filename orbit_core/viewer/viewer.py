@@ -192,6 +192,7 @@ class Viewer:
             links,
             np.stack(markers, axis=1) if markers else np.zeros((len(links), 0, 7), dtype=np.float32),
             tuple(_array(world.engine.particle_positions(index)[rows]) for index in range(count)),
+            rows.start,
         )
 
     def _show_panel(self, now: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
@@ -12,6 +13,7 @@ import torch
 from torch import Tensor
 from viser import ViserServer
 
+from orbit_core.assets.objects import box, sphere
 from orbit_core.interfaces import SceneLayout
 from orbit_core.scene import CameraSpec, Channel, Cloth, Mesh, Scene
 from orbit_core.sensors import CameraSensor
@@ -85,10 +87,23 @@ def test_collision_shapes_replace_visual_ones(fakes: ModuleType, server: ViserSe
     view = SceneView(server, world.layout)
     frame = Frame(world.link_poses.numpy(), np.zeros((1, 2, 7), dtype=np.float32) + np.eye(7, dtype=np.float32)[3])
     view.update(frame)
-    drawn = dict(view._links_drawn)
+    drawn = [handle for _, handle in view._bodies_drawn]
     view.show_collisions(True)
     view.show_markers(False)
     view.update(frame)
-    assert set(view._links_drawn) == set(drawn)
-    assert all(view._links_drawn[link] is not drawn[link] for link in drawn)
+    assert len(view._bodies_drawn) == len(drawn)
+    assert all(now is not before for (_, now), before in zip(view._bodies_drawn, drawn, strict=True))
     assert not any(handle.visible for handle in view._markers_drawn)
+
+
+def test_each_environment_shows_its_own_variant(server: ViserServer) -> None:
+    thing = replace(box("thing", (0.1, 0.1, 0.1)), variants=(sphere("thing", 0.1).articulation,))
+    view = SceneView(server, SceneLayout.of(Scene(objects=(thing,))))
+    links, markers = np.zeros((3, 1, 7), dtype=np.float32), np.zeros((3, 0, 7), dtype=np.float32)
+    links[:, 0, 0] = (10, 20, 30)
+    for first, shown in ((0, [[10, 30], [20]]), (1, [[20], [10, 30]])):
+        view.update(Frame(links, markers, first=first))
+        kinds = {body.kind: handle for body, handle in view._bodies_drawn}
+        for kind, expected in enumerate(shown):
+            offsets = view._offsets[[int(x / 10) - 1 for x in expected], 0]
+            assert np.allclose(kinds[kind].batched_positions[:, 0] - offsets, expected)
