@@ -1,0 +1,114 @@
+"""A small run in this process: all kinds of jobs, what they leave in the folder, and the page that is made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from orbit_core.backends import backend_names
+from orbit_core.conformance.execution import RECORDING, TRACES, VIDEO, Outcome, execute
+from orbit_core.conformance.jobs import Job, Kind, plan
+from orbit_core.conformance.pools import Work
+from orbit_core.conformance.report.page import write_report
+from orbit_core.conformance.results import Ending, Result, load
+from orbit_core.conformance.runner import run
+from orbit_core.conformance.scenarios import SCENARIOS
+from orbit_core.conformance.settings import Part, choose
+from orbit_core.conformance.verdict import Status
+
+PAIR = backend_names()[:2]
+
+
+class Here:
+    """Does jobs in this process."""
+
+    def run(self, work: Sequence[Work], alone: bool) -> Iterator[Outcome]:
+        return (execute(*one) for one in work)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a finished run of one scenario and one task on two backends."""
+    folder = tmp_path_factory.mktemp("run")
+    parts = [part.value for part in Part]
+    run(choose(backends=PAIR, scenarios=["free_fall"], tasks=["Reach"], parts=parts, quick=True), folder, Here())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> Result:
+    return load(folder)
+
+
+def test_every_kind_of_job_is_done(result: Result, folder: Path) -> None:
+    assert {(r.job.kind, r.job.backend) for r in result.records if r.job.kind is not Kind.REPLAY} == {
+        (kind, backend) for kind in Kind for backend in PAIR if kind is not Kind.REPLAY
+    }
+    assert [r.reason for r in result.records if r.ending is not Ending.DONE] == []
+    files = {Kind.SCENARIO: TRACES, Kind.TASK: RECORDING, Kind.VIDEO: VIDEO}
+    for record in result.records:
+        expected = files.get(record.job.kind)
+        assert record.files == ((expected,) if expected else ())
+        assert all((folder / record.job.key / name).stat().st_size > 0 for name in record.files)
+
+
+def test_what_was_recorded_on_one_backend_is_replayed_on_the_other(result: Result) -> None:
+    (replayed,) = result.of(Kind.REPLAY)
+    assert replayed.replay is not None
+    assert (replayed.replay.recorded_on, replayed.job.backend) == tuple(PAIR)
+    (parting,) = result.partings
+    assert {parting.reference, parting.backend} == {*PAIR}
+    assert parting.things
+    assert parting.things[0].median[0] < 1e-3, "both begin in the same state"
+
+
+def test_the_page_shows_all_of_it(folder: Path) -> None:
+    page = write_report(folder).read_text()
+    for words in (
+        "Does the expert reach the goal?",
+        "Free motion",
+        "Distance over time",
+        "Environment steps per second",
+    ):
+        assert words in page
+    for backend in PAIR:
+        assert f'src="video/Reach/{backend}/{VIDEO}"' in page
+    assert page.count("<svg") == 5
+    assert "http://" not in page
+    assert "https://" not in page
+
+
+def test_an_exception_is_the_jobs_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*arguments: object) -> None:
+        raise ZeroDivisionError("no time")
+
+    monkeypatch.setattr("orbit_core.conformance.execution.run_scenario", fail)
+    settings = choose(backends=PAIR, scenarios=["free_fall"])
+    record = execute(Job(Kind.SCENARIO, "free_fall", PAIR[0], 0.005), settings, {}).record
+    assert (record.ending, record.reason, record.status) == (Ending.ERROR, "ZeroDivisionError: no time", Status.FAIL)
+
+
+def test_naming_scenarios_leaves_the_tasks_out() -> None:
+    assert choose(scenarios=["free_fall"]).parts == (Part.SCENARIOS,)
+    assert choose(tasks=["Lift"]).parts == (Part.TASKS, Part.THROUGHPUT)
+    assert choose().parts == tuple(Part)
+    assert choose().scenarios == tuple(scenario.name for scenario in SCENARIOS)
+
+
+def test_a_full_run_sweeps_time_steps_and_a_quick_one_does_not() -> None:
+    def steps(quick: bool) -> list[float]:
+        (phase,) = plan(choose(backends=PAIR[:1], scenarios=["free_fall"], quick=quick))
+        return [job.time_step for job in phase.jobs]
+
+    assert steps(quick=True) == [0.005]
+    assert steps(quick=False) == [0.01, 0.005, 0.0025, 0.00125]
+
+
+def test_keys_are_unique() -> None:
+    keys = [job.key for phase in plan(choose()) for job in phase.jobs]
+    assert len(keys) == len(set(keys))
