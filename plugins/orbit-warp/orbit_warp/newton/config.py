@@ -40,8 +40,8 @@ class FeatherstoneConfig(NewtonConfig):
     the integrator always resolves them.
     """
 
-    substeps: int = 12
-    contact_stiffness: float = 0.1
+    substeps: int = 20
+    contact_stiffness: float = 0.03
     """``k h^2 / m`` of a contact: its stiffness against the most that the integrator could follow."""
     contact_damping: float = 1.3
     """Damping ratio of contacts that do not rebound."""

@@ -75,7 +75,6 @@ def _add_contact_forces(
     query_starts: wp.array[int],
     query_numbers: wp.array[int],
     answers: wp.array2d[bool],
-    share: float,
     forces: wp.array2d[wp.vec3],
 ):
     contact = wp.tid()
@@ -85,7 +84,7 @@ def _add_contact_forces(
     env = shapes[0, contact] / per_env
     first = link_of_shape[shapes[0, contact] % per_env]
     second = link_of_shape[shapes[1, contact] % per_env]
-    force = share * contact_forces[contact]
+    force = contact_forces[contact]
     _share(first, second, force, env, query_starts, query_numbers, answers, forces)
     _share(second, first, -force, env, query_starts, query_numbers, answers, forces)
 
@@ -116,10 +115,10 @@ class ContactMeter:
     def clear(self) -> None:
         """Begin a control step."""
         if self.needed:
-            self.forces.zero_()
+            wp.to_torch(self.forces).zero_()
 
-    def add(self, steps: int) -> None:
-        """Take in the forces of one of ``steps`` solver steps."""
+    def add(self) -> None:
+        """Launch what takes in the forces of a solver step."""
         if not self.needed:
             return
         wp.launch(
@@ -127,7 +126,12 @@ class ContactMeter:
             dim=self._finder.capacity,
             inputs=[
                 self._finder.contacts.rigid_contact_count, self._finder.shapes, self._finder.forces,
-                self._link_of_shape, self._starts, self._numbers, self._answers, 1.0 / steps,
+                self._link_of_shape, self._starts, self._numbers, self._answers,
             ],
             outputs=[self.forces],
         )  # fmt: skip
+
+    def average(self, solver_steps: int) -> None:
+        """End a control step."""
+        if self.needed:
+            wp.to_torch(self.forces).div_(solver_steps)

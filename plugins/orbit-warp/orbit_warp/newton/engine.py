@@ -44,7 +44,7 @@ class Snapshot:
 
 
 class NewtonEngine(Engine):
-    """Holds all environments in Newton's arrays; a step is one recorded graph, in which nothing waits for the host."""
+    """Holds all environments in Newton's arrays; a physics step is a recorded graph."""
 
     def __init__(
         self,
@@ -83,16 +83,20 @@ class NewtonEngine(Engine):
     def step(self, steps: int) -> None:
         self._parameters.settle()
         self._state.settle()
-        self._graphs.run(("step", steps), lambda: self._take(steps))
+        self._plant.meter.clear()
+        for _ in range(steps):  # one recording whatever the number: recording takes long
+            self._graphs.run("step", self._take)
+        self._plant.meter.average(steps * self._dynamics.solver_steps)
+        self._graphs.run("finish", self._finish)
         self.check()
 
-    def _take(self, steps: int) -> None:
+    def _take(self) -> None:
+        self._dynamics.take()
+        self._state.take()
+
+    def _finish(self) -> None:
         plant = self._plant
-        plant.meter.clear()
         self._summary.zero_()
-        for _ in range(steps):
-            self._dynamics.take(steps)
-            self._state.take()
         if plant.finder.any:
             count = plant.finder.contacts.rigid_contact_count
             wp.launch(note_overflow, dim=1, inputs=[count, plant.finder.capacity], outputs=[self._summary])

@@ -58,14 +58,14 @@ class FeatherstoneDynamics(Dynamics):
         self._commands = drive_arrays(plant)
         self._joint_efforts = wp.from_torch(plant.joint_efforts)
 
-    def take(self, steps: int) -> None:
+    def take(self) -> None:
         plant = self._plant
         plant.finder.find(plant.state)
         for _ in range(self.solver_steps):
             plant.write_body_forces()
             self._write_joint_forces()
             self._add_contact_forces()
-            plant.meter.add(steps * self.solver_steps)
+            plant.meter.add()
             self._solver.step(plant.state, plant.state, plant.control, None, self._h, observables=self._observables)
         if self._wrenches is not None:
             self._wrenches.read(self._observables.body_parent_f)

@@ -84,8 +84,8 @@ class Dynamics:
 
     def __init__(self, plant: Plant) -> None: ...
 
-    def take(self, steps: int) -> None:
-        """Launch one of ``steps`` physics steps."""
+    def take(self) -> None:
+        """Launch one physics step."""
         raise NotImplementedError
 
     def masses_changed(self) -> None:

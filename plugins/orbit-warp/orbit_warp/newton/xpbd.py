@@ -51,7 +51,7 @@ class XpbdDynamics(Dynamics):
         self._observables = self._solver.observables(kinds, contacts=plant.finder.contacts) if kinds else None
         self._wrenches = WrenchReader(plant) if plant.layout.wrench_links else None
 
-    def take(self, steps: int) -> None:
+    def take(self) -> None:
         plant = self._plant
         plant.finder.find(plant.state)
         contacts = plant.finder.contacts
@@ -66,7 +66,7 @@ class XpbdDynamics(Dynamics):
         for _ in range(self.solver_steps):
             plant.write_body_forces()
             self._solver.step(plant.state, plant.state, plant.control, contacts, self._h, observables=self._observables)
-            self._measure(steps)
+            self._measure()
         if self._wrenches is not None:
             self._wrenches.read(self._observables.body_parent_f)
 
@@ -86,7 +86,7 @@ class XpbdDynamics(Dynamics):
                 outputs=[self._drives, self._joint_efforts],
             )  # fmt: skip
 
-    def _measure(self, steps: int) -> None:
+    def _measure(self) -> None:
         plant = self._plant
         if plant.meter.needed:
             wp.launch(
@@ -95,7 +95,7 @@ class XpbdDynamics(Dynamics):
                 inputs=[plant.finder.contacts.rigid_contact_count, self._observables.contact_f],
                 outputs=[plant.finder.forces],
             )
-            plant.meter.add(steps * self.solver_steps)
+            plant.meter.add()
 
 
 def _scales(plant: Plant, config: XpbdConfig) -> list[float]:

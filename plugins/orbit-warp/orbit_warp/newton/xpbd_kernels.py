@@ -44,22 +44,19 @@ def write_drives(
     env, joint = wp.tid()
     dof = table.velocities[joint]
     q, v = joint_q[env, table.positions[joint]], joint_qd[env, dof]
-    ke, kd = stiffness[env, joint], damping[env, joint]
-    target, speed, effort = position_targets[env, joint], velocity_targets[env, joint], efforts[env, joint]
-    force = ke * (target - q) + kd * (speed - v) + effort
+    asked = stiffness[env, joint] * (position_targets[env, joint] - q)
+    asked += damping[env, joint] * (velocity_targets[env, joint] - v) + efforts[env, joint]
     limit = table.effort_limit[joint]
-    if wp.abs(force) > limit:
-        force = wp.clamp(force, -limit, limit)
-        effort, ke, kd = force, 0.0, 0.0
+    force = wp.clamp(asked, -limit, limit)
     joint_efforts[env, joint] = force
+    within = wp.where(force == asked, 1.0, 0.0)
+    ke, kd = within * stiffness[env, joint], within * damping[env, joint]
     drag = table.damping[joint] + table.friction[joint] / wp.max(wp.abs(v), friction_speed)
-    drives.target_q[env, table.targets[joint]] = target
-    drives.target_qd[env, dof] = 0.0
-    if kd + drag > 0.0:
-        drives.target_qd[env, dof] = speed * kd / (kd + drag)
+    drives.target_q[env, table.targets[joint]] = position_targets[env, joint]
+    drives.target_qd[env, dof] = velocity_targets[env, joint] * kd / wp.max(kd + drag, 1.0e-12)
     drives.stiffness[env, dof] = ke * scales[joint]
     drives.damping[env, dof] = (kd + drag) * scales[joint]
-    drives.force[env, dof] = effort
+    drives.force[env, dof] = wp.where(force == asked, efforts[env, joint], force)
 
 
 @wp.struct
