@@ -58,7 +58,23 @@ def _mimic(trial: Trial) -> Mapping[str, float]:
             if name == "geared":
                 curve.append((time, leader, truth))
     trial.trace("angle of a leader", "rad", *zip(*curve, strict=True))
-    return {"coupling": coupling, "motion": motion}
+    return {"coupling": coupling, "motion": motion, "driven": _driven_coupling(trial)}
+
+
+def _driven_coupling(trial: Trial) -> float:
+    """Largest error of the follower while a stiff drive steps its leader, as the motor of a gripper does."""
+    multiplier, target = -1.0, 0.8
+    motor = (ImplicitPd(joints=("leader",), stiffness=1000.0, damping=100.0),)
+    world = trial.world(scene(geared(multiplier, 0.0, motor), gravity=WEIGHTLESS, terrain=()))
+    robot = world.robots["geared"]
+    robot.set_position_targets(torch.tensor([[target, 0.0]], device=world.device))
+    error, curve = 0.0, []
+    for time in trial.advance(world, 0.5):
+        leader, follower = robot.joint_positions[0].tolist()
+        error = max(error, abs(follower - multiplier * leader))
+        curve.append((time, follower, multiplier * leader))
+    trial.trace("angle of the follower of a driven leader", "rad", *zip(*curve, strict=True))
+    return error / target
 
 
 # Loops ----------------------------------------------------------------------------------------------------------------
@@ -180,6 +196,13 @@ SCENARIOS = (
                 tolerance=2.5e-4,
                 meaning="largest error of q2, relative to q1's range",
                 looser_because="a coupling that gives a four-thousandth way moves as a rigid one",
+            ),
+            Metric(
+                name="driven",
+                unit="",
+                tolerance=2e-3,
+                meaning="largest error of q2 while a stiff drive steps q1, relative to the step",
+                looser_because="couplings that are stiff springs give way for a moment",
             ),
             Metric(name="motion", unit="", tolerance=0.01, meaning="largest error of q1, relative to its range"),
         ),

@@ -16,7 +16,8 @@ class ModelConfig:
     """What settings given by a word may be; a backend adds its own."""
 
     integrator: str = "implicitfast"
-    """``implicitfast`` and ``implicit`` integrate drive and joint damping implicitly; ``euler`` joint damping only."""
+    """``implicitfast`` and ``implicit`` integrate drive and joint damping implicitly, ``euler`` joint damping only.
+    ``discrete`` solves the constraints with the drives as well: mimic joints and loops hold under stiff ones."""
     iterations: int = 100
     """At most, per step."""
     ls_iterations: int = 50

@@ -13,9 +13,10 @@ _REDUCED = (
     "joint velocities are integrated in first order, and the momenta that they add up to are then conserved in first "
     "order only; integrator 'rk4' keeps them to 2e-5"
 )
-_DRIVEN_LOOP = (
-    "constraints are solved without the drives' damping, which integrator 'implicitfast' adds afterwards: a loop opens "
-    "when a stiff drive starts it; integrator 'discrete' holds it to 0.4 mm, where there is"
+_DRIVEN = (
+    "constraints are solved without the drives' damping, which integrator 'implicitfast' adds afterwards: when a stiff "
+    "drive starts, what is coupled to its joint falls behind for a moment; integrator 'discrete' mends it, and damps "
+    "the motion of soft drives three times as much"
 )
 
 MOTION = (
@@ -26,8 +27,9 @@ MOTION = (
     Gap("floating_chain", "angular_momentum", 0.025, _REDUCED),
     Gap("floating_chain", "path", 6e-3, _REDUCED),
     Gap("floating_chain", "energy", 0.03, _REDUCED),
-    Gap("four_bar_linkage", "rocker", 0.05, _DRIVEN_LOOP),
-    Gap("four_bar_linkage", "opening", 0.018, _DRIVEN_LOOP),
+    Gap("mimic_joints", "driven", 0.3, _DRIVEN),
+    Gap("four_bar_linkage", "rocker", 0.05, _DRIVEN),
+    Gap("four_bar_linkage", "opening", 0.018, _DRIVEN),
 )
 """Of free motion and joints."""
 

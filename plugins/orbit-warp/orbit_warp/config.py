@@ -14,7 +14,7 @@ class WarpConfig(ModelConfig):
     """Settings of the solver, of its buffers, and of the renderer."""
 
     CHOICES: ClassVar = ModelConfig.CHOICES | {
-        "integrator": ("implicitfast", "euler", "rk4"),
+        "integrator": ("implicitfast", "discrete", "euler", "rk4"),
         "algorithm": ("newton", "cg"),
         "overflow": ("error", "count"),
     }
