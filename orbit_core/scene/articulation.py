@@ -123,9 +123,9 @@ class Articulation:
     """Whether links that no joint connects directly may collide with each other."""
     collision_exclusions: tuple[tuple[str, str], ...] = ()
     """Pairs of links that never collide, whatever ``self_collisions`` says."""
-    loops: tuple[LoopJoint, ...] = ()
     notes: tuple[str, ...] = ()
     """What a reader or the catalogue changed against the source, for the build report."""
+    loops: tuple[LoopJoint, ...] = ()
 
     @property
     def root(self) -> Link:
