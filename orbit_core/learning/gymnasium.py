@@ -14,7 +14,8 @@ from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.tasks.environment import Environment, EpisodeEnd, Observation, make
+from orbit_core.tasks.environment import Environment, make
+from orbit_core.tasks.episode import EpisodeEnd, Observation, StepInfo
 from orbit_core.tasks.task import Task
 from orbit_core.viewer.pictures import OverviewCamera
 
@@ -35,7 +36,8 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
 
     Keywords are those of :func:`orbit_core.tasks.make`: backend, device, seed, and the task's own fields. Where an
     episode ended, ``info["final_obs"]`` (N, ...) holds its last observation, ``info["_final_obs"]`` (N,) says where,
-    and ``info["final_info"]`` holds success and metrics.
+    and ``info["final_info"]`` holds success and metrics. On a GPU they are there at every step, since to leave them out
+    would be to wait for the device.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
@@ -66,8 +68,12 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
     ) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Any]]:
         action = torch.as_tensor(actions, dtype=torch.float32, device=self.device)
         observation, reward, terminated, truncated, info = self.environment.step(action)
-        end = info.get("final")
-        return observation, reward, terminated, truncated, {} if end is None else _final(end, observation)
+        if isinstance(info, StepInfo):  # to ask whether an episode ended would be to wait for the device
+            final = _final(info.everyone, info.done)
+        else:
+            end = info.get("final")
+            final = {} if end is None else _final(*_spread(end, self.num_envs))
+        return observation, reward, terminated, truncated, final
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
         if self.render_mode is None:
@@ -137,8 +143,8 @@ def _checked_mode(render_mode: str | None) -> str | None:
     return render_mode
 
 
-def _final(end: EpisodeEnd, observation: Observation) -> dict[str, Any]:
-    count = next(iter(observation.values())).shape[0]
+def _spread(end: EpisodeEnd, count: int) -> tuple[EpisodeEnd, Tensor]:
+    """Ends of some episodes as rows among all environments, and the mask of where."""
     ended = torch.zeros(count, dtype=torch.bool, device=end.env_ids.device)
     ended[end.env_ids] = True
 
@@ -147,11 +153,23 @@ def _final(end: EpisodeEnd, observation: Observation) -> dict[str, Any]:
         full[end.env_ids] = values
         return full
 
-    information: Mapping[str, Tensor] = {"success": end.success, "steps": end.steps, **end.metrics}
+    everyone = EpisodeEnd(
+        env_ids=torch.arange(count, device=end.env_ids.device),
+        observation={name: spread(group) for name, group in end.observation.items()},
+        success=spread(end.success),
+        metrics={name: spread(value) for name, value in end.metrics.items()},
+        rewards={name: spread(value) for name, value in end.rewards.items()},
+        steps=spread(end.steps),
+    )
+    return everyone, ended
+
+
+def _final(everyone: EpisodeEnd, ended: Tensor) -> dict[str, Any]:
+    information: Mapping[str, Tensor] = {"success": everyone.success, "steps": everyone.steps, **everyone.metrics}
     return {
-        "final_obs": {name: spread(group) for name, group in end.observation.items()},
+        "final_obs": everyone.observation,
         "_final_obs": ended,
-        "final_info": {name: spread(value) for name, value in information.items()},
+        "final_info": information,
         "_final_info": ended,
     }
 

@@ -90,6 +90,8 @@ class Tracer(TorchDispatchMode):
         if _decides(func, args):
             self.refusal = f"{func} looks at a tensor's values"
         result = func(*args, **keywords)
+        if _comes_from_host((args, keywords), result):
+            return result  # a constant that Python made: its copy on the device is one too
         self.stages[-1].operations.append(Operation(func, args, keywords, result))
         return result
 
@@ -127,7 +129,7 @@ class Tracer(TorchDispatchMode):
 
 
 class Trace:
-    """A step that was traced, to be run again.
+    """A step that was traced, to be run again. Tensors are told apart by their addresses, while the stages hold them.
 
     Args:
         engine: that was used.
@@ -144,7 +146,6 @@ class Trace:
         build: Callable[[fx.GraphModule, list[Tensor]], Callable[..., Sequence[Tensor]]],
     ) -> None:
         self._engine = engine
-        self._keep = (stages, outputs)  # addresses of tensors are their names, so none may be freed
         memory = _Memory(stages)
         maker = {id(t): number for number, stage in enumerate(stages) for t in _results(stage)}
         wanted: list[dict[int, Tensor]] = [{} for _ in stages]
@@ -311,6 +312,12 @@ def _decides(function: Any, arguments: tuple[Any, ...]) -> bool:
     if function is torch.ops.aten.index.Tensor:
         return any(index is not None and index.dtype == torch.bool for index in arguments[1])
     return any(tag in function.tags for tag in _DECIDING)
+
+
+def _comes_from_host(taken: Any, result: Any) -> bool:
+    tensors = _tensors(taken)
+    on_device = isinstance(result, Tensor) and result.device.type != "cpu"
+    return on_device and bool(tensors) and all(tensor.device.type == "cpu" for tensor in tensors)
 
 
 def _tensors(tree: Any) -> list[Tensor]:
