@@ -33,6 +33,7 @@ from orbit_core.scene import (
     Joint,
     JointType,
     Link,
+    LoopJoint,
     Mesh,
     Mimic,
     PhysicsMaterial,
@@ -88,7 +89,9 @@ class _Reader:
             links += [*between, self._link(body)]
             joints += chain
         self._note_what_is_left()
-        mimics = dict(self._mimics())
+        constraints = self._constraints()
+        connects = [index for index in constraints if self._is_connect(index)]
+        mimics = dict(self._mimic(index) for index in constraints if index not in connects)
         masks, exclusions = self._collisions(bodies)
         return Articulation(
             self.name if self.name != "MuJoCo Model" else self.path.stem,
@@ -98,6 +101,7 @@ class _Reader:
             masks,
             tuple(exclusions),
             tuple(self.notes),
+            tuple(self._loop(index) for index in connects),
         )
 
     def _tree(self) -> tuple[int, list[int]]:
@@ -300,23 +304,46 @@ class _Reader:
             name = f"{name}_site"
         return Frame(name, body, Pose(_vector(model.site_pos[site]), canonical(tuple(model.site_quat[site]))))
 
-    def _mimics(self) -> Iterator[tuple[str, Mimic]]:
+    def _constraints(self) -> list[int]:
+        """Indices of the equality constraints that hold from the beginning."""
+        active = []
+        for index in range(self.model.neq):
+            if self.model.eq_active0[index]:
+                active.append(index)
+            else:
+                self.notes.append(f"constraint '{self._constraint_name(index)}' is inactive at first and left out")
+        return active
+
+    def _constraint_name(self, index: int) -> str:
+        return self.model.equality(index).name or str(index)
+
+    def _is_connect(self, index: int) -> bool:
+        return self.mujoco.mjtEq(self.model.eq_type[index]) == self.mujoco.mjtEq.mjEQ_CONNECT
+
+    def _mimic(self, index: int) -> tuple[str, Mimic]:
+        """The follower's name, and how it follows."""
+        model, kinds = self.model, self.mujoco.mjtEq
+        follower, leader = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+        coefficients = model.eq_data[index, :5]
+        linear = kinds(model.eq_type[index]) == kinds.mjEQ_JOINT and leader >= 0
+        if not linear or np.any(coefficients[2:] != 0):
+            name = self._constraint_name(index)
+            raise AssetError(f"constraint '{name}' of {self.path} is no linear coupling of two joints: remove it")
+        offset, slope = float(coefficients[0]), float(coefficients[1])
+        rest, leader_rest = (float(model.qpos0[model.jnt_qposadr[joint]]) for joint in (follower, leader))
+        mimic = Mimic(self._joint_name(leader), slope, rest + offset - slope * leader_rest)
+        return self._joint_name(follower), mimic
+
+    def _loop(self, index: int) -> LoopJoint:
+        """Of a ``connect`` constraint, given by an anchor on two bodies or by two sites."""
         model = self.model
-        for index in range(model.neq):
-            name = model.equality(index).name or str(index)
-            if not model.eq_active0[index]:
-                self.notes.append(f"constraint '{name}' is inactive at first and left out")
-                continue
-            follower, leader = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-            coefficients = model.eq_data[index, :5]
-            kinds = self.mujoco.mjtEq
-            linear = kinds(model.eq_type[index]) == kinds.mjEQ_JOINT and leader >= 0
-            if not linear or np.any(coefficients[2:] != 0):
-                raise AssetError(f"constraint '{name}' of {self.path} is no linear coupling of two joints: remove it")
-            offset, slope = float(coefficients[0]), float(coefficients[1])
-            rest, leader_rest = (float(model.qpos0[model.jnt_qposadr[joint]]) for joint in (follower, leader))
-            mimic = Mimic(self._joint_name(leader), slope, rest + offset - slope * leader_rest)
-            yield self._joint_name(follower), mimic
+        ends = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+        points = model.eq_data[index, :3], model.eq_data[index, 3:6]
+        if model.eq_objtype[index] == self.mujoco.mjtObj.mjOBJ_SITE:
+            points = model.site_pos[ends[0]], model.site_pos[ends[1]]
+            ends = int(model.site_bodyid[ends[0]]), int(model.site_bodyid[ends[1]])
+        first, second = (self._body_name(body) for body in ends)
+        return LoopJoint(f"loop_{self._constraint_name(index)}", first, second, *map(_vector, points))
 
     def _collisions(self, bodies: list[int]) -> tuple[bool, list[tuple[str, str]]]:
         """Whether any two links may collide, and the pairs that never do although others may."""

@@ -185,6 +185,30 @@ def test_masks_and_exclusions_say_what_collides(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "ends",
+    ['body1="left" body2="right" anchor="0.5 0 0.1"', 'site1="tip" site2="end"'],
+)
+def test_a_connect_closes_a_loop(tmp_path: Path, ends: str) -> None:
+    """Its points meet where the joints' positions close it, given either way."""
+    path = write(
+        tmp_path,
+        '<body name="base"><geom size="0.1"/>'
+        '<body name="left"><joint name="a" axis="0 1 0"/><geom size="0.1"/><site name="tip" pos="0.5 0 0.1"/></body>'
+        '<body name="right" pos="1 0 0" quat="0 0 0 1"><joint name="b" axis="0 1 0"/><geom size="0.1"/>'
+        '<site name="end" pos="0.5 0 0.1"/></body></body>',
+        f'<equality><connect name="knee" {ends}/></equality>',
+    )
+    got = read_mjcf(path)
+    (loop,) = got.loops
+    assert (loop.first, loop.second) == ("left", "right")
+    for angle, apart in ((0.0, 0.0), (0.3, 2 * abs(0.5 - 0.5 * np.cos(0.3) - 0.1 * np.sin(0.3)))):
+        poses = link_poses(got, {"a": angle, "b": angle})
+        ends_of_loop = ((loop.first, loop.first_point), (loop.second, loop.second_point))
+        points = [poses[name] @ (*point, 1.0) for name, point in ends_of_loop]
+        assert np.linalg.norm(points[0] - points[1]) == pytest.approx(apart, abs=1e-9)
+
+
+@pytest.mark.parametrize(
     ("body", "rest", "message"),
     [
         ('<body name="b"><joint name="j" type="ball"/><geom size="1"/></body>', "", "'j' of .* is a ball joint"),
@@ -193,8 +217,8 @@ def test_masks_and_exclusions_say_what_collides(tmp_path: Path) -> None:
         ("<nonsense/>", "", "does not compile"),
         (
             '<body name="b"><geom size="1"/><body name="c"><joint/><geom size="1"/></body></body>',
-            '<equality><connect name="loop" body1="b" body2="c" anchor="0 0 0"/></equality>',
-            "constraint 'loop' of .* is no linear coupling",
+            '<equality><weld name="glue" body1="b" body2="c"/></equality>',
+            "constraint 'glue' of .* is no linear coupling",
         ),
     ],
 )
