@@ -36,7 +36,10 @@ CAPABILITIES = Capabilities(
             "exact where no drive acts on the joint; elsewhere a damper that saturates, so that a held joint creeps"
         ),
         Capability.ARMATURE: EXACT,
-        Capability.MIMIC_JOINTS: approximate("the coupling is a stiff spring: it gives way slightly under load"),
+        Capability.MIMIC_JOINTS: approximate(
+            "the coupling is a stiff spring: it gives way slightly under load, and loads joints between leader and "
+            "follower that are not parallel to them"
+        ),
         Capability.LOOP_JOINTS: EXACT,
         Capability.SELF_COLLISIONS: EXACT,
         Capability.GRAVITY_COMPENSATION: EXACT,
