@@ -49,9 +49,7 @@ CAPABILITIES = Capabilities(
         Capability.RANDOMIZE_FRICTION: EXACT,
         Capability.RANDOMIZE_GAINS: EXACT,
         Capability.RANDOMIZE_GRAVITY: EXACT,
-        Capability.SHAPES_PER_ENVIRONMENT: unsupported(
-            "MuJoCo's batch takes another model per environment only without randomised parameters"
-        ),
+        Capability.SHAPES_PER_ENVIRONMENT: EXACT,
         Capability.SNAPSHOTS: EXACT,
         Capability.DETERMINISTIC: EXACT,
         Capability.RGB: EXACT,

@@ -42,13 +42,15 @@ class MujocoEngine(Engine):
 
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: MujocoConfig) -> None:
         super().__init__(layout, num_envs, device)
-        (built,) = build_models(layout, config)
+        kinds = build_models(layout, config)
+        built = kinds[0]
         # Warnings come as SimulationError; MuJoCo would write them to the terminal and to a file as well.
         mujoco.set_mju_user_warning(_ignore)
-        self._model, self._addresses, self._report = built.model, built.addresses, built.report
+        self._model, self._addresses = built.model, built.addresses
+        self._report = tuple(dict.fromkeys(line for kind in kinds for line in kind.report))
         self._batch = mujoco.batch.Batch(built.model, num_envs, config.threads, persistent=True)
         self._state = State(self._batch, built.addresses)
-        self._parameters = Parameters(self._batch, built.addresses)
+        self._parameters = Parameters(self._batch, built.addresses, [kind.model for kind in kinds])
         self._sensordata = self._batch.bind("sensordata")
         self._contacts = ContactMeter(layout, self._sensordata)
         self._wrenches = WrenchMeter(layout, self._sensordata)

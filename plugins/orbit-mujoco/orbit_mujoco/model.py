@@ -19,9 +19,11 @@ def build_models(layout: SceneLayout, config: MujocoConfig) -> tuple[model.Built
     Raises:
         AssetError: MuJoCo refuses the description; says why.
     """
-    never_put_back = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a diverged environment must be seen
+    disabled = mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a diverged environment must be seen, not put back
+    if len(layout.variants) > 1:
+        disabled |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # trees of bounds would be one kind's for all
     built = model.build_models(
-        layout, config, solver=config.solver, disabled=never_put_back, add_sensors=add_contact_sensors
+        layout, config, solver=config.solver, disabled=int(disabled), add_sensors=add_contact_sensors
     )
     for one in built:
         one.model.geom_contype[one.absent] = one.model.geom_conaffinity[one.absent] = 0

@@ -9,10 +9,12 @@ computed anew, once, before they are next needed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from mujoco.batch import Batch
+from mujoco.batch import MODEL_FIELDS, Batch
 
 from orbit_mjmodel.addresses import Addresses
 from orbit_mujoco.state import FloatArray, Rows, block
@@ -23,13 +25,16 @@ Indices = npt.NDArray[np.int64]
 class Parameters:
     """Sets and remembers the per-environment fields of the model."""
 
-    def __init__(self, batch: Batch, addresses: Addresses) -> None:
+    def __init__(self, batch: Batch, addresses: Addresses, kinds: Sequence[mujoco.MjModel]) -> None:
+        """Give environment i the values of the kind of index i modulo their number."""
         self._batch = batch
         self._model: mujoco.MjModel = batch.model
         self._addresses = addresses
         self._fields: dict[str, npt.NDArray] = {}
         self._nominal: dict[str, npt.NDArray] = {}
         self._constants_due = np.zeros(batch.nsim, dtype=bool)
+        for name in MODEL_FIELDS if len(kinds) > 1 else ():
+            self._vary(name, kinds)
         self.stiffness: FloatArray = -self._model.actuator_biasprm[:, 1]
         """(J,) or (N, J) of the drives."""
         self.damping: FloatArray = -self._model.actuator_biasprm[:, 2]
@@ -44,9 +49,10 @@ class Parameters:
     def set_masses(self, links: Indices, masses: FloatArray, rows: Rows) -> None:
         bodies = self._addresses.bodies[links]
         index = block(rows, bodies)
-        scale = masses / self._model.body_mass[bodies]
-        self._field("body_mass")[index] = masses
-        self._field("body_inertia")[index] = self._model.body_inertia[bodies] * scale[..., None]
+        mass, inertia = self._field("body_mass"), self._field("body_inertia")
+        scale = masses / self._nominal["body_mass"][index]
+        mass[index] = masses
+        inertia[index] = self._nominal["body_inertia"][index] * scale[..., None]
         self._constants_due[rows] = True
 
     def set_centers_of_mass(self, links: Indices, centers: FloatArray, rows: Rows) -> None:
@@ -86,8 +92,17 @@ class Parameters:
     def _field(self, name: str) -> npt.NDArray:
         if name not in self._fields:
             self._fields[name] = self._batch.expand(name)
-            self._nominal[name] = self._fields[name][0].copy()
+            self._nominal[name] = self._fields[name].copy()
         return self._fields[name]
+
+    def _vary(self, name: str, kinds: Sequence[mujoco.MjModel]) -> None:
+        """Set a field in which kinds differ; in the options, whose names have a dot, they do not."""
+        values = [np.asarray(getattr(kind, name, 0.0)) for kind in kinds]
+        if any(not np.array_equal(value, values[0]) for value in values):
+            field = self._batch.expand(name)
+            chosen = np.stack(values)[np.arange(len(field)) % len(kinds)]
+            field[...] = chosen[:, : field.shape[1]].reshape(field.shape)
+            self._fields[name], self._nominal[name] = field, field.copy()
 
     def _read_gains(self) -> None:
         bias = self._fields["actuator_biasprm"]

@@ -26,12 +26,12 @@ from orbit_core.interfaces import (
     albedo_table,
 )
 from orbit_core.scene import CameraSpec, Channel
-from orbit_mjmodel.looks import SUN
+from orbit_mjmodel.looks import SUN, all_variants
 from orbit_mujoco.config import MujocoConfig
 from orbit_mujoco.renderer_context import create_context
 from orbit_mujoco.renderer_markers import MAX_GEOMS, add_markers
 from orbit_mujoco.renderer_model import build_model, quaternion_matrix, shape_count
-from orbit_mujoco.renderer_rays import trace
+from orbit_mujoco.renderer_rays import HIDDEN_GROUP, trace
 
 _COLOR_FLAGS = (mujoco.mjtRndFlag.mjRND_SKYBOX, mujoco.mjtRndFlag.mjRND_CULL_FACE)
 _ID_FLAGS = (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR, mujoco.mjtRndFlag.mjRND_CULL_FACE)
@@ -58,6 +58,7 @@ class MujocoRenderer(Renderer):
         Raises:
             ConfigurationError: no OpenGL works here; says what to install.
         """
+        layout, self._shown = all_variants(layout)
         self._layout = layout
         self._size = (max((c.width for c in cameras), default=1), max((c.height for c in cameras), default=1))
         self._far = max((camera.far for camera in cameras), default=1.0)
@@ -81,8 +82,7 @@ class MujocoRenderer(Renderer):
         self._scene = mujoco.MjvScene(self._model, maxgeom=max(capacity, 1))
         self._option = mujoco.MjvOption()
         self._view = mujoco.MjvCamera()
-        self._update_scene()
-        self._geom_of_code = self._codes()
+        self._geoms_of_codes = [self._codes(kind) for kind in range(len(self._shown))]
         self._closed = False
         _open_renderers.add(self)
         # Registered after EGL's own farewell, this runs before it.
@@ -103,7 +103,8 @@ class MujocoRenderer(Renderer):
         segmented = not wanted.isdisjoint((Channel.INSTANCE, Channel.SEMANTIC))
         named = segmented or Channel.ALBEDO in wanted
         colored = Channel.RGB in wanted
-        scene = (camera, _numpy(camera_poses), _numpy(link_poses))
+        rows = np.arange(len(link_poses)) if env_ids is None else env_ids.cpu().numpy()
+        scene = (camera, _numpy(camera_poses), _numpy(link_poses), rows % len(self._shown))
         rgb = depth = normals = links = albedo = None
         if Channel.NORMALS in wanted:
             depth, links, albedo, normals = self._trace(*scene)
@@ -132,36 +133,41 @@ class MujocoRenderer(Renderer):
 
     # Kinds of pictures, (n, H, W, channels) --------------------------------------------------------------------------
 
-    def _trace(self, camera: CameraSpec, cameras: _Array, links: _Array) -> tuple[_Array, _Array, _Array, _Array]:
+    def _trace(
+        self, camera: CameraSpec, cameras: _Array, links: _Array, kinds: _Array
+    ) -> tuple[_Array, _Array, _Array, _Array]:
         shape = (len(cameras), camera.height, camera.width)
         depth, normals = np.empty((*shape, 1), np.float32), np.empty((*shape, 3), np.float32)
         geoms = np.empty((*shape, 1), np.int32)
         for i, pose in enumerate(cameras):
-            self._place(links[i])
+            self._place(links[i], kinds[i])
             trace(self._model, self._data, camera, pose, depth[i], normals[i], geoms[i])
         return depth, *self._looks(geoms[..., 0] + 1), normals
 
-    def _draw_ids(self, camera: CameraSpec, cameras: _Array, links: _Array) -> tuple[_Array, _Array, _Array]:
+    def _draw_ids(
+        self, camera: CameraSpec, cameras: _Array, links: _Array, kinds: _Array
+    ) -> tuple[_Array, _Array, _Array]:
         colors, heights = self._canvas(camera, len(cameras))
         for i, pose in enumerate(cameras):
-            self._place(links[i])
+            self._place(links[i], kinds[i])
             self._aim(camera, pose)
             self._draw(camera, _ID_FLAGS, colors[i], heights[i])
         # An id is spread over the three colours; OpenGL's rows count from below.
         codes = colors[:, ::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
-        return _metric_depth(heights, camera), *self._looks(self._geom_of_code[codes])
+        geoms = [self._geoms_of_codes[kind][code] for kind, code in zip(kinds, codes, strict=True)]
+        return _metric_depth(heights, camera), *self._looks(np.array(geoms).reshape(codes.shape))
 
     def _looks(self, geoms: _Array) -> tuple[_Array, _Array]:
         """Links and albedo of geoms (n, H, W) that count from one."""
         return self._link_of_geom[geoms][..., None], self._albedo_of_geom[geoms]
 
     def _draw_colors(
-        self, camera: CameraSpec, cameras: _Array, links: _Array, markers: _Array | None
+        self, camera: CameraSpec, cameras: _Array, links: _Array, kinds: _Array, markers: _Array | None
     ) -> tuple[_Array, _Array]:
         flags = _COLOR_FLAGS + ((mujoco.mjtRndFlag.mjRND_SHADOW,) if self._shadows else ())
         colors, heights = self._canvas(camera, len(cameras))
         for i, pose in enumerate(cameras):
-            self._place(links[i])
+            self._place(links[i], kinds[i])
             self._aim(camera, pose)
             if markers is not None:
                 add_markers(self._scene, self._layout.scene.markers, markers[i])
@@ -170,10 +176,14 @@ class MujocoRenderer(Renderer):
 
     # One environment -------------------------------------------------------------------------------------------------
 
-    def _place(self, links: _Array) -> None:
+    def _place(self, links: _Array, kind: int) -> None:
+        self._show(kind)
         self._data.mocap_pos[:] = links[:, :3]
         self._data.mocap_quat[:] = links[:, 3:]
         mujoco.mj_kinematics(self._model, self._data)
+
+    def _show(self, kind: int) -> None:
+        self._model.geom_group = np.where(self._shown[kind], 0, HIDDEN_GROUP)
 
     def _aim(self, camera: CameraSpec, pose: _Array) -> None:
         self._update_scene()
@@ -208,8 +218,10 @@ class MujocoRenderer(Renderer):
         shape = (count, camera.height, camera.width)
         return np.empty((*shape, 3), np.uint8), np.empty(shape, np.float32)
 
-    def _codes(self) -> npt.NDArray[np.int32]:
-        """The geom's index plus one of each number in an id picture; zero stands for nothing."""
+    def _codes(self, kind: int) -> npt.NDArray[np.int32]:
+        """The geom's index plus one of each number in an id picture of a kind; zero stands for nothing."""
+        self._show(kind)
+        self._update_scene()
         geoms = np.zeros(self._scene.ngeom + 1, np.int32)
         for geom in self._scene.geoms[: self._scene.ngeom]:
             geoms[geom.segid + 1] = geom.objid + 1

@@ -16,6 +16,9 @@ from orbit_core.scene import CameraSpec
 from orbit_mujoco.renderer_model import quaternion_matrix
 
 _Array = npt.NDArray[Any]
+HIDDEN_GROUP = 5
+"""Of geoms, which is not drawn."""
+_SEEN_GROUPS = np.array([group < HIDDEN_GROUP for group in range(6)], dtype=np.uint8)
 
 
 def trace(
@@ -42,7 +45,7 @@ def trace(
         data,
         pose[:3],
         directions.ravel(),
-        None,
+        _SEEN_GROUPS,
         True,
         -1,
         hit_geoms,
