@@ -28,6 +28,7 @@ def main() -> None:
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--steps", type=int, default=200, help="environment steps of a block")
     parser.add_argument("--blocks", type=int, default=5)
+    parser.add_argument("--compile", action="store_true", help="compile the layer's part of the step, with Triton")
     parser.add_argument("--setting", action="append", default=[], help="of WarpConfig, as name=JSON")
     parser.add_argument("--profile", help="write a trace of ten steps here, and print the kernels that cost most")
     arguments = parser.parse_args()
@@ -41,7 +42,13 @@ def measure(arguments: argparse.Namespace, num_envs: int) -> dict[str, object]:
     fields = {"action": arguments.action} if arguments.action else {}
     begun = time.perf_counter()
     environment = make(
-        arguments.task, num_envs=num_envs, backend="warp", device=arguments.device, settings=settings, **fields
+        arguments.task,
+        num_envs=num_envs,
+        backend="warp",
+        device=arguments.device,
+        settings=settings,
+        compile=arguments.compile,
+        **fields,
     )
     made = time.perf_counter() - begun
     environment.reset(seed=0)
@@ -50,22 +57,26 @@ def measure(arguments: argparse.Namespace, num_envs: int) -> dict[str, object]:
     environment.step(actions[0])
     _wait(environment)
     first = time.perf_counter() - begun
-    for action in actions:
+    for action in actions:  # traces, compiles and records
         environment.step(action)
+    _wait(environment)
+    ready = time.perf_counter() - begun
     engine, decimation = environment.world.engine, environment.task.decimation
     (raw,) = raw_steppers(engine).values()  # pyright: ignore[reportArgumentType]
     raw.synchronize()
     command = raw.command()
     raw.step(command, decimation)
-    whole, alone = [], []
+    whole, alone, free = [], [], []
     for _ in range(arguments.blocks):
         raw.synchronize()
         whole.append(_timed(environment, lambda k: environment.step(actions[k % 16]), arguments.steps))
         alone.append(_timed(environment, lambda _: raw.step(command, decimation), arguments.steps))
+        free.append(torch.cuda.mem_get_info()[0] // 2**20 if environment.device.type == "cuda" else None)
     if arguments.profile:
         _profile(environment, actions, arguments.profile)
     result = {
         "task": arguments.task,
+        "compile": arguments.compile,
         "num_envs": num_envs,
         "device": torch.cuda.get_device_name() if environment.device.type == "cuda" else "cpu",
         "env_steps_per_s": round(num_envs / statistics.median(whole)),
@@ -74,7 +85,8 @@ def measure(arguments: argparse.Namespace, num_envs: int) -> dict[str, object]:
         "spread": [round(max(times) / min(times), 3) for times in (whole, alone)],
         "made_s": round(made, 1),
         "first_step_s": round(first, 1),
-        "device_memory_free_MiB": torch.cuda.mem_get_info()[0] // 2**20 if environment.device.type == "cuda" else None,
+        "ready_s": round(ready, 1),
+        "device_memory_free_MiB": free,
         "buffers": str(engine.buffer_sizes),  # pyright: ignore[reportAttributeAccessIssue]
         "peaks": str(engine.buffer_peaks),  # pyright: ignore[reportAttributeAccessIssue]
         "overflows": engine.overflows,  # pyright: ignore[reportAttributeAccessIssue]

@@ -1,12 +1,15 @@
 #!/usr/bin/env bash
 # Measures the backend on a GPU, from the repository's root:  bash plugins/orbit-warp/gpu/measure.sh STAGE ...
-#   smoke    one size of Lift, small: does everything run?       about 2 minutes with a cold kernel cache
-#   tests    the contract's suite on the GPU                     about 4 minutes
-#   bench    the tasks at 4,096 environments and Lift at 16,384  about 4 minutes
-#   profile  kernels and gaps of a step of Lift                  about 1 minute
-#   experts  each task's expert, 256 environments                about 3 minutes
-#   soak     16,384 environments of Lift, 10,000 random steps    about 4 minutes
-#   ranks    one world on each of the machine's GPUs             about 2 minutes
+#   smoke     one size of Lift, small: does everything run?        about 2 minutes with a cold kernel cache
+#   closed    a recorded step is the step, and waits for nothing   about 3 minutes
+#   tests1, tests2, tests3   the contract's suite, a third each    about 2 minutes each
+#   bench     Lift at 4,096 and 16,384 environments                about 2 minutes
+#   tasks     Reach, Cabinet and Velocity-Flat at 4,096            about 3 minutes
+#   compiled  Lift at both sizes, compiled; needs Triton           about 3 minutes
+#   profile   kernels and gaps of a step of Lift                   about 1 minute
+#   experts   each task's expert, 256 environments                 about 3 minutes
+#   soak      16,384 environments of Lift, 10,000 random steps     about 4 minutes
+#   ranks     one world on each of the machine's GPUs              about 2 minutes
 # Logs go to $OUT, or to out/gpu where that is unset.
 set -u
 source "$(dirname "$0")/setup.sh"
@@ -14,17 +17,29 @@ out=${OUT:-out/gpu}; mkdir -p "$out"
 here=plugins/orbit-warp/gpu
 nvidia-smi --query-gpu=name,driver_version,memory.total --format=csv,noheader
 
+bench() {  # TASK SIZES [OPTION ...]
+  local task=$1 sizes=$2; shift 2
+  python3 $here/bench.py --task "$task" --num-envs $sizes "$@"
+}
+
+contract() {  # THIRD: every third file of the suite, beginning with that one
+  local files=(tests/conformance/test_*.py) chosen=() i
+  for ((i = $1 - 1; i < ${#files[@]}; i += 3)); do chosen+=("${files[i]}"); done
+  python3 -m pytest -q -p no:cacheprovider -rfE "${chosen[@]}" --device cuda --junit-xml "$out/tests$1.xml" \
+    -k "warp and not images and not expert and not trot"
+}
+
 stage() {
   case $1 in
-    smoke) python3 $here/bench.py --task Lift --action ik_relative --num-envs 256 --steps 50 --blocks 2 ;;
-    tests) python3 -m pytest -q -p no:cacheprovider -rfE --maxfail=30 tests/conformance --device cuda \
-             -k "warp and not images and not expert and not trot" ;;
-    bench)
-      python3 $here/bench.py --task Lift --action ik_relative --num-envs 4096 16384
-      for task in Reach Cabinet Velocity-Flat; do python3 $here/bench.py --task $task --num-envs 4096; done ;;
-    profile) python3 $here/bench.py --task Lift --action ik_relative --num-envs 4096 --profile "$out/step.json" ;;
+    smoke) bench Lift 256 --action ik_relative --steps 50 --blocks 2 ;;
+    closed) python3 -m pytest -q -p no:cacheprovider -rfEs plugins/orbit-warp/tests/test_warp_gpu.py ;;
+    tests[123]) contract "${1#tests}" ;;
+    bench) bench Lift "4096 16384" --action ik_relative ;;
+    tasks) for task in Reach Cabinet Velocity-Flat; do bench $task 4096 || return 1; done ;;
+    compiled) bench Lift "4096 16384" --action ik_relative --compile ;;
+    profile) bench Lift 4096 --action ik_relative --profile "$out/step.json" ;;
     experts) python3 $here/experts.py --num-envs 256 ;;
-    soak) python3 $here/bench.py --task Lift --action ik_relative --num-envs 16384 --steps 2000 --blocks 5 ;;
+    soak) bench Lift 16384 --action ik_relative --steps 2000 --blocks 5 ;;
     ranks) python3 -m torch.distributed.run --nproc-per-node "$(nvidia-smi -L | wc -l)" $here/ranks.py ;;
     *) echo "no stage '$1'"; return 2 ;;
   esac

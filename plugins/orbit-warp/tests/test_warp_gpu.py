@@ -1,0 +1,73 @@
+"""On a GPU a step is one graph: it does what its operations do, and nothing in it waits for the device."""
+
+from __future__ import annotations
+
+import warnings
+
+import pytest
+import torch
+
+from orbit_core.tasks import make
+from orbit_core.tasks.environment import Environment
+from orbit_core.tasks.episode import StepInfo
+
+TASKS = ["Lift", "Reach", "Cabinet", "Velocity-Flat"]
+WARM = 6
+"""Steps: as it is, traced, run, recorded, and two replays."""
+
+pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs the capability of a GPU")
+
+
+def environment_of(task: str, compile: bool = False) -> Environment:
+    settings = {"deterministic": True}
+    return make(task, 64, "warp", device="cuda", seed=3, episode_length=0.4, settings=settings, compile=compile)
+
+
+def actions_of(environment: Environment, steps: int) -> list[torch.Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    shape = (steps, environment.num_envs, environment.action_size)
+    return list((2.0 * torch.rand(shape, generator=generator) - 1.0).cuda())
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_recorded_step_is_the_same_step(task: str) -> None:
+    plain, other = environment_of(task), environment_of(task)
+    plain._closed = None
+    for environment in (plain, other):
+        environment.reset(seed=3)
+        environment.task.episode_step[:] = torch.arange(64, device="cuda") % 7
+    ends = 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # that the step could not be recorded is one
+        for action in actions_of(plain, 45):
+            mine, its = plain.step(action), other.step(action)
+            torch.testing.assert_close(its[0]["policy"], mine[0]["policy"], rtol=1e-4, atol=1e-4)
+            torch.testing.assert_close(its[1], mine[1], rtol=1e-4, atol=1e-4)
+            assert torch.equal(its[2], mine[2])
+            assert torch.equal(its[3], mine[3])
+            assert ("final" in its[4]) == ("final" in mine[4])
+            if "final" in mine[4]:
+                ends += len(mine[4]["final"].env_ids)
+                assert torch.equal(its[4]["final"].env_ids, mine[4]["final"].env_ids)
+                assert torch.equal(its[4]["final"].steps, mine[4]["final"].steps)
+    assert ends >= 64
+    plain.close(), other.close()
+
+
+@pytest.mark.parametrize("compile", [False, True])
+@pytest.mark.parametrize("task", TASKS)
+def test_nothing_in_a_step_waits(task: str, compile: bool) -> None:
+    if compile:
+        pytest.importorskip("triton")
+    environment = environment_of(task, compile)
+    actions = actions_of(environment, WARM + 30)
+    for action in actions[:WARM]:
+        environment.step(action)
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        infos = [environment.step(action)[4] for action in actions[WARM:]]
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    assert all(isinstance(info, StepInfo) for info in infos)
+    assert sum(len(info["final"].env_ids) for info in infos if "final" in info) >= 64
+    environment.close()
