@@ -59,9 +59,10 @@ def poses(*places: Pose) -> Tensor:
 
 
 @pytest.fixture
-def draw(backend: Backend) -> Iterator[Draw]:
+def draw(backend: Backend, request: pytest.FixtureRequest) -> Iterator[Draw]:
     """``draw(objects, terrain, camera, channels, link_poses)``: pictures of environments with those poses (n, L, 7)."""
     made: list[Renderer] = []
+    device = torch.device(str(request.config.getoption("--device", "cpu")))
 
     def picture(
         objects: tuple[ObjectSpec, ...],
@@ -77,7 +78,8 @@ def draw(backend: Backend) -> Iterator[Draw]:
         layout = SceneLayout.of(Scene(objects=objects, terrain=terrain, sensors=(camera,)))
         made.append(backend.create_renderer(layout, (camera,), backends.backend_config(backend)))
         camera_poses = poses(camera.pose).expand(len(link_poses), -1)
-        return made[-1].render(camera, camera_poses, link_poses, channels)
+        image = made[-1].render(camera, camera_poses.to(device), link_poses.to(device), channels)
+        return Image(**{name: None if values is None else values.cpu() for name, values in vars(image).items()})
 
     yield picture
     for renderer in made:

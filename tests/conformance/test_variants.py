@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import pytest
@@ -15,6 +16,7 @@ from orbit_core.world import SimulatedWorld
 
 from .conftest import Needs
 
+MakeWorld = Callable[[Scene, int], SimulatedWorld]
 G = 9.81
 RED, GREEN, BLUE, WHITE = ((1.0, 0, 0, 1), (0, 1.0, 0, 1), (0, 0, 1.0, 1), (1.0, 1, 1, 1))
 HEIGHTS = (0.05, 0.1, 0.03, 0.02)
@@ -33,92 +35,102 @@ def thing(height: float = 0.12) -> ObjectSpec:
     return replace(choices[0], variants=tuple(choice.articulation for choice in choices[1:]))
 
 
+@pytest.fixture
+def make_world(backend: Backend, request: pytest.FixtureRequest) -> Iterator[MakeWorld]:
+    """``make_world(scene, num_envs)`` on the device of ``--device``; closed after the test."""
+    made: list[SimulatedWorld] = []
+
+    def make(scene: Scene, num_envs: int) -> SimulatedWorld:
+        made.append(SimulatedWorld(scene, num_envs, backend.name, device=str(request.config.getoption("--device"))))
+        return made[-1]
+
+    yield make
+    for world in made:
+        world.close()
+
+
 @pytest.fixture(autouse=True)
 def _(needs: Needs) -> None:
     needs(Capability.SHAPES_PER_ENVIRONMENT)
 
 
-def test_each_rests_on_its_own_shape_with_its_own_weight(backend: Backend) -> None:
+def test_each_rests_on_its_own_shape_with_its_own_weight(make_world: MakeWorld) -> None:
     scene = Scene(objects=(thing(),), sensors=(ContactSensorSpec(name="touch", entity="thing"),))
-    world = SimulatedWorld(scene, 6, backend.name)
+    world = make_world(scene, 6)
     world.step(200)
     kinds = [i % 4 for i in range(6)]
-    heights = world.objects["thing"].root_pose[:, 2]
+    heights = world.objects["thing"].root_pose[:, 2].cpu()
     torch.testing.assert_close(heights, torch.tensor([HEIGHTS[k] for k in kinds]), atol=1e-3, rtol=0)
     weights = torch.tensor([MASSES[k] * G for k in kinds])
-    torch.testing.assert_close(world.sensors["touch"].forces[:, 0, 2], weights, rtol=0.01, atol=0)
-    world.close()
+    torch.testing.assert_close(world.sensors["touch"].forces[:, 0, 2].cpu(), weights, rtol=0.01, atol=0)
 
 
-def test_two_such_objects_vary_independently(backend: Backend) -> None:
+def test_two_such_objects_vary_independently(make_world: MakeWorld) -> None:
     other = replace(
         box("other", (0.1, 0.1, 0.3), mass=1.0, pose=Pose((1.0, 0, 0.2))),
         variants=(box("other", (0.1, 0.1, 0.2), mass=1.0).articulation, sphere("other", 0.2, mass=1.0).articulation),
     )
     pair = replace(thing(), variants=thing().variants[:1])
-    world = SimulatedWorld(Scene(objects=(pair, other)), 7, backend.name)
+    world = make_world(Scene(objects=(pair, other)), 7)
     world.step(200)
     expected = torch.tensor([[HEIGHTS[i % 2], (0.15, 0.1, 0.2)[i % 3]] for i in range(7)])
-    torch.testing.assert_close(world.engine.link_poses[:, :, 2], expected, atol=2e-3, rtol=0)
-    world.close()
+    torch.testing.assert_close(world.engine.link_poses[:, :, 2].cpu(), expected, atol=2e-3, rtol=0)
 
 
-def test_things_on_them_rest_on_the_shape_that_is_there(backend: Backend) -> None:
+def test_things_on_them_rest_on_the_shape_that_is_there(make_world: MakeWorld) -> None:
     """A cube upon a fixed block of two heights, and none where the ball is too small to reach it."""
     block = replace(
         box("block", (0.4, 0.4, 0.2), fixed_base=True),
         variants=(box("block", (0.4, 0.4, 0.6)).articulation, sphere("block", 0.01).articulation),
     )
-    world = SimulatedWorld(Scene(objects=(block, cube(pose=Pose((0.02, 0.01, 0.37))))), 3, backend.name)
+    world = make_world(Scene(objects=(block, cube(pose=Pose((0.02, 0.01, 0.37))))), 3)
     world.step(300)
     half = float(cube().articulation.root.collisions[0].geometry.half_extents[2])
-    heights = world.engine.link_poses[:, 1, 2]
+    heights = world.engine.link_poses[:, 1, 2].cpu()
     assert heights[0] == pytest.approx(0.1 + half, abs=2e-3)
     assert heights[1] == pytest.approx(0.3 + half, abs=2e-3)
     assert heights[2] < 0.1
-    world.close()
 
 
-def test_meshes_may_differ(backend: Backend, needs: Needs) -> None:
+def test_meshes_may_differ(make_world: MakeWorld, needs: Needs) -> None:
     needs(Capability.CONVEX_MESHES)
     low, high = (mesh_of_box(height) for height in (0.1, 0.3))
     choices = [mesh_object("thing", mesh, mass=1.0, pose=Pose((0, 0, 0.2))) for mesh in (low, high)]
     shared = replace(choices[0], variants=(choices[1].articulation, sphere("thing", 0.07, mass=1.0).articulation))
-    world = SimulatedWorld(Scene(objects=(shared,)), 3, backend.name)
+    world = make_world(Scene(objects=(shared,)), 3)
     world.step(200)
-    heights = world.objects["thing"].root_pose[:, 2]
+    heights = world.objects["thing"].root_pose[:, 2].cpu()
     torch.testing.assert_close(heights, torch.tensor([0.05, 0.15, 0.07]), atol=1.5e-3, rtol=0)
-    world.close()
 
 
-def test_masses_and_snapshots_are_each_environments_own(backend: Backend, needs: Needs) -> None:
+def test_masses_and_snapshots_are_each_environments_own(make_world: MakeWorld, needs: Needs) -> None:
     needs(Capability.RANDOMIZE_MASS, Capability.SNAPSHOTS)
     scene = Scene(objects=(thing(),), sensors=(ContactSensorSpec(name="touch", entity="thing"),))
-    world = SimulatedWorld(scene, 4, backend.name)
+    world = make_world(scene, 4)
     saved = world.save_state()
-    world.engine.set_masses(torch.tensor([0]), torch.tensor([[3.0]]), torch.tensor([2]))
+    link, mass, env = (torch.tensor(value, device=world.device) for value in ([0], [[3.0]], [2]))
+    world.engine.set_masses(link, mass, env)
     world.step(200)
     expected = G * torch.tensor([MASSES[0], MASSES[1], 3.0, MASSES[3]])
-    torch.testing.assert_close(world.sensors["touch"].forces[:, 0, 2], expected, rtol=0.01, atol=0)
+    torch.testing.assert_close(world.sensors["touch"].forces[:, 0, 2].cpu(), expected, rtol=0.01, atol=0)
     world.load_state(saved)
     world.step(200)
-    torch.testing.assert_close(world.sensors["touch"].forces[:, 0, 2], G * torch.tensor(MASSES), rtol=0.01, atol=0)
-    world.close()
+    torch.testing.assert_close(
+        world.sensors["touch"].forces[:, 0, 2].cpu(), G * torch.tensor(MASSES), rtol=0.01, atol=0
+    )
 
 
-def test_a_camera_sees_each_environments_own(backend: Backend, needs: Needs) -> None:
+def test_a_camera_sees_each_environments_own(make_world: MakeWorld, needs: Needs) -> None:
     needs(Capability.ALBEDO, Capability.SEGMENTATION)
     camera = CameraSpec(
         name="camera", width=48, height=48, pose=look_at((0.5, 0.3, 0.4), (0, 0, 0.05)),
         channels=(Channel.ALBEDO, Channel.INSTANCE),
     )  # fmt: skip
-    world = SimulatedWorld(Scene(objects=(thing(),), sensors=(camera,)), 5, backend.name)
+    world = make_world(Scene(objects=(thing(),), sensors=(camera,)), 5)
     world.step(1)
-    some = torch.tensor([3, 1])
-    image = world.renderer.render(
-        camera, torch.tensor([(*camera.pose.position, *camera.pose.orientation)]).expand(2, -1),
-        world.link_poses[some], camera.channels, env_ids=some,
-    )  # fmt: skip
+    some = torch.tensor([3, 1], device=world.device)
+    eye = torch.tensor([(*camera.pose.position, *camera.pose.orientation)], device=world.device).expand(2, -1)
+    image = world.renderer.render(camera, eye, world.link_poses[some], camera.channels, env_ids=some)
     pictures = world.sensors["camera"].images
     seen = [(pictures[Channel.ALBEDO][i], pictures[Channel.INSTANCE][i], i % 4) for i in range(5)]
     seen += [(image.albedo[row], image.links[row], int(env)) for row, env in enumerate(some)]
@@ -128,10 +140,9 @@ def test_a_camera_sees_each_environments_own(backend: Backend, needs: Needs) -> 
         sizes.append(int(mine.sum()))
         assert mine.any()
         color = torch.tensor((RED, GREEN, BLUE, WHITE)[kind][:3]) * 255
-        assert (albedo[mine].float() - color).abs().max() < 2
+        assert (albedo[mine].cpu().float() - color).abs().max() < 2
     assert sizes[1] > sizes[0] > sizes[2]
     assert sizes[5:] == [sizes[3], sizes[1]]
-    world.close()
 
 
 def mesh_of_box(height: float) -> Mesh:
