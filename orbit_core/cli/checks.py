@@ -26,3 +26,9 @@ def check_positive(name: str, value: int) -> None:
     """Refuse a number below one."""
     if value < 1:
         raise ConfigurationError(f"{name} must be at least 1, not {value}")
+
+
+def check_size(name: str, size: tuple[int, ...]) -> None:
+    """Refuse what is no width and height; a file's list may have any length."""
+    if len(size) != 2:
+        raise ConfigurationError(f"{name} must be a width and a height, not {list(size)}")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from orbit_core import __version__
 from orbit_core.backends import renderer
 from orbit_core.cli.acting import check_actor, make_actor
-from orbit_core.cli.checks import check_output, check_positive
+from orbit_core.cli.checks import check_output, check_positive, check_size
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.settings import RunSettings
 
@@ -136,6 +136,7 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
     check_positive("episodes", settings.episodes)
     check_output(settings.json, ".json")
     check_output(settings.video, ".mp4")
+    check_size("video_size", settings.video_size)
     start = time.perf_counter()
     environment = make_environment(settings, settings.num_envs)
     try:
@@ -189,7 +190,8 @@ def _recording(environment: Environment, settings: RunSettings) -> Iterator[Vide
         return
     from orbit_core.viewer.video import VideoRecorder
 
-    recorder = VideoRecorder(environment, settings.video)
+    width, height = settings.video_size
+    recorder = VideoRecorder(environment, settings.video, width=width, height=height)
     try:
         yield recorder
     except BaseException:

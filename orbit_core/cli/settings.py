@@ -63,6 +63,8 @@ class RunSettings(EnvironmentSettings):
     """Write the result here."""
     video: File = None
     """Write an mp4 of the first episode of up to four environments here."""
+    video_size: tuple[int, int] = (400, 304)
+    """Width and height of an environment's picture in the video, multiples of 16."""
 
 
 @dataclass(frozen=True, kw_only=True)

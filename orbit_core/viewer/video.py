@@ -35,7 +35,7 @@ class VideoFile:
     """
 
     def __init__(self, path: Path, width: int, height: int, frames_per_second: float) -> None:
-        if width % _MULTIPLE or height % _MULTIPLE:
+        if min(width, height) < _MULTIPLE or width % _MULTIPLE or height % _MULTIPLE:
             raise ConfigurationError(f"a video's size must be a multiple of {_MULTIPLE} pixels, not {width} x {height}")
         try:
             import imageio_ffmpeg

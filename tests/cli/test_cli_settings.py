@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orbit_core.cli.parsing import parse_settings
+from orbit_core.cli.runner import run
 from orbit_core.cli.settings import BenchSettings, RunSettings
 from orbit_core.cli.values import check_values, defaults_of, parse_values
 from orbit_core.interfaces import ConfigurationError, OrbitError, UnknownNameError
@@ -71,6 +72,14 @@ def test_a_file_holds_lists(tmp_path: Path):
     parsed = parse_settings(BenchSettings, ["--config", str(path)], "orbit bench")
     assert parsed.num_envs == (2, 8)
     assert parsed.plot == Path("a.png")
+
+
+def test_a_video_has_a_width_and_a_height(tmp_path: Path):
+    path = tmp_path / "run.toml"
+    path.write_text("video_size = [64, 48, 3]")
+    assert run_settings("--video-size", "208", "160").video_size == (208, 160)
+    with pytest.raises(ConfigurationError, match="video_size must be a width and a height"):
+        run(run_settings("Reach", "--config", str(path)))
 
 
 @pytest.mark.parametrize(

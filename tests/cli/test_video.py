@@ -66,6 +66,8 @@ def test_a_frame_of_another_size_is_refused(tmp_path: Path):
             video.add(np.zeros((64, 48, 3), np.uint8))
     with pytest.raises(ConfigurationError, match="multiple of 16"):
         VideoFile(tmp_path / "a.mp4", 65, 48, 25.0)
+    with pytest.raises(ConfigurationError, match="multiple of 16"):
+        VideoFile(tmp_path / "a.mp4", 64, 0, 25.0)
 
 
 def test_a_missing_encoder_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

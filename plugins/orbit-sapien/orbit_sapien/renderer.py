@@ -42,10 +42,14 @@ class SapienRenderer(Renderer):
         """Build what is drawn.
 
         Raises:
-            ConfigurationError: no Vulkan driver fits; says what to install.
+            ConfigurationError: no Vulkan driver fits, which says what to install; a denoiser has no NVIDIA GPU.
         """
         self._layout, self._config = layout, config
         self._system = _render_system()
+        if config.tier == "rt" and config.denoiser != "none" and not self._system.device.is_cuda():
+            raise ConfigurationError(  # SAPIEN says so in its log alone, and leaves the picture as it is
+                f"denoiser '{config.denoiser}' needs an NVIDIA GPU, and this machine draws without one: use 'none'"
+            )
         self._scene = sapien.Scene([self._system])
         reach = 2.0 * max((camera.far for camera in cameras), default=100.0)
         self._link_of_id: dict[int, int] = {}

@@ -25,6 +25,7 @@ from orbit_core.scene import (
     look_at,
 )
 from orbit_core.world import SimulatedWorld
+from orbit_sapien.native import sapien
 from orbit_sapien.renderer_shapes import shaded
 
 CAMERA = CameraSpec(name="eye", width=48, height=36, vertical_fov=0.6, pose=look_at((1.5, 0.0, 1.0), (0.0, 0.0, 0.2)))
@@ -126,3 +127,12 @@ def test_a_renderers_settings_reach_it_and_no_others_do() -> None:
             SimulatedWorld(scene(), 1, "sapien", renderer=renderer, renderer_settings={wrong: 1})
     with pytest.raises(ConfigurationError, match="denoiser 'magic'"):
         SimulatedWorld(scene(), 1, "sapien", renderer_settings={"denoiser": "magic"})
+
+
+def test_a_denoiser_without_a_gpu_is_refused() -> None:
+    if sapien.render.RenderSystem().device.is_cuda():
+        pytest.skip("this machine draws on an NVIDIA GPU")
+    world = SimulatedWorld(scene(), 1, "sapien", renderer="sapien-rt", renderer_settings={"denoiser": "oidn"})
+    with pytest.raises(ConfigurationError, match="denoiser 'oidn' needs an NVIDIA GPU"):
+        world.create_renderer((CAMERA,))
+    world.close()
