@@ -35,7 +35,9 @@ _COMMON = {
     Capability.SEGMENTATION: unsupported(_NO_IMAGES),
     Capability.RAY_TRACED_RGB: unsupported(_NO_IMAGES),
     Capability.ALBEDO: unsupported(_NO_IMAGES),
-    Capability.GPU: EXACT,
+    Capability.LOOP_JOINTS: unsupported("joints that close loops are not connected to this backend"),
+    Capability.SHAPES_PER_ENVIRONMENT: unsupported("all environments have the same shapes on this backend"),
+    Capability.GPU: approximate("each step waits for the device to say that it went well; not measured on one yet"),
     Capability.CLOTH: unsupported(_NO_DEFORMABLES),
     Capability.SOFT_BODIES: unsupported(_NO_DEFORMABLES),
 }

@@ -64,8 +64,8 @@ class FeatherstoneConfig(NewtonConfig):
 class XpbdConfig(NewtonConfig):
     """Positions corrected constraint by constraint."""
 
-    substeps: int = 8
-    iterations: int = 4
+    substeps: int = 4
+    iterations: int = 8
     """Sweeps over the constraints in a solver step."""
     joint_linear_relaxation: float = 0.7
     joint_angular_relaxation: float = 0.4

@@ -1,6 +1,7 @@
 """Newton's Featherstone solver: reduced coordinates, symplectic Euler."""
 
-# pyright: reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
+# pyright: reportGeneralTypeIssues=false
 # Warp's types are made at run time.
 
 from __future__ import annotations

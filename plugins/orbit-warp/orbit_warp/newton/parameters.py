@@ -26,7 +26,7 @@ class Parameters:
         self._inverse_inertias = wp.to_torch(model.body_inv_inertia).view(envs, -1, 3, 3)
         self._centers = wp.to_torch(model.body_com).view(envs, -1, 3)
         self._gravity = wp.to_torch(model.gravity)
-        self._friction = wp.to_torch(model.shape_material_mu).view(envs, -1)
+        self._friction = wp.to_torch(model.shape_material_mu)[: model.shape_count].view(envs, -1)
         self._link_of_shape = torch.as_tensor(plant.built.link_of_shape, device=self._masses.device)
         nominal = (self._masses, self._inverse_masses, self._inertias, self._inverse_inertias)
         self._nominal = tuple(values[0].clone() for values in nominal)

@@ -4,15 +4,19 @@ Writes go to joint coordinates, from which Newton derives the poses of the envir
 needed. After a step of a solver that moves bodies, joint coordinates are derived from the bodies.
 """
 
-# pyright: reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
+# pyright: reportOptionalSubscript=false
+# Newton's arrays are optional to Python, for a model may lack what they hold.
 
 from __future__ import annotations
 
 import newton
+import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
 
+from orbit_core.scene import Joint, JointType
 from orbit_warp.graphs import Graphs
 from orbit_warp.newton.kernels import (
     mark_articulations,
@@ -44,6 +48,9 @@ class State:
         with wp.ScopedDevice(plant.model.device):
             self._columns = [wp.array(columns, dtype=int) for columns in (built.positions, built.velocities)]
             self._articulations = wp.zeros(plant.model.articulation_count, dtype=bool)
+            turns = np.zeros(self._q.shape[1], dtype=bool)
+            turns[[p for p, joint in zip(built.positions, plant.layout.joints, strict=True) if _turns(joint)]] = True
+            self._turning = wp.array(turns, dtype=bool)
             self._derived_q = wp.zeros_like(state.joint_q)
             self._no_rows = wp.zeros((1, 7), dtype=float)
             home = wp.to_torch(plant.model.joint_q).view(envs, -1)[0].clone()
@@ -76,7 +83,7 @@ class State:
         wp.launch(
             unwrap_joints,
             dim=self._joint_q.shape,
-            inputs=[self._turns(), self._plant.rows(self._derived_q)],
+            inputs=[self._turning, self._plant.rows(self._derived_q)],
             outputs=[self._joint_q],
         )
 
@@ -108,16 +115,6 @@ class State:
         state = plant.state
         newton.eval_fk(plant.model, state.joint_q, state.joint_qd, state, mask=self._articulations)
         self.read()
-
-    def _turns(self) -> wp.array:
-        if not hasattr(self, "_turning"):
-            types = self._plant.model.joint_type.numpy()
-            starts = self._plant.model.joint_q_start.numpy()
-            turning = torch.zeros(self._q.numel(), dtype=torch.bool)
-            turning[torch.as_tensor(starts[:-1][types == newton.JointType.REVOLUTE], dtype=torch.int64)] = True
-            turning = turning.view(self._q.shape)[0].to(self._q.device)
-            self._turning = wp.clone(wp.from_torch(turning.contiguous()))
-        return self._turning
 
     # Writing ---------------------------------------------------------------------------------------------------------
 
@@ -177,3 +174,7 @@ class State:
 
     def _rows(self, values: Tensor | None) -> wp.array:
         return self._no_rows if values is None else wp.from_torch(values.contiguous())
+
+
+def _turns(joint: Joint) -> bool:
+    return joint.type is not JointType.PRISMATIC

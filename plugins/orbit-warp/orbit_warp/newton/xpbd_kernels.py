@@ -49,14 +49,15 @@ def write_drives(
     limit = table.effort_limit[joint]
     force = wp.clamp(asked, -limit, limit)
     joint_efforts[env, joint] = force
-    within = wp.where(force == asked, 1.0, 0.0)
+    beyond = wp.abs(asked) > limit  # false of what is not finite, so that this is found
+    within = wp.where(beyond, 0.0, 1.0)
     ke, kd = within * stiffness[env, joint], within * damping[env, joint]
     drag = table.damping[joint] + table.friction[joint] / wp.max(wp.abs(v), friction_speed)
     drives.target_q[env, table.targets[joint]] = position_targets[env, joint]
     drives.target_qd[env, dof] = velocity_targets[env, joint] * kd / wp.max(kd + drag, 1.0e-12)
     drives.stiffness[env, dof] = ke * scales[joint]
     drives.damping[env, dof] = (kd + drag) * scales[joint]
-    drives.force[env, dof] = wp.where(force == asked, efforts[env, joint], force)
+    drives.force[env, dof] = wp.where(beyond, force, efforts[env, joint])
 
 
 @wp.struct
