@@ -189,6 +189,7 @@ SCENARIOS = (
                 unit="",
                 tolerance=0.01,
                 meaning="largest relative error of the coefficient felt: (g sin - a) / (g cos) over mu",
+                looser_because=_KNOWN_TO,
             ),
         ),
     ),

@@ -203,8 +203,20 @@ SCENARIOS = (
         time_steps=(),
         slow=True,
         metrics=(
-            Metric(name="penetration", unit="", tolerance=0.02, meaning="greatest overlap at 1.2 s, over the radius"),
-            Metric(name="energy", unit="", tolerance=0.01, meaning="kinetic energy at 1.2 s, over m g r of all"),
+            Metric(
+                name="penetration",
+                unit="",
+                tolerance=0.02,
+                meaning="greatest overlap at 1.2 s, over the radius",
+                looser_because="a hundredth of a diameter is unseen in a heap",
+            ),
+            Metric(
+                name="energy",
+                unit="",
+                tolerance=0.01,
+                meaning="kinetic energy at 1.2 s, over m g r of all",
+                looser_because="balls still roll into gaps for a while",
+            ),
         ),
     ),
 )
