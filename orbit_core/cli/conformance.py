@@ -124,13 +124,16 @@ def _pool(settings: RunSettings) -> Pool:
 
 
 def _tell(result: Result, folder: Path) -> int:
-    """Print the summary and each objection; the exit code."""
+    """Print the summary, each objection and where the page is; the exit code."""
     from orbit_core.conformance.report.page import write_report
+    from orbit_core.conformance.tolerances import loose_tolerances
 
     report = write_report(folder)
     console().print(_summary(result))
     for record in result.objections:
         console().print(f"{record.job.key}: {record.status.value}: {record.why}", markup=False)
+    if loose := loose_tolerances(result):
+        console().print(f"{len(loose)} tolerances are looser than these backends warrant: see the report")
     print(report)
     return 1 if result.objections else 0
 

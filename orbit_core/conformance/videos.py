@@ -10,8 +10,8 @@ from orbit_core.tasks import make
 from orbit_core.tasks.agents import ExpertAgent
 from orbit_core.viewer.video import VideoRecorder
 
-WIDTH, HEIGHT = 320, 240
-SECONDS = 6.0
+WIDTH, HEIGHT = 256, 192
+SECONDS = 5.0
 """At most; an episode may go on longer."""
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 from orbit_core.conformance.execution import TRACES
 from orbit_core.conformance.jobs import Kind
@@ -12,6 +13,7 @@ from orbit_core.conformance.results import Result, ScenarioInfo, decode
 from orbit_core.conformance.scenario import Metric, Trace
 from orbit_core.conformance.throughput import Throughput
 
+_MARGIN = 10**0.5
 _LEAST = 1e-9
 """Errors below are drawn here: a logarithmic axis has no zero."""
 
@@ -38,7 +40,9 @@ def accuracy(result: Result, info: ScenarioInfo) -> str:
                 nominal = [point for point in points if point[2]]
                 panel.plot(*zip(*[point[:2] for point in nominal], strict=True), "o", color=color)
             panel.axhline(max(metric.tolerance, _LEAST), color="#777", dashes=(3, 2), linewidth=0.9, label="tolerance")
-            panel.set(xscale="log", yscale="log", xlabel="simulated s / s")
+            if panel.lines[:-1]:
+                _logarithmic(panel)
+            panel.set_xlabel("simulated s / s")
         return plot.svg(f"accuracy-{info.name}") if drawn else ""
 
 
@@ -123,6 +127,15 @@ def throughput(result: Result) -> str:
                 panel.plot(counts, raw, "--", color=color, linewidth=0.9)
             panel.set(xscale="log", yscale="log", xlabel="environments", ylabel="env. steps / s")
         return plot.svg("throughput")
+
+
+def _logarithmic(panel: Any) -> None:
+    """Axes around all that is drawn, wide enough to have a power of ten each, and marked there alone."""
+    speeds = [speed for line in panel.lines[:-1] for speed in line.get_xdata()]  # the last is the tolerance
+    errors = [error for line in panel.lines for error in line.get_ydata()]
+    panel.set(xlim=(min(speeds) / _MARGIN, _MARGIN * max(speeds)), ylim=(min(errors) / _MARGIN, _MARGIN * max(errors)))
+    panel.set(xscale="log", yscale="log")
+    panel.minorticks_off()
 
 
 def _title(quantity: Metric | Trace) -> str:

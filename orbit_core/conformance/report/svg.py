@@ -86,5 +86,21 @@ def _slim(svg: str) -> str:
     svg = re.sub(r' (?:xmlns(?::xlink)?|version)="[^"]*"', "", svg)
     svg = svg.replace("xlink:href", "href")
     svg = re.sub(r"(\d\.\d\d)\d+", r"\1", svg)
+    svg = re.sub(r"font-family: [^;\"]*", "", svg)  # the page's own
+    svg = re.sub(r"\s*\n\s*(?=[A-Zz][ \"\d-])", " ", svg)  # a path's points on one line
     svg = re.sub(r"\s*\n\s*", "\n", svg)
-    return svg.replace("<svg ", '<svg aria-hidden="true" ', 1)
+    return _without_bare_groups(svg).replace("<svg ", '<svg aria-hidden="true" ', 1)
+
+
+def _without_bare_groups(svg: str) -> str:
+    """Groups that carry nothing but their content fall away; every tag stands on a line of its own."""
+    kept, open_groups = [], []
+    for line in svg.splitlines():
+        if line.startswith("<g"):
+            open_groups.append(line != "<g>")
+            bare = not open_groups[-1]
+        else:
+            bare = line == "</g>" and not open_groups.pop()
+        if not bare:
+            kept.append(line)
+    return "\n".join(kept)
