@@ -120,6 +120,19 @@ def test_masses_and_snapshots_are_each_environments_own(make_world: MakeWorld, n
     )
 
 
+def test_each_turns_by_its_own_inertia(make_world: MakeWorld, needs: Needs) -> None:
+    needs(Capability.EXTERNAL_WRENCHES)
+    floating = Scene(objects=(thing(),), terrain=(), gravity=(0.0, 0.0, 0.0))
+    world = make_world(floating, 5)
+    torque, steps = 0.01, 20
+    wrench = torch.tensor([[[0.0, 0, 0, torque, 0, 0]]], device=world.device)
+    world.engine.set_wrenches(torch.tensor([0], device=world.device), wrench.repeat(5, 1, 1))
+    world.step(steps)
+    inertias = torch.tensor([thing().alternatives[i % 4].root.inertia[0, 0] for i in range(5)], dtype=torch.float32)
+    spins = world.objects["thing"].root_velocity[:, 3].cpu()
+    torch.testing.assert_close(spins, torque * steps * floating.physics_dt / inertias, rtol=2e-3, atol=0)
+
+
 def test_a_camera_sees_each_environments_own(make_world: MakeWorld, needs: Needs) -> None:
     needs(Capability.ALBEDO, Capability.SEGMENTATION)
     camera = CameraSpec(

@@ -35,6 +35,8 @@ class PictureModel:
         self._colors = [shape.color for shape, _ in shapes]
         for marker in layout.scene.markers:
             self._add_marker(spec, marker)
+        if not self._colors:  # a tree of bounds cannot be empty
+            self._add_geom(spec.worldbody, (0.0, 0.0, 0.0, 0.0), type=mujoco.mjtGeom.mjGEOM_SPHERE, size=3 * [1e-3])
         self.model = spec.compile()
         markers = len(self._colors) - len(shapes)
         self.colors = np.tile(np.array(self._colors, dtype=np.float32).reshape(-1, 4), (len(shown), 1, 1))

@@ -127,6 +127,15 @@ def test_a_task_looks_as_with_mujoco():
     environment.close()
 
 
+def test_a_scene_of_nothing_is_all_sky():
+    source = WarpRenderer(SceneLayout.of(Scene(terrain=())), WarpConfig())
+    pose = torch.tensor([(*CAMERA.pose.position, *CAMERA.pose.orientation)])
+    image = source.render(CAMERA, pose, torch.zeros(1, 0, 7), (Channel.RGB, *GEOMETRY))
+    assert image.depth.isinf().all()
+    assert (image.links == BACKGROUND).all()
+    assert (image.rgb > 100).all()
+
+
 def test_a_closed_renderer_says_so():
     source = renderer()
     source.close()
