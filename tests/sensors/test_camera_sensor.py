@@ -97,7 +97,7 @@ def test_a_reset_draws_the_reset_environment_alone(make_rig, monkeypatch):
     before = sensor.image(Channel.DEPTH)
     drawn = []
     render = rig.renderers[0].render
-    monkeypatch.setattr(rig.renderers[0], "render", lambda *a: drawn.append(len(a[1])) or render(*a))
+    monkeypatch.setattr(rig.renderers[0], "render", lambda *a, **k: drawn.append(len(a[1])) or render(*a, **k))
     rig.reset(torch.tensor([1]))
     torch.testing.assert_close(sensor.image(Channel.DEPTH), before)
     assert drawn == [1]
