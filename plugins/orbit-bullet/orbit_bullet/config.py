@@ -24,8 +24,8 @@ class BulletConfig:
     """Share of the penetration that a step removes."""
     joint_erp: float = 0.8
     """Share of the opening of loops that a step removes."""
-    contact_margin: float = 0.0005
-    """Metres of rounding around convex meshes."""
+    contact_margin: float = 0.001
+    """Metres of rounding around convex meshes, whose faces stand 1 mm further in to make room for it."""
     restitution_threshold: float = 0.05
     """m/s; slower impacts do not rebound."""
     renderer: str = "auto"

@@ -36,6 +36,8 @@ _KINDS = {
     JointType.CONTINUOUS: "continuous",
     JointType.PRISMATIC: "prismatic",
 }
+HULL_MARGIN = 0.001
+"""Metres around a hull, which Bullet fixes when it reads the file."""
 _UNLIMITED = 1e9
 """Stands for infinity in the file."""
 
@@ -72,8 +74,10 @@ def write_obj(path: Path, vertices: npt.NDArray[np.float64], faces: npt.NDArray[
 
 
 def _hull(vertices: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.integer]]:
+    """The hull that, with Bullet's margin around it, is that of ``vertices``."""
     from scipy.spatial import ConvexHull
 
+    vertices = _without_margin(vertices)
     hull = ConvexHull(vertices)
     corners = np.unique(hull.simplices)
     triangles = np.searchsorted(corners, hull.simplices)
@@ -82,6 +86,18 @@ def _hull(vertices: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], n
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a - middle) < 0
     triangles[inward] = triangles[inward][:, ::-1]
     return vertices[corners], triangles
+
+
+def _without_margin(vertices: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """The corners of the hull with every face moved inward by Bullet's margin; as they are where it is too thin."""
+    from scipy.spatial import ConvexHull, HalfspaceIntersection
+
+    planes = np.unique(ConvexHull(vertices).equations.round(9), axis=0)
+    planes[:, 3] += HULL_MARGIN
+    inside = vertices.mean(axis=0)
+    if (planes[:, :3] @ inside + planes[:, 3] > -1e-6).any():
+        return vertices
+    return np.unique(HalfspaceIntersection(planes, inside).intersections.round(9), axis=0)
 
 
 def child_poses(entity: Entity) -> list[Pose]:
