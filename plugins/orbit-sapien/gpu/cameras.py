@@ -4,7 +4,8 @@
 
 Draws 24 boxes and balls that lie still, from poses alone; a picture is one environment's, copied to the host. Each row
 draws all environments again and again for ``--seconds``, at least once. Rates are those of the best round, with the
-median beside it: other programs only slow a machine down. The first picture includes making the renderer.
+median beside it: other programs only slow a machine down. The processor's time a picture does not depend on them; on a
+CPU's driver it is all of the work. The first picture includes making the renderer.
 """
 
 from __future__ import annotations
@@ -55,6 +56,8 @@ class Row:
     first_s: float | None = None
     best_per_s: float | None = None
     median_per_s: float | None = None
+    cpu_s: float | None = None
+    """The process's own time on all cores, a picture."""
     rounds: int = 0
     failure: str = ""
 
@@ -69,7 +72,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="where to write the rows")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    print(f"{'tier':5} {'settings':32} {'size':>4} {'first, s':>9} {'best /s':>9} {'median /s':>9} rounds")
+    print(
+        f"{'tier':5} {'settings':32} {'size':>4} {'first, s':>9} {'best /s':>9} {'median /s':>9} {'CPU, ms':>9} rounds"
+    )
     rows: list[Row] = []
     for tier, settings, channels in settings_of(arguments):
         for size in arguments.sizes:
@@ -103,12 +108,14 @@ def measure(
         renderer = plugin.create_renderer(layout, (camera,), backends.backend_config(plugin, settings))
         renderer.render(camera, eyes[:1], links[:1], channels)
         first = time.perf_counter() - begun
+        busy = time.process_time()
         times = timed(lambda: renderer.render(camera, eyes, links, channels), arguments.seconds)
+        busy = (time.process_time() - busy) / (len(times) * arguments.num_envs)
         renderer.close()
     except (OrbitError, RuntimeError) as error:
         return Row(tier, words, size, failure=str(error))
     best, median = (round(arguments.num_envs / taken, 2) for taken in (min(times), statistics.median(times)))
-    return Row(tier, words, size, round(first, 3), best, median, len(times))
+    return Row(tier, words, size, round(first, 3), best, median, round(busy, 5), len(times))
 
 
 def timed(draw, seconds: float) -> list[float]:
@@ -137,7 +144,9 @@ def shapes() -> Scene:
 def line(row: Row) -> str:
     if row.failure:
         return f"{row.tier:5} {row.settings:32} {row.size:4} failed: {row.failure}"
-    figures = f"{row.first_s:9.2f} {row.best_per_s:9.2f} {row.median_per_s:9.2f} {row.rounds:6}"
+    figures = (
+        f"{row.first_s:9.2f} {row.best_per_s:9.2f} {row.median_per_s:9.2f} {1e3 * (row.cpu_s or 0):9.2f} {row.rounds:6}"
+    )
     return f"{row.tier:5} {row.settings:32} {row.size:4} {figures}"
 
 

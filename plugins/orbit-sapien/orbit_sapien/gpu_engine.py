@@ -1,8 +1,9 @@
-"""N environments of one scene in one PhysX world on a GPU. NOT TESTED: PhysX's GPU library was never at hand.
+"""N environments of one scene in one PhysX world on a GPU. NOT TESTED ON ONE: PhysX's GPU library was never at hand.
 
-Written against SAPIEN 3.0.3's stubs and the order of calls in ManiSkill 3.0.1. State lives in PhysX's own buffers, seen
-as torch tensors without a copy: bodies (B, 13) as position, quaternion, linear and angular velocity of the centre of
-mass; articulations (A, D) with D the most degrees of freedom of any. Reads gather from them in the layout's order.
+Its book-keeping is tested against a stand-in for SAPIEN's GPU system. Written against SAPIEN 3.0.3's stubs and the order
+of calls in ManiSkill 3.0.1. State lives in PhysX's own buffers, seen as torch tensors without a copy: bodies (B, 13) as
+position, quaternion, linear and angular velocity of the centre of mass; articulations (A, D) with D the most degrees of
+freedom of any. Reads gather from them in the layout's order.
 """
 
 # SAPIEN's stubs ask for shapes of arrays that NumPy's types cannot express.
