@@ -64,7 +64,8 @@ def build_model(
     built = _Builder(layout, gap, armature_on_links)
     scene = newton.ModelBuilder()
     scene.replicate(built.world, num_envs)
-    model = scene.finalize(device=device)
+    # Newton's validation would change inertias; the core has checked them.
+    model = scene.finalize(device=device, skip_validation_inertia=True)
     joints = np.array(built.joints, dtype=np.int64)
     roots = np.array(built.roots, dtype=np.int64)
     free = np.array([not entity.spec.fixed_base for entity in layout.entities], dtype=bool)
