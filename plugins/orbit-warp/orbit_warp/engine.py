@@ -64,6 +64,7 @@ class WarpEngine(Engine):
         built, addresses = kinds[0], kinds[0].addresses
         self._report = tuple(dict.fromkeys(line for kind in kinds for line in kind.report))
         self._capture = config.capture
+        self._looped = any(entity.spec.articulation.loops for entity in layout.entities)
         self._graphs = Graphs(device, config.capture)
         with self._graphs.stream():
             self._model = on_device(kinds, config)
@@ -121,6 +122,8 @@ class WarpEngine(Engine):
             inputs = [*self._warp_commands, self._model.actuator_biasprm]
             wp.launch(write_commands, dim=data.ctrl.shape, inputs=inputs, outputs=[data.ctrl])
         for _ in range(steps):
+            if self._looped:  # their constraints take velocities as the step before left them
+                self._state.derive_bodies()
             mjw.step(self._model, data)
             self._contacts.add(steps)
         self._faults.note()

@@ -66,12 +66,16 @@ class State:
             self._graphs.run("derive", self.derive)
             self._current = True
 
+    def derive_bodies(self) -> None:
+        """Launch what brings MuJoCo-Warp's own poses and velocities of bodies up to date."""
+        mjw.kinematics(self._model, self._data)
+        mjw.com_pos(self._model, self._data)
+        mjw.com_vel(self._model, self._data)
+
     def derive(self) -> None:
         """Launch what brings poses and velocities up to date."""
         data = self._data
-        mjw.kinematics(self._model, data)
-        mjw.com_pos(self._model, data)
-        mjw.com_vel(self._model, data)
+        self.derive_bodies()
         if self._link_poses.numel():
             wp.launch(
                 read_links,
