@@ -80,7 +80,7 @@ CAPABILITIES = Capabilities(
         **_TRACED,
         Capability.GPU: unsupported(
             "untested: PhysX's GPU library is no part of SAPIEN's package and was never at hand; where it is installed "
-            "(python -m orbit_sapien.physx_gpu), device 'cuda' runs code that no test has run"
+            "(python -m orbit_sapien.physx_gpu), device 'cuda' runs code that no GPU has run"
         ),
         Capability.CLOTH: unsupported("SAPIEN has no deformable bodies"),
         Capability.SOFT_BODIES: unsupported("SAPIEN has no deformable bodies"),

@@ -1,7 +1,7 @@
 """N environments of one scene in one PhysX world on a GPU. NOT TESTED ON ONE: PhysX's GPU library was never at hand.
 
-Its book-keeping is tested against a stand-in for SAPIEN's GPU system. Written against SAPIEN 3.0.3's stubs and the order
-of calls in ManiSkill 3.0.1. State lives in PhysX's own buffers, seen as torch tensors without a copy: bodies (B, 13) as
+Its book-keeping is tested against a stand-in for SAPIEN's GPU system. It follows SAPIEN 3.0.3's stubs, and ManiSkill
+3.0.1 in the order of calls. State lives in PhysX's own buffers, seen as torch tensors without a copy: bodies (B, 13) as
 position, quaternion, linear and angular velocity of the centre of mass; articulations (A, D) with D the most degrees of
 freedom of any. Reads gather from them in the layout's order.
 """
@@ -37,7 +37,7 @@ from orbit_sapien.native import physx, sapien
 
 _MOVING = physx.PhysxRigidDynamicComponent, physx.PhysxArticulationLinkComponent
 _UNTESTED = Approximation(
-    "the engine", "physics on a GPU", "code that was never run", "PhysX's GPU library was not at hand to test against"
+    "the engine", "physics on a GPU", "code that no GPU has run", "PhysX's GPU library was not at hand to test against"
 )
 
 
