@@ -114,6 +114,17 @@ class Engine(ABC):
     def link_velocities(self) -> Tensor:
         """(N, L, 6) linear velocity of the link frame's origin, then angular velocity, both in world axes."""
 
+    def expression(self, name: str) -> Tensor | None:
+        """A state tensor, by name, as operations of torch on memory of the engine's that always stays at its place.
+
+        So that a trace of a step takes them in, and computes what it needs of the tensor and no more. None where there
+        is nothing to gain. What they compute is current after :meth:`settle`.
+        """
+        return None
+
+    def settle(self) -> None:
+        """Bring what :meth:`expression` reads up to date, after a step or a write."""
+
     @abstractmethod
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None

@@ -46,8 +46,8 @@ def compiled(graph: fx.GraphModule, inputs: list[Tensor]) -> Callable[..., Seque
     import torch._inductor as inductor
 
     _spell_out_products(graph)
-    # Threads cost more than they save on tensors of a step, and the engine needs the cores.
-    options = {"cpp.threads": 1} if inputs and inputs[0].device.type == "cpu" else {}
+    # Threads cost more than they save on a step's small tensors, and the engine needs the cores. Sizes never change.
+    options = {"cpp.threads": 1, "size_asserts": False}
     try:
         with torch.no_grad():
             return inductor.compile(graph, list(inputs), options=options)  # pyright: ignore[reportReturnType]

@@ -54,6 +54,8 @@ class Stage:
 
     reads: dict[str, Tensor] = field(default_factory=dict)
     """What was read, and the tensor that the operations took."""
+    expressed: dict[str, Tensor] = field(default_factory=dict)
+    """What was read by way of operations."""
     operations: list[Operation] = field(default_factory=list)
     call: tuple[str, tuple[Any, ...]] | None = None
 
@@ -99,11 +101,17 @@ class Tracer(TorchDispatchMode):
         def noted(engine: Engine) -> Tensor:
             if self._paused:
                 return read(engine)
-            reads = self.stages[-1].reads  # which show the state since the last call, whatever was computed meanwhile
-            if name not in reads:
-                with self._silence():
-                    reads[name] = read(engine)
-            return reads[name]
+            # Either shows the state since the last call, whatever was computed meanwhile.
+            reads, expressed = self.stages[-1].reads, self.stages[-1].expressed
+            if name in reads or name in expressed:
+                return reads[name] if name in reads else expressed[name]
+            with self._silence():
+                engine.settle()
+            value = engine.expression(name)
+            if value is not None:
+                return expressed.setdefault(name, value)
+            with self._silence():
+                return reads.setdefault(name, read(engine))
 
         return noted
 
@@ -146,7 +154,7 @@ class Trace:
         build: Callable[[fx.GraphModule, list[Tensor]], Callable[..., Sequence[Tensor]]],
     ) -> None:
         self._engine = engine
-        memory = _Memory(stages)
+        memory = _Memory(stages, engine.device)
         maker = {id(t): number for number, stage in enumerate(stages) for t in _results(stage)}
         wanted: list[dict[int, Tensor]] = [{} for _ in stages]
         self._outputs = [id(tensor) for tensor in outputs]
@@ -173,7 +181,8 @@ class Trace:
 class _Memory:
     """Which tensors stay when a step is over, told by the memory that they lie in."""
 
-    def __init__(self, stages: Sequence[Stage]) -> None:
+    def __init__(self, stages: Sequence[Stage], device: torch.device) -> None:
+        self.device = device
         self._lasting: set[int] = set()
         made: set[int] = set()
         for stage in stages:
@@ -198,6 +207,7 @@ class _BuiltStage:
         build: Callable[[fx.GraphModule, list[Tensor]], Callable[..., Sequence[Tensor]]],
     ) -> None:
         self._reads = tuple(stage.reads.items())
+        self._settles = bool(stage.expressed)
         self._call = stage.call
         self._results = [id(tensor) for tensor in wanted]
         graph = _StageGraph(stage, memory, wanted)
@@ -206,6 +216,8 @@ class _BuiltStage:
         self._function = build(graph.module, graph.inputs) if stage.operations or wanted else _nothing
 
     def run(self, engine: Engine, values: dict[int, Tensor]) -> None:
+        if self._settles:
+            engine.settle()
         for name, taken in self._reads:
             if (value := getattr(engine, name)) is not taken:
                 taken.copy_(value)  # the engine hands out another tensor each time
@@ -231,6 +243,7 @@ class _StageGraph:
         """Position and name of the inputs that an earlier stage made."""
         self._graph = fx.Graph()
         self._nodes: dict[int, fx.Node] = {}
+        self._device = memory.device
         self._add_inputs(stage, memory, wanted)
         for operation in stage.operations:
             self._add(operation)
@@ -263,7 +276,8 @@ class _StageGraph:
                 node.meta["shape"] = first.shape
                 if not memory.lasts(first):
                     self.passed.append((len(self.inputs), id(first)))
-                self.inputs.append(first)
+                # A number of Python's lies on the host; compiled code would copy it to the device each time.
+                self.inputs.append(first.to(self._device) if first.dim() == 0 else first)
                 continue
             if not memory.lasts(first) or len({tensor.dtype for tensor in group.values()}) > 1:
                 raise NotTraceable("tensors made in one stage share memory in the next")
@@ -275,6 +289,8 @@ class _StageGraph:
 
     def _add(self, operation: Operation) -> None:
         arguments, keywords = tree_map(self._node_of, (operation.arguments, operation.keywords))
+        if "device" in keywords:
+            keywords = {**keywords, "device": self._device}
         node = self._graph.call_function(operation.function, arguments, keywords)
         if isinstance(operation.result, Tensor):
             node.meta["shape"] = operation.result.shape

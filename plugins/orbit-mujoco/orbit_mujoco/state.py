@@ -77,7 +77,7 @@ class State:
     @property
     def link_poses(self) -> Tensor:
         if self._claim("link_poses"):
-            self._derive()
+            self.derive()
             poses, quaternions = self._link_poses, self._xquat[:, self._bodies]
             np.copyto(poses[..., :3], self._xpos[:, self._bodies], casting="same_kind")
             sign = np.copysign(1.0, quaternions[..., :1])
@@ -88,7 +88,7 @@ class State:
     def link_velocities(self) -> Tensor:
         """``cvel`` is angular, then linear velocity at the centre of mass of the tree: move it to the link's origin."""
         if self._claim("link_velocities"):
-            self._derive()
+            self.derive()
             velocities, spatial = self._link_velocities, self._cvel[:, self._bodies]
             np.subtract(self._xpos[:, self._bodies], self._subtree_com[:, self._roots], out=self._offsets)
             np.copyto(self._spins, spatial[..., :3])
@@ -104,7 +104,8 @@ class State:
         self._current.add(name)
         return True
 
-    def _derive(self) -> None:
+    def derive(self) -> None:
+        """Bring MuJoCo's derived fields up to date."""
         if self._written.any():
             self._batch.forward(self._written, stage=DERIVED_STAGE)
             self._written.fill(False)
