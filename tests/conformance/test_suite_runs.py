@@ -27,7 +27,7 @@ PROGRAM = [sys.executable, "-c", "import sys; from orbit_core.cli import main; s
 
 def conformance(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", **variables}
-    return subprocess.run([*PROGRAM, *words], capture_output=True, text=True, timeout=300, env=environment)
+    return subprocess.run([*PROGRAM, *words], capture_output=True, text=True, timeout=600, env=environment)
 
 
 def test_an_engine_that_dies_or_hangs_fails_alone(tmp_path: Path) -> None:

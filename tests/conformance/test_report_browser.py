@@ -1,0 +1,102 @@
+"""The report of a real run in a real browser, opened from the disk."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, sync_playwright
+
+from orbit_core.backends import default_backend
+
+from . import broken_plugin
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+BACKEND = default_backend()
+PROGRAM = [sys.executable, "-c", "import sys; from orbit_core.cli import main; sys.exit(main())", "conformance"]
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of one scenario and one task, on a backend that works and one whose engine dies."""
+    folder = tmp_path_factory.mktemp("plugin")
+    output = tmp_path_factory.mktemp("conformance")
+    words = ["--quick", "--backend", BACKEND, "dying", "--output", str(output), "--part", "scenarios", "tasks"]
+    words += ["--scenario", "free_fall", "--task", "Reach"]
+    variables = {"OMP_NUM_THREADS": "1", **broken_plugin.install(folder)}
+    done = subprocess.run(
+        [*PROGRAM, *words], capture_output=True, text=True, timeout=600, env={**os.environ, **variables}
+    )
+    assert done.returncode == 1, done.stderr
+    return output / "report.html"
+
+
+@pytest.fixture
+def page(report: Path) -> Iterator[Page]:
+    """The opened report; the test fails if the browser complains of anything, or asks for what is not on the disk."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium is installed")
+    complaints: list[str] = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--headless", "--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("request", lambda r: None if r.url.startswith(("file:", "data:")) else complaints.append(r.url))
+        page.goto(report.as_uri())
+        yield page
+        browser.close()
+    assert not complaints
+
+
+def test_the_matrix_tells_status_and_reason(page: Page) -> None:
+    backends = sorted((BACKEND, "dying"))
+    columns = [backends.index(BACKEND), backends.index("dying")]
+    row = page.locator(".matrix > tbody > tr", has=page.get_by_role("link", name="free_fall"))
+    passing, failing = (row.locator("> td").nth(column) for column in columns)
+    assert "pass" in passing.inner_text()
+    colors = [
+        cell.locator("summary").evaluate("e => getComputedStyle(e).backgroundColor") for cell in (passing, failing)
+    ]
+    assert colors[0] != colors[1]
+    assert "fail" in failing.inner_text()
+    assert "SIGABRT" in (failing.locator("summary").get_attribute("title") or "")
+    assert not failing.locator(".more").is_visible()
+    failing.locator("summary").focus()
+    page.keyboard.press("Enter")
+    assert "its process died of SIGABRT" in failing.locator(".more").inner_text()
+    passing.locator("summary").click()
+    assert "0.0001 m/s" in passing.locator("tr", has_text="velocity").inner_text()
+
+
+def test_a_link_opens_its_scenario_with_the_plots(page: Page) -> None:
+    page.get_by_role("link", name="free_fall").first.click()
+    section = page.locator("details#free_fall")
+    assert "Galileo" in section.inner_text()
+    for words in ("Error against speed", "Measured and true"):
+        figure = section.locator(f'figure[aria-label^="{words}"]')
+        assert figure.is_visible()
+        assert figure.locator("svg text", has_text=BACKEND).count() >= 1
+        size = figure.locator("svg").bounding_box()
+        assert size is not None
+        assert size["width"] > 150
+
+
+def test_the_videos_of_a_task_play_together(page: Page) -> None:
+    videos = page.locator("#videos-Reach video")
+    assert videos.count() == 1, "the dying backend has none"
+    page.locator("button[data-play='videos-Reach']").click()
+    page.wait_for_function(
+        "[...document.querySelectorAll('video')].every(v => v.readyState >= 2 && v.currentTime > 0.2 && !v.paused)"
+    )
+    assert videos.first.evaluate("v => [v.videoWidth, v.videoHeight]") == [256, 192]
+
+
+def test_the_page_is_readable_on_a_narrow_screen(page: Page) -> None:
+    page.set_viewport_size({"width": 480, "height": 800})
+    assert page.evaluate("document.documentElement.scrollWidth") <= 480
