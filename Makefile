@@ -1,6 +1,6 @@
 # make demo    a Franka lifts cubes on MuJoCo; the video lands in out/lift.mp4
 # make view    the same, live in the browser
-# make test    style, types, all tests, and the conformance suite's quick run
+# make test    style, types, all tests, the conformance suite's quick run, and the example backend
 # Each sets up the environment in .venv first, as far as it needs it.
 
 PYTHON ?= python3
@@ -11,7 +11,7 @@ PLUGINS := mjmodel $(BACKENDS)
 SOURCES := pyproject.toml constraints.txt $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
 CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples
 
-.PHONY: demo view test lint types unit conformance clean
+.PHONY: demo view test lint types unit conformance example clean
 
 demo: $(VENV)/.ready
 	@mkdir -p out
@@ -20,7 +20,7 @@ demo: $(VENV)/.ready
 view: $(VENV)/.ready
 	$(BIN)/orbit view Lift --backend mujoco
 
-test: $(VENV)/.ready-dev lint types unit conformance
+test: $(VENV)/.ready-dev lint types unit conformance example
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check $(CODE)
@@ -35,6 +35,12 @@ unit: $(VENV)/.ready-dev
 # Every scenario on every backend: what tests/conformance/test_scenarios.py collects for those who write them.
 conformance: $(VENV)/.ready-dev
 	$(BIN)/orbit conformance --quick --output out/conformance
+
+# The backend that docs/write-a-backend.md builds, installed beside the environment so that nothing else sees it.
+example: $(VENV)/.ready-dev
+	$(BIN)/pip install --quiet --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
+	PYTHONPATH=out/orbit-torch $(BIN)/pytest -n auto -k torch tests/conformance/test_conformance_*.py
+	PYTHONPATH=out/orbit-torch $(BIN)/orbit conformance --quick --backend torch --part scenarios --output out/conformance-torch
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

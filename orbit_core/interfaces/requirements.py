@@ -41,12 +41,26 @@ _CHANNEL_NEEDS = {
 }
 
 
+_CONTACT = {
+    Capability.FRICTION, Capability.STATIC_FRICTION, Capability.RESTITUTION, Capability.COMPLIANT_CONTACT,
+}  # fmt: skip
+
+
 def required_capabilities(scene: Scene) -> dict[Capability, str]:
     """Each capability that the scene needs, with the first thing in it that needs it."""
     needs: dict[Capability, str] = {}
     for capability, culprit in _needs(scene):
-        needs.setdefault(capability, culprit)
+        if capability not in _CONTACT or _may_touch(scene):
+            needs.setdefault(capability, culprit)
     return needs
+
+
+def _may_touch(scene: Scene) -> bool:
+    """Whether there are two things that could meet."""
+    articulations = [entity.alternatives for entity in scene.entities]
+    solid = sum(any(link.collisions for each in kinds for link in each.links) for kinds in articulations)
+    alone = any(each.self_collisions for kinds in articulations for each in kinds)
+    return alone or bool(scene.deformables) or solid + len(scene.terrain) > 1
 
 
 def _needs(scene: Scene) -> Iterator[tuple[Capability, str]]:

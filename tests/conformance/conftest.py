@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from orbit_core import backends
-from orbit_core.interfaces import Backend, Capability, Engine, SceneLayout
+from orbit_core.interfaces import Backend, Capability, Engine, SceneLayout, UnsupportedCapabilityError
 from orbit_core.scene import Scene
 
 from .on_host import OnHost
@@ -44,12 +44,18 @@ def needs(backend: Backend) -> Needs:
 
 @pytest.fixture
 def make_engine(backend: Backend, request: pytest.FixtureRequest) -> Iterator[MakeEngine]:
-    """An engine of a scene: ``make_engine(scene, num_envs=1, **settings)``; closed after the test."""
+    """An engine of a scene: ``make_engine(scene, num_envs=1, **settings)``; closed after the test.
+
+    A scene that the backend refuses, for lack of what it declares, skips the test.
+    """
     made: list[Engine] = []
     device = torch.device(str(request.config.getoption("--device", "cpu")))
 
     def make(scene: Scene, num_envs: int = 1, **settings: Any) -> Engine:
-        backends.check_scene(backend, scene)
+        try:
+            backends.check_scene(backend, scene)
+        except UnsupportedCapabilityError as error:
+            pytest.skip(str(error))
         config = backends.backend_config(backend, settings)
         engine = backend.create_engine(SceneLayout.of(scene), num_envs, device, config)
         made.append(engine)

@@ -1,0 +1,62 @@
+"""What the plugin registers."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from orbit_core.interfaces import (
+    EXACT,
+    Backend,
+    Capabilities,
+    Capability,
+    ConfigurationError,
+    Gap,
+    approximate,
+    unsupported,
+)
+
+if TYPE_CHECKING:
+    import torch
+
+    from orbit_core.interfaces import Engine, SceneLayout
+
+_EXACT = (
+    Capability.ARTICULATIONS, Capability.EFFORT_LIMITS, Capability.ARMATURE,
+    Capability.GRAVITY_COMPENSATION, Capability.EXTERNAL_WRENCHES, Capability.RANDOMIZE_MASS,
+    Capability.RANDOMIZE_CENTER_OF_MASS, Capability.RANDOMIZE_GRAVITY, Capability.SNAPSHOTS,
+)  # fmt: skip
+_HELD = "efforts are held over a step, so that they come half a step late, and the integrator damps nothing itself"
+_ROUNDED = "a run repeats with the same number of environments; with another, sums may be rounded another way"
+
+
+@dataclass(frozen=True)
+class TorchConfig:
+    """The engine's own settings: none."""
+
+
+class TorchBackend(Backend):
+    """Free bodies and fixed-base articulations that touch nothing."""
+
+    name: ClassVar[str] = "torch"
+    config_type: ClassVar[type] = TorchConfig
+
+    def capabilities(self) -> Capabilities:
+        declared = {capability: unsupported("the example does without") for capability in Capability}
+        declared |= dict.fromkeys(_EXACT, EXACT)
+        declared[Capability.DETERMINISTIC] = approximate(_ROUNDED)
+        return Capabilities(declared)
+
+    def gaps(self) -> tuple[Gap, ...]:
+        return (Gap("explicit_drive", "final", 0.015, _HELD),)
+
+    def versions(self) -> dict[str, str]:
+        return {"orbit-torch": importlib.metadata.version("orbit-torch")}
+
+    def create_engine(self, layout: SceneLayout, num_envs: int, device: torch.device, config: TorchConfig) -> Engine:
+        if device.type != "cpu":
+            raise ConfigurationError(f"backend 'torch' simulates on device 'cpu' only, not on '{device}'")
+        from orbit_torch.engine import TorchEngine
+
+        return TorchEngine(layout, num_envs, device)
