@@ -82,7 +82,7 @@ def _driven_coupling(trial: Trial) -> float:
 _HINGES: tuple[str, ...] = ("crank_hinge", "coupler_hinge", "rocker_hinge")
 
 
-def _four_bar(
+def four_bar(
     name: str,
     lengths: tuple[float, float, float, float],
     start: tuple[float, float, float],
@@ -138,14 +138,14 @@ def _opening(robot: Object, lengths: tuple[float, float, float, float]) -> float
 
 
 _CRANK_ROCKER = (0.3, 0.1, 0.3, 0.25)
-_PARALLELOGRAM = (0.4, 0.2, 0.4, 0.2)
+PARALLELOGRAM = (0.4, 0.2, 0.4, 0.2)
 _SWING = 0.5
 """rad from hanging."""
 
 
 def _four_bar_linkage(trial: Trial) -> Mapping[str, float]:
     motor = (ImplicitPd(joints=("crank_hinge",), damping=20.0),)
-    world = trial.world(scene(_four_bar("driven", _CRANK_ROCKER, _positions(_CRANK_ROCKER, 1.0), motor), terrain=()))
+    world = trial.world(scene(four_bar("driven", _CRANK_ROCKER, _positions(_CRANK_ROCKER, 1.0), motor), terrain=()))
     robot = world.robots["driven"]
     robot.set_velocity_targets(torch.tensor([[2 * math.pi, 0.0, 0.0]], device=world.device))
     angle = opening = 0.0
@@ -164,8 +164,8 @@ def _four_bar_linkage(trial: Trial) -> Mapping[str, float]:
 def _swinging_period(trial: Trial) -> tuple[float, float]:
     """A parallelogram swings as one pendulum: its coupler does not turn. Relative error of the period, and opening."""
     start = -math.pi / 2 + _SWING
-    world = trial.world(scene(_four_bar("swinging", _PARALLELOGRAM, (start, -start, start)), terrain=()))
-    robot, length = world.robots["swinging"], _PARALLELOGRAM[1]
+    world = trial.world(scene(four_bar("swinging", PARALLELOGRAM, (start, -start, start)), terrain=()))
+    robot, length = world.robots["swinging"], PARALLELOGRAM[1]
     inertia = 2 * length**2 / 3 + length**2  # two uniform bars about their ends, and the coupler at theirs
     torque = G * (2 * length / 2 + length)
     expected = pendulum_period(_SWING, 2 * math.pi * math.sqrt(inertia / torque))
@@ -176,7 +176,7 @@ def _swinging_period(trial: Trial) -> tuple[float, float]:
         if before < 0 <= now or now < 0 <= before:
             passages.append(time - trial.time_step * now / (now - before))
         before = now
-        opening = max(opening, _opening(robot, _PARALLELOGRAM))
+        opening = max(opening, _opening(robot, PARALLELOGRAM))
     period = passages[2] - passages[0] if len(passages) > 2 else math.nan
     return abs(period / expected - 1), opening
 
