@@ -6,6 +6,10 @@ Draws 24 boxes and balls that lie still, from poses alone; a picture is one envi
 draws all environments again and again for ``--seconds``, at least once. Rates are those of the best round, with the
 median beside it: other programs only slow a machine down. The processor's time a picture does not depend on them; on a
 CPU's driver it is all of the work. The first picture includes making the renderer.
+
+Needs torch, numpy and these packages with none of their other dependencies, so that a machine without a registry can be
+given them: sapien requests urllib3 idna certifi charset-normalizer transforms3d tqdm importlib_metadata lazy-importer
+zipp.
 """
 
 from __future__ import annotations
