@@ -59,7 +59,8 @@ def build_model(
     """Build ``num_envs`` worlds of the scene on ``device``.
 
     ``gap`` in metres is how far around shapes contacts are found; ``armature_on_links`` makes the armature of a turning
-    joint inertia of its child link about the axis, for solvers that know no armature.
+    joint inertia of its child link, about every axis, for solvers that know no armature: about one alone, bodies that
+    move freely between corrections would diverge.
     """
     built = _Builder(layout, gap, armature_on_links)
     scene = newton.ModelBuilder()
@@ -111,20 +112,19 @@ class _Builder:
         self._keep_apart()
 
     def _rotor_inertias(self) -> npt.NDArray[np.float64]:
-        """(L, 3, 3) of motors, about their axes, where links are to carry them."""
-        inertias = np.zeros((len(self.layout.links), 3, 3))
+        """(L,) of motors, where links are to carry them."""
+        inertias = np.zeros(len(self.layout.links))
         if self.armature_on_links:
             for entity in self.layout.entities:
                 articulation = entity.spec.articulation
                 movable = zip(articulation.movable_joints, range(entity.joints.start, entity.joints.stop), strict=True)
                 for joint, number in movable:
                     if joint.type is not JointType.PRISMATIC:
-                        axis = joint.child_pose.rotation_matrix() @ np.asarray(joint.axis)
                         link = entity.links.start + articulation.link_names.index(joint.child)
-                        inertias[link] = self.layout.joint_parameters.armature[number] * np.outer(axis, axis)
+                        inertias[link] = self.layout.joint_parameters.armature[number]
         return inertias
 
-    def _add_body(self, number: int, rotor: npt.NDArray[np.float64]) -> None:
+    def _add_body(self, number: int, rotor: float) -> None:
         link = self.layout.links[number]
         entity = self.layout.entities[self.layout.entity_of_link[number]]
         pose = entity.spec.pose if number == entity.root_link else Pose()
@@ -132,7 +132,7 @@ class _Builder:
             xform=transform(pose),
             com=wp.vec3(*map(float, link.center_of_mass)),
             mass=float(link.mass),
-            inertia=wp.mat33(*(np.asarray(link.inertia, dtype=float) + rotor).ravel().tolist()),
+            inertia=wp.mat33(*(np.asarray(link.inertia, dtype=float) + rotor * np.eye(3)).ravel().tolist()),
             lock_inertia=True,
             is_kinematic=number == entity.root_link and entity.spec.fixed_base,
             label=f"link{number}",

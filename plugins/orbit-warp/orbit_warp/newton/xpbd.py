@@ -14,7 +14,6 @@ from orbit_core.scene import JointType
 from orbit_warp.newton.config import XpbdConfig
 from orbit_warp.newton.joints import drive_arrays, joint_table
 from orbit_warp.newton.plant import Dynamics, Plant
-from orbit_warp.newton.wrenches import WrenchReader
 from orbit_warp.newton.xpbd_kernels import Coefficients, Drives, give_own_surfaces, take_forces, write_drives
 
 
@@ -46,11 +45,8 @@ class XpbdDynamics(Dynamics):
         self._drives = _drives(plant)
         self._commands = drive_arrays(plant)
         self._joint_efforts = wp.from_torch(plant.joint_efforts)
-        kinds = {"contact_f"} if plant.meter.needed else set()
-        if plant.layout.wrench_links:
-            kinds.add("body_parent_f")
-        self._observables = self._solver.observables(kinds, contacts=plant.finder.contacts) if kinds else None
-        self._wrenches = WrenchReader(plant) if plant.layout.wrench_links else None
+        measured = self._solver.observables({"contact_f"}, contacts=plant.finder.contacts)
+        self._observables = measured if plant.meter.needed else None
 
     def take(self) -> None:
         plant = self._plant
@@ -68,8 +64,6 @@ class XpbdDynamics(Dynamics):
             plant.write_body_forces()
             self._solver.step(plant.state, plant.state, plant.control, contacts, self._h, observables=self._observables)
             self._measure()
-        if self._wrenches is not None:
-            self._wrenches.read(self._observables.body_parent_f)
 
     def masses_changed(self) -> None:
         self._solver.notify_model_changed(ModelFlags.BODY_INERTIAL_PROPERTIES)

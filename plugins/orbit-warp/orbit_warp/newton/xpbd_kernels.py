@@ -54,10 +54,14 @@ def write_drives(
     ke, kd = within * stiffness[env, joint], within * damping[env, joint]
     drag = table.damping[joint] + table.friction[joint] / wp.max(wp.abs(v), friction_speed)
     drives.target_q[env, table.targets[joint]] = position_targets[env, joint]
-    drives.target_qd[env, dof] = velocity_targets[env, joint] * kd / wp.max(kd + drag, 1.0e-12)
+    # Where there is damping, an effort is a velocity to be damped towards: so it acts in the sweeps, not before them.
+    effort = wp.where(beyond, force, efforts[env, joint])
+    damped = wp.where(kd + drag > 0.0, 1.0, 0.0)
+    speed = velocity_targets[env, joint] * kd + damped * effort
+    drives.target_qd[env, dof] = speed / wp.max(kd + drag, 1.0e-12)
     drives.stiffness[env, dof] = ke * scales[joint]
     drives.damping[env, dof] = (kd + drag) * scales[joint]
-    drives.force[env, dof] = wp.where(beyond, force, efforts[env, joint])
+    drives.force[env, dof] = (1.0 - damped) * effort
 
 
 @wp.struct
