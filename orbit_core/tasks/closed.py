@@ -31,6 +31,7 @@ class ClosedStep:
         self._environment = environment
         self._observed = torch.zeros(environment.num_envs, environment.observation_size, device=environment.device)
         self._metrics: tuple[str, ...] = ()
+        self._ended = environment.done if whole else environment.done.numpy()
         parts = (self._play_and_renew,) if whole else (self._play, self._renew)
         memory = lambda: remembered(environment.task, environment.cut)  # noqa: E731
         self._parts = [Closed(environment.world, part, memory, compile) for part in parts]
@@ -39,14 +40,16 @@ class ClosedStep:
         environment = self._environment
         graph, clock = environment.cut.graph, environment.world.clock
         count, steps, decimation = graph.step_count, clock.steps, environment.task.decimation
-        observation, reward, terminated, truncated, *end = self._parts[0]()
+        outputs = self._parts[0]()
         environment.cut.acted(count)
         environment.world.repeated(steps + decimation - clock.steps)
+        if len(self._parts) > 1 and not self._ended.any():
+            observation, reward, terminated, truncated = [output.clone() for output in outputs[:4]]
+            return {"policy": observation}, reward, terminated, truncated, {}
+        observation, reward, terminated, truncated, *end = [output.clone() for output in outputs]
         if len(self._parts) > 1:
-            if not environment.done.numpy().any():
-                return {"policy": observation}, reward, terminated, truncated, {}
             end.append(observation)
-            (observation,) = self._parts[1]()
+            observation = self._parts[1]()[0].clone()
             environment.world.repeated(0)
         return {"policy": observation}, reward, terminated, truncated, self._info(end)
 

@@ -37,25 +37,82 @@ def check_compiler(device: torch.device) -> None:
         raise ConfigurationError(f"compile needs Triton on device '{device}': pip install triton, {_REMEDY}")
 
 
-def compiled(graph: fx.GraphModule, inputs: list[Tensor]) -> Callable[..., Sequence[Tensor]]:
+def compiled(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callable[..., Sequence[Tensor]]:
     """The graph, for inputs of the same shapes, as compiled code; what inductor cached on disk is taken from there.
+
+    Args:
+        graph: of operations.
+        inputs: that it takes.
+        fixed: whether it always takes these very tensors. What it gives may then be the same tensors each time.
 
     Raises:
         ConfigurationError: inductor fails.
     """
-    import torch._inductor as inductor
-
     _spell_out_products(graph)
-    # Threads cost more than they save on a step's small tensors, and the engine needs the cores. Sizes never change.
-    options = {"cpp.threads": 1, "size_asserts": False}
     try:
         with torch.no_grad():
-            return inductor.compile(graph, list(inputs), options=options)  # pyright: ignore[reportReturnType]
+            return _on_cpu(graph, inputs, fixed) if inputs[0].device.type == "cpu" else _on_gpu(graph, inputs)
     except Exception as error:  # of many kinds: inductor's own, the compiler's, the operating system's
         first = next(iter(str(error).splitlines()), "")
         raise ConfigurationError(
             f"the step could not be compiled, for {type(error).__name__}: {first}; check the compiler, {_REMEDY}"
         ) from error
+
+
+def _on_gpu(graph: fx.GraphModule, inputs: list[Tensor]) -> Callable[..., Sequence[Tensor]]:
+    import torch._inductor as inductor
+
+    return inductor.compile(graph, list(inputs))  # pyright: ignore[reportReturnType]
+
+
+def _on_cpu(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callable[..., Sequence[Tensor]]:
+    from torch._inductor import config
+    from torch._inductor.compile_fx import compile_fx_inner
+    from torch._inductor.decomposition import select_decomp_table
+    from torch.fx.experimental.proxy_tensor import make_fx
+
+    functional = torch.func.functionalize(graph, remove="mutations")
+    pure = make_fx(functional, decomposition_table=select_decomp_table(), tracing_mode="fake")(*inputs)
+    # Threads cost more than they save on a step's small tensors, and the engine needs the cores. Sizes never change.
+    with config.patch({"cpp.threads": 1, "size_asserts": False}):
+        code: Any = compile_fx_inner(pure, list(inputs))
+    call = code.current_callable
+    return (_launches(call, inputs) if fixed else None) or (lambda *tensors: call(list(tensors)))
+
+
+_OF_MEMORY = {"clear", "empty_strided_cpu", "reinterpret_tensor", "torch"}
+"""Names in inductor's code that only make room for what its kernels write."""
+
+
+def _launches(call: Any, inputs: list[Tensor]) -> Callable[..., Sequence[Tensor]] | None:
+    """The kernels that inductor's code calls, on the memory of one call; None where it does more than call kernels.
+
+    For a step's few numbers the code around the kernels takes several times as long as they do.
+    """
+    function = getattr(call, "__func__", call)
+    names = {name for name in function.__code__.co_names if not isinstance(getattr(torch, name, None), torch.dtype)}
+    kernels = {name for name in names if name.startswith("cpp_fused")}
+    if names - kernels - _OF_MEMORY:
+        return None
+    launches: list[tuple[Callable[..., None], tuple[Any, ...]]] = []
+
+    def noting(kernel: Callable[..., None]) -> Callable[..., None]:
+        return lambda *arguments: launches.append((kernel, arguments))
+
+    module = function.__globals__
+    own = {name: module[name] for name in kernels}
+    module.update({name: noting(kernel) for name, kernel in own.items()})
+    try:
+        outputs = call(list(inputs))
+    finally:
+        module.update(own)
+
+    def launch(*_: Tensor) -> Sequence[Tensor]:
+        for kernel, arguments in launches:
+            kernel(*arguments)
+        return outputs
+
+    return launch
 
 
 _FEW_NUMBERS = 1024

@@ -18,6 +18,7 @@ from orbit_core.world import SimulatedWorld
 class Closed:
     """Runs operations as they are the first time, watching them, and from then on does the same without their Python.
 
+    What they give holds until the next call: clone what is kept.
     What they count on the host is their caller's to keep right. Where the engine makes recordings, a replay is one.
 
     Args:
@@ -66,7 +67,7 @@ class Closed:
         return outputs
 
 
-def _as_it_is(graph: fx.GraphModule, inputs: list[Tensor]) -> fx.GraphModule:
+def _as_it_is(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> fx.GraphModule:
     return graph
 
 
@@ -86,7 +87,7 @@ def _recorded(
 
     def replay() -> tuple[Tensor, ...]:
         recording()
-        return tuple(output.clone() for output in outputs)  # the next replay writes the same tensors
+        return outputs
 
     return replay
 

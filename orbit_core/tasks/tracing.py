@@ -34,6 +34,9 @@ CALLS: Mapping[str, tuple[int, ...]] = {
 _DECIDING = (torch.Tag.data_dependent_output, torch.Tag.dynamic_output_shape)
 
 
+Build = Callable[[fx.GraphModule, list[Tensor], bool], Callable[..., Sequence[Tensor]]]
+
+
 class NotTraceable(Exception):
     """The step does what no trace can repeat; says what."""
 
@@ -142,8 +145,8 @@ class Trace:
     Args:
         engine: that was used.
         stages: as a :class:`Tracer` noted them.
-        outputs: tensors of the traced step; running the trace gives their new values, in tensors of their own.
-        build: makes a stage's graph and the tensors that it takes into a function of such tensors.
+        outputs: tensors of the traced step; running the trace gives their new values, which hold until the next run.
+        build: makes a stage's graph and the tensors that it takes, always these or others like them, into a function.
     """
 
     def __init__(
@@ -151,7 +154,7 @@ class Trace:
         engine: Engine,
         stages: Sequence[Stage],
         outputs: Sequence[Tensor],
-        build: Callable[[fx.GraphModule, list[Tensor]], Callable[..., Sequence[Tensor]]],
+        build: Build,
     ) -> None:
         self._engine = engine
         memory = _Memory(stages, engine.device)
@@ -204,7 +207,7 @@ class _BuiltStage:
         stage: Stage,
         memory: _Memory,
         wanted: list[Tensor],
-        build: Callable[[fx.GraphModule, list[Tensor]], Callable[..., Sequence[Tensor]]],
+        build: Build,
     ) -> None:
         self._reads = tuple(stage.reads.items())
         self._settles = bool(stage.expressed)
@@ -213,7 +216,8 @@ class _BuiltStage:
         graph = _StageGraph(stage, memory, wanted)
         self._inputs = graph.inputs
         self._passed = graph.passed
-        self._function = build(graph.module, graph.inputs) if stage.operations or wanted else _nothing
+        some = stage.operations or wanted
+        self._function = build(graph.module, graph.inputs, not graph.passed) if some else _nothing
 
     def run(self, engine: Engine, values: dict[int, Tensor]) -> None:
         if self._settles:
