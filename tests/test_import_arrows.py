@@ -75,7 +75,8 @@ def test_imports_point_down(package: str) -> None:
 def test_a_plugin_imports_the_contract_alone() -> None:
     wrong = {
         f"{path.relative_to(ROOT)} imports {package}"
-        for path in (ROOT / "plugins").glob("orbit-*/orbit_*/**/*.py")
+        for folder in ("plugins", "examples")
+        for path in (ROOT / folder).glob("orbit-*/orbit_*/**/*.py")
         for package in imported_packages(path)
         if package not in {"interfaces", "scene"}
     }
