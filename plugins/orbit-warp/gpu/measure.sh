@@ -3,6 +3,8 @@
 #   smoke     one size of Lift, small: does everything run?        about 2 minutes with a cold kernel cache
 #   closed    a recorded step is the step, and waits for nothing   about 3 minutes
 #   tests1, tests2, tests3   the contract's suite, a third each    about 2 minutes each
+#   images    pictures against closed forms                        about 5 minutes with a cold kernel cache
+#   cameras   colour and depth of Lift at 1,024 environments       about 3 minutes
 #   bench     Lift at 4,096 and 16,384 environments                about 2 minutes
 #   tasks     Reach, Cabinet and Velocity-Flat at 4,096            about 3 minutes
 #   compiled  Lift at both sizes, compiled; needs Triton           about 3 minutes
@@ -34,6 +36,10 @@ stage() {
     smoke) bench Lift 256 --action ik_relative --steps 50 --blocks 2 ;;
     closed) python3 -m pytest -q -p no:cacheprovider -rfEs plugins/orbit-warp/tests/test_warp_gpu.py ;;
     tests[123]) contract "${1#tests}" ;;
+    images) python3 -m pytest -q -p no:cacheprovider -rfE tests/conformance/test_images.py --device cuda -k "warp]" ;;
+    cameras)
+      python3 $here/cameras.py --num-envs 1024 --sizes 64 128 --json "$out/cameras.json"
+      python3 $here/cameras.py --num-envs 1024 --sizes 64 128 --json "$out/cameras_unshaded.json" --no-shadows ;;
     bench) bench Lift "4096 16384" --action ik_relative ;;
     tasks) for task in Reach Cabinet Velocity-Flat; do bench $task 4096 || return 1; done ;;
     compiled) bench Lift "4096 16384" --action ik_relative --compile ;;
