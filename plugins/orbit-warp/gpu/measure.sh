@@ -36,7 +36,7 @@ stage() {
     smoke) bench Lift 256 --action ik_relative --steps 50 --blocks 2 ;;
     closed) python3 -m pytest -q -p no:cacheprovider -rfEs plugins/orbit-warp/tests/test_warp_gpu.py ;;
     tests[123]) contract "${1#tests}" ;;
-    images) python3 -m pytest -q -p no:cacheprovider -rfE tests/conformance/test_images.py --device cuda -k "warp]" ;;
+    images) python3 -m pytest -q -p no:cacheprovider -rfE tests/conformance/test_images.py --device cuda -k warp ;;
     cameras)
       python3 $here/cameras.py --num-envs 1024 --sizes 64 128 --json "$out/cameras.json"
       python3 $here/cameras.py --num-envs 1024 --sizes 64 128 --json "$out/cameras_unshaded.json" --no-shadows ;;
