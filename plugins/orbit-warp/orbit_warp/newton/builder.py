@@ -4,6 +4,7 @@ Bodies stand in the layout's order, environment by environment, so body ``e L + 
 base is a kinematic body on a fixed joint, whose place in the world each environment may choose.
 """
 
+# pyright: reportMissingImports=false
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false
 # Warp's types are made at run time.
 

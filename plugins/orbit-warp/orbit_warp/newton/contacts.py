@@ -1,5 +1,6 @@
 """Contacts between shapes, and the contact force of each query."""
 
+# pyright: reportMissingImports=false
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 # pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 # Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.

@@ -1,5 +1,6 @@
 """N environments of one scene on one of Newton's solvers."""
 
+# pyright: reportMissingImports=false
 # pyright: reportArgumentType=false
 
 from __future__ import annotations

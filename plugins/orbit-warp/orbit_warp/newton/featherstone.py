@@ -1,5 +1,6 @@
 """Newton's Featherstone solver: reduced coordinates, symplectic Euler."""
 
+# pyright: reportMissingImports=false
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 # pyright: reportGeneralTypeIssues=false
 # Warp's types are made at run time.

@@ -1,5 +1,6 @@
 """What the engine and the solver share: model and state of all environments, commands, gains and measurements."""
 
+# pyright: reportMissingImports=false
 # pyright: reportArgumentType=false
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
 """Collision shapes as Newton's."""
 
+# pyright: reportMissingImports=false
 # pyright: reportArgumentType=false
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ Writes go to joint coordinates, from which Newton derives the poses of the envir
 needed. After a step of a solver that moves bodies, joint coordinates are derived from the bodies.
 """
 
+# pyright: reportMissingImports=false
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 # pyright: reportOptionalSubscript=false
 # Newton's arrays are optional to Python, for a model may lack what they hold.

@@ -1,5 +1,6 @@
 """Newton's XPBD solver: bodies move freely, and constraints correct their positions."""
 
+# pyright: reportMissingImports=false
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 # pyright: reportGeneralTypeIssues=false
 # Warp's types are made at run time.
