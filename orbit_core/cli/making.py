@@ -49,7 +49,8 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environmen
     )  # fmt: skip
     chosen = {"robot": settings.robot, "action": settings.action}
     fields.update({key: value for key, value in chosen.items() if value is not None})
-    return make(entry.name, num_envs, name, device, settings.seed, settings.renderer, own, looks, **fields)
+    common = (settings.seed, settings.renderer, own, looks, settings.compile)
+    return make(entry.name, num_envs, name, device, *common, **fields)
 
 
 def _merged(

@@ -30,6 +30,8 @@ class EnvironmentSettings:
     """Renderer ('orbit list renderers') or backend that draws; the physics backend if left out."""
     device: Annotated[str, arg(metavar="NAME")] = "cpu"
     """Torch device that holds all state, such as 'cpu' or 'cuda:0'."""
+    compile: bool = False
+    """Compile the layer's part of a step: seconds at the first steps, and less time in all that follow."""
     seed: int = 0
     """Of every environment's random stream."""
     set: KeyValues = ()

@@ -37,13 +37,14 @@ class ClosedStep:
         self._parts = [Closed(environment.world, part, memory, compile) for part in parts]
 
     def __call__(self) -> StepResult:
+        """One step; the first makes all parts ready, and so does for no environment what resets do."""
         environment = self._environment
         graph, clock = environment.cut.graph, environment.world.clock
         count, steps, decimation = graph.step_count, clock.steps, environment.task.decimation
         outputs = self._parts[0]()
         environment.cut.acted(count)
         environment.world.repeated(steps + decimation - clock.steps)
-        if len(self._parts) > 1 and not self._ended.any():
+        if len(self._parts) > 1 and self._parts[1].ready and not self._ended.any():
             observation, reward, terminated, truncated = [output.clone() for output in outputs[:4]]
             return {"policy": observation}, reward, terminated, truncated, {}
         observation, reward, terminated, truncated, *end = [output.clone() for output in outputs]

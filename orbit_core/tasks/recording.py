@@ -45,6 +45,11 @@ class Closed:
         self.refusal = ""
         """Why the operations cannot be repeated without Python; empty if they can, or have not run."""
 
+    @property
+    def ready(self) -> bool:
+        """Whether the operations have been traced."""
+        return self._replay is not None or bool(self.refusal)
+
     def __call__(self) -> tuple[Tensor, ...]:
         return self._traced() if self._replay is None else self._replay()
 

@@ -312,6 +312,8 @@ def _call(engine: Engine, name: str, call: Callable[..., None], arguments: tuple
     """Call the engine, with indices in the place of a mask where it takes none: to find them is to look at the mask."""
     if _by_index(engine, name, arguments):
         env_ids = arguments[-1].nonzero().squeeze(-1)
+        if not len(env_ids):
+            return
         rows = CALLS[name]
         arguments = tuple(a[env_ids] if i in rows and a is not None else a for i, a in enumerate(arguments[:-1]))
         arguments = (*arguments, env_ids)
