@@ -5,7 +5,7 @@ base is a kinematic body on a fixed joint, whose place in the world each environ
 """
 
 # pyright: reportMissingImports=false
-# pyright: reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 # Warp's types are made at run time.
 
 from __future__ import annotations
