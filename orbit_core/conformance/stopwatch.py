@@ -69,10 +69,16 @@ def timed_parts(environment: Environment) -> Iterator[Stopwatch]:
     environment.world.step = watch.wrap("world", environment.world.step)  # pyright: ignore[reportAttributeAccessIssue]
     engine.step = watch.wrap("engine step", engine.step)  # pyright: ignore[reportAttributeAccessIssue]
     engine.__class__ = type(engine_type.__name__, (engine_type,), timed_reads)
+    closed = environment._closed.parts if environment._closed else ()
+    replays = [part.replay for part in closed]
+    for part, name in zip(closed, ("compiled: agent, motion, rewards, observations", "resets"), strict=False):
+        part.replay = part.replay and watch.wrap(name, part.replay)
     try:
         yield watch
     finally:
         engine.__class__ = engine_type
+        for part, replay in zip(closed, replays, strict=True):
+            part.replay = replay
         for owner, names in ((environment, parts), (cut, acting), (environment.world, ("step",)), (engine, ("step",))):
             for name in names:
                 delattr(owner, name)

@@ -34,30 +34,30 @@ class ClosedStep:
         self._ended = environment.done if whole else environment.done.numpy()
         parts = (self._play_and_renew,) if whole else (self._play, self._renew)
         memory = lambda: remembered(environment.task, environment.cut)  # noqa: E731
-        self._parts = [Closed(environment.world, part, memory, compile) for part in parts]
+        self.parts = [Closed(environment.world, part, memory, compile) for part in parts]
 
     def __call__(self) -> StepResult:
         """One step; the first makes all parts ready, and so does for no environment what resets do."""
         environment = self._environment
         graph, clock = environment.cut.graph, environment.world.clock
         count, steps, decimation = graph.step_count, clock.steps, environment.task.decimation
-        outputs = self._parts[0]()
+        outputs = self.parts[0]()
         environment.cut.acted(count)
         environment.world.repeated(steps + decimation - clock.steps)
-        if len(self._parts) > 1 and self._parts[1].ready and not self._ended.any():
+        if len(self.parts) > 1 and self.parts[1].ready and not self._ended.any():
             observation, reward, terminated, truncated = [output.clone() for output in outputs[:4]]
             return {"policy": observation}, reward, terminated, truncated, {}
         observation, reward, terminated, truncated, *end = [output.clone() for output in outputs]
-        if len(self._parts) > 1:
+        if len(self.parts) > 1:
             end.append(observation)
-            observation = self._parts[1]()[0].clone()
+            observation = self.parts[1]()[0].clone()
             environment.world.repeated(0)
         return {"policy": observation}, reward, terminated, truncated, self._info(end)
 
     @property
     def refusal(self) -> str:
         """Why the step cannot be repeated without Python; empty if it can, as far as is known."""
-        return next((part.refusal for part in self._parts if part.refusal), "")
+        return next((part.refusal for part in self.parts if part.refusal), "")
 
     def _info(self, end: list[Tensor]) -> StepInfo:
         done, success, steps, rewards, *metrics, last = end

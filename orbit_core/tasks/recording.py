@@ -41,17 +41,17 @@ class Closed:
         self._operations = operations
         self._memory = memory
         self._build = compiled if compile else _as_it_is
-        self._replay: Callable[[], tuple[Tensor, ...]] | None = None
+        self.replay: Callable[[], tuple[Tensor, ...]] | None = None
         self.refusal = ""
         """Why the operations cannot be repeated without Python; empty if they can, or have not run."""
 
     @property
     def ready(self) -> bool:
         """Whether the operations have been traced."""
-        return self._replay is not None or bool(self.refusal)
+        return self.replay is not None or bool(self.refusal)
 
     def __call__(self) -> tuple[Tensor, ...]:
-        return self._traced() if self._replay is None else self._replay()
+        return self._traced() if self.replay is None else self.replay()
 
     def _traced(self) -> tuple[Tensor, ...]:
         world, tracer, before = self._world, Tracer(), self._memory()
@@ -66,7 +66,7 @@ class Closed:
         if not self.refusal:
             try:
                 trace = Trace(world.engine, tracer.stages, outputs, self._build)
-                self._replay = _recorded(trace, world.engine.record)
+                self.replay = _recorded(trace, world.engine.record)
             except NotTraceable as reason:
                 self.refusal = str(reason)
         return outputs

@@ -10,6 +10,7 @@ import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import torch
@@ -123,7 +124,7 @@ class Tracer(TorchDispatchMode):
             with self._silence():
                 if _by_index(engine, name, arguments) and engine.device.type != "cpu":
                     self.refusal = f"the engine's {name} takes no mask"
-                _call(engine, name, call, arguments)
+                _call(engine, name, partial(call, engine), arguments)
             if not self._paused:
                 self.stages[-1].call = (name, arguments)
                 self.stages.append(Stage())
@@ -232,7 +233,7 @@ class _BuiltStage:
         if self._call is not None:
             name, arguments = self._call
             given = tuple([values.get(id(a), a) for a in arguments])
-            _call(engine, name, getattr(type(engine), name), given)
+            _call(engine, name, getattr(engine, name), given)
 
 
 class _StageGraph:
@@ -317,7 +318,7 @@ def _call(engine: Engine, name: str, call: Callable[..., None], arguments: tuple
         rows = CALLS[name]
         arguments = tuple(a[env_ids] if i in rows and a is not None else a for i, a in enumerate(arguments[:-1]))
         arguments = (*arguments, env_ids)
-    call(engine, *arguments)
+    call(*arguments)
 
 
 def _by_index(engine: Engine, name: str, arguments: tuple[Any, ...]) -> bool:
