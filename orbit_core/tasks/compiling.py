@@ -51,7 +51,8 @@ def compiled(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callab
     _spell_out_products(graph)
     try:
         with torch.no_grad():
-            return _on_cpu(graph, inputs, fixed) if inputs[0].device.type == "cpu" else _on_gpu(graph, inputs)
+            on_cpu = all(tensor.device.type == "cpu" for tensor in inputs)
+            return _on_cpu(graph, inputs, fixed) if on_cpu else _on_gpu(graph, inputs)
     except Exception as error:  # of many kinds: inductor's own, the compiler's, the operating system's
         first = next(iter(str(error).splitlines()), "")
         raise ConfigurationError(
