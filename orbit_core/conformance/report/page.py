@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -162,7 +161,8 @@ def page_of(result: Result, folder: Path) -> Page:
 
 
 def _matrix(result: Result) -> Iterator[tuple[str, tuple[Line, ...]]]:
-    for group, infos in itertools.groupby(result.header.scenarios, key=lambda info: info.group):
+    for group in dict.fromkeys(info.group for info in result.header.scenarios):
+        infos = (info for info in result.header.scenarios if info.group == group)
         yield group, tuple(_scenario_line(result, info) for info in infos)
     for kind, group in ((Kind.TASK, "Tasks"), (Kind.THROUGHPUT, "Throughput")):
         lines = tuple(_task_line(result, kind, task) for task in result.header.settings.tasks if result.of(kind))

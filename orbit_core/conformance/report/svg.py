@@ -33,7 +33,7 @@ STYLE: dict[Any, Any] = {
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 PANEL_WIDTH, PANEL_HEIGHT = 2.7, 2.1
 _COLUMNS = 4
-_LEGEND_COLUMNS = 3
+_LEGEND_COLUMNS = 2
 """Below each panel."""
 
 
@@ -85,7 +85,7 @@ def _slim(svg: str) -> str:
     svg = re.sub(r' id="[A-Za-z0-9.]+_\d+"', "", svg)
     svg = re.sub(r' (?:xmlns(?::xlink)?|version)="[^"]*"', "", svg)
     svg = svg.replace("xlink:href", "href")
-    svg = re.sub(r"(\d\.\d\d)\d+", r"\1", svg)
+    svg = re.sub(r'\b(?:d|x|y|transform)="[^"]*"', lambda place: re.sub(r"(\.\d\d)\d+", r"\1", place[0]), svg)
     svg = re.sub(r"font-family: [^;\"]*", "", svg)  # the page's own
     svg = re.sub(r"\s*\n\s*(?=[A-Zz][ \"\d-])", " ", svg)  # a path's points on one line
     svg = re.sub(r"\s*\n\s*", "\n", svg)
