@@ -1,0 +1,19 @@
+"""The committed report has every installed backend, and what its page shows is there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from orbit_core.conformance.results import load
+
+FOLDER = Path(__file__).parents[2] / "docs" / "conformance"
+
+
+def test_every_engine_is_in_the_report_and_its_videos_are_there() -> None:
+    result = load(FOLDER)
+    assert {*result.header.settings.backends} >= {"bullet", "mujoco", "sapien", "warp"}
+    page = (FOLDER / "report.html").read_text()
+    videos = [f"{record.job.key}/{name}" for record in result.records for name in record.files if name.endswith("mp4")]
+    assert videos
+    assert all(name in page and (FOLDER / name).exists() for name in videos)
+    assert not result.objections
