@@ -158,7 +158,7 @@ class Trace:
         build: Build,
     ) -> None:
         self._engine = engine
-        memory = _Memory(stages, engine.device)
+        memory = _Memory(stages)
         maker = {id(t): number for number, stage in enumerate(stages) for t in _results(stage)}
         wanted: list[dict[int, Tensor]] = [{} for _ in stages]
         self._outputs = [id(tensor) for tensor in outputs]
@@ -185,8 +185,7 @@ class Trace:
 class _Memory:
     """Which tensors stay when a step is over, told by the memory that they lie in."""
 
-    def __init__(self, stages: Sequence[Stage], device: torch.device) -> None:
-        self.device = device
+    def __init__(self, stages: Sequence[Stage]) -> None:
         self._lasting: set[int] = set()
         made: set[int] = set()
         for stage in stages:
@@ -248,7 +247,6 @@ class _StageGraph:
         """Position and name of the inputs that an earlier stage made."""
         self._graph = fx.Graph()
         self._nodes: dict[int, fx.Node] = {}
-        self._device = memory.device
         self._add_inputs(stage, memory, wanted)
         for operation in stage.operations:
             self._add(operation)
@@ -281,8 +279,7 @@ class _StageGraph:
                 node.meta["shape"] = first.shape
                 if not memory.lasts(first):
                     self.passed.append((len(self.inputs), id(first)))
-                # A number of Python's lies on the host; compiled code would copy it to the device each time.
-                self.inputs.append(first.to(self._device) if first.dim() == 0 else first)
+                self.inputs.append(first)
                 continue
             if not memory.lasts(first) or len({tensor.dtype for tensor in group.values()}) > 1:
                 raise NotTraceable("tensors made in one stage share memory in the next")
@@ -294,8 +291,6 @@ class _StageGraph:
 
     def _add(self, operation: Operation) -> None:
         arguments, keywords = tree_map(self._node_of, (operation.arguments, operation.keywords))
-        if "device" in keywords:
-            keywords = {**keywords, "device": self._device}
         node = self._graph.call_function(operation.function, arguments, keywords)
         if isinstance(operation.result, Tensor):
             node.meta["shape"] = operation.result.shape

@@ -20,8 +20,8 @@ _CONTACTS_OF_BODY = 12
 _CONTACTS_OF_GEOM = 1
 """Of a shape of an articulation: few of them touch at a time, but each may be near something."""
 _CROWDED = 2
-"""Contacts in any one environment over what is likely, where two articulations may press on each other: an arm that
-moves at random against a cabinet needed more rows than the likely contacts have."""
+"""Contacts in any one environment over what is likely on average: an arm that moves at random against a cabinet, and
+one that learns to lift and presses on the table, needed more rows than the likely contacts have."""
 
 
 @dataclass(frozen=True)
@@ -50,16 +50,7 @@ def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpCon
     rows = condim if config.cone == "elliptic" else max(2 * (condim - 1), 1)
     always = int(np.count_nonzero(model.dof_frictionloss)) + int(np.count_nonzero(model.jnt_limited))
     always += _equality_rows(model)
-    crowded = nconmax * (_CROWDED if _articulations_meet(model, pairs) else 1)
-    return BufferSizes(nconmax, config.njmax or max(always + rows * crowded, 1))
-
-
-def _articulations_meet(model: mujoco.MjModel, pairs: npt.NDArray[np.int32]) -> bool:
-    """Whether shapes of two different articulations may touch."""
-    roots = model.body_rootid[model.geom_bodyid[pairs.reshape(-1, 2)]]
-    many = np.bincount(model.body_rootid, minlength=model.nbody) > 1
-    many[0] = False
-    return bool((many[roots].all(axis=1) & (roots[:, 0] != roots[:, 1])).any())
+    return BufferSizes(nconmax, config.njmax or max(always + rows * _CROWDED * nconmax, 1))
 
 
 def _equality_rows(model: mujoco.MjModel) -> int:
