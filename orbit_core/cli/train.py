@@ -67,8 +67,10 @@ def train(settings: TrainSettings) -> Path:
     check_positive("save_every", settings.save_every)
     if settings.output is not None and settings.resume is not None:
         raise ConfigurationError("a training resumes in its own folder: leave --output out")
-    make_trainer = trainer_type(settings.library)
     settings, leader = _ranked(settings)
+    make_trainer = trainer_type(settings.library)
+    if _processes() > 1 and not make_trainer.several_gpus:
+        raise ConfigurationError(f"library '{settings.library}' trains on one GPU: for several, use --library rsl-rl")
     environment = make_environment(settings, settings.num_envs)
     try:
         algorithm = _algorithm(settings, environment.task.ppo)
@@ -95,11 +97,16 @@ def train(settings: TrainSettings) -> Path:
 def _ranked(settings: TrainSettings) -> tuple[TrainSettings, bool]:
     """Under torchrun: a GPU and a seed of this process's own; also whether this process leads."""
     rank, local = int(os.environ.get("RANK", "0")), os.environ.get("LOCAL_RANK")
-    if local is None or int(os.environ.get("WORLD_SIZE", "1")) == 1:
+    if local is None or _processes() == 1:
         return settings, True
     if not settings.device.startswith("cuda"):
         raise ConfigurationError("several processes train on several GPUs: add --device cuda")
     return dataclasses.replace(settings, device=f"cuda:{local}", seed=settings.seed + 1000 * rank), rank == 0
+
+
+def _processes() -> int:
+    """That torchrun started."""
+    return int(os.environ.get("WORLD_SIZE", "1"))
 
 
 def _algorithm(settings: TrainSettings, defaults: PpoSettings) -> PpoSettings:

@@ -14,8 +14,9 @@ from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.learning.episodes import all_ends
 from orbit_core.tasks.environment import Environment, make
-from orbit_core.tasks.episode import EpisodeEnd, Observation, StepInfo
+from orbit_core.tasks.episode import EpisodeEnd, Observation
 from orbit_core.tasks.task import Task
 from orbit_core.viewer.pictures import OverviewCamera
 
@@ -68,11 +69,8 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
     ) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Any]]:
         action = torch.as_tensor(actions, dtype=torch.float32, device=self.device)
         observation, reward, terminated, truncated, info = self.environment.step(action)
-        if isinstance(info, StepInfo):  # to ask whether an episode ended would be to wait for the device
-            final = _final(info.everyone, info.done)
-        else:
-            end = info.get("final")
-            final = {} if end is None else _final(*_spread(end, self.num_envs))
+        found = all_ends(info, self.num_envs)
+        final = {} if found is None else _final(*found)
         return observation, reward, terminated, truncated, final
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
@@ -141,27 +139,6 @@ def _checked_mode(render_mode: str | None) -> str | None:
     if render_mode not in (None, "rgb_array"):
         raise ConfigurationError(f"render_mode '{render_mode}' is unknown: use 'rgb_array', or 'orbit view' to watch")
     return render_mode
-
-
-def _spread(end: EpisodeEnd, count: int) -> tuple[EpisodeEnd, Tensor]:
-    """Ends of some episodes as rows among all environments, and the mask of where."""
-    ended = torch.zeros(count, dtype=torch.bool, device=end.env_ids.device)
-    ended[end.env_ids] = True
-
-    def spread(values: Tensor) -> Tensor:
-        full = torch.zeros((count, *values.shape[1:]), dtype=values.dtype, device=values.device)
-        full[end.env_ids] = values
-        return full
-
-    everyone = EpisodeEnd(
-        env_ids=torch.arange(count, device=end.env_ids.device),
-        observation={name: spread(group) for name, group in end.observation.items()},
-        success=spread(end.success),
-        metrics={name: spread(value) for name, value in end.metrics.items()},
-        rewards={name: spread(value) for name, value in end.rewards.items()},
-        steps=spread(end.steps),
-    )
-    return everyone, ended
 
 
 def _final(everyone: EpisodeEnd, ended: Tensor) -> dict[str, Any]:

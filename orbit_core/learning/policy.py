@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -167,7 +168,9 @@ def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
         raise ConfigurationError(f"there is no policy {path}")
     files = {_DESCRIPTION: ""}
     try:
-        module = torch.jit.load(str(path), map_location=device, _extra_files=files)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # what is to follow TorchScript needs more than a file
+            module = torch.jit.load(str(path), map_location=device, _extra_files=files)
         description = PolicyDescription.from_json(files[_DESCRIPTION])
     except (RuntimeError, ValueError, TypeError, KeyError) as error:
         raise ConfigurationError(f"{path} is no policy of ORBIT: {str(error).splitlines()[0]}") from error

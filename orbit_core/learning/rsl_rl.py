@@ -66,6 +66,7 @@ class RslRlTrainer(Trainer):
     """PPO with the learning rate following the Kullback-Leibler divergence."""
 
     name: ClassVar[str] = "rsl-rl"
+    several_gpus: ClassVar[bool] = True
 
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)

@@ -18,6 +18,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import Tensor, nn
 
+from orbit_core.learning.networks import NormalizedActor
 from orbit_core.learning.trainer import Progress, Trainer
 from orbit_core.tasks.environment import Environment
 from orbit_core.tasks.ppo import PpoSettings
@@ -37,12 +38,10 @@ class Sb3Environment(VecEnv):
         super().__init__(environment.num_envs, observation, spaces.Box(-1.0, 1.0, (environment.action_size,)))
         self._seed = seed
         self._action = torch.zeros(environment.num_envs, environment.action_size)
-        self._return = torch.zeros(environment.num_envs, device=environment.device)
 
     def reset(self) -> npt.NDArray[np.float32]:
         observation, _ = self.environment.reset(self._seed)
         self._seed = None
-        self._return.zero_()
         return _array(observation["policy"])
 
     def step_async(self, actions: npt.NDArray[np.float32]) -> None:
@@ -50,21 +49,20 @@ class Sb3Environment(VecEnv):
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
         observation, reward, terminated, truncated, info = self.environment.step(self._action)
-        self._return += reward
         done = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if "final" in info:
             self._tell(infos, info["final"], truncated)
-            self._return[done] = 0.0
         return _array(observation["policy"]), _array(reward), _array(done), infos
 
     def _tell(self, infos: list[dict[str, Any]], end: Any, truncated: Tensor) -> None:
         last = _array(end.observation["policy"])
+        returns = torch.stack(list(end.rewards.values())).sum(0)
         for row, i in enumerate(end.env_ids.tolist()):
             infos[i]["terminal_observation"] = last[row]
             infos[i]["TimeLimit.truncated"] = bool(truncated[i])
             infos[i]["is_success"] = bool(end.success[row])
-            infos[i]["episode"] = {"r": float(self._return[i]), "l": int(end.steps[row]), "t": time.time()}
+            infos[i]["episode"] = {"r": float(returns[row]), "l": int(end.steps[row]), "t": time.time()}
 
     def close(self) -> None:
         """The environment belongs to whoever made it."""
@@ -116,6 +114,7 @@ class Sb3Trainer(Trainer):
                 "net_arch": list(settings.hidden_sizes),
                 "activation_fn": nn.ELU,
                 "log_std_init": math.log(settings.initial_std),
+                "ortho_init": False,  # its last layer starts so small that short trainings gain half as much
             },
             tensorboard_log=str(folder),
             seed=seed,
@@ -153,22 +152,12 @@ class Sb3Trainer(Trainer):
     def actor(self) -> nn.Module:
         policy = self._model.policy
         hidden, head = (copy.deepcopy(part).cpu() for part in (policy.mlp_extractor.policy_net, policy.action_net))
-        mean, variance = torch.zeros(1), torch.ones(1)
-        if self.settings.normalize_observations:
-            rms: Any = self._environment.obs_rms
-            mean, variance = torch.as_tensor(rms.mean), torch.as_tensor(rms.var)
-        std = (variance + self._environment.epsilon).sqrt()
-        return _Actor(mean.float(), std.float(), hidden, head)
-
-
-class _Actor(nn.Module):
-    def __init__(self, mean: Tensor, std: Tensor, hidden: nn.Module, head: nn.Module) -> None:
-        super().__init__()
-        self.mean, self.std = nn.Buffer(mean), nn.Buffer(std)
-        self.layers = nn.Sequential(hidden, head)
-
-    def forward(self, observation: Tensor) -> Tensor:
-        return self.layers(((observation - self.mean) / self.std).clamp(-10.0, 10.0))
+        layers = nn.Sequential(hidden, head)
+        if not self.settings.normalize_observations:
+            return layers
+        seen: Any = self._environment.obs_rms
+        std = (torch.as_tensor(seen.var) + self._environment.epsilon).sqrt()
+        return NormalizedActor(torch.as_tensor(seen.mean), std, self._environment.clip_obs, layers)
 
 
 class _Callback(BaseCallback):

@@ -46,6 +46,8 @@ class Trainer(ABC):
 
     name: ClassVar[str]
     """As the user types it."""
+    several_gpus: ClassVar[bool] = False
+    """Whether processes that torchrun starts, one a GPU, learn one policy together."""
 
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
         self.environment = environment
@@ -75,6 +77,9 @@ class Trainer(ABC):
 _LIBRARIES = {
     "rsl-rl": "orbit_core.learning.rsl_rl:RslRlTrainer",
     "sb3": "orbit_core.learning.sb3:Sb3Trainer",
+    "skrl": "orbit_core.learning.skrl:SkrlTrainer",
+    "rl-games": "orbit_core.learning.rl_games:RlGamesTrainer",
+    "torchrl": "orbit_core.learning.torchrl:TorchRlTrainer",
 }
 """Each is also the name of the extra that installs it."""
 

@@ -8,14 +8,11 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.policy import SUFFIX, ClippedPolicy, Policy, PolicyDescription
 from orbit_core.learning.trainer import Progress, Trainer
-
-if TYPE_CHECKING:
-    pass
 
 RECORD = "training.json"
 CURVE = "curve.jsonl"

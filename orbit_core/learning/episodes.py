@@ -1,0 +1,87 @@
+"""What a step says of the episodes that ended in it, in the forms that learning libraries ask for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from orbit_core.tasks.episode import EpisodeEnd, StepInfo
+
+
+def all_ends(info: Mapping[str, EpisodeEnd], count: int) -> tuple[EpisodeEnd, Tensor] | None:
+    """Ends of episodes as rows among all environments, and the mask (N,) of where; None where none ended.
+
+    On a GPU there is always something, since to look whether an episode ended would be to wait for the device.
+
+    Args:
+        info: that the environment's step returned.
+        count: N, of environments.
+    """
+    if isinstance(info, StepInfo):
+        return info.everyone, info.done
+    end = info.get("final")
+    return None if end is None else _spread(end, count)
+
+
+def true_next(observation: Tensor, info: Mapping[str, EpisodeEnd]) -> Tensor:
+    """(N, O) what each step led to: the last observation of an episode where one ended, not the next one's first.
+
+    Args:
+        observation: (N, O) that the step returned.
+        info: that it returned.
+    """
+    found = all_ends(info, len(observation))
+    if found is None:
+        return observation
+    end, ended = found
+    return torch.where(ended[:, None], end.observation["policy"], observation)
+
+
+class EpisodeTally:
+    """Mean return and success of the episodes that ended since it was last read."""
+
+    def __init__(self, device: torch.device) -> None:
+        self._sums = torch.zeros(3, device=device)
+        self._last = (math.nan, math.nan)
+
+    def add(self, info: Mapping[str, EpisodeEnd], count: int) -> None:
+        """Take in a step's episodes; nothing here waits for the device."""
+        found = all_ends(info, count)
+        if found is None:
+            return
+        end, ended = found
+        returns = torch.stack(list(end.rewards.values())).sum(0)
+        self._sums += (torch.stack([torch.ones_like(returns), returns, end.success.float()]) * ended).sum(1)
+
+    def read(self) -> tuple[float, float]:
+        """Return and success rate, and begin anew; where no episode has ended, what the last reading gave."""
+        episodes, returns, successes = self._sums.tolist()
+        if episodes:
+            self._last = (returns / episodes, successes / episodes)
+            self._sums.zero_()
+        return self._last
+
+
+def _spread(end: EpisodeEnd, count: int) -> tuple[EpisodeEnd, Tensor]:
+    """Ends of some episodes as rows among all environments, zero elsewhere, and the mask of where."""
+    device = end.env_ids.device
+    ended = torch.zeros(count, dtype=torch.bool, device=device)
+    ended[end.env_ids] = True
+
+    def spread(values: Tensor) -> Tensor:
+        full = torch.zeros((count, *values.shape[1:]), dtype=values.dtype, device=device)
+        full[end.env_ids] = values
+        return full
+
+    everyone = EpisodeEnd(
+        env_ids=torch.arange(count, device=device),
+        observation={name: spread(group) for name, group in end.observation.items()},
+        success=spread(end.success),
+        metrics={name: spread(value) for name, value in end.metrics.items()},
+        rewards={name: spread(value) for name, value in end.rewards.items()},
+        steps=spread(end.steps),
+    )
+    return everyone, ended

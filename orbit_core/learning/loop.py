@@ -1,0 +1,69 @@
+"""The loop around libraries that leave it to others: collect and learn, save, report."""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from torch.utils.tensorboard import SummaryWriter
+
+from orbit_core.learning.episodes import EpisodeTally
+from orbit_core.learning.trainer import Progress, Trainer
+from orbit_core.tasks.environment import Environment
+from orbit_core.tasks.ppo import PpoSettings
+
+
+class LoopTrainer(Trainer):
+    """A trainer whose library does one iteration at a time."""
+
+    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
+        super().__init__(environment, settings, folder, seed)
+        torch.manual_seed(seed)
+        self.tally = EpisodeTally(environment.device)
+        """To be told of every step."""
+        self.batch = environment.num_envs * settings.steps_per_iteration
+        """Steps of all environments in an iteration."""
+        self._iteration = 0
+
+    @abstractmethod
+    def iterate(self, iteration: int) -> None:
+        """Collect ``settings.steps_per_iteration`` steps of every environment, and learn from them."""
+
+    @abstractmethod
+    def save(self, path: Path) -> None:
+        """Write all that learning goes on with."""
+
+    @abstractmethod
+    def load(self, path: Path) -> None:
+        """Read what :meth:`save` wrote."""
+
+    def learn(
+        self, iterations: int, save_every: int, saved: Callable[[int], None], report: Callable[[Progress], None]
+    ) -> None:
+        begin, first, last = time.perf_counter(), self._iteration, self._iteration + iterations - 1
+        with SummaryWriter(str(self.folder / "tensorboard")) as board:
+            for iteration in range(first, last + 1):
+                self.iterate(iteration)
+                self._iteration = iteration + 1
+                if iteration % save_every == 0 or iteration == last:
+                    self._save_whole(iteration)
+                    saved(iteration)
+                done = (iteration - first + 1) * self.batch
+                progress = Progress(iteration, done, time.perf_counter() - begin, *self.tally.read())
+                board.add_scalar("episode/return", progress.episode_return, iteration)
+                board.add_scalar("episode/success_rate", progress.success_rate, iteration)
+                report(progress)
+
+    def resume(self, checkpoint: Path) -> int:
+        self.load(checkpoint)
+        self._iteration = int(checkpoint.stem.removeprefix("model_")) + 1
+        return self._iteration
+
+    def _save_whole(self, iteration: int) -> None:
+        path = self.checkpoint(iteration)
+        written = path.with_name(path.name + ".writing")
+        self.save(written)
+        written.replace(path)

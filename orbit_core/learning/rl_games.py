@@ -1,0 +1,174 @@
+"""rl-games: Makoviichuk and Makoviychuk, rl-games: A High-performance Framework for Reinforcement Learning (2021)."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import io
+import math
+from pathlib import Path
+from typing import Any, ClassVar
+
+import torch
+from rl_games.algos_torch.a2c_continuous import A2CAgent
+from rl_games.common.algo_observer import AlgoObserver
+from rl_games.common.ivecenv import IVecEnv
+from rl_games.common.tr_helpers import DefaultRewardsShaper
+from torch import Tensor, nn
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.learning.gymnasium import action_space, observation_space
+from orbit_core.learning.loop import LoopTrainer
+from orbit_core.learning.networks import NormalizedActor
+from orbit_core.tasks.environment import Environment
+from orbit_core.tasks.ppo import PpoSettings
+
+
+class RlGamesEnvironment(IVecEnv):
+    """An environment as rl-games expects it. Time-outs are told apart in the infos, for bootstrapping."""
+
+    def __init__(self, environment: Environment, seed: int | None = None) -> None:
+        self.environment = environment
+        self._seed = seed
+
+    def reset(self) -> dict[str, Tensor]:
+        observation, _ = self.environment.reset(self._seed)
+        self._seed = None
+        return {"obs": observation["policy"]}
+
+    def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = self.environment.step(actions)
+        done = (terminated | truncated).to(torch.uint8)
+        return {"obs": observation["policy"]}, reward, done, {"time_outs": truncated, "ends": info}
+
+    def get_env_info(self) -> dict[str, Any]:  # pyright: ignore[reportIncompatibleMethodOverride] - it has no types
+        return {
+            "observation_space": observation_space(self.environment)["policy"],  # pyright: ignore[reportIndexIssue]
+            "action_space": action_space(self.environment),
+            "state_space": None,
+            "agents": 1,
+            "value_size": 1,
+        }
+
+
+class RlGamesTrainer(LoopTrainer):
+    """PPO with the learning rate following the Kullback-Leibler divergence."""
+
+    name: ClassVar[str] = "rl-games"
+
+    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
+        super().__init__(environment, settings, folder, seed)
+        if self.batch % settings.minibatches:
+            raise ConfigurationError(
+                f"rl-games needs num_envs x steps_per_iteration, here {self.batch}, to be a multiple of minibatches, "
+                f"here {settings.minibatches}"
+            )
+        adapted = RlGamesEnvironment(environment, seed)
+        with _quiet():
+            self._agent = A2CAgent("orbit", self._parameters(adapted))
+        self._begun = False
+
+    def iterate(self, iteration: int) -> None:
+        agent = self._agent
+        with _quiet():
+            if not self._begun:
+                agent.init_tensors()
+                agent.obs = agent.env_reset()
+                self._begun = True
+            epoch = agent.update_epoch()
+            step_time, play_time, update_time, total_time, actor, critic, _, entropies, kls, rate, factor = (
+                agent.train_epoch()
+            )
+            agent.dataset.update_values_dict(None)
+            agent.frame += agent.curr_frames
+            agent.write_stats(
+                total_time, epoch, step_time, play_time, update_time, actor, critic, entropies, kls, rate, factor,
+                agent.frame, total_time, play_time, agent.curr_frames,
+            )  # fmt: skip
+
+    def save(self, path: Path) -> None:
+        torch.save(self._agent.get_full_state_weights(), path)
+
+    def load(self, path: Path) -> None:
+        state = torch.load(path, weights_only=False, map_location=self.environment.device)
+        self._agent.set_full_state_weights(state)
+        self._agent.last_lr = state["optimizer"]["param_groups"][0]["lr"]
+
+    def actor(self) -> nn.Module:
+        model = self._agent.model
+        layers = copy.deepcopy(nn.Sequential(model.a2c_network.actor_mlp, model.a2c_network.mu)).cpu()
+        if not self.settings.normalize_observations:
+            return layers
+        seen = model.running_mean_std
+        std = (seen.running_var.float() + seen.epsilon).sqrt()
+        return NormalizedActor(seen.running_mean, std, 5.0, layers)  # the limit stands in its code
+
+    def _parameters(self, environment: RlGamesEnvironment) -> dict[str, Any]:
+        settings = self.settings
+        return {
+            "model": {"name": "continuous_a2c_logstd"},
+            "network": _network(settings),
+            "config": {
+                "name": "orbit",
+                "full_experiment_name": "tensorboard_rl_games",
+                "env_name": "orbit",
+                "env_info": environment.get_env_info(),
+                "vec_env": environment,
+                "train_dir": str(self.folder),
+                "device": str(self.environment.device),
+                "features": {"observer": _Observer(self)},
+                "num_actors": self.environment.num_envs,
+                "reward_shaper": DefaultRewardsShaper(),
+                "horizon_length": settings.steps_per_iteration,
+                "minibatch_size": self.batch // settings.minibatches,
+                "mini_epochs": settings.epochs,
+                "learning_rate": settings.learning_rate,
+                "lr_schedule": "adaptive",
+                "kl_threshold": settings.target_kl,
+                "gamma": settings.discount,
+                "tau": settings.gae_lambda,
+                "e_clip": settings.clip,
+                "entropy_coef": settings.entropy_weight,
+                "critic_coef": 2.0,  # it halves it
+                "clip_value": False,
+                "bounds_loss_coef": 1e-4,
+                "truncate_grads": True,
+                "grad_norm": 1.0,
+                "normalize_advantage": True,
+                "normalize_input": settings.normalize_observations,
+                "normalize_value": True,
+                "value_bootstrap": True,
+            },
+        }
+
+
+class _Observer(AlgoObserver):
+    """Tells the trainer of every step's episodes."""
+
+    def __init__(self, trainer: RlGamesTrainer) -> None:
+        self._trainer = trainer
+
+    def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
+        self._trainer.tally.add(infos["ends"], self._trainer.environment.num_envs)
+
+
+def _network(settings: PpoSettings) -> dict[str, Any]:
+    return {
+        "name": "actor_critic",
+        "separate": True,
+        "space": {
+            "continuous": {
+                "mu_activation": "None",
+                "sigma_activation": "None",
+                "mu_init": {"name": "default"},
+                "sigma_init": {"name": "const_initializer", "val": math.log(settings.initial_std)},
+                "fixed_sigma": True,
+            }
+        },
+        "mlp": {"units": list(settings.hidden_sizes), "activation": "elu", "initializer": {"name": "default"}},
+    }
+
+
+def _quiet() -> contextlib.redirect_stdout[io.StringIO]:
+    """It prints what it does."""
+    return contextlib.redirect_stdout(io.StringIO())

@@ -1,0 +1,184 @@
+"""skrl: Serrano-Munoz et al., skrl: Modular and Flexible Library for Reinforcement Learning (2023)."""
+
+from __future__ import annotations
+
+import copy
+import math
+from pathlib import Path
+from typing import Any, ClassVar
+
+import torch
+from gymnasium import Space
+from skrl.agents.torch import ExperimentCfg
+from skrl.agents.torch.ppo import PPO, PPO_CFG
+from skrl.envs.wrappers.torch import Wrapper
+from skrl.memories.torch import RandomMemory
+from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
+from skrl.resources.preprocessors.torch import RunningStandardScaler
+from skrl.resources.schedulers.torch import KLAdaptiveLR
+from torch import Tensor, nn
+
+from orbit_core.learning.episodes import true_next
+from orbit_core.learning.gymnasium import action_space, observation_space
+from orbit_core.learning.loop import LoopTrainer
+from orbit_core.learning.networks import NormalizedActor, perceptron
+from orbit_core.tasks.environment import Environment
+from orbit_core.tasks.ppo import PpoSettings
+
+
+class SkrlEnvironment(Wrapper):
+    """An environment as skrl expects it.
+
+    skrl values a step that the time limit cut short by the observation that follows it, which here is the next
+    episode's first. ``info["true_next"]`` (N, O) is the one to record: hand it to the agent as ``next_observations``,
+    as :class:`SkrlTrainer` does.
+    """
+
+    def __init__(self, environment: Environment, seed: int | None = None) -> None:
+        super().__init__(environment)
+        self.environment = environment
+        self._seed = seed
+
+    @property
+    def observation_space(self) -> Space[Any]:
+        return observation_space(self.environment)["policy"]  # pyright: ignore[reportIndexIssue]
+
+    @property
+    def action_space(self) -> Space[Any]:
+        return action_space(self.environment)
+
+    def reset(self) -> tuple[Tensor, dict[str, Any]]:
+        """The present observation; the episodes begin only with the first call, as they renew themselves."""
+        if self._seed is not None:
+            self.environment.reset(self._seed)
+            self._seed = None
+        return self.environment.observe()["policy"], {}
+
+    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = self.environment.step(actions)
+        seen = observation["policy"]
+        extras = {"true_next": true_next(seen, info), "ends": info}
+        return seen, reward[:, None], terminated[:, None], truncated[:, None], extras
+
+    def state(self) -> None:
+        """There is none beside the observation."""
+
+    def render(self, *args: Any, **kwargs: Any) -> None:
+        """Nothing: ``orbit view`` and ``orbit play`` show environments."""
+
+    def close(self) -> None:
+        """The environment belongs to whoever made it."""
+
+
+class SkrlTrainer(LoopTrainer):
+    """PPO with the learning rate following the Kullback-Leibler divergence."""
+
+    name: ClassVar[str] = "skrl"
+
+    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
+        super().__init__(environment, settings, folder, seed)
+        self._environment = SkrlEnvironment(environment, seed)
+        spaces = {
+            "observation_space": self._environment.observation_space,
+            "action_space": self._environment.action_space,
+            "device": environment.device,
+        }
+        self._actor, critic = _Actor(settings, **spaces), _Critic(settings, **spaces)
+        steps = settings.steps_per_iteration
+        memory = RandomMemory(memory_size=steps, num_envs=environment.num_envs, device=environment.device)
+        configuration = _configuration(settings, folder, spaces)
+        self._agent = PPO(models={"policy": self._actor, "value": critic}, memory=memory, cfg=configuration, **spaces)
+        self._agent.init()
+        self._agent.enable_training_mode(True)
+
+    def iterate(self, iteration: int) -> None:
+        seen, _ = self._environment.reset()
+        steps = self.settings.steps_per_iteration
+        for step in range(iteration * steps, (iteration + 1) * steps):
+            time = {"timestep": step, "timesteps": self.settings.iterations * steps}
+            with torch.no_grad():
+                action, _ = self._agent.act(seen, None, **time)
+                following, reward, terminated, truncated, extras = self._environment.step(action)
+                self._agent.record_transition(
+                    observations=seen,
+                    states=None,  # pyright: ignore[reportArgumentType] - what its own trainers hand over
+                    actions=action,
+                    rewards=reward,
+                    next_observations=extras["true_next"],
+                    next_states=None,  # pyright: ignore[reportArgumentType]
+                    terminated=terminated,
+                    truncated=truncated,
+                    infos=extras,
+                    **time,
+                )
+            self.tally.add(extras["ends"], self._environment.num_envs)
+            self._agent.post_interaction(**time)
+            seen = following
+
+    def save(self, path: Path) -> None:
+        self._agent.save(str(path))
+
+    def load(self, path: Path) -> None:
+        self._agent.load(str(path))
+
+    def actor(self) -> nn.Module:
+        layers = copy.deepcopy(self._actor.layers).cpu()
+        if not self.settings.normalize_observations:
+            return layers
+        scaler: Any = self._agent._observation_preprocessor
+        std = scaler.running_variance.sqrt() + scaler.epsilon
+        return NormalizedActor(scaler.running_mean, std, scaler.clip_threshold, layers)
+
+
+class _Actor(GaussianMixin, Model):
+    def __init__(self, settings: PpoSettings, **spaces: Any) -> None:
+        Model.__init__(self, **spaces)
+        GaussianMixin.__init__(self)
+        self.layers = perceptron(self.num_observations, settings.hidden_sizes, self.num_actions)
+        self.log_std = nn.Parameter(torch.full((self.num_actions,), math.log(settings.initial_std)))
+
+    def compute(  # pyright: ignore[reportIncompatibleMethodOverride] - its mixins give the role by position
+        self, inputs: dict[str, Any], role: str = ""
+    ) -> tuple[Tensor, dict[str, Any]]:
+        return self.layers(inputs["observations"]), {"log_std": self.log_std}
+
+
+class _Critic(DeterministicMixin, Model):
+    def __init__(self, settings: PpoSettings, **spaces: Any) -> None:
+        Model.__init__(self, **spaces)
+        DeterministicMixin.__init__(self)
+        self.layers = perceptron(self.num_observations, settings.hidden_sizes, 1)
+
+    def compute(  # pyright: ignore[reportIncompatibleMethodOverride] - its mixins give the role by position
+        self, inputs: dict[str, Any], role: str = ""
+    ) -> tuple[Tensor, dict[str, Any]]:
+        return self.layers(inputs["observations"]), {}
+
+
+def _configuration(settings: PpoSettings, folder: Path, spaces: dict[str, Any]) -> PPO_CFG:
+    scaling = {"size": spaces["observation_space"], "device": spaces["device"]}
+    normalize = settings.normalize_observations
+    return PPO_CFG(
+        rollouts=settings.steps_per_iteration,
+        learning_epochs=settings.epochs,
+        mini_batches=settings.minibatches,
+        discount_factor=settings.discount,
+        gae_lambda=settings.gae_lambda,
+        learning_rate=settings.learning_rate,
+        learning_rate_scheduler=KLAdaptiveLR,
+        learning_rate_scheduler_kwargs={"kl_threshold": settings.target_kl},
+        observation_preprocessor=RunningStandardScaler if normalize else None,
+        observation_preprocessor_kwargs=scaling if normalize else {},
+        grad_norm_clip=1.0,
+        ratio_clip=settings.clip,
+        value_clip=0.0,  # in units of the return, which the task chooses
+        value_loss_scale=1.0,
+        entropy_loss_scale=settings.entropy_weight,
+        time_limit_bootstrap=True,
+        experiment=ExperimentCfg(
+            directory=str(folder),
+            experiment_name="tensorboard_skrl",
+            write_interval=settings.steps_per_iteration,
+            checkpoint_interval=0,
+        ),
+    )
