@@ -7,6 +7,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 BACKENDS := mujoco bullet sapien warp
+LEARNING := rsl-rl,sb3,skrl,rl-games,torchrl,onnx
 PLUGINS := mjmodel $(BACKENDS)
 SOURCES := pyproject.toml constraints.txt $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
 CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples
@@ -53,7 +54,7 @@ $(VENV)/.ready: $(VENV)/bin/python $(SOURCES)
 $(VENV)/.ready-dev: $(VENV)/.ready
 	sh tools/system_packages.sh graphics vulkan browser
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable \
-		".[mujoco,bullet,sapien,warp,robots,usd,mjcf,viewer,video,plots,conformance,dev]"
+		".[mujoco,bullet,sapien,warp,robots,usd,mjcf,viewer,video,plots,conformance,$(LEARNING),dev]"
 	$(BIN)/pip install --quiet --no-deps $(PLUGINS:%=--editable plugins/orbit-%)
 	touch $@
 

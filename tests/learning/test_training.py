@@ -1,0 +1,198 @@
+"""Training for real, with every library: returns rise, time-outs are no failures, policies outlive their training."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from orbit_core.backends import default_backend
+from orbit_core.cli import main
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.learning.policy import PolicyAgent, load_policy
+from orbit_core.learning.trainer import Progress, Trainer, library_names, trainer_type
+from orbit_core.learning.training import Training
+from orbit_core.tasks import Environment, ObservationTerm, PpoSettings, RewardTerm, common
+from orbit_tasks.reach import Reach
+
+BACKEND = default_backend()
+STEPS = 25
+SHORT = PpoSettings(iterations=12, steps_per_iteration=STEPS, hidden_sizes=(64, 64), discount=0.9)
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> Iterator[None]:
+    """As the command line has it: networks of this size gain nothing from more."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@dataclass
+class Height:
+    """Twice the height of the hand, in metres, a second."""
+
+    height: RewardTerm | None = RewardTerm(lambda world, task: common.hand_pose(world, task)[:, 2], 2.0)
+
+
+@dataclass
+class Alive:
+    """A tenth a step, whatever happens."""
+
+    alive: RewardTerm | None = RewardTerm(lambda world, task: torch.ones(world.num_envs, device=world.device), 5.0)
+
+
+@dataclass
+class Blind:
+    """The same number always, so that the worth of a state is the worth of all."""
+
+    one: ObservationTerm | None = ObservationTerm(lambda world, task: torch.ones(world.num_envs, 1))
+
+
+def reach(num_envs: int) -> Environment:
+    return Environment(Reach(rewards=Height(), episode_length=0.5), num_envs, BACKEND)
+
+
+def trainer(library: str, environment: Environment, folder: Path, settings: PpoSettings = SHORT) -> Trainer:
+    return trainer_type(library)(environment, settings, folder, 0)
+
+
+def learn(trainer: Trainer, iterations: int = SHORT.iterations, resume: bool = False) -> list[Progress]:
+    curve: list[Progress] = []
+    Training(trainer, "Reach", {}).run(iterations, 100, curve.append, resume)
+    return curve
+
+
+def seen_by_rsl_rl(observation: Tensor) -> Any:
+    from tensordict import TensorDict
+
+    return TensorDict({"policy": observation}, batch_size=[len(observation)])
+
+
+def seen_by_sb3(made: Any, observation: Tensor) -> Tensor:
+    return torch.as_tensor(made._environment.normalize_obs(observation.numpy())).float()
+
+
+def seen_by_skrl(made: Any, observation: Tensor) -> dict[str, Tensor]:
+    return {"observations": made._agent._observation_preprocessor(observation)}
+
+
+VALUES: dict[str, Callable[[Any, Tensor], Tensor]] = {
+    "rsl-rl": lambda made, seen: made._runner.alg.critic(seen_by_rsl_rl(seen)),
+    "sb3": lambda made, seen: made._model.policy.predict_values(seen_by_sb3(made, seen)),
+    "skrl": lambda made, seen: made._agent.value.act(seen_by_skrl(made, seen))[0],
+    "rl-games": lambda made, seen: made._agent.get_values({"obs": seen}),
+    "torchrl": lambda made, seen: made.critic.module(seen),
+}
+"""What each library's own critic expects."""
+MEANS: dict[str, Callable[[Any, Tensor], Tensor]] = {
+    "rsl-rl": lambda made, seen: made._runner.get_inference_policy()(seen_by_rsl_rl(seen)),
+    "sb3": lambda made, seen: made._model.policy.get_distribution(seen_by_sb3(made, seen)).mode(),
+    "skrl": lambda made, seen: made._agent.policy.act(seen_by_skrl(made, seen))[1]["mean_actions"],
+    "rl-games": lambda made, seen: made._agent.get_action_values({"obs": seen})["mus"],
+    "torchrl": lambda made, seen: made.policy.get_dist(seen_by_rsl_rl(seen)).mean,
+}
+"""What each library's own actor does without exploring."""
+
+
+@pytest.mark.parametrize("library", library_names())
+def test_a_short_training_improves_the_return(library: str, tmp_path: Path) -> None:
+    """12 iterations with 32 environments lift the hand by 15 cm on average over half a second, at least."""
+    environment = reach(32)
+    made = trainer(library, environment, tmp_path)
+    curve = learn(made)
+    assert curve[-1].iteration == SHORT.iterations - 1
+    assert curve[-1].env_steps == SHORT.iterations * STEPS * 32
+    assert curve[-1].episode_return > curve[0].episode_return + 0.15
+    assert list(tmp_path.rglob("events.out.tfevents.*"))
+
+    # Its file acts as the library's own networks do, normalisation included.
+    observation = environment.observe()["policy"]
+    with torch.no_grad():
+        expected = MEANS[library](made, observation).clamp(-1.0, 1.0)
+    torch.testing.assert_close(PolicyAgent(environment, tmp_path).act(), expected, atol=1e-5, rtol=1e-5)
+    environment.close()
+
+
+@pytest.mark.parametrize("library", library_names())
+def test_a_time_out_is_not_the_end(library: str, tmp_path: Path) -> None:
+    """A tenth a step at discount 0.9 is worth 1 for ever; 0.41 at most where the limit of 5 steps is the end."""
+    environment = Environment(Reach(observations=Blind(), rewards=Alive(), episode_length=0.1), 8, BACKEND)
+    settings = replace(SHORT, iterations=30, steps_per_iteration=20, hidden_sizes=(32,), learning_rate=5e-3)
+    made = trainer(library, environment, tmp_path, settings)
+    learn(made, 30)
+    with torch.no_grad():
+        worth = VALUES[library](made, environment.observe()["policy"]).mean().item()
+    assert worth == pytest.approx(1.0, abs=0.15)
+    environment.close()
+
+
+@pytest.mark.parametrize("library", library_names())
+def test_a_training_resumes_where_it_ended(library: str, tmp_path: Path) -> None:
+    environment = reach(4)
+    learn(trainer(library, environment, tmp_path), 2)
+    first = load_policy(tmp_path)
+    with pytest.raises(ConfigurationError, match="2 iterations already"):
+        learn(trainer(library, environment, tmp_path), 2, resume=True)
+
+    again = trainer(library, environment, tmp_path)
+    again.resume(again.checkpoint(1))
+    observation = environment.observe()["policy"]
+    torch.testing.assert_close(again.actor()(observation).clamp(-1.0, 1.0), first.module(observation))
+
+    curve = learn(trainer(library, environment, tmp_path), 3, resume=True)
+    assert [progress.iteration for progress in curve] == [2]
+    lines = [json.loads(line) for line in (tmp_path / "curve.jsonl").read_text().splitlines()]
+    assert [line["iteration"] for line in lines] == [0, 1, 2]
+    assert (first.description.iteration, load_policy(tmp_path).description.iteration) == (1, 2)
+    with pytest.raises(ConfigurationError, match="holds a training already"):
+        learn(trainer(library, environment, tmp_path), 3)
+    environment.close()
+
+
+def test_the_command_line_trains_plays_and_exports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """``orbit train``, ``--resume``, ``play`` and ``export``, one after another."""
+    training, exported = tmp_path / "training", tmp_path / "exported"
+    chosen = ["--backend", BACKEND, "--num-envs", "4", "--set", "episode_length=0.1"]
+    learning = ["train", "Reach", *chosen, "--library", "sb3", "--ppo", "steps_per_iteration=8", "--save-every", "1"]
+    assert main([*learning, "--iterations", "2", "--output", str(training)]) == 0
+    assert main([*learning, "--iterations", "3", "--resume", str(training)]) == 0
+    assert sorted(path.name for path in training.glob("policy_*")) == [f"policy_{i}.pt" for i in range(3)]
+    record = json.loads((training / "training.json").read_text())
+    assert (record["library"], record["ppo"]["steps_per_iteration"], record["settings"]["num_envs"]) == ("sb3", 8, 4)
+
+    result = tmp_path / "played.json"
+    assert main(["play", str(training), *chosen, "--episodes", "4", "--json", str(result)]) == 0
+    assert json.loads(result.read_text())["episodes"] == 4
+    assert main(["export", str(training), "--output", str(exported)]) == 0
+    assert sorted(path.name for path in exported.iterdir()) == ["policy.json", "policy.onnx", "policy.pt"]
+    capsys.readouterr()
+
+
+def test_several_processes_need_gpus_and_a_library_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"RANK": "1", "LOCAL_RANK": "1", "WORLD_SIZE": "2"}.items():
+        monkeypatch.setenv(name, value)
+    from orbit_core.cli.train import TrainSettings, train
+
+    settings = TrainSettings(task="Reach", backend=BACKEND)
+    with pytest.raises(ConfigurationError, match="add --device cuda"):
+        train(settings)
+    with pytest.raises(ConfigurationError, match="'sb3' trains on one GPU"):
+        train(replace(settings, library="sb3", device="cuda"))
+
+
+def test_a_library_that_is_not_installed_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UnknownNameError, match="rsl-rl"):
+        trainer_type("rsl_rl")
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    monkeypatch.delitem(sys.modules, "orbit_core.learning.sb3", raising=False)
+    with pytest.raises(ConfigurationError, match=r"pip install 'orbit-core\[sb3\]'"):
+        trainer_type("sb3")
