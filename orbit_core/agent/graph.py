@@ -9,8 +9,8 @@ from torch import Tensor
 
 from orbit_core.agent.cut import Cut
 from orbit_core.agent.runner import NodeRunner, RunnerState, checked
-from orbit_core.agent.wiring import Edge, Wiring, wire
-from orbit_core.interfaces import ConfigurationError, Node, Port
+from orbit_core.agent.wiring import Edge, Endpoint, Wiring, label, wire
+from orbit_core.interfaces import ConfigurationError, Node, Port, find_name
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,22 @@ class AgentGraph:
             UnknownNameError: no node has that name.
         """
         return Cut(self, name)
+
+    def replace(self, name: str, node: Node) -> AgentGraph:
+        """A graph with another node in that one's place. All others are shared: of the two graphs, step one.
+
+        Raises:
+            UnknownNameError, ShapeError: no node has that name, or the other's ports are not the same.
+        """
+        find_name(name, list(self.nodes), "node", "the agent")
+
+        def renamed(endpoint: Endpoint) -> str:
+            owner, port = endpoint
+            return label((node.name if owner == name else owner, port))
+
+        nodes = [node if other.name == name else other for other in self.nodes.values()]
+        edges = [Edge(renamed(source), renamed(target)) for target, source in self.wiring.sources.items()]
+        return AgentGraph(nodes, edges, self.rate, self.inputs, self.outputs)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Make nodes forget some environments; with all of them (None) the schedule starts anew."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor, nn
 
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.interfaces import ConfigurationError, Node, Port
 
 if TYPE_CHECKING:
+    from orbit_core.agent import AgentGraph
     from orbit_core.tasks.environment import Environment
 
 SUFFIX = ".pt"
@@ -176,6 +178,34 @@ def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
         raise ConfigurationError(f"{path} is no policy of ORBIT: {str(error).splitlines()[0]}") from error
     module.eval()
     return Policy(module, description)
+
+
+class PolicyNode(Node):
+    """A learned policy as a node: observation (N, O) -> action (N, A)."""
+
+    def __init__(self, policy: Policy, name: str = "policy") -> None:
+        self.name = name
+        self.inputs = (Port("observation", (policy.description.observation_size,)),)
+        self.outputs = (Port("action", (policy.description.action_size,)),)
+        self._module = policy.module
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        with torch.no_grad():
+            return {"action": self._module(inputs["observation"])}
+
+
+def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
+    """The environment's agent with the policy in the cut's place, from the observation to the actuators.
+
+    ``agent.step()`` and then ``environment.world.step(task.decimation)`` moves the robot as ``environment.step`` does
+    with the policy's actions; rewards, ends of episodes and resets are the environment's step's alone. Where
+    environments are reset, reset the agent too.
+
+    Raises:
+        ConfigurationError: the policy was learned for another environment.
+    """
+    policy.check(environment)
+    return environment.cut.graph.replace(environment.cut.node.name, PolicyNode(policy))
 
 
 class PolicyAgent:

@@ -170,6 +170,8 @@ class Environment:
         )
 
         def split(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+            self.task.action_before.copy_(self.task.last_action)
+            self.task.last_action.copy_(inputs["action"])
             parts = inputs["action"].split_with_sizes(sizes, dim=1)
             return {port.name: part for port, part in zip(commands, parts, strict=True)}
 
@@ -215,8 +217,6 @@ class Environment:
         self.world.step(task.decimation)
         task.episode_step += 1
         task.advance(self.world)
-        task.action_before.copy_(task.last_action)
-        task.last_action.copy_(self._action)
         reward = self._reward()
         terminated = self._terminated()
         late = task.episode_step >= self.max_episode_steps
