@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from collections.abc import Callable
@@ -62,14 +61,15 @@ class Training:
         return Policy(ClippedPolicy(self.trainer.actor()), description)
 
     def _report(self, progress: Progress, report: Callable[[Progress], None]) -> None:
-        if self.leader:
-            with (self.trainer.folder / CURVE).open("a") as file:
-                values = dataclasses.asdict(progress).items()
-                # Before any episode has ended there is no number, and JSON has no NaN.
-                line = {
-                    name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values
-                }
-                file.write(json.dumps(line) + "\n")
+        if not self.leader:  # its library counts nothing
+            return
+        # Before any episode has ended there is no number, and JSON has no NaN.
+        numbers = {
+            name: None if isinstance(value, float) and math.isnan(value) else value
+            for name, value in asdict(progress).items()
+        }
+        with (self.trainer.folder / CURVE).open("a") as file:
+            file.write(json.dumps(numbers) + "\n")
         report(progress)
 
 
