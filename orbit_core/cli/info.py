@@ -68,6 +68,7 @@ def _show_task(console: Console, name: str) -> None:
         _line(console, part, _terms(task, part))
     _line(console, "robots", _robots_like(task.robot))
     needs = required_capabilities(task.scene())
+    _rows(console, "ppo, in training", "default", dataclasses.asdict(task.ppo).items())
     _rows(console, "needs", "for", ((need.value, culprit) for need, culprit in needs.items()))
 
 

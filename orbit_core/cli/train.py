@@ -134,7 +134,9 @@ def _table(settings: TrainSettings, last: Progress, folder: Path) -> Table:
     table.add_row("environment steps", f"{last.env_steps:,}")
     table.add_row("environment steps per second, learning included", f"{last.env_steps / last.seconds:,.0f}")
     table.add_row("time of collecting and learning", f"{last.seconds:.1f} s")
-    table.add_row("return of the last episodes", f"{last.episode_return:.3f}")
-    table.add_row("success of the last episodes, exploring", f"{100.0 * last.success_rate:.1f} %")
+    ended = not math.isnan(last.episode_return)
+    table.add_row("return of the last episodes", f"{last.episode_return:.3f}" if ended else "none has ended")
+    if ended:
+        table.add_row("success of the last episodes, exploring", f"{100.0 * last.success_rate:.1f} %")
     table.add_row("play it", f"orbit play {folder}")
     return table

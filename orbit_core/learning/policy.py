@@ -128,15 +128,17 @@ class Policy:
         except ImportError as error:
             raise ConfigurationError(f"ONNX needs {error.name}: pip install 'orbit-core[onnx]'") from None
         example = torch.zeros(2, self.description.observation_size)
-        torch.onnx.export(
-            self.module.cpu().eval(),
-            (example,),
-            str(path),
-            input_names=["observation"],
-            output_names=["action"],
-            dynamic_axes={"observation": {0: "environments"}, "action": {0: "environments"}},
-            dynamo=False,  # the newer exporter takes no TorchScript
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of an older exporter's age; the newer one takes no TorchScript
+            torch.onnx.export(
+                self.module.cpu().eval(),
+                (example,),
+                str(path),
+                input_names=["observation"],
+                output_names=["action"],
+                dynamic_axes={"observation": {0: "environments"}, "action": {0: "environments"}},
+                dynamo=False,
+            )
 
     def check(self, environment: Environment) -> None:
         """Refuse an environment that the policy was not learned for.
