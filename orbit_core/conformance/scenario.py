@@ -61,8 +61,6 @@ class Scenario:
     """Seconds, of the sweep that shows accuracy against speed; empty where the step plays no part."""
     slow: bool = False
     """Whether some engine takes minutes: quick runs and the tests leave it out."""
-    slow: bool = False
-    """Whether some engine takes minutes: quick runs and the tests leave it out."""
 
     def metric(self, name: str) -> Metric:
         """The metric of that name."""

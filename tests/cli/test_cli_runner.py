@@ -105,8 +105,8 @@ def test_the_same_seed_runs_the_same():
 
 
 def test_random_actions_do_not_depend_on_the_number_of_environments():
-    from orbit_core.tasks.agents import RandomAgent
     from orbit_core.cli.making import make_environment
+    from orbit_core.tasks.agents import RandomAgent
 
     actions = []
     for num_envs in (1, 3):
