@@ -66,15 +66,12 @@ class RlGamesTrainer(LoopTrainer):
         adapted = RlGamesEnvironment(environment, seed)
         with _quiet():
             self._agent = A2CAgent("orbit", self._parameters(adapted))
-        self._begun = False
+        self._agent.init_tensors()
+        self._agent.obs = self._agent.env_reset()
 
     def iterate(self, iteration: int) -> None:
         agent = self._agent
         with _quiet():
-            if not self._begun:
-                agent.init_tensors()
-                agent.obs = agent.env_reset()
-                self._begun = True
             epoch = agent.update_epoch()
             step_time, play_time, update_time, total_time, actor, critic, _, entropies, kls, rate, factor = (
                 agent.train_epoch()
