@@ -23,7 +23,7 @@ def measured(tmp_path: Path, script: str, *words: str) -> dict:
 def test_overhead(tmp_path: Path):
     pytest.importorskip("matplotlib")
     plot = tmp_path / "overhead.png"
-    words = ["--sweep", "1", "2", "--blocks", "2", "--block-steps", "3", "--plot", str(plot)]
+    words = ["--sweep", "1", "2", "--blocks", "2", "--block-steps", "3", "--no-compile", "--plot", str(plot)]
     result = measured(tmp_path, "overhead.py", *words)
     assert [row["num_envs"] for row in result["overhead"]] == [1, 2]
     for row in result["overhead"]:

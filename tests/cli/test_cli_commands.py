@@ -198,7 +198,10 @@ def test_help_names_every_command_and_option():
 def test_an_interrupt_is_quiet():
     words = ["run", "Lift", "--backend", BACKEND, "--num-envs", "1", "--episodes", "100000", "--agent", "zero"]
     process = subprocess.Popen([*PROGRAM, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    time.sleep(6.0)
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=30)
+    try:
+        time.sleep(6.0)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    finally:
+        process.kill()
     assert (process.returncode, out, err) == (130, "", "")
