@@ -32,7 +32,9 @@ def page() -> Iterator[Page]:
         pytest.skip("no Chromium is installed")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
-        yield browser.new_page(viewport={"width": 720, "height": 620})
+        opened = browser.new_page(viewport={"width": 720, "height": 620})
+        opened.set_default_timeout(120_000.0)  # a software renderer draws the scene, on whatever cores are free
+        yield opened
         browser.close()
 
 
@@ -49,7 +51,7 @@ def running(fakes: ModuleType) -> Iterator[tuple[Viewer, Any]]:
         assert not thread.is_alive()
 
 
-def _until(condition: Callable[[], bool], page: Page, seconds: float = 30.0) -> None:
+def _until(condition: Callable[[], bool], page: Page, seconds: float = 120.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "it did not come about in time"
