@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orbit_core.interfaces.errors import UnknownNameError
-from orbit_core.tasks.agents import AGENTS
+from orbit_core.tasks.agents import AGENTS, make_agent
 
 if TYPE_CHECKING:
     from orbit_core.tasks.agents import Agent
@@ -32,7 +32,7 @@ def make_actor(name: str, environment: Environment, seed: int) -> Agent:
     """
     check_actor(name)
     if name in AGENTS:
-        return AGENTS[name](environment, seed)
+        return make_agent(name, environment, seed)
     from orbit_core.learning.policy import PolicyAgent
 
     return PolicyAgent(environment, Path(name))

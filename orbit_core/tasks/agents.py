@@ -61,17 +61,12 @@ class ZeroAgent:
 AGENTS = {"expert": ExpertAgent, "random": RandomAgent, "zero": ZeroAgent}
 
 
-def check_agent(name: str) -> None:
-    """Refuse a name that no agent bears."""
-    if name not in AGENTS:
-        raise UnknownNameError("agent", name, AGENTS)
-
-
 def make_agent(name: str, environment: Environment, seed: int) -> Agent:
     """The agent of that name.
 
     Raises:
         UnknownNameError: there is none.
     """
-    check_agent(name)
+    if name not in AGENTS:
+        raise UnknownNameError("agent", name, AGENTS)
     return AGENTS[name](environment, seed)
