@@ -24,7 +24,7 @@ LIBRARY = b"not really a library"
 def zipped(name: str) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr(name, LIBRARY)
+        archive.writestr(zipfile.ZipInfo(name), LIBRARY)  # of a fixed date, so that each process has the same checksum
     return buffer.getvalue()
 
 
