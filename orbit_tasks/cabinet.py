@@ -11,8 +11,9 @@ from torch.linalg import vector_norm
 from orbit_core.assets.objects import SolidOptions, box, cabinet
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
-from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, common
+from orbit_core.tasks import EventTerm, EventTime, Expert, ObservationTerm, Phase, RewardTerm, Task, common, randomize
 from orbit_core.tasks.ppo import PpoSettings
+from orbit_core.tasks.randomize import Range
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
 
@@ -126,6 +127,9 @@ class CabinetEvents:
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cabinet: EventTerm | None = EventTerm(place_cabinet)
     sample_goal: EventTerm | None = EventTerm(sample_goal)
+    masses: EventTerm | None = None
+    friction: EventTerm | None = None
+    gains: EventTerm | None = None
 
 
 @dataclass(kw_only=True)
@@ -164,6 +168,15 @@ class Cabinet(Task):
         super().start(world)
         self.goal = torch.zeros(world.num_envs, device=world.device)
         (self.drawer,) = world.objects["cabinet"].find_joints(DRAWER)
+
+    def randomize(self) -> None:
+        """The cabinet's masses, its friction and the fingers', the arm's gains, and noise on joints and drawer."""
+        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
+        self.events.masses = EventTerm(randomize.masses("cabinet", Range(0.7, 1.5)), EventTime.STARTUP)
+        friction = randomize.friction((common.ROBOT, "cabinet"), Range(0.6, 1.2))
+        self.events.friction = EventTerm(friction, EventTime.STARTUP)
+        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        common.add_noise(self.observations, joint_positions=0.005, joint_velocities=0.05, drawer=0.002)
 
     def success(self, world: SimulatedWorld) -> Tensor:
         return goal_distance(world, self) < self.tolerance

@@ -11,8 +11,20 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import box
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
-from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, TerminationTerm, common
+from orbit_core.tasks import (
+    EventTerm,
+    EventTime,
+    Expert,
+    ObservationTerm,
+    Phase,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+    common,
+    randomize,
+)
 from orbit_core.tasks.ppo import PpoSettings
+from orbit_core.tasks.randomize import Range
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
 
@@ -133,6 +145,9 @@ class LiftEvents:
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cube: EventTerm | None = EventTerm(place_cube)
     sample_goal: EventTerm | None = EventTerm(sample_goal)
+    cube_mass: EventTerm | None = None
+    friction: EventTerm | None = None
+    gains: EventTerm | None = None
 
 
 @dataclass(kw_only=True)
@@ -174,6 +189,15 @@ class Lift(Task):
     def start(self, world: SimulatedWorld) -> None:
         super().start(world)
         self.goal = torch.zeros(world.num_envs, 3, device=world.device)
+
+    def randomize(self) -> None:
+        """The cube's mass, its friction and the fingers', the arm's gains, and noise on joints and cube."""
+        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
+        self.events.cube_mass = EventTerm(randomize.masses("cube", Range(0.5, 2.0)), EventTime.STARTUP)
+        friction = randomize.friction((common.ROBOT, "cube", "table"), Range(0.5, 1.2))
+        self.events.friction = EventTerm(friction, EventTime.STARTUP)
+        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        common.add_noise(self.observations, joint_positions=0.005, joint_velocities=0.05, cube_pose=0.002)
 
     def success(self, world: SimulatedWorld) -> Tensor:
         return goal_distance(world, self) < self.tolerance

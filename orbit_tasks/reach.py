@@ -10,8 +10,9 @@ from torch.linalg import vector_norm
 
 from orbit_core.dynamics.transforms import pose_error, quat_from_euler, quat_multiply
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
-from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, common
+from orbit_core.tasks import EventTerm, EventTime, Expert, ObservationTerm, Phase, RewardTerm, Task, common, randomize
 from orbit_core.tasks.ppo import PpoSettings
+from orbit_core.tasks.randomize import Range
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
 
@@ -77,6 +78,8 @@ class ReachTerminations:
 class ReachEvents:
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.2))
     sample_goal: EventTerm | None = EventTerm(sample_goal)
+    masses: EventTerm | None = None
+    gains: EventTerm | None = None
 
 
 @dataclass(kw_only=True)
@@ -113,6 +116,14 @@ class Reach(Task):
     def start(self, world: SimulatedWorld) -> None:
         super().start(world)
         self.goal = torch.zeros(world.num_envs, 7, device=world.device)
+
+    def randomize(self) -> None:
+        """The arm's masses and gains, and noise on its joints."""
+        masses = randomize.masses(common.ROBOT, Range(0.9, 1.1))
+        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
+        self.events.masses = EventTerm(masses, EventTime.STARTUP)
+        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        common.add_noise(self.observations, joint_positions=0.005, joint_velocities=0.05)
 
     def success(self, world: SimulatedWorld) -> Tensor:
         near_enough = position_error(world, self) < self.position_tolerance

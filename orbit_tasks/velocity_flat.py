@@ -14,8 +14,19 @@ from torch.linalg import vector_norm
 from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
 from orbit_core.sensors import ContactSensor
-from orbit_core.tasks import EventTerm, ObservationTerm, RewardTerm, Task, TerminationTerm, common
+from orbit_core.tasks import (
+    CurriculumTerm,
+    EventTerm,
+    EventTime,
+    ObservationTerm,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+    common,
+    randomize,
+)
 from orbit_core.tasks.ppo import PpoSettings
+from orbit_core.tasks.randomize import Range
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
 from orbit_tasks.trot import TrotGenerator
@@ -109,9 +120,10 @@ def place_robot(world: SimulatedWorld, task: VelocityFlat, env_ids: Tensor) -> N
 
 
 def sample_command(world: SimulatedWorld, task: VelocityFlat, env_ids: Tensor) -> None:
-    """Uniform within the task's limits."""
+    """Uniform within the task's limits; within a quarter of them where nothing is difficult yet."""
     high = torch.tensor([task.max_forward, task.max_sideways, task.max_yaw_rate], device=world.device)
-    task.command[env_ids] = world.random.uniform((3,), -high, high, env_ids)
+    sample = world.random.uniform((3,), -high, high, env_ids)
+    task.command[env_ids] = sample * (0.25 + 0.75 * task.difficulty[env_ids])[:, None]
 
 
 @dataclass
@@ -145,6 +157,20 @@ class VelocityTerminations:
 class VelocityEvents:
     place_robot: EventTerm | None = EventTerm(place_robot)
     sample_command: EventTerm | None = EventTerm(sample_command)
+    masses: EventTerm | None = None
+    friction: EventTerm | None = None
+    gains: EventTerm | None = None
+    push: EventTerm | None = None
+
+
+BY_SUCCESS = randomize.by_success()
+
+
+@dataclass
+class VelocityCurriculum:
+    """Commands, and pushes where there are some, grow with the robot's skill."""
+
+    skill: CurriculumTerm | None = CurriculumTerm(BY_SUCCESS)
 
 
 @dataclass(kw_only=True)
@@ -174,6 +200,7 @@ class VelocityFlat(Task):
     rewards: VelocityRewards = field(default_factory=VelocityRewards)
     terminations: VelocityTerminations = field(default_factory=VelocityTerminations)
     events: VelocityEvents = field(default_factory=VelocityEvents)
+    curriculum: VelocityCurriculum = field(default_factory=VelocityCurriculum)
     command: Tensor = field(init=False)
     """(N, 3)"""
     down: Tensor = field(init=False)
@@ -205,6 +232,24 @@ class VelocityFlat(Task):
     def mean_errors(self) -> Tensor:
         """(N, 2) m/s and rad/s."""
         return self.errors / self.episode_step[:, None]
+
+    def randomize(self) -> None:
+        """All masses, the ground's friction, the legs' gains, pushes, and noise on what a real robot estimates."""
+        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
+        self.events.masses = EventTerm(randomize.masses(common.ROBOT, Range(0.85, 1.15)), EventTime.STARTUP)
+        friction = randomize.friction((common.ROBOT, randomize.TERRAIN), Range(0.5, 1.25))
+        self.events.friction = EventTerm(friction, EventTime.STARTUP)
+        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        push = randomize.push(common.ROBOT, Range(0.0, 0.7, easy=0.0))
+        self.events.push = EventTerm(push, EventTime.INTERVAL, interval=(3.0, 6.0))
+        common.add_noise(
+            self.observations,
+            linear_velocity=0.1,
+            angular_velocity=0.2,
+            projected_gravity=0.03,
+            joint_positions=0.01,
+            joint_velocities=0.05,
+        )
 
     def success(self, world: SimulatedWorld) -> Tensor:
         tolerances = torch.tensor([self.linear_tolerance, self.yaw_tolerance], device=self.device)

@@ -53,7 +53,7 @@ class PolicyDescription:
     @staticmethod
     def of(environment: Environment, task: str, library: str, iteration: int) -> PolicyDescription:
         """Of a policy for this environment."""
-        terms, world = environment.observation_terms, environment.world
+        terms, world = environment.observer.terms, environment.world
         return PolicyDescription(
             task=task,
             robot=environment.task.robot,

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from orbit_core.tasks.registry import TaskEntry, TaskRegistry, task_entries, task_entry
     from orbit_core.tasks.task import Task
     from orbit_core.tasks.terms import (
+        CurriculumTerm,
         EventTerm,
         EventTime,
         ObservationTerm,
@@ -23,19 +24,28 @@ if TYPE_CHECKING:
         once_per_state,
     )
 
-_MODULES = {
+_MODULES: dict[str, tuple[str, ...]] = {
     "environment": ("Environment", "make"),
     "expert": ("Expert", "Phase"),
     "ppo": ("PpoSettings",),
     "registry": ("TaskEntry", "TaskRegistry", "task_entries", "task_entry"),
     "task": ("Task",),
-    "terms": ("EventTerm", "EventTime", "ObservationTerm", "RewardTerm", "TerminationTerm", "once_per_state"),
+    "terms": (
+        "CurriculumTerm",
+        "EventTerm",
+        "EventTime",
+        "ObservationTerm",
+        "RewardTerm",
+        "TerminationTerm",
+        "once_per_state",
+    ),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "Environment", "EventTerm", "EventTime", "Expert", "ObservationTerm", "Phase", "PpoSettings", "RewardTerm", "Task",
-    "TaskEntry", "TaskRegistry", "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
+    "CurriculumTerm", "Environment", "EventTerm", "EventTime", "Expert", "ObservationTerm", "Phase", "PpoSettings",
+    "RewardTerm", "Task", "TaskEntry", "TaskRegistry", "TerminationTerm", "make", "once_per_state", "task_entries",
+    "task_entry",
 ]  # fmt: skip
 
 

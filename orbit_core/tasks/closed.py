@@ -75,9 +75,9 @@ class ClosedStep:
         """A step before resets: observation, reward, terminated, truncated, then what :meth:`_info` needs."""
         environment, task, world = self._environment, self._environment.task, self._environment.world
         outcome = environment.advance()
-        observation = environment.compute_observation()
+        observation = environment.observer()
         self._observed.copy_(observation)
-        metrics = task.metrics(world)
+        metrics = environment.metrics()
         self._metrics = tuple(metrics)
         # Copies, for resets write the same memory before anyone looks.
         end = (environment.done, task.success(world), task.episode_step, environment.reward_sums, *metrics.values())
@@ -86,9 +86,10 @@ class ClosedStep:
     def _renew(self) -> tuple[Tensor]:
         """New episodes where one ended, and the observation with theirs."""
         environment, done = self._environment, self._environment.done
+        environment.progress()
         environment.begin(done)
         with environment.world.masking.only(done):
-            observation = environment.compute_observation()
+            observation = environment.observer()
         return (torch.where(done[:, None], observation, self._observed),)
 
     def _play_and_renew(self) -> tuple[Tensor, ...]:

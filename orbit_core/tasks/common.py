@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -95,6 +97,13 @@ def action_rate(world: SimulatedWorld, task: Task) -> Tensor:
 def joint_speed(world: SimulatedWorld, task: Task) -> Tensor:
     """(N,) sum of squared joint velocities."""
     return squared_norm(robot_of(world).joint_velocities)
+
+
+def add_noise(observations: object, **deviations: float) -> None:
+    """Give some of a task's observation terms white noise, by name; a term that is switched off stays so."""
+    for name, deviation in deviations.items():
+        if (term := getattr(observations, name)) is not None:
+            setattr(observations, name, replace(term, noise_std=deviation))
 
 
 def squared_norm(vectors: Tensor) -> Tensor:

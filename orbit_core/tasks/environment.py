@@ -15,18 +15,20 @@ from torch import Tensor
 
 from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
 from orbit_core.backends import default_backend
-from orbit_core.dynamics.indexing import is_mask, write_rows
+from orbit_core.dynamics.indexing import write_rows
 from orbit_core.interfaces import ConfigurationError, Node, NonFiniteError, Port, ShapeError
 from orbit_core.motion import Actuate, action_space, with_drives_for
 from orbit_core.scene import Scene
 from orbit_core.tasks.closed import ClosedStep, StepResult
 from orbit_core.tasks.common import ROBOT
 from orbit_core.tasks.episode import EpisodeEnd, Observation
+from orbit_core.tasks.events import Events
+from orbit_core.tasks.observer import Observer
 from orbit_core.tasks.recording import needs_python, remembered
 from orbit_core.tasks.registry import task_entry
 from orbit_core.tasks.settings import configure
 from orbit_core.tasks.task import Task
-from orbit_core.tasks.terms import EventTerm, EventTime, ObservationTerm, RewardTerm, TerminationTerm, terms_of
+from orbit_core.tasks.terms import CurriculumTerm, RewardTerm, TerminationTerm, terms_of
 from orbit_core.world import SimulatedWorld
 from orbit_core.world.threads import SingleThreaded
 
@@ -65,6 +67,8 @@ class Environment:
         compile: bool = False,
     ) -> None:
         self.task = task = copy.deepcopy(task)
+        if task.randomized:
+            task.randomize()
         self.max_episode_steps = _whole_steps(task)
         merged = {**task.backend_presets.get(backend, {}), **(settings or {})}
         scene = _driven(task.scene(), task.action)
@@ -72,10 +76,9 @@ class Environment:
         self.num_envs = num_envs
         self.device = self.world.device
         self.step_dt = task.physics_dt * task.decimation
-        self.observation_terms = terms_of(task.observations, ObservationTerm)
         self.reward_terms = terms_of(task.rewards, RewardTerm)
         self.termination_terms = terms_of(task.terminations, TerminationTerm)
-        self._events = list(terms_of(task.events, EventTerm).values())
+        self._curriculum = _curriculum(task)
         self._weights = self._reward_weights()
         self._column_of_weights = self._weights[:, None]
         self.reward_sums = torch.zeros(len(self.reward_terms), num_envs, device=self.device)
@@ -90,6 +93,7 @@ class Environment:
         task.last_action = torch.zeros_like(self._action)
         task.action_before = torch.zeros_like(self._action)
         task.start(self.world)
+        self.observer = Observer(self.world, task)
         self._seen: tuple[int, Tensor] | None = None
         """Version of the world's state, and the observation of it that the closed step made."""
         self.observation_size = self._observation().shape[1]
@@ -98,7 +102,8 @@ class Environment:
         self._started = False
         """Whether a step was made, and with it all that is made at first use: a trace would make it anew each time."""
         self._closed = self._close_step()
-        self._run_events(EventTime.STARTUP, self.all_ids)
+        self._events = Events(self.world, task, self.step_dt, lambda: remembered(task, self.cut))
+        self._events.startup()
         self.begin(None)
         self._observe()
 
@@ -110,7 +115,7 @@ class Environment:
             self.world.random.seed(seed, env_ids)
         with SingleThreaded():
             self.begin(env_ids)
-            return self._observe(), {}
+            return self._observe_new(env_ids), {}
 
     def step(self, action: Tensor) -> StepResult:
         """One step of all environments.
@@ -139,10 +144,9 @@ class Environment:
             return self._observe(), reward, terminated, truncated, {}
         ended = self.done.nonzero().squeeze(-1)
         final = self._everyone(self._observe()["policy"]).only(ended)
+        self.progress()
         self.begin(ended)
-        with self.world.masking.only(self.done):
-            observation = self._observe()
-        return observation, reward, terminated, truncated, {"final": final}
+        return self._observe_new(ended), reward, terminated, truncated, {"final": final}
 
     def observe(self) -> Observation:
         """What a policy sees of the present state: what the last reset or step returned."""
@@ -213,6 +217,7 @@ class Environment:
     def advance(self) -> tuple[Tensor, Tensor, Tensor]:
         """From the action to reward, terminated and truncated, and no reset yet: nothing here waits for the device."""
         task = self.task
+        self._events.advance()
         self.cut.act({"action": self._action})
         self.world.step(task.decimation)
         task.episode_step += 1
@@ -241,18 +246,16 @@ class Environment:
     def _observation(self) -> Tensor:
         if self._seen is not None and self._seen[0] == self.world.clock.version:
             return self._seen[1]
-        return self.compute_observation()
+        return self.observer()
 
-    def compute_observation(self) -> Tensor:
-        return torch.cat([self._observe_term(term) for term in self.observation_terms.values()], dim=1)
-
-    def _observe_term(self, term: ObservationTerm) -> Tensor:
-        value = term.function(self.world, self.task)
-        if term.scale != 1.0:
-            value = value * term.scale
-        if term.noise_std:
-            value = value + self.world.random.normal(tuple(value.shape[1:]), term.noise_std)
-        return value
+    def _observe_new(self, env_ids: Tensor | None) -> Observation:
+        """Of new episodes; the other environments have been observed already."""
+        if env_ids is None:
+            return self._observe()
+        began = torch.zeros_like(self.done)
+        began[env_ids] = True
+        with self.world.masking.only(began):
+            return self._observe()
 
     def _reward_weights(self) -> Tensor:
         weights = [term.weight * self.step_dt for term in self.reward_terms.values()]
@@ -273,36 +276,30 @@ class Environment:
             env_ids=self.all_ids,
             observation={"policy": observation},
             success=self.task.success(self.world),
-            metrics=self.task.metrics(self.world),
+            metrics=self.metrics(),
             rewards=dict(zip(self.reward_terms, self.reward_sums.unbind(), strict=True)),
             steps=self.task.episode_step,
         )
 
+    def metrics(self) -> dict[str, Tensor]:
+        """The task's, and the difficulty where a curriculum sets it."""
+        metrics = self.task.metrics(self.world)
+        return {**metrics, "difficulty": self.task.difficulty} if self._curriculum else metrics
+
+    def progress(self) -> None:
+        """Let episodes that have just ended decide how difficult the next will be."""
+        for term in self._curriculum.values():
+            following = self.task.difficulty + term.function(self.world, self.task)
+            write_rows(self.task.difficulty, following.clamp(0.0, 1.0), self.done)
+
     def begin(self, env_ids: Tensor | None) -> None:
+        """New episodes in some environments, by index, or by mask where the step is traced."""
         self.world.reset(env_ids)
         self.task.reset(env_ids)
         self.cut.graph.reset(env_ids)
+        self.observer.reset(env_ids)
         write_rows(self.reward_sums.T, 0.0, env_ids)
-        if is_mask(env_ids):
-            self._run_events_where(env_ids)
-        else:
-            self._run_events(EventTime.RESET, self.all_ids if env_ids is None else env_ids)
-        self.world.clock.touch()  # an event may have changed what a cached term depends on
-
-    def _run_events_where(self, mask: Tensor) -> None:
-        """Run events as for all environments, and keep what they did to those of the mask."""
-        memory = [m for m in remembered(self.task, self.cut).values() if m.shape[:1] == (self.num_envs,)]
-        before = [tensor.clone() for tensor in memory]
-        with self.world.masking.only(mask):
-            self._run_events(EventTime.RESET, self.all_ids)
-        others = ~mask
-        for tensor, old in zip(memory, before, strict=True):
-            write_rows(tensor, old, others)
-
-    def _run_events(self, time: EventTime, env_ids: Tensor) -> None:
-        for event in self._events:
-            if event.time is time:
-                event.function(self.world, self.task, env_ids)
+        self._events.reset(env_ids)
 
 
 def _no_policy(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
@@ -313,6 +310,17 @@ def _driven(scene: Scene, action: str) -> Scene:
     """The scene with the task's robot driven as the action space needs it."""
     robots = tuple(with_drives_for(spec, action) if spec.name == ROBOT else spec for spec in scene.robots)
     return replace(scene, robots=robots)
+
+
+def _curriculum(task: Task) -> dict[str, CurriculumTerm]:
+    if not task.progressive:
+        return {}
+    if task.curriculum is None:
+        raise ConfigurationError(
+            f"task {type(task).__name__} has no curriculum: leave progressive out, or give it a dataclass of "
+            "CurriculumTerm"
+        )
+    return terms_of(task.curriculum, CurriculumTerm)
 
 
 def _whole_steps(task: Task) -> int:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import Node
+from orbit_core.interfaces import ConfigurationError, Node
 from orbit_core.scene import Pose, Scene, look_at
 from orbit_core.tasks.ppo import PpoSettings
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 class Task(ABC):
     """A goal over a world. Subclasses are dataclasses: their fields are the task's configuration.
 
-    ``observations``, ``rewards``, ``terminations`` and ``events`` are dataclasses of terms. The attributes that are
-    set by :meth:`start` hold what a task remembers while it runs; terms read and write them.
+    ``observations``, ``rewards``, ``terminations``, ``events`` and ``curriculum`` are dataclasses of terms. The
+    attributes that are set by :meth:`start` hold what a task remembers while it runs; terms read and write them.
     """
 
     robot: str
@@ -41,6 +41,11 @@ class Task(ABC):
     rewards: Any = None
     terminations: Any = None
     events: Any = None
+    curriculum: Any = None
+    randomized: bool = False
+    """Whether what a policy has no way to know differs between environments, as :meth:`randomize` says."""
+    progressive: bool = False
+    """Whether the curriculum sets how difficult episodes are; else they are as difficult as can be."""
     view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.35, 0.0, 0.2))
     """Where pictures and videos are taken from, in the environment's frame."""
     backend_presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -61,7 +66,21 @@ class Task(ABC):
     """(N, A) the action of the step before that."""
     episode_step: Tensor = field(init=False)
     """(N,) int64 steps since reset."""
+    difficulty: Tensor = field(init=False)
+    """(N,) in [0, 1], for terms to read. It starts at 0 where the task is ``progressive``, and else stays 1; resets
+    do not change it."""
     cache: dict[Callable[..., Tensor], tuple[int, Tensor | None]] = field(init=False, default_factory=dict)
+
+    def randomize(self) -> None:
+        """Give the task the terms of ``randomized``. Override where a task has some.
+
+        Raises:
+            ConfigurationError: it has none.
+        """
+        raise ConfigurationError(
+            f"task {type(self).__name__} has no randomisation of its own: leave randomized out, and set its terms "
+            "yourself (orbit_core.tasks.randomize)"
+        )
 
     @abstractmethod
     def scene(self) -> Scene:
@@ -72,6 +91,7 @@ class Task(ABC):
         self.num_envs = world.num_envs
         self.device = world.device
         self.episode_step = torch.zeros(world.num_envs, dtype=torch.int64, device=world.device)
+        self.difficulty = torch.full((world.num_envs,), float(not self.progressive), device=world.device)
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Forget some environments' past. Extend where a subclass remembers more than its events set anew."""

@@ -24,12 +24,19 @@ EventFunction = Callable[["SimulatedWorld", Any, Tensor], None]
 class ObservationTerm:
     """``function`` gives (N, k); the observation is the terms of a task side by side, in the order of their fields.
 
-    ``noise_std`` adds white noise, drawn from each environment's own stream.
+    ``scale`` comes first, and all that follows is in the scaled value's unit. Noise, bias and delay are drawn from each
+    environment's own stream.
     """
 
     function: TermFunction
     scale: float = 1.0
     noise_std: float = 0.0
+    """Of white noise, drawn anew at each step."""
+    bias_std: float = 0.0
+    """Of an error that each episode draws once and keeps."""
+    delay: tuple[int, int] = (0, 0)
+    """Fewest and most steps of the environment that a measurement is late by, drawn for each episode. What was measured
+    first counts as measured ever since."""
 
 
 @dataclass(frozen=True)
@@ -54,14 +61,31 @@ class EventTime(Enum):
     """Once, for all environments, when the world is new."""
     RESET = "reset"
     """Whenever environments begin an episode."""
+    INTERVAL = "interval"
+    """Again and again, at times that each environment draws for itself."""
 
 
 @dataclass(frozen=True)
 class EventTerm:
-    """``function`` changes some environments: where things start, what they weigh, what the goal is."""
+    """``function`` changes some environments: where things start, what they weigh, what the goal is.
+
+    An event of :attr:`EventTime.INTERVAL` happens at the beginning of a step. ``interval`` is the least and the most
+    time in seconds from the episode's start, or from the last time, to the next; it is rounded to whole steps.
+    """
 
     function: EventFunction
     time: EventTime = EventTime.RESET
+    interval: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class CurriculumTerm:
+    """``function`` gives (N,), by how much an episode that has ended changes the difficulty of the next.
+
+    It sees the episode's last state. The terms of a task are added up, and :attr:`Task.difficulty` stays in [0, 1].
+    """
+
+    function: TermFunction
 
 
 _Term = TypeVar("_Term")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -197,6 +198,22 @@ class SimulatedObject(Object):
         self._clock.touch()
 
     # Parameters per environment; they outlast resets
+
+    @cached_property
+    def nominal_masses(self) -> Tensor:
+        """(N, links) in kg, of the scene; what :meth:`set_masses` sets does not change them."""
+        kinds = [variant.entities[self.layout.index].spec.articulation for variant in self._engine.layout.variants]
+        masses = torch.tensor([[link.mass for link in kind.links] for kind in kinds], device=self._engine.device)
+        return masses[torch.arange(self._engine.num_envs, device=self._engine.device) % len(kinds)]
+
+    @cached_property
+    def nominal_gains(self) -> dict[int, tuple[float, float]]:
+        """Stiffness and damping in the scene, by joint, of those that have an actuator."""
+        gains: dict[int, tuple[float, float]] = {}
+        for group in self.spec.actuators:
+            for joint in self.find_joints(*group.joints):
+                gains[joint] = (group.stiffness, group.damping)
+        return gains
 
     def set_masses(self, masses: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
         """Masses (n, k) in kg of some links; inertias scale with them.

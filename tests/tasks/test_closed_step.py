@@ -10,7 +10,7 @@ import torch
 from orbit_core.backends import default_backend
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.scene import ContactSensorSpec, Scene
-from orbit_core.tasks import EventTerm, ObservationTerm, TerminationTerm, make
+from orbit_core.tasks import CurriculumTerm, EventTerm, EventTime, ObservationTerm, TerminationTerm, make, randomize
 from orbit_core.tasks.closed import ClosedStep
 from orbit_core.tasks.environment import Environment
 from orbit_core.tasks.recording import needs_python
@@ -75,6 +75,24 @@ def test_events_written_for_indices_hold_under_a_mask(task: str) -> None:
     plain, other = (make(task, 3, BACKEND, episode_length=0.2) for _ in range(2))
     other.task.episode_step[:] = plain.task.episode_step[:] = torch.tensor([0, 3, 7])
     assert_same_life(plain, closed(other, whole=True), exact=True)
+
+
+def restless() -> VelocityFlat:
+    """With all that happens within a step: pushes, late and wrong measurements, a curriculum."""
+    task = VelocityFlat(episode_length=0.2, progressive=True)
+    push = randomize.push("robot", randomize.Range(0.0, 1.0, easy=0.3))
+    task.events.push = EventTerm(push, EventTime.INTERVAL, interval=(0.04, 0.1))
+    task.events.gains = EventTerm(randomize.gains("robot", *[randomize.Range(0.8, 1.2)] * 2))
+    task.observations.angular_velocity = replace(task.observations.angular_velocity, delay=(0, 3), bias_std=0.1)
+    skill = CurriculumTerm(lambda world, task: 0.2 - 0.3 * task.last_action[:, 0].abs())
+    task.curriculum = replace(task.curriculum, skill=skill)
+    return task
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_what_is_random_within_a_step_is_the_same(whole: bool) -> None:
+    plain, other = Environment(restless(), 5, BACKEND), Environment(restless(), 5, BACKEND)
+    assert_same_life(plain, closed(other, whole), exact=True)
 
 
 def test_a_compiled_step_is_the_same_step() -> None:

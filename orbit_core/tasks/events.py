@@ -1,0 +1,103 @@
+"""When a task's events happen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.indexing import is_mask, write_rows
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.tasks.task import Task
+from orbit_core.tasks.terms import EventTerm, EventTime, terms_of
+from orbit_core.world import SimulatedWorld
+
+
+class Events:
+    """Runs the events of a task over a world.
+
+    Args:
+        world: that they change.
+        task: whose they are.
+        step_dt: seconds in a step of the environment.
+        memory: what the task and its agent remember, by name; events write it.
+
+    Raises:
+        ConfigurationError: an interval cannot be.
+    """
+
+    def __init__(
+        self, world: SimulatedWorld, task: Task, step_dt: float, memory: Callable[[], Mapping[str, Tensor]]
+    ) -> None:
+        self._world = world
+        self._task = task
+        self._memory = memory
+        self._all = torch.arange(world.num_envs, device=world.device)
+        terms = terms_of(task.events, EventTerm)
+        self._at = {time: [term for term in terms.values() if term.time is time] for time in EventTime}
+        self._timers = [
+            _Timer(name, term, step_dt, world) for name, term in terms.items() if term.time is EventTime.INTERVAL
+        ]
+
+    def startup(self) -> None:
+        """Once, before the first episode."""
+        for term in self._at[EventTime.STARTUP]:
+            term.function(self._world, self._task, self._all)
+
+    def reset(self, env_ids: Tensor | None) -> None:
+        """At the beginning of an episode, by index or mask."""
+        for timer in self._timers:
+            timer.draw(env_ids)
+        terms = self._at[EventTime.RESET]
+        if is_mask(env_ids):
+            self._run_where(env_ids, terms)
+        else:
+            self._run(self._all if env_ids is None else env_ids, terms)
+
+    def advance(self) -> None:
+        """At the beginning of a step: what is due."""
+        for timer in self._timers:
+            due = timer.left == 0
+            if self._world.random.traceable:
+                self._run_where(due, [timer.term])
+                timer.draw(due)
+            elif bool(due.any()):
+                env_ids = due.nonzero().squeeze(-1)
+                self._run(env_ids, [timer.term])
+                timer.draw(env_ids)
+            timer.left -= 1
+
+    def _run(self, env_ids: Tensor, terms: list[EventTerm]) -> None:
+        for term in terms:
+            term.function(self._world, self._task, env_ids)
+        self._world.clock.touch()  # an event may have changed what a cached term depends on
+
+    def _run_where(self, mask: Tensor, terms: list[EventTerm]) -> None:
+        """Run events as for all environments, and keep what they did to those of the mask."""
+        memory = [m for m in self._memory().values() if m.shape[:1] == mask.shape]
+        before = [(tensor, tensor.clone(), tensor._version) for tensor in memory]
+        with self._world.masking.only(mask):
+            self._run(self._all, terms)
+        others = ~mask
+        for tensor, old, version in before:
+            if tensor._version != version:
+                write_rows(tensor, old, others)
+
+
+class _Timer:
+    """Counts each environment's steps to its next event."""
+
+    def __init__(self, name: str, term: EventTerm, step_dt: float, world: SimulatedWorld) -> None:
+        least, most = term.interval
+        if not 0.0 < least <= most:
+            raise ConfigurationError(
+                f"the interval of event '{name}' must be 0 < least <= most seconds, not {term.interval}"
+            )
+        self.term = term
+        self._bounds = max(1, round(least / step_dt)), max(1, round(most / step_dt))
+        self._random = world.random
+        self.left = torch.zeros(world.num_envs, dtype=torch.int64, device=world.device)
+
+    def draw(self, env_ids: Tensor | None) -> None:
+        write_rows(self.left, self._random.integers(*self._bounds, env_ids), env_ids)

@@ -1,0 +1,147 @@
+"""Events that make environments differ in what a policy has no way to know, and curricula that widen the differences.
+
+Why: Tobin et al., Domain Randomization for Transferring Deep Neural Networks from Simulation to the Real World (2017);
+Peng et al., Sim-to-Real Transfer of Robotic Control with Dynamics Randomization (2018).
+
+Masses, friction and gains outlast resets; each draw starts from the scene's own values. At
+:attr:`~orbit_core.tasks.EventTime.STARTUP` an environment keeps what it drew, at
+:attr:`~orbit_core.tasks.EventTime.RESET` each episode draws anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.tasks.task import Task
+from orbit_core.tasks.terms import EventFunction, TermFunction
+from orbit_core.world import SimulatedWorld
+from orbit_core.world.entities import SimulatedObject
+
+TERRAIN = "terrain"
+
+
+@dataclass(frozen=True)
+class Range:
+    """Uniform in [``low``, ``high``). With ``easy``, the range opens from that one value as the difficulty grows."""
+
+    low: float
+    high: float
+    easy: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.high:
+            raise ConfigurationError(f"a range needs low <= high, not {self.low:g} and {self.high:g}")
+
+    def sample(self, world: SimulatedWorld, task: Task, shape: tuple[int, ...], env_ids: Tensor) -> Tensor:
+        """(n, *shape) drawn from the environments' own streams."""
+        if self.easy is None:
+            return world.random.uniform(shape, self.low, self.high, env_ids)
+        difficulty = task.difficulty[env_ids].view(-1, *(1 for _ in shape))
+        share = world.random.uniform(shape, env_ids=env_ids)
+        return self.easy + difficulty * (self.low + (self.high - self.low) * share - self.easy)
+
+
+def masses(entity: str, scale: Range, links: Sequence[str] = (".*",)) -> EventFunction:
+    """Scale the masses of an entity's links, whose names match, each by its own factor; inertias follow.
+
+    Links that have no mass, as a fixed base may, keep to themselves.
+
+    Raises, when it happens:
+        UnsupportedCapabilityError: the engine cannot.
+    """
+
+    def event(world: SimulatedWorld, task: Task, env_ids: Tensor) -> None:
+        thing = _entity(world, entity)
+        bodies = thing.spec.articulation.links
+        chosen = [link for link in thing.find_links(*links) if bodies[link].mass > 0.0]
+        factors = scale.sample(world, task, (len(chosen),), env_ids)
+        thing.set_masses(thing.nominal_masses[env_ids][:, chosen] * factors, chosen, env_ids)
+
+    return event
+
+
+def friction(entities: Sequence[str], coefficient: Range) -> EventFunction:
+    """One coefficient, static and dynamic alike, for all shapes of the entities named; ``"terrain"`` is one.
+
+    Name both sides of a contact: the larger of their coefficients holds, and engines that combine them otherwise agree
+    where both are the same.
+
+    Raises, when it happens:
+        UnsupportedCapabilityError: the engine cannot.
+    """
+
+    def event(world: SimulatedWorld, task: Task, env_ids: Tensor) -> None:
+        drawn = coefficient.sample(world, task, (1,), env_ids)
+        for name in entities:
+            if name == TERRAIN:
+                world.set_terrain_friction(drawn[:, 0], env_ids)
+            else:
+                thing = _entity(world, name)
+                thing.set_friction(drawn.expand(-1, len(thing.link_names)), env_ids=env_ids)
+
+    return event
+
+
+def gains(entity: str, stiffness: Range, damping: Range, joints: Sequence[str] = (".*",)) -> EventFunction:
+    """Scale the stiffness and the damping of the actuators of joints whose names match, each by its own factor.
+
+    Joints without an actuator keep to themselves.
+
+    Raises, when it happens:
+        UnsupportedCapabilityError: the engine cannot.
+    """
+
+    def event(world: SimulatedWorld, task: Task, env_ids: Tensor) -> None:
+        thing = _entity(world, entity)
+        nominal = thing.nominal_gains
+        chosen = [joint for joint in thing.find_joints(*joints) if joint in nominal]
+        own = torch.tensor([nominal[joint] for joint in chosen], device=world.device)
+        values = [
+            column * factor.sample(world, task, (len(chosen),), env_ids)
+            for column, factor in zip(own.unbind(1), (stiffness, damping), strict=True)
+        ]
+        thing.set_gains(values[0], values[1], chosen, env_ids)
+
+    return event
+
+
+def push(entity: str, speed: Range) -> EventFunction:
+    """Add a horizontal velocity of that speed (m/s), in any direction, to the entity's root.
+
+    Raises, when it happens:
+        ConfigurationError: the entity's base is fixed.
+    """
+
+    def event(world: SimulatedWorld, task: Task, env_ids: Tensor) -> None:
+        thing = _entity(world, entity)
+        if thing.spec.fixed_base:
+            raise ConfigurationError(f"'{entity}' cannot be pushed: its base is fixed; name another entity")
+        angle = world.random.uniform((), -torch.pi, torch.pi, env_ids)
+        change = speed.sample(world, task, (), env_ids)
+        sideways = torch.stack((change * angle.cos(), change * angle.sin()), dim=1)
+        velocity = thing.root_velocity[env_ids]
+        thing.set_root_velocity(torch.cat((velocity[:, :2] + sideways, velocity[:, 2:]), dim=1), env_ids)
+
+    return event
+
+
+def by_success(raised: float = 0.05, lowered: float = 0.02) -> TermFunction:
+    """For a curriculum: the next episode is harder after a success, by ``raised``, and else easier, by ``lowered``."""
+
+    def change(world: SimulatedWorld, task: Task) -> Tensor:
+        return torch.where(task.success(world), raised, -lowered)
+
+    return change
+
+
+def _entity(world: SimulatedWorld, name: str) -> SimulatedObject:
+    thing = world.robots.get(name) or world.objects.get(name)
+    if thing is None:
+        raise UnknownNameError("entity", name, [*world.robots, *world.objects], "the scene")
+    assert isinstance(thing, SimulatedObject)  # a simulated world has no others
+    return thing

@@ -1,0 +1,164 @@
+"""What differs between environments: each term does what it says, and every environment draws for itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from orbit_core.backends import backend_names, default_backend
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.tasks import CurriculumTerm, EventTerm, EventTime, Task, make, randomize
+from orbit_core.tasks.environment import Environment
+from orbit_core.tasks.randomize import Range
+from orbit_core.world import SimulatedWorld
+from orbit_tasks.lift import Lift
+from orbit_tasks.velocity_flat import VelocityFlat
+
+TASKS = ("Reach", "Lift", "Cabinet", "Velocity-Flat")
+
+
+@pytest.mark.parametrize("backend", backend_names())
+@pytest.mark.parametrize("task", TASKS)
+def test_every_task_runs_randomized_on_every_backend(task: str, backend: str) -> None:
+    environment = make(task, 3, backend, randomized=True, episode_length=0.2)
+    for _ in range(15):
+        observation, reward, *_ = environment.step(torch.zeros(3, environment.action_size))
+    assert torch.isfinite(observation["policy"]).all()
+    assert torch.isfinite(reward).all()
+    environment.close()
+
+
+def test_a_heavier_cube_is_a_slower_one() -> None:
+    """The same force on every cube: what it gains in speed tells its mass."""
+    task = Lift()
+    task.events.cube_mass = EventTerm(randomize.masses("cube", Range(0.5, 2.0)), EventTime.STARTUP)
+    environment = Environment(task, 16, default_backend())
+    cube = environment.world.objects["cube"]
+    up = torch.tensor([0.0, 0.0, 10.0, 0.0, 0.0, 0.0]).expand(16, 1, 6)
+    environment.reset(seed=3)
+    cube.set_wrenches(up)
+    environment.world.step(4)
+    masses = 10.0 / (cube.root_velocity[:, 2] / (4 * task.physics_dt) + 9.81)
+    assert masses.min() > 0.05 - 1e-4
+    assert masses.max() < 0.2 + 1e-4
+    assert masses.max() > 2.0 * masses.min()
+    environment.reset()
+    cube.set_wrenches(up)
+    environment.world.step(4)
+    again = 10.0 / (cube.root_velocity[:, 2] / (4 * task.physics_dt) + 9.81)
+    torch.testing.assert_close(again, masses, rtol=1e-3, atol=0.0)  # drawn once
+    environment.close()
+
+
+def test_pushes_come_when_they_are_due_and_not_else() -> None:
+    task = VelocityFlat()
+    push = randomize.push("robot", Range(1.0, 2.0))
+    task.events.push = EventTerm(push, EventTime.INTERVAL, interval=(0.1, 0.2))
+    pushed, plain = Environment(task, 32, default_backend()), Environment(VelocityFlat(), 32, default_backend())
+    pushed.reset(seed=1), plain.reset(seed=1)
+    still = torch.zeros(32, plain.action_size)
+    first = torch.full((32,), -1)
+    for step in range(12):
+        pushed.step(still), plain.step(still)
+        speed = (pushed.world.robots["robot"].root_velocity - plain.world.robots["robot"].root_velocity)[:, :2]
+        first[(first < 0) & (speed.norm(dim=1) > 0.5)] = step
+    # 0.1 s to 0.2 s are 5 to 10 steps: so many come before the step that begins with the push.
+    assert first.min() == 5
+    assert first.max() == 10
+    pushed.close(), plain.close()
+
+
+def test_a_delay_shows_what_was_and_a_bias_stays() -> None:
+    task = Lift(action="joint_position_relative")
+    late = replace(task.observations.joint_positions, delay=(3, 3))
+    off = replace(task.observations.joint_velocities, bias_std=0.5)
+    task.observations = replace(task.observations, joint_positions=late, joint_velocities=off)
+    environment = Environment(task, 4, default_backend())
+    robot = environment.world.robots["robot"]
+    joints = len(robot.joint_names)
+    environment.reset(seed=0)
+    truth, biases = [robot.joint_positions - robot.home_positions], []
+    for _ in range(8):
+        seen = environment.step(0.5 * torch.ones(4, environment.action_size))[0]["policy"]
+        truth.append((robot.joint_positions - robot.home_positions).clone())
+        torch.testing.assert_close(seen[:, :joints], truth[max(0, len(truth) - 4)])
+        biases.append(seen[:, joints : 2 * joints] - robot.joint_velocities)
+    torch.testing.assert_close(biases[-1], biases[0])
+    assert biases[0].std() > 0.2
+    environment.reset(env_ids=torch.tensor([2]))
+    seen = environment.observe()["policy"]
+    after = seen[:, joints : 2 * joints] - robot.joint_velocities
+    torch.testing.assert_close(after[[0, 1, 3]], biases[0][[0, 1, 3]])
+    assert not torch.allclose(after[2], biases[0][2])
+    torch.testing.assert_close(seen[2, :joints], (robot.joint_positions - robot.home_positions)[2])
+    torch.testing.assert_close(seen[0, :joints], truth[-4][0])  # others are as late as before, and no later
+    environment.close()
+
+
+def test_each_environment_draws_for_itself_whatever_their_number() -> None:
+    many, few = (make("Velocity-Flat", count, default_backend(), randomized=True) for count in (5, 2))
+    seen = [(e.reset(seed=4)[0]["policy"], e.step(torch.zeros(e.num_envs, 12))[0]["policy"]) for e in (many, few)]
+    torch.testing.assert_close(seen[0][0][:2], seen[1][0])
+    torch.testing.assert_close(seen[0][1][:2], seen[1][1])
+    many.close(), few.close()
+
+
+def bold(world: SimulatedWorld, task: Task) -> Tensor:
+    return torch.where(task.last_action[:, 0] > 0.0, 0.3, -0.2)
+
+
+@dataclass
+class ByBoldness:
+    skill: CurriculumTerm | None = CurriculumTerm(bold)
+
+
+def test_difficulty_follows_what_episodes_come_to() -> None:
+    task = VelocityFlat(progressive=True, episode_length=0.02, curriculum=ByBoldness())  # pyright: ignore
+    environment = Environment(task, 2, default_backend())
+    action = torch.zeros(2, environment.action_size)
+    action[0, 0] = 1.0
+    courses = []
+    for _ in range(5):
+        info = environment.step(action)[4]
+        courses.append(environment.task.difficulty.clone())
+    torch.testing.assert_close(torch.stack(courses)[:, 0], torch.tensor([0.3, 0.6, 0.9, 1.0, 1.0]))
+    assert not torch.stack(courses)[:, 1].any()
+    torch.testing.assert_close(info["final"].metrics["difficulty"], torch.tensor([1.0, 0.0]))
+    assert environment.task.command[1].abs().max() <= 0.25
+    environment.close()
+
+
+def test_a_range_opens_with_difficulty() -> None:
+    environment = make("Reach", 1000, default_backend())
+    environment.task.difficulty[:500] = 0.0
+    environment.task.difficulty[500:] = 0.5
+    drawn = Range(0.0, 4.0, easy=1.0).sample(environment.world, environment.task, (), environment.all_ids)
+    assert (drawn[:500] == 1.0).all()
+    assert drawn[500:].min() == pytest.approx(0.5, abs=0.05)
+    assert drawn[500:].max() == pytest.approx(2.5, abs=0.05)
+    environment.close()
+
+
+def test_what_cannot_be_is_refused() -> None:
+    push = randomize.push("table", Range(1.0, 1.0))
+    task = Lift()
+    task.events.friction = EventTerm(push, EventTime.INTERVAL)
+    with pytest.raises(ConfigurationError, match="interval of event 'friction' must be 0 < least"):
+        Environment(task, 1, default_backend())
+    task.events.friction = EventTerm(push, EventTime.RESET)
+    with pytest.raises(ConfigurationError, match="'table' cannot be pushed: its base is fixed"):
+        Environment(task, 1, default_backend())
+    task.events.friction = EventTerm(randomize.masses("cub", Range(1.0, 1.0)))
+    with pytest.raises(UnknownNameError, match="cube"):
+        Environment(task, 1, default_backend())
+    with pytest.raises(ConfigurationError, match="low <= high"):
+        Range(2.0, 1.0)
+    with pytest.raises(ConfigurationError, match="has no curriculum: leave progressive out"):
+        make("Lift", 1, default_backend(), progressive=True)
+    late = Lift()
+    late.observations.goal = replace(late.observations.goal, delay=(2, 1))
+    with pytest.raises(ConfigurationError, match="delay of observation 'goal'"):
+        Environment(late, 1, default_backend())
