@@ -18,6 +18,7 @@ RANKS = {
     "scene": 0,
     "interfaces": 1,
     "backends": 2,
+    "policies": 2,
     "dynamics": 2,
     "assets": 2,
     "actuators": 3,

@@ -1,4 +1,4 @@
-"""Who acts, by the name that a user gives: an agent's, or the file of a learned policy."""
+"""Who acts, by the name that a user gives: an agent's, a kept policy's, or the file of a learned policy."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orbit_core.interfaces.errors import UnknownNameError
+from orbit_core.policies import kept_policies, policy_path
 from orbit_core.tasks.agents import AGENTS, make_agent
 
 if TYPE_CHECKING:
@@ -14,17 +15,17 @@ if TYPE_CHECKING:
 
 
 def check_actor(name: str) -> None:
-    """Refuse a name that no agent bears and that is no file or folder.
+    """Refuse a name that no agent and no kept policy bears and that is no file or folder.
 
     Raises:
         UnknownNameError: there is none.
     """
-    if name not in AGENTS and not Path(name).exists():
-        raise UnknownNameError("agent or policy", name, AGENTS)
+    if name not in AGENTS and not Path(name).exists() and name not in kept_policies():
+        raise UnknownNameError("agent or policy", name, {*AGENTS, *kept_policies()})
 
 
 def make_actor(name: str, environment: Environment, seed: int) -> Agent:
-    """The agent of that name, or the policy in that file or folder.
+    """The agent of that name, the policy in that file or folder, or the kept policy of that name.
 
     Raises:
         UnknownNameError: there is none.
@@ -35,4 +36,4 @@ def make_actor(name: str, environment: Environment, seed: int) -> Agent:
         return make_agent(name, environment, seed)
     from orbit_core.learning.policy import PolicyAgent
 
-    return PolicyAgent(environment, Path(name))
+    return PolicyAgent(environment, policy_path(name))

@@ -35,7 +35,7 @@ class RunSettings:
     backend: Names = ()
     """Backends; all that are installed if left out."""
     part: Names = ()
-    """Of scenarios, tasks and throughput; all if left out, or what --scenario and --task name."""
+    """Of scenarios, tasks, transfers and throughput; all if left out, or what --scenario and --task name."""
     scenario: Names = ()
     """Scenarios; all if left out."""
     task: Names = ()

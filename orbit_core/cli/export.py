@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from orbit_core.cli.output import console
 from orbit_core.cli.parsing import parse_words
+from orbit_core.policies import policy_path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +19,8 @@ class ExportSettings:
     """Write a learned policy as TorchScript and ONNX, with the description of observation and action beside them."""
 
     policy: Annotated[Positional[Path], arg(metavar="POLICY")]
-    """File policy_<iteration>.pt, or the folder of a training, which stands for its last."""
+    """File policy_<iteration>.pt, the folder of a training, which stands for its last, or a kept policy's name ('orbit
+    list policies')."""
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("out/policy")
     """Takes policy.pt, policy.onnx and policy.json."""
 
@@ -28,7 +30,7 @@ def main(words: Sequence[str]) -> None:
     from orbit_core.learning.policy import load_policy
 
     settings = parse_words(ExportSettings, words, "orbit export")
-    policy = load_policy(settings.policy)
+    policy = load_policy(policy_path(settings.policy))
     settings.output.mkdir(parents=True, exist_ok=True)
     policy.save(settings.output / "policy.pt")
     (settings.output / "policy.json").write_text(policy.description.as_json() + "\n")

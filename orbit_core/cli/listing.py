@@ -15,9 +15,9 @@ from orbit_core.interfaces.errors import OrbitError, UnknownNameError
 
 @dataclass(frozen=True)
 class ListSettings:
-    """Names of all tasks, robots or backends."""
+    """Names of all tasks, robots, backends, renderers or kept policies."""
 
-    kind: Annotated[Positional[str], arg(metavar="{tasks,robots,backends,renderers}")]
+    kind: Annotated[Positional[str], arg(metavar="{tasks,robots,backends,renderers,policies}")]
     """What to list."""
 
 
@@ -57,6 +57,12 @@ def _renderers() -> list[tuple[str, str]]:
     return [(name, _state(name)) for name in renderer_names()]
 
 
+def _policies() -> list[tuple[str, str]]:
+    from orbit_core.policies import kept_policies
+
+    return [(policy.name, policy.description) for policy in kept_policies().values()]
+
+
 def _state(name: str) -> str:
     from orbit_core.backends import renderer
 
@@ -67,4 +73,10 @@ def _state(name: str) -> str:
     return "installed: " + ", ".join(f"{package} {version}" for package, version in versions.items())
 
 
-_LISTS = {"tasks": _tasks, "robots": _robots, "backends": _backends, "renderers": _renderers}
+_LISTS = {
+    "tasks": _tasks,
+    "robots": _robots,
+    "backends": _backends,
+    "renderers": _renderers,
+    "policies": _policies,
+}

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.run import show_run
 from orbit_core.cli.settings import PlaySettings
+from orbit_core.policies import policy_path
 
 
 def main(words: Sequence[str]) -> None:
@@ -15,7 +16,7 @@ def main(words: Sequence[str]) -> None:
     from orbit_core.learning.policy import load_policy
 
     settings = parse_settings(PlaySettings, words, "orbit play")
-    learned = load_policy(settings.policy).description
+    learned = load_policy(policy_path(settings.policy)).description
     show_run(
         dataclasses.replace(
             settings,

@@ -59,8 +59,8 @@ class RunSettings(EnvironmentSettings):
     """Environments stepped together."""
     episodes: int = 200
     """Episodes that count, divided evenly over the environments, so that short ones are not preferred."""
-    agent: Annotated[str, arg(metavar="{expert,random,zero,FILE}")] = "expert"
-    """Who acts: a name, or the file or folder of a learned policy."""
+    agent: Annotated[str, arg(metavar="{expert,random,zero,POLICY}")] = "expert"
+    """Who acts: one of these, a kept policy ('orbit list policies'), or the file or folder of a learned one."""
     json: File = None
     """Write the result here."""
     video: File = None
@@ -74,7 +74,8 @@ class PlaySettings(RunSettings):
     """Run a learned policy's task with it, on any backend, and report success, metrics, return and speed."""
 
     policy: Annotated[Positional[Path], arg(metavar="POLICY")]
-    """File policy_<iteration>.pt, or the folder of a training, which stands for its last."""
+    """File policy_<iteration>.pt, the folder of a training, which stands for its last, or a kept policy's name ('orbit
+    list policies')."""
     task: Name = None
     """Another task than the one it was learned for."""
     agent: Suppress[str] = ""
@@ -87,8 +88,8 @@ class ViewSettings(EnvironmentSettings):
 
     num_envs: int = 1
     """Environments stepped together."""
-    agent: Annotated[str, arg(metavar="{expert,random,zero,FILE}")] = "expert"
-    """Who acts: a name, or the file or folder of a learned policy."""
+    agent: Annotated[str, arg(metavar="{expert,random,zero,POLICY}")] = "expert"
+    """Who acts: one of these, a kept policy ('orbit list policies'), or the file or folder of a learned one."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 lets other machines watch."""
     port: int = 8080

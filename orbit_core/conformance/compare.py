@@ -74,11 +74,12 @@ def _changes(old: Record, new: Record, info: ScenarioInfo | None, same_machine: 
         yield Change(new.job, "status", old.status.value, f"{new.status.value} {new.why}".strip(), better, True)
     if old.scenario and new.scenario and info:
         yield from _errors(old, new, info)
-    if old.task and new.task:
-        yield from _estimates(new.job, "success", old.task.success, new.task.success, higher_is_better=True)
-        name = next(iter(new.task.metrics), "")
-        if name in old.task.metrics:
-            yield from _estimates(new.job, name, old.task.metrics[name], new.task.metrics[name], higher_is_better=False)
+    before, after = old.played, new.played
+    if before and after:
+        yield from _estimates(new.job, "success", before.success, after.success, higher_is_better=True)
+        name = next(iter(after.metrics), "")
+        if name in before.metrics:
+            yield from _estimates(new.job, name, before.metrics[name], after.metrics[name], higher_is_better=False)
     if same_machine:
         yield from _speed(old, new)
 

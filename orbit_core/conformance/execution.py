@@ -20,6 +20,7 @@ from orbit_core.conformance.scenario import Trial
 from orbit_core.conformance.settings import Settings, scenario
 from orbit_core.conformance.tasks import run_task
 from orbit_core.conformance.throughput import measure_once
+from orbit_core.conformance.transfer import transfer
 from orbit_core.conformance.verdict import Status, run_scenario
 from orbit_core.conformance.videos import film
 from orbit_core.interfaces import UnsupportedCapabilityError
@@ -119,6 +120,14 @@ def _replay(record: Record, settings: Settings, folder: Path) -> Record:
     return replace(record, replay=replay(folder / RECORDING, record.job.backend, device=record.device))
 
 
+def _transfer(record: Record, settings: Settings, folder: Path) -> Record:
+    job = record.job
+    result = transfer(
+        job.name, job.backend, num_envs=settings.extent.episodes, seed=settings.seed, device=record.device
+    )
+    return replace(record, transfer=result)
+
+
 def _throughput(record: Record, settings: Settings, folder: Path) -> Record:
     extent, job = settings.extent, record.job
     measured = measure_once(
@@ -136,6 +145,7 @@ _DOINGS: dict[Kind, Callable[[Record, Settings, Path], Record]] = {
     Kind.SCENARIO: _scenario,
     Kind.TASK: _task,
     Kind.REPLAY: _replay,
+    Kind.TRANSFER: _transfer,
     Kind.VIDEO: _video,
     Kind.THROUGHPUT: _throughput,
 }

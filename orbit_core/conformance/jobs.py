@@ -16,16 +16,17 @@ class Kind(Enum):
     TASK = "task"
     VIDEO = "video"
     REPLAY = "replay"
+    TRANSFER = "transfer"
     THROUGHPUT = "throughput"
 
 
 @dataclass(frozen=True)
 class Job:
-    """One scenario at one time step, or one task, on one backend."""
+    """One scenario at one time step, one task or one learned policy, on one backend."""
 
     kind: Kind
     name: str
-    """Of the scenario or the task."""
+    """Of the scenario, the task or the policy."""
     backend: str
     time_step: float = 0.0
     """Seconds; of a scenario."""
@@ -53,7 +54,10 @@ class Phase:
 
 def plan(settings: Settings) -> list[Phase]:
     """All jobs of a run. A phase is of one backend, so that a worker never holds two engines."""
-    phases = [Phase((*_scenarios(settings, backend), *_tasks(settings, backend))) for backend in settings.backends]
+    phases = [
+        Phase((*_scenarios(settings, backend), *_tasks(settings, backend), *_transfers(settings, backend)))
+        for backend in settings.backends
+    ]
     phases += [Phase(tuple(_replays(settings, backend))) for backend in settings.backends]
     phases += [Phase(tuple(_throughput(settings, backend)), alone=True) for backend in settings.backends]
     return [phase for phase in phases if phase.jobs]
@@ -74,6 +78,11 @@ def _tasks(settings: Settings, backend: str) -> Iterable[Job]:
         for kind in (Kind.TASK, Kind.VIDEO):
             for task in settings.tasks:
                 yield Job(kind, task, backend)
+
+
+def _transfers(settings: Settings, backend: str) -> Iterable[Job]:
+    for policy in settings.policies:
+        yield Job(Kind.TRANSFER, policy, backend)
 
 
 def _replays(settings: Settings, backend: str) -> Iterable[Job]:

@@ -104,6 +104,7 @@ def _differing(old: Header, new: Header) -> str:
     """What makes them different runs, in words; empty if nothing does."""
     pairs: Mapping[str, tuple[object, object]] = {
         "settings": (old.settings, new.settings),
+        "policies": (old.policies, new.policies),
         "versions": ((old.versions, old.backends), (new.versions, new.backends)),
         "hardware": (old.hardware, new.hardware),
     }

@@ -20,8 +20,10 @@ from orbit_core.conformance.replay import ReplayResult
 from orbit_core.conformance.scenario import Metric, Scenario
 from orbit_core.conformance.settings import Settings
 from orbit_core.conformance.throughput import Throughput
+from orbit_core.conformance.transfer import TransferResult, learned
 from orbit_core.conformance.verdict import Status
 from orbit_core.interfaces import AssetError, Gap
+from orbit_core.policies import TransferGap, kept_policy
 
 SCHEMA = 1
 RESULT_FILE = "result.json"
@@ -83,7 +85,13 @@ class Record:
     scenario: ScenarioResult | None = None
     task: TaskResult | None = None
     replay: ReplayResult | None = None
+    transfer: TransferResult | None = None
     throughput: Throughput | None = None
+
+    @property
+    def played(self) -> TaskResult | None:
+        """What the episodes of a task's expert, or of a learned policy, came to."""
+        return self.transfer.result if self.transfer else self.task
 
     @property
     def status(self) -> Status:
@@ -92,12 +100,14 @@ class Record:
             return Status.UNSUPPORTED
         if not self.ending.acceptable:
             return Status.FAIL
-        return (self.scenario.status if self.scenario else None) or Status.PASS
+        judged = self.scenario or self.transfer
+        return (judged.status if judged else None) or Status.PASS
 
     @property
     def why(self) -> str:
         """The reason for anything but a pass."""
-        return self.reason or (self.scenario.reason if self.scenario else "")
+        judged = self.scenario or self.transfer
+        return self.reason or (judged.reason if judged else "")
 
 
 @dataclass(frozen=True)
@@ -127,6 +137,29 @@ class BackendInfo:
     gaps: tuple[Gap, ...]
 
 
+@dataclass(frozen=True)
+class PolicyInfo:
+    """A kept policy as it was when the run began."""
+
+    name: str
+    description: str
+    task: str
+    learned_on: str
+    """The backend."""
+    library: str
+    iteration: int
+    least_success: float
+    """What it is held to, wherever no gap says otherwise."""
+    gaps: tuple[TransferGap, ...]
+
+    @staticmethod
+    def of(name: str) -> PolicyInfo:
+        """What is to be told of a kept policy."""
+        kept, about = kept_policy(name), learned(name)
+        where = (about.task, about.backend, about.library, about.iteration)
+        return PolicyInfo(name, kept.description, *where, kept.least_success, kept.gaps)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Header:
     """What a run is of, written before its first record."""
@@ -138,6 +171,7 @@ class Header:
     """ISO 8601, UTC."""
     scenarios: tuple[ScenarioInfo, ...]
     backends: tuple[BackendInfo, ...]
+    policies: tuple[PolicyInfo, ...] = ()
     schema: int = SCHEMA
 
 
@@ -177,7 +211,7 @@ class Result:
 
     @property
     def judged(self) -> list[Record]:
-        """What the backends answer for: scenarios at their nominal time steps, and everything of tasks."""
+        """What the backends answer for: scenarios at their nominal time steps, and everything of tasks and policies."""
         nominal = {info.name: info.time_step for info in self.header.scenarios}
         return [r for r in self.records if r.job.kind is not Kind.SCENARIO or r.job.time_step == nominal[r.job.name]]
 

@@ -12,7 +12,16 @@ from orbit_core.conformance.hardware import Hardware, versions
 from orbit_core.conformance.jobs import Job, Kind, plan
 from orbit_core.conformance.journal import Journal, now
 from orbit_core.conformance.pools import Pool, Work
-from orbit_core.conformance.results import BackendInfo, Ending, Header, Parting, Record, Result, ScenarioInfo
+from orbit_core.conformance.results import (
+    BackendInfo,
+    Ending,
+    Header,
+    Parting,
+    PolicyInfo,
+    Record,
+    Result,
+    ScenarioInfo,
+)
 from orbit_core.conformance.settings import Settings, scenario
 from orbit_core.conformance.tasks import compare_recordings
 
@@ -71,6 +80,7 @@ def header_of(settings: Settings) -> Header:
         started=now(),
         scenarios=tuple(ScenarioInfo.of(scenario(name)) for name in settings.scenarios),
         backends=tuple(_backend_info(name) for name in settings.backends),
+        policies=tuple(PolicyInfo.of(name) for name in settings.policies),
     )
 
 

@@ -10,7 +10,9 @@ from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_names
 from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.scenarios import SCENARIOS
+from orbit_core.conformance.transfer import learned
 from orbit_core.interfaces import Capability, ConfigurationError, UnknownNameError
+from orbit_core.policies import kept_policies
 from orbit_core.tasks.registry import task_entries
 
 
@@ -21,6 +23,8 @@ class Part(Enum):
     """Physics with known answers."""
     TASKS = "tasks"
     """Every task with its scripted expert: success, divergence, replays, videos."""
+    TRANSFERS = "transfers"
+    """Every kept policy on every backend, whichever it was learned on."""
     THROUGHPUT = "throughput"
     """Every task over numbers of environments."""
 
@@ -49,8 +53,10 @@ class Settings:
     scenarios: tuple[str, ...]
     """In the order of ``SCENARIOS``; empty if that part is left out."""
     tasks: tuple[str, ...]
-    """Of the parts ``TASKS`` and ``THROUGHPUT``."""
+    """Of all parts but ``SCENARIOS``."""
     parts: tuple[Part, ...]
+    policies: tuple[str, ...] = ()
+    """Of the part ``TRANSFERS``: those that are kept for the tasks."""
     quick: bool = False
     """The nominal time steps of the quick scenarios and of those that are named; few episodes, few environments."""
     device: str = "cpu"
@@ -92,7 +98,7 @@ def choose(
         )
     known = [s.name for s in SCENARIOS]
     tried = [s.name for s in SCENARIOS if not (quick and s.slow)]
-    of_tasks = (Part.TASKS, Part.THROUGHPUT)
+    of_tasks = (Part.TASKS, Part.TRANSFERS, Part.THROUGHPUT)
     implied = tuple(part for part in Part if not (scenarios or tasks) or (tasks if part in of_tasks else scenarios))
     chosen = tuple(Part(name) for name in _known("part", parts, [part.value for part in Part])) if parts else implied
     return Settings(
@@ -100,10 +106,16 @@ def choose(
         scenarios=_known("scenario", scenarios or tried, known) if Part.SCENARIOS in chosen else (),
         tasks=_known("task", tasks, task_entries()) if {*of_tasks} & {*chosen} else (),
         parts=chosen,
+        policies=_policies(tasks) if Part.TRANSFERS in chosen else (),
         quick=quick,
         device=device,
         seed=seed,
     )
+
+
+def _policies(tasks: Sequence[str]) -> tuple[str, ...]:
+    """Those that were learned for the tasks; all if none is named."""
+    return tuple(name for name in kept_policies() if not tasks or learned(name).task in tasks)
 
 
 def scenario(name: str) -> Scenario:

@@ -32,7 +32,7 @@ def printed(*words: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("kind", ["tasks", "robots", "backends"])
+@pytest.mark.parametrize("kind", ["tasks", "robots", "backends", "policies"])
 def test_lists_load_no_tensor_library_and_no_engine(kind: str):
     script = (
         "import sys; from orbit_core.cli import main; code = main(['list', sys.argv[1]]);"
@@ -41,8 +41,13 @@ def test_lists_load_no_tensor_library_and_no_engine(kind: str):
     )
     done = subprocess.run([sys.executable, "-c", script, kind, BACKEND], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
-    names = {"tasks": list(task_entries()), "robots": ["franka_panda"], "backends": [BACKEND]}[kind]
-    for name in names:
+    names = {
+        "tasks": list(task_entries()),
+        "robots": ["franka_panda"],
+        "backends": [BACKEND],
+        "policies": ["reach"],
+    }
+    for name in names[kind]:
         assert f"\n{name} " in f"\n{done.stdout}"
 
 

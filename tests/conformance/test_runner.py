@@ -33,7 +33,7 @@ class Here:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a finished run of one scenario and one task on two backends."""
+    """Of a finished run of one scenario, one task and the policy that is kept for it, on two backends."""
     folder = tmp_path_factory.mktemp("run")
     parts = [part.value for part in Part]
     run(choose(backends=PAIR, scenarios=["free_fall"], tasks=["Reach"], parts=parts, quick=True), folder, Here())
@@ -67,6 +67,15 @@ def test_what_was_recorded_on_one_backend_is_replayed_on_the_other(result: Resul
     assert parting.things[0].median[0] < 1e-3, "both begin in the same state"
 
 
+def test_a_policy_acts_on_backends_that_it_was_not_learned_on(result: Result) -> None:
+    (info,) = result.header.policies
+    for record in result.of(Kind.TRANSFER):
+        assert record.played is not None
+        assert (record.job.name, record.played.task, record.played.num_envs) == (info.name, "Reach", 8)
+        assert record.played.success.high >= info.least_success
+        assert record.played.metrics["position_error_m"].value < 0.05, "it goes to the goal"
+
+
 def test_the_page_shows_all_of_it(folder: Path) -> None:
     page = write_report(folder).read_text()
     for words in (
@@ -95,7 +104,7 @@ def test_an_exception_is_the_jobs_own(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_naming_scenarios_leaves_the_tasks_out() -> None:
     assert choose(scenarios=["free_fall"]).parts == (Part.SCENARIOS,)
-    assert choose(tasks=["Lift"]).parts == (Part.TASKS, Part.THROUGHPUT)
+    assert choose(tasks=["Lift"]).parts == (Part.TASKS, Part.TRANSFERS, Part.THROUGHPUT)
     assert choose().parts == tuple(Part)
     assert choose().scenarios == tuple(scenario.name for scenario in SCENARIOS)
 

@@ -15,12 +15,13 @@ from orbit_core.conformance.estimates import Estimate
 from orbit_core.conformance.execution import VIDEO
 from orbit_core.conformance.jobs import Kind
 from orbit_core.conformance.report import plots
-from orbit_core.conformance.results import Record, Result, ScenarioInfo, load
+from orbit_core.conformance.results import PolicyInfo, Record, Result, ScenarioInfo, load
 from orbit_core.conformance.tolerances import loose_tolerances
 from orbit_core.conformance.verdict import Status
 
 REPORT = "report.html"
 _SYMBOLS = {Status.PASS: "✓", Status.GAP: "≈", Status.UNSUPPORTED: "–", Status.FAIL: "✗", Status.STALE: "!"}
+_ANCHORS = {Kind.TASK: "task-{}", Kind.TRANSFER: "transfers", Kind.THROUGHPUT: "throughput"}
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Cell:
-    """A backend's standing in a scenario or a task."""
+    """A backend's standing in a scenario, a task or a learned policy."""
 
     status: Status | None
     """None where it was not run."""
@@ -95,6 +96,25 @@ class TaskSection:
 
 
 @dataclass(frozen=True)
+class TransferCell:
+    """A learned policy on one backend."""
+
+    standing: Cell
+    """Its label is the success."""
+    metric: str
+    """The leading one."""
+    learned_here: bool
+
+
+@dataclass(frozen=True)
+class TransferLine:
+    """A learned policy on all backends, in their order."""
+
+    info: PolicyInfo
+    cells: tuple[TransferCell, ...]
+
+
+@dataclass(frozen=True)
 class Page:
     """Everything that the template shows."""
 
@@ -105,6 +125,7 @@ class Page:
     scenarios: tuple[ScenarioSection, ...]
     tasks: tuple[TaskSection, ...]
     success: Markup
+    transfers: tuple[TransferLine, ...]
     throughput: Markup
     rates: tuple[tuple[str, ...], ...]
     gaps: tuple[GapLine, ...]
@@ -152,6 +173,7 @@ def page_of(result: Result, folder: Path) -> Page:
         ),
         tasks=tuple(_task_section(result, task, folder) for task in settings.tasks if result.of(Kind.TASK)),
         success=Markup(plots.success(result)),
+        transfers=tuple(_transfer_line(result, info) for info in result.header.policies),
         throughput=Markup(plots.throughput(result)),
         rates=tuple(_rates(result)),
         gaps=tuple(_gaps(result)),
@@ -164,10 +186,15 @@ def _matrix(result: Result) -> Iterator[tuple[str, tuple[Line, ...]]]:
     for group in dict.fromkeys(info.group for info in result.header.scenarios):
         infos = (info for info in result.header.scenarios if info.group == group)
         yield group, tuple(_scenario_line(result, info) for info in infos)
-    for kind, group in ((Kind.TASK, "Tasks"), (Kind.THROUGHPUT, "Throughput")):
-        lines = tuple(_task_line(result, kind, task) for task in result.header.settings.tasks if result.of(kind))
-        if lines:
-            yield group, lines
+    settings = result.header.settings
+    tasks, policies = settings.tasks, settings.policies
+    for kind, group, names, question in (
+        (Kind.TASK, "Tasks", tasks, "Does the expert reach the goal?"),
+        (Kind.TRANSFER, "Learned policies", policies, "Does what was learned elsewhere do it here?"),
+        (Kind.THROUGHPUT, "Throughput", tasks, "How fast does it step?"),
+    ):
+        if result.of(kind):
+            yield group, tuple(_line(result, kind, name, question) for name in names)
 
 
 def _scenario_line(result: Result, info: ScenarioInfo) -> Line:
@@ -188,18 +215,35 @@ def _scenario_cell(info: ScenarioInfo, record: Record | None) -> Cell:
     return Cell(record.status, _label(record), record.why, rows)
 
 
-def _task_line(result: Result, kind: Kind, task: str) -> Line:
-    def cell(backend: str) -> Cell:
-        records = [r for r in result.of(kind) if (r.job.name, r.job.backend) == (task, backend)]
-        if not records:
-            return Cell(None, "not run")
-        worst = max(records, key=lambda record: list(_SYMBOLS).index(record.status))
-        label = f"{100 * worst.task.success.value:.0f} %" if worst.task else _label(worst)
-        return Cell(worst.status, label, worst.why)
+def _line(result: Result, kind: Kind, name: str, question: str) -> Line:
+    cells = tuple(_worst_cell(result, kind, name, backend) for backend in result.header.settings.backends)
+    return Line(name, _ANCHORS[kind].format(name), question, cells)
 
-    question = "Does the expert reach the goal?" if kind is Kind.TASK else "How fast does it step?"
-    anchor = f"task-{task}" if kind is Kind.TASK else "throughput"
-    return Line(task, anchor, question, tuple(map(cell, result.header.settings.backends)))
+
+def _worst_cell(result: Result, kind: Kind, name: str, backend: str) -> Cell:
+    records = [r for r in result.of(kind) if (r.job.name, r.job.backend) == (name, backend)]
+    if not records:
+        return Cell(None, "not run")
+    worst = max(records, key=lambda record: list(_SYMBOLS).index(record.status))
+    label = f"{100 * worst.played.success.value:.0f} %" if worst.played else _label(worst)
+    return Cell(worst.status, label, worst.why)
+
+
+def _transfer_line(result: Result, info: PolicyInfo) -> TransferLine:
+    return TransferLine(
+        info, tuple(_transfer_cell(result, info, backend) for backend in result.header.settings.backends)
+    )
+
+
+def _transfer_cell(result: Result, info: PolicyInfo, backend: str) -> TransferCell:
+    record = next((r for r in result.of(Kind.TRANSFER) if (r.job.name, r.job.backend) == (info.name, backend)), None)
+    home = info.learned_on == backend
+    if record is None or record.played is None:
+        standing = Cell(record.status, _label(record), record.why) if record else Cell(None, "not run")
+        return TransferCell(standing, "", home)
+    name, metric = next(iter(record.played.metrics.items()))
+    standing = Cell(record.status, f"{_estimate(record.played.success, 100)} %", record.why)
+    return TransferCell(standing, f"{name}: {_estimate(metric)}", home)
 
 
 def _label(record: Record) -> str:

@@ -1,0 +1,74 @@
+"""Learned policies on backends that they were not learned on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+from orbit_core.conformance.episodes import FirstEpisodes, TaskResult
+from orbit_core.conformance.estimates import Estimate
+from orbit_core.conformance.verdict import Status
+from orbit_core.learning.policy import PolicyAgent, PolicyDescription, load_policy
+from orbit_core.policies import KeptPolicy, kept_policy
+
+
+@dataclass(frozen=True)
+class TransferResult:
+    """What a learned policy came to on a backend, held against what it should."""
+
+    status: Status
+    reason: str
+    """For anything but a pass."""
+    result: TaskResult
+
+
+@cache
+def learned(policy: str) -> PolicyDescription:
+    """What the kept policy of that name was learned for, and where.
+
+    Raises:
+        UnknownNameError: there is none.
+        ConfigurationError: its folder holds no policy.
+    """
+    return load_policy(kept_policy(policy).folder).description
+
+
+def transfer(policy: str, backend: str, *, num_envs: int, seed: int = 0, device: str = "cpu") -> TransferResult:
+    """One episode of a kept policy in each environment of the task that it was learned for.
+
+    Args:
+        policy: name of a kept policy.
+        backend: name of an installed backend.
+        num_envs: episodes.
+        seed: of the environments.
+        device: where tensors live.
+
+    Raises:
+        UnsupportedCapabilityError: the backend lacks what the task needs.
+        ConfigurationError: the task is no longer what the policy was learned for.
+    """
+    kept, description = kept_policy(policy), learned(policy)
+    fields = {"robot": description.robot, "action": description.action}
+    with FirstEpisodes(description.task, backend, num_envs, seed, fields, device, None) as episodes:
+        agent = PolicyAgent(episodes.environment, kept.folder)
+        episodes.run(lambda step: agent.act(), tracked_envs=0)
+        result = episodes.result()
+    return TransferResult(*judge(kept, backend, result.success), result)
+
+
+def judge(policy: KeptPolicy, backend: str, success: Estimate) -> tuple[Status, str]:
+    """Status and reason. A miss, or that there is none where one is declared, counts only if it is beyond chance: if
+    the whole interval lies below, or above, the rate that the policy is held to.
+    """
+    gap, least = policy.gap_on(backend), policy.least_success
+    told = f"success is {success.value:.2f} [{success.low:.2f}, {success.high:.2f}]"
+    if success.high < (gap.least_success if gap else least):
+        held_to = f"the declared {gap.least_success:g}" if gap else f"{least:g}"
+        return Status.FAIL, f"{told}, below {held_to}"
+    if gap is None:
+        return Status.PASS, ""
+    if success.low >= least:
+        return Status.STALE, f"{told}, not below {least:g}: take the declared gap back"
+    if success.value < least:
+        return Status.GAP, f"{told}, below {least:g}: {gap.reason}"
+    return Status.PASS, ""

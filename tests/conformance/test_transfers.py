@@ -1,0 +1,140 @@
+"""Learned policies on backends that they were not learned on: verdicts, refusals, comparisons and the page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from orbit_core import backends
+from orbit_core.backends import default_backend
+from orbit_core.conformance.compare import compare
+from orbit_core.conformance.episodes import TaskResult
+from orbit_core.conformance.estimates import mean, proportion
+from orbit_core.conformance.execution import execute
+from orbit_core.conformance.hardware import Hardware
+from orbit_core.conformance.jobs import Job, Kind, plan
+from orbit_core.conformance.report.page import write_report
+from orbit_core.conformance.results import Ending, Header, PolicyInfo, Record, Result, load, save
+from orbit_core.conformance.settings import Part, Settings, choose
+from orbit_core.conformance.transfer import TransferResult, judge
+from orbit_core.conformance.verdict import Status
+from orbit_core.interfaces import Capabilities, Capability, unsupported
+from orbit_core.policies import KeptPolicy, TransferGap
+
+SLIPS = TransferGap("slippery", least_success=0.6, reason="its bars are oiled")
+KEPT = KeptPolicy("pull", Path(), "Pulls", least_success=0.9, gaps=(SLIPS,))
+
+
+@pytest.mark.parametrize(
+    ("backend", "successes", "episodes", "status"),
+    [
+        ("dry", 98, 100, Status.PASS),
+        ("dry", 85, 100, Status.PASS),  # chance may be why: the interval reaches 0.907
+        ("dry", 80, 100, Status.FAIL),
+        ("dry", 6, 8, Status.PASS),
+        ("dry", 4, 8, Status.FAIL),
+        ("slippery", 76, 100, Status.GAP),
+        ("slippery", 6, 8, Status.GAP),
+        ("slippery", 48, 100, Status.FAIL),
+        ("slippery", 92, 100, Status.PASS),  # not yet surely above
+        ("slippery", 99, 100, Status.STALE),
+    ],
+)
+def test_a_miss_counts_beyond_chance_and_against_what_is_declared(
+    backend: str, successes: int, episodes: int, status: Status
+) -> None:
+    found, reason = judge(KEPT, backend, proportion(successes, episodes))
+    assert found is status
+    assert bool(reason) == (status is not Status.PASS)
+    assert (SLIPS.reason in reason) == (status is Status.GAP)
+
+
+def test_a_backend_that_lacks_what_the_task_needs_is_unsupported(monkeypatch: pytest.MonkeyPatch) -> None:
+    backend = backends.backend(default_backend())
+    able = {capability: backend.capabilities()[capability] for capability in Capability}
+    lacking = Capabilities({**able, Capability.GRAVITY_COMPENSATION: unsupported("it is too heavy")})
+    monkeypatch.setattr(type(backend), "capabilities", lambda self: lacking)
+    settings = choose(backends=[backend.name], parts=["transfers"], quick=True)
+    record = execute(Job(Kind.TRANSFER, "reach", backend.name), settings, {}).record
+    assert (record.ending, record.status) == (Ending.UNSUPPORTED, Status.UNSUPPORTED)
+    assert "it is too heavy" in record.why
+    assert record.played is None
+
+
+def test_the_part_has_a_job_for_each_policy_on_each_backend() -> None:
+    chosen = choose(parts=["transfers"])
+    jobs = [job for phase in plan(chosen) for job in phase.jobs]
+    assert {job.kind for job in jobs} == {Kind.TRANSFER}
+    assert {(job.name, job.backend) for job in jobs} == {(p, b) for p in chosen.policies for b in chosen.backends}
+    assert choose(parts=["transfers"], tasks=["Reach"]).policies == ("reach",)
+    assert not choose(scenarios=["free_fall"]).policies
+
+
+def result(successes: int, errors: float = 0.01, declared: tuple[TransferGap, ...] = (SLIPS,)) -> Result:
+    """Of one policy: as it should be where it was learned, and with so many successes of 100 elsewhere."""
+    info = PolicyInfo("pull", "Pulls a bar", "Cabinet", "dry", "a library", 250, KEPT.least_success, declared)
+    records = tuple(record(backend, *of) for backend, of in (("dry", (100, 0.01)), ("slippery", (successes, errors))))
+    settings = Settings(
+        backends=("dry", "slippery", "frozen"), scenarios=(), tasks=(), parts=(Part.TRANSFERS,), policies=("pull",)
+    )
+    frozen = Record(Job(Kind.TRANSFER, "pull", "frozen"), Ending.UNSUPPORTED, "nothing moves")
+    header = Header(
+        settings=settings,
+        versions={},
+        hardware=Hardware("a machine", 2, 1.0, (), "system"),
+        started="2026-01-01",
+        scenarios=(),
+        backends=(),
+        policies=(info,),
+    )
+    return Result(header=header, records=(*records, frozen), finished="2026-01-02")
+
+
+def record(backend: str, successes: int, error: float) -> Record:
+    success = proportion(successes, 100)
+    metrics = {"distance_m": mean([error * (1.0 + 0.01 * n) for n in range(100)])}
+    task = TaskResult("Cabinet", backend, 0, {}, 100, success, metrics, mean([1.0, 2.0]), None)
+    found = TransferResult(*judge(KEPT, backend, success), task)
+    return Record(Job(Kind.TRANSFER, "pull", backend), Ending.DONE, transfer=found)
+
+
+def test_a_result_is_read_as_it_was_written(tmp_path: Path) -> None:
+    written = result(76)
+    save(written, tmp_path)
+    read = load(tmp_path)
+    assert read.header == written.header
+    assert [r.status for r in read.records] == [Status.PASS, Status.GAP, Status.UNSUPPORTED]
+    assert read.records[1].played == load(tmp_path).records[1].played
+    assert read.records[1].played.success.value == 0.76  # type: ignore[union-attr]
+    assert not read.objections
+    assert [r.job.backend for r in result(30).objections] == ["slippery"]
+
+
+def test_a_drop_is_worse_where_the_intervals_lie_apart() -> None:
+    def changes(before: Result, after: Result) -> list[tuple[str, str, bool]]:
+        return [(c.job.backend, c.what, c.better) for c in compare(before, after).changes]
+
+    assert changes(result(90), result(85)) == [("slippery", "status", False)], "80 and 90 of 100 are within chance"
+    assert changes(result(95), result(70)) == [("slippery", "status", False), ("slippery", "success", False)]
+    assert changes(result(70), result(60)) == []
+    assert changes(result(70, errors=0.1), result(70, errors=0.01)) == [("slippery", "distance_m", True)]
+    assert compare(result(95), result(70)).worse_status
+
+
+def test_the_page_shows_who_learned_where_and_why_it_does_worse(tmp_path: Path) -> None:
+    save(result(76), tmp_path)
+    page = write_report(tmp_path).read_text()
+    section = page[page.index('<section id="transfers">') : page.index('<section id="gaps">')]
+    assert "learned on dry with a library, iteration 250; held to 90 %" in section
+    cells = section.split("<td>")[1:4]
+    assert "learned here" in cells[0]
+    assert ["learned here" in cell for cell in cells] == [True, False, False]
+    assert "76 [66.8, 83.3] %" in cells[1]
+    assert "distance_m: " in cells[1]
+    assert [cell.split('class="plain ')[1].split('"')[0] for cell in cells] == ["pass", "gap", "unsupported"]
+    assert "nothing moves" in cells[2]
+    assert "its bars are oiled" in section.split("Where a policy is known to do worse")[1]
+    matrix = page[: page.index('<section id="transfers">')]
+    assert "Learned policies" in matrix
+    assert "76 %" in matrix

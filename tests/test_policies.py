@@ -1,0 +1,80 @@
+"""Kept policies are found by entry point, whoever brings them, and a file that says nonsense is told of."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from orbit_core.interfaces import UnknownNameError
+from orbit_core.policies import kept_policies, kept_policy, policy_path
+
+ABOUT = 'description = "Stacks cubes"\nleast_success = 0.8\n'
+GAP = '[[gaps]]\nbackend = "slippery"\nleast_success = 0.5\nreason = "it slips"\n'
+
+
+def install(folder: Path, about: str, name: str = "stack") -> None:
+    """A distribution as a third party might install it, with one policy."""
+    package = folder / "their_policies" / name
+    package.mkdir(parents=True)
+    (package / "policy.toml").write_text(about)
+    (folder / "their_policies" / "no_policy").mkdir()
+    described = folder / "their_policies-1.0.dist-info"
+    described.mkdir()
+    (described / "METADATA").write_text("Metadata-Version: 2.1\nName: their-policies\nVersion: 1.0\n")
+    (described / "entry_points.txt").write_text("[orbit.policies]\ntheirs = their_policies\n")
+
+
+def ask(folder: Path, code: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, env=environment, check=False
+    )
+
+
+def test_the_suite_keeps_policies_that_are_held_to_something() -> None:
+    assert {"cabinet", "reach", "velocity_flat"} <= {*kept_policies()}
+    assert list(kept_policies()) == sorted(kept_policies())
+    assert min(policy.least_success for policy in kept_policies().values()) > 0.5
+
+
+def test_another_package_brings_policies_of_its_own(tmp_path: Path) -> None:
+    install(tmp_path, ABOUT + GAP)
+    told = ask(
+        tmp_path,
+        "from orbit_core.policies import *; stack = kept_policy('stack');"
+        "print(stack.least_success, stack.gap_on('slippery').reason, stack.gap_on('other'), len(kept_policies()))",
+    )
+    assert told.stdout.split("\n")[0] == f"0.8 it slips None {len(kept_policies()) + 1}", told.stderr
+    listed = ask(tmp_path, "from orbit_core.cli import main; main(['list', 'policies'])").stdout
+    assert "stack" in listed
+    assert "Stacks cubes" in listed
+
+
+@pytest.mark.parametrize(
+    ("about", "name", "complaint"),
+    [
+        (ABOUT.replace("0.8", "80"), "stack", "least_success is a rate in [0, 1], not 80"),
+        (ABOUT + "speed = 3\n", "stack", "unexpected keyword argument 'speed'"),
+        (ABOUT + GAP.replace("reason", "cause"), "stack", "unexpected keyword argument 'cause'"),
+        ("description = \n", "stack", "describes no policy"),
+        (ABOUT, "reach", "policy 'reach' is there twice"),
+    ],
+)
+def test_what_is_wrong_with_a_policy_is_told(tmp_path: Path, about: str, name: str, complaint: str) -> None:
+    install(tmp_path, about, name)
+    told = ask(tmp_path, "from orbit_core.cli import main; main(['list', 'policies'])").stderr
+    assert complaint in " ".join(told.split())
+    assert f"their_policies/{name}" in told
+
+
+def test_a_path_is_taken_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert policy_path("reach") == kept_policy("reach").folder
+    Path("reach").mkdir()
+    assert policy_path("reach") == Path("reach")
+    with pytest.raises(UnknownNameError, match="did you mean 'reach'"):
+        policy_path("raech")
