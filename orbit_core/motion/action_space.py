@@ -17,12 +17,13 @@ from orbit_core.motion.joint_velocity import JointVelocity, JointVelocityConfig
 from orbit_core.scene import ActuatorConfig, RobotSpec
 
 
-def action_space(robot: Robot, name: str) -> tuple[MotionGenerator, ...]:
+def action_space(robot: Robot, name: str, prefix: str = "") -> tuple[MotionGenerator, ...]:
     """The motion generators of an action space, in the order of the action's components.
 
     The first moves the arm of the robot's end effector, or all driven joints where the robot is legged or has none; the
     gripper of an arm adds one more. In ``joint_position``, one unit of action is half a radian from home for legs and
-    two for an arm; other robots, such as hands, span their joints' limits.
+    two for an arm; other robots, such as hands, span their joints' limits. ``prefix`` begins the generators' names, so
+    that those of several robots fit into one agent.
 
     Raises:
         UnknownNameError: there is no action space of that name.
@@ -33,6 +34,8 @@ def action_space(robot: Robot, name: str) -> tuple[MotionGenerator, ...]:
     generators = [ACTION_SPACES[name](robot)]
     if is_arm(robot.spec) and robot.spec.end_effector.gripper:
         generators.append(GripperCommand("gripper", robot, GripperConfig()))
+    for generator in generators:
+        generator.name = prefix + generator.name
     return tuple(generators)
 
 

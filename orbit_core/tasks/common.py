@@ -1,4 +1,4 @@
-"""Terms that many tasks share. The robot of a task is the scene's entity named ``robot``."""
+"""Terms that many tasks share. The robot of a task is the scene's entity named ``robot``, unless an agent is named."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import table
 from orbit_core.interfaces import ConfigurationError, Robot
 from orbit_core.scene import ObjectSpec, Plane, Pose, RobotSpec, Shape
-from orbit_core.tasks.task import Task
+from orbit_core.tasks.task import ROBOT, Task
 from orbit_core.tasks.terms import once_per_state
 from orbit_core.world import SimulatedWorld
 
-ROBOT = "robot"
 BENCH_HEIGHT = 0.7
 """Metres from the floor to the top of the work bench, which lies at z = 0."""
 
@@ -30,14 +29,15 @@ def floor(height: float = 0.0) -> Shape:
     return Shape(Plane(), Pose((0.0, 0.0, height)), color=(0.35, 0.38, 0.42, 1.0), name="floor")
 
 
-def arm(name: str, gripper: bool = True) -> RobotSpec:
-    """A robot of the catalogue with an end effector, and a gripper on it where that is needed, as the task's robot.
+def arm(name: str, gripper: bool = True, agent: str = ROBOT, pose: Pose | None = None) -> RobotSpec:
+    """A robot of the catalogue with an end effector, and a gripper on it where that is needed, as an agent of the task.
 
     Raises:
         UnknownNameError: there is none of that name.
         ConfigurationError: it has no end effector or gripper.
     """
-    spec = robot(name, name=ROBOT)
+    spec = robot(name, name=agent)
+    spec = spec if pose is None else replace(spec, pose=pose)
     lacking = None
     if not spec.end_effectors:
         lacking = "end effector"
@@ -61,42 +61,43 @@ def legged(name: str) -> RobotSpec:
     return spec
 
 
-def robot_of(world: SimulatedWorld) -> Robot:
+def robot_of(world: SimulatedWorld, agent: str = ROBOT) -> Robot:
     """The task's robot."""
-    return world.robots[ROBOT]
+    return world.robots[agent]
 
 
-def joint_positions(world: SimulatedWorld, task: Task) -> Tensor:
+def joint_positions(world: SimulatedWorld, task: Task, agent: str = ROBOT) -> Tensor:
     """(N, J) relative to the home pose."""
-    body = robot_of(world)
+    body = robot_of(world, agent)
     return body.joint_positions - body.home_positions
 
 
-def joint_velocities(world: SimulatedWorld, task: Task) -> Tensor:
+def joint_velocities(world: SimulatedWorld, task: Task, agent: str = ROBOT) -> Tensor:
     """(N, J)"""
-    return robot_of(world).joint_velocities
+    return robot_of(world, agent).joint_velocities
 
 
-def last_action(world: SimulatedWorld, task: Task) -> Tensor:
-    """(N, A) the action in effect."""
-    return task.last_action
+def last_action(world: SimulatedWorld, task: Task, agent: str | None = None) -> Tensor:
+    """(N, A) the action in effect; an agent's own part of it where one is named."""
+    return task.last_action if agent is None else task.last_action[:, task.actions[agent]]
 
 
 @once_per_state
-def hand_pose(world: SimulatedWorld, task: Task) -> Tensor:
+def hand_pose(world: SimulatedWorld, task: Task, agent: str = ROBOT) -> Tensor:
     """(N, 7) of the end effector, in the environment's frame."""
-    robot = robot_of(world)
+    robot = robot_of(world, agent)
     return robot.frame_pose(robot.spec.end_effector.frame)
 
 
-def action_rate(world: SimulatedWorld, task: Task) -> Tensor:
-    """(N,) squared change of the action since the step before."""
-    return squared_norm(task.last_action - task.action_before)
+def action_rate(world: SimulatedWorld, task: Task, agent: str | None = None) -> Tensor:
+    """(N,) squared change of the action since the step before; of an agent's own part of it where one is named."""
+    change = task.last_action - task.action_before
+    return squared_norm(change if agent is None else change[:, task.actions[agent]])
 
 
-def joint_speed(world: SimulatedWorld, task: Task) -> Tensor:
+def joint_speed(world: SimulatedWorld, task: Task, agent: str = ROBOT) -> Tensor:
     """(N,) sum of squared joint velocities."""
-    return squared_norm(robot_of(world).joint_velocities)
+    return squared_norm(robot_of(world, agent).joint_velocities)
 
 
 def add_noise(observations: object, **deviations: float) -> None:
@@ -131,11 +132,11 @@ def facing_down(yaw: Tensor) -> Tensor:
     return torch.stack((zero, half.cos(), half.sin(), zero), dim=1)
 
 
-def randomize_robot_start(spread: float):
+def randomize_robot_start(spread: float, agent: str = ROBOT):
     """Event: joint positions around the home pose, uniform within ``spread`` (rad or m), inside the limits."""
 
     def randomize(world: SimulatedWorld, task: Task, env_ids: Tensor) -> None:
-        robot = robot_of(world)
+        robot = robot_of(world, agent)
         count = len(robot.joint_names)
         offset = world.random.uniform((count,), -spread, spread, env_ids)
         limits = robot.position_limits

@@ -7,7 +7,6 @@ import functools
 import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import torch
@@ -17,16 +16,16 @@ from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
 from orbit_core.backends import default_backend
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.interfaces import ConfigurationError, Node, NonFiniteError, Port, ShapeError
-from orbit_core.motion import Actuate, action_space, with_drives_for
-from orbit_core.scene import Scene
+from orbit_core.motion import Actuate
+from orbit_core.tasks.acting import action_parts, driven_scene, generators_of
 from orbit_core.tasks.closed import ClosedStep, StepResult
-from orbit_core.tasks.common import ROBOT
 from orbit_core.tasks.episode import EpisodeEnd, Observation
 from orbit_core.tasks.events import Events
 from orbit_core.tasks.observer import Observer
 from orbit_core.tasks.recording import needs_python, remembered
 from orbit_core.tasks.registry import task_entry
 from orbit_core.tasks.settings import configure
+from orbit_core.tasks.shares import Shares, check_owners
 from orbit_core.tasks.task import Task
 from orbit_core.tasks.terms import CurriculumTerm, RewardTerm, TerminationTerm, terms_of
 from orbit_core.world import SimulatedWorld
@@ -71,11 +70,12 @@ class Environment:
             task.randomize()
         self.max_episode_steps = _whole_steps(task)
         merged = {**task.backend_presets.get(backend, {}), **(settings or {})}
-        scene = _driven(task.scene(), task.action)
+        scene = driven_scene(task)
         self.world = SimulatedWorld(scene, num_envs, backend, merged, device, seed, renderer, renderer_settings)
         self.num_envs = num_envs
         self.device = self.world.device
         self.step_dt = task.physics_dt * task.decimation
+        check_owners(task)
         self.reward_terms = terms_of(task.rewards, RewardTerm)
         self.termination_terms = terms_of(task.terminations, TerminationTerm)
         self._curriculum = _curriculum(task)
@@ -87,7 +87,8 @@ class Environment:
         self.done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         """(N,) whose episode ended in the last step."""
         self._never = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
-        task.generators = action_space(self.world.robots[ROBOT], task.action)
+        task.generators = generators_of(self.world, task)
+        task.actions = action_parts(task.generators)
         self.action_size = sum(generator.command_size for generator in task.generators)
         self._action = torch.zeros(num_envs, self.action_size, device=self.device)
         task.last_action = torch.zeros_like(self._action)
@@ -97,6 +98,8 @@ class Environment:
         self._seen: tuple[int, Tensor] | None = None
         """Version of the world's state, and the observation of it that the closed step made."""
         self.observation_size = self._observation().shape[1]
+        self.shares = Shares(self.world, task, self.step_dt) if len(task.agents) > 1 else None
+        """Whose each part of observation, action and reward is, where several robots act."""
         self.cut = self._build_agent()
         self._compile = compile
         self._started = False
@@ -165,7 +168,6 @@ class Environment:
 
     def _build_agent(self) -> Cut:
         """observation -> policy (the cut) -> one motion generator per part of the action -> joint commands."""
-        robot = self.world.robots[ROBOT]
         sizes = [generator.command_size for generator in self.task.generators]
         observation = Port("observation", (self.observation_size,))
         action = Port("action", (self.action_size,))
@@ -186,7 +188,7 @@ class Environment:
         ]
         edges = [Edge("observation.observation", "policy.observation"), Edge("policy.action", "split.action")]
         for generator in self.task.generators:
-            actuate = Actuate(robot, generator)
+            actuate = Actuate(generator.robot, generator)
             nodes += [generator, actuate]
             edges.append(Edge(f"split.{generator.name}", f"{generator.name}.command"))
             edges += [Edge(f"{generator.name}.{port.name}", f"{actuate.name}.{port.name}") for port in actuate.inputs]
@@ -264,6 +266,8 @@ class Environment:
     def _reward(self) -> Tensor:
         values = torch.stack([term.function(self.world, self.task) for term in self.reward_terms.values()])
         self.reward_sums.addcmul_(values, self._column_of_weights)
+        if self.shares is not None:
+            self.shares.earn(values)
         return self._weights @ values
 
     def _terminated(self) -> Tensor:
@@ -304,12 +308,6 @@ class Environment:
 
 def _no_policy(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
     raise ConfigurationError("the environment's agent is cut at its policy: actions come from outside")
-
-
-def _driven(scene: Scene, action: str) -> Scene:
-    """The scene with the task's robot driven as the action space needs it."""
-    robots = tuple(with_drives_for(spec, action) if spec.name == ROBOT else spec for spec in scene.robots)
-    return replace(scene, robots=robots)
 
 
 def _curriculum(task: Task) -> dict[str, CurriculumTerm]:

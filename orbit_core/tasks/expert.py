@@ -1,4 +1,4 @@
-"""Scripted experts: a batched state machine that leads the hand from pose to pose."""
+"""Scripted experts: a batched state machine that leads the hand, or several hands, from pose to pose."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import pose_error, quat_from_rotation_vector, quat_multiply
-from orbit_core.interfaces import Node, Port
+from orbit_core.interfaces import ConfigurationError, Node, Port
 from orbit_core.tasks.task import Task
 from orbit_core.tasks.terms import TermFunction
 
@@ -39,13 +39,19 @@ class Expert(Node):
 
     The pose asked for runs ahead of the hand by at most ``position_lead`` (m) and ``rotation_lead`` (rad), so that the
     same expert suits absolute and relative action spaces; how fast the hand follows is the drives' affair.
+
+    Where several robots act, ``phases`` holds as many for each, by agent. They wait for each other: a phase is over
+    once it is over for all.
+
+    Raises:
+        ConfigurationError: an agent has no phases, or another number than the others.
     """
 
     def __init__(
         self,
         world: SimulatedWorld,
         task: Task,
-        phases: Sequence[Phase],
+        phases: Sequence[Phase] | Mapping[str, Sequence[Phase]],
         position_lead: float = 0.1,
         rotation_lead: float = 0.5,
     ) -> None:
@@ -53,17 +59,14 @@ class Expert(Node):
         self.outputs = (Port("action", (sum(generator.command_size for generator in task.generators),)),)
         self._world = world
         self._task = task
-        self._phases = tuple(phases)
         self._dt = task.physics_dt * task.decimation
-        self._robot = world.robots["robot"]
-        self._frame = self._robot.spec.end_effector.frame
-        self._lead = torch.tensor([position_lead, rotation_lead], device=world.device)
-        tolerances = [(phase.position_tolerance, phase.rotation_tolerance) for phase in phases]
-        self._tolerances = torch.tensor(tolerances, device=world.device)
-        self._dwell = torch.tensor([phase.dwell for phase in phases], device=world.device)
-        timeouts = [torch.inf if phase.timeout is None else phase.timeout for phase in phases]
-        self._timeouts = torch.tensor(timeouts, device=world.device)
-        self._open = torch.tensor([phase.gripper_open for phase in phases], device=world.device)
+        by_agent = phases if isinstance(phases, Mapping) else {task.agents[0]: phases}
+        counts = {len(own) for own in by_agent.values()}
+        if {*by_agent} != {*task.agents} or len(counts) != 1:
+            raise ConfigurationError(f"an expert needs equally many phases for each agent: {', '.join(task.agents)}")
+        self._last = counts.pop() - 1
+        lead = torch.tensor([position_lead, rotation_lead], device=world.device)
+        self._arms = [_Arm(agent, by_agent[agent], lead, world, task) for agent in task.agents]
         self.phase = torch.zeros(world.num_envs, dtype=torch.int64, device=world.device)
         self._elapsed = torch.zeros(world.num_envs, device=world.device)
 
@@ -77,25 +80,47 @@ class Expert(Node):
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         self.reset((self._task.episode_step == 0).nonzero().squeeze(-1))
+        elapsed = self._elapsed + self._dt
+        commands: list[Tensor] = []
+        over = self.phase < self._last
+        for arm in self._arms:
+            command, finished = arm.compute(self.phase, elapsed)
+            commands.append(command)
+            over = over & finished
+        self.phase += over
+        self._elapsed.copy_(elapsed.masked_fill(over, 0.0))
+        return {"action": torch.cat(commands, dim=1).clamp(-1.0, 1.0)}
+
+
+class _Arm:
+    """One robot's part in the phases."""
+
+    def __init__(self, agent: str, phases: Sequence[Phase], lead: Tensor, world: SimulatedWorld, task: Task) -> None:
+        self._world = world
+        self._task = task
+        self._phases = tuple(phases)
+        self._lead = lead
+        self._robot = world.robots[agent]
+        self._frame = self._robot.spec.end_effector.frame
+        self._generators = [generator for generator in task.generators if generator.robot is self._robot]
+        self._rows = torch.arange(world.num_envs, device=world.device)
+        tolerances = [(phase.position_tolerance, phase.rotation_tolerance) for phase in phases]
+        self._tolerances = torch.tensor(tolerances, device=world.device)
+        self._dwell = torch.tensor([phase.dwell for phase in phases], device=world.device)
+        timeouts = [torch.inf if phase.timeout is None else phase.timeout for phase in phases]
+        self._timeouts = torch.tensor(timeouts, device=world.device)
+        self._open = torch.tensor([phase.gripper_open for phase in phases], device=world.device)
+
+    def compute(self, phase: Tensor, elapsed: Tensor) -> tuple[Tensor, Tensor]:
+        """The command (N, A) in those phases (N,), and whether (N,) they are over after ``elapsed`` seconds (N,)."""
         hand = self._robot.frame_pose(self._frame)
-        target = self._target()
-        error = pose_error(hand, target)
+        targets = torch.stack([own.target(self._world, self._task) for own in self._phases])
+        error = pose_error(hand, targets[phase, self._rows])
         distances = torch.stack((error[:, :3].norm(dim=1), error[:, 3:].norm(dim=1)), dim=1)
         step = error.view(-1, 2, 3) * (self._lead / distances.clamp_min(1e-9)).clamp(max=1.0)[..., None]
         turned = quat_multiply(quat_from_rotation_vector(step[:, 1]), hand[:, 3:])
         waypoint = torch.cat((hand[:, :3] + step[:, 0], turned), dim=1)
-        opened = self._open[self.phase]
-        commands = [generator.encode(waypoint, opened) for generator in self._task.generators]
-        self._advance(distances)
-        return {"action": torch.cat(commands, dim=1).clamp(-1.0, 1.0)}
-
-    def _target(self) -> Tensor:
-        targets = torch.stack([phase.target(self._world, self._task) for phase in self._phases])
-        return targets[self.phase, torch.arange(self._world.num_envs, device=self._world.device)]
-
-    def _advance(self, distances: Tensor) -> None:
-        self._elapsed += self._dt
-        arrived = (distances <= self._tolerances[self.phase]).all(1) & (self._elapsed >= self._dwell[self.phase])
-        over = (arrived | (self._elapsed >= self._timeouts[self.phase])) & (self.phase < len(self._phases) - 1)
-        self.phase += over
-        self._elapsed.masked_fill_(over, 0.0)
+        opened = self._open[phase]
+        commands = [generator.encode(waypoint, opened) for generator in self._generators]
+        arrived = (distances <= self._tolerances[phase]).all(1) & (elapsed >= self._dwell[phase])
+        return torch.cat(commands, dim=1), arrived | (elapsed >= self._timeouts[phase])

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from orbit_core.motion import MotionGenerator
     from orbit_core.world import SimulatedWorld
 
+ROBOT = "robot"
+"""The robot that acts, where a task has one."""
+
 
 @dataclass(kw_only=True)
 class Task(ABC):
@@ -27,6 +30,8 @@ class Task(ABC):
     attributes that are set by :meth:`start` hold what a task remembers while it runs; terms read and write them.
     """
 
+    agents: ClassVar[tuple[str, ...]] = (ROBOT,)
+    """Names of the scene's robots that act, in the order of the action."""
     robot: str
     """Name of a robot in the catalogue."""
     action: str
@@ -60,6 +65,8 @@ class Task(ABC):
     device: torch.device = field(init=False, default_factory=lambda: torch.device("cpu"))
     generators: tuple[MotionGenerator, ...] = field(init=False, default=())
     """What turns actions into joint commands, in the order of the action's components."""
+    actions: Mapping[str, slice] = field(init=False, default_factory=dict)
+    """Which components of the action are each agent's."""
     last_action: Tensor = field(init=False)
     """(N, A) the action in effect; zero after a reset."""
     action_before: Tensor = field(init=False)
@@ -69,7 +76,7 @@ class Task(ABC):
     difficulty: Tensor = field(init=False)
     """(N,) in [0, 1], for terms to read. It starts at 0 where the task is ``progressive``, and else stays 1; resets
     do not change it."""
-    cache: dict[Callable[..., Tensor], tuple[int, Tensor | None]] = field(init=False, default_factory=dict)
+    cache: dict[Hashable, tuple[int, Tensor | None]] = field(init=False, default_factory=dict)
 
     def randomize(self) -> None:
         """Give the task the terms of ``randomized``. Override where a task has some.

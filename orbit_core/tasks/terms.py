@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import Enum
 from functools import wraps
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from orbit_core.tasks.task import Task
     from orbit_core.world import SimulatedWorld
 
-TermFunction = Callable[["SimulatedWorld", Any], Tensor]
-"""(world, task) -> (N, ...)"""
+TermFunction = Callable[..., Tensor]
+"""(world, task) -> (N, ...); of a term that names an agent, (world, task, agent) -> (N, ...)"""
 EventFunction = Callable[["SimulatedWorld", Any, Tensor], None]
 """(world, task, env_ids)"""
 
@@ -37,6 +37,8 @@ class ObservationTerm:
     delay: tuple[int, int] = (0, 0)
     """Fewest and most steps of the environment that a measurement is late by, drawn for each episode. What was measured
     first counts as measured ever since."""
+    agent: str | None = None
+    """Who sees it, where several robots act; the name is the function's third argument. None: all see it."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,8 @@ class RewardTerm:
 
     function: TermFunction
     weight: float
+    agent: str | None = None
+    """Who earns it, where several robots act; the name is the function's third argument. None: each does, in full."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +93,13 @@ class CurriculumTerm:
 
 
 _Term = TypeVar("_Term")
+_Function = TypeVar("_Function", bound=TermFunction)
 
 
 def terms_of(collection: object, kind: type[_Term]) -> dict[str, _Term]:
-    """The terms in a dataclass's fields, in order. A field set to None is left out: a term switched off.
+    """The terms in a dataclass's fields, in order, each with a function of (world, task) alone.
+
+    A field set to None is left out: a term switched off.
 
     Raises:
         TypeError: a field holds something else.
@@ -104,19 +111,25 @@ def terms_of(collection: object, kind: type[_Term]) -> dict[str, _Term]:
             continue
         if not isinstance(term, kind):
             raise TypeError(f"{type(collection).__name__}.{field.name} must be a {kind.__name__}, not {term!r}")
-        terms[field.name] = term
+        terms[field.name] = term if getattr(term, "agent", None) is None else _for_its_agent(term)
     return terms
 
 
-def once_per_state(function: TermFunction) -> TermFunction:
-    """Compute a term once per state of the world, however many terms ask for it."""
+def _for_its_agent(term: Any) -> Any:
+    function, agent = term.function, term.agent
+    return replace(term, function=lambda world, task: function(world, task, agent))
+
+
+def once_per_state(function: _Function) -> _Function:
+    """Compute a term once per state of the world, and for each agent's name if it takes one, whoever asks for it."""
 
     @wraps(function)
-    def cached(world: SimulatedWorld, task: Task) -> Tensor:
-        version, value = task.cache.get(function, (-1, None))
+    def cached(world: SimulatedWorld, task: Task, *agent: str) -> Tensor:
+        key = (function, *agent)
+        version, value = task.cache.get(key, (-1, None))
         if value is None or version != world.clock.version:
-            value = function(world, task)
-            task.cache[function] = (world.clock.version, value)
+            value = function(world, task, *agent)
+            task.cache[key] = (world.clock.version, value)
         return value
 
-    return cached
+    return cached  # pyright: ignore[reportReturnType] - as the function is called, it is called
