@@ -14,6 +14,11 @@ def register(registry: TaskRegistry) -> None:
     registry.add("Lift", "Lift a cube from the table to a sampled position", "orbit_tasks.lift:Lift")
     registry.add("Cabinet", "Open a drawer by its handle to a given position", "orbit_tasks.cabinet:Cabinet")
     registry.add(
+        "Handover",
+        "One arm passes a rod to another, which brings it to a sampled position",
+        "orbit_tasks.handover:Handover",
+    )
+    registry.add(
         "Velocity-Flat",
         "A legged robot follows a commanded velocity on a plane",
         "orbit_tasks.velocity_flat:VelocityFlat",

@@ -19,6 +19,7 @@ EXPERTS = [
     ("Lift", "franka_panda", "joint_position", 0.9),
     ("Lift", "ur10_robotiq_2f85", "ik_relative", 0.9),
     ("Cabinet", "franka_panda", "ik_relative", 0.96),
+    ("Handover", "franka_panda", "ik_relative", 0.95),
 ]
 
 

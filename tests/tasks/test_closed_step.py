@@ -44,6 +44,8 @@ def assert_same_life(plain: Environment, other: Environment, exact: bool) -> Non
         mine, its = plain.step(action), other.step(action)
         torch.testing.assert_close(its[0]["policy"], mine[0]["policy"], **tolerance)
         torch.testing.assert_close(its[1], mine[1], rtol=1e-4, atol=1e-6)
+        if plain.shares is not None and other.shares is not None:
+            torch.testing.assert_close(other.shares.rewards(), plain.shares.rewards(), rtol=1e-4, atol=1e-6)
         assert torch.equal(its[2], mine[2])
         assert torch.equal(its[3], mine[3])
         assert ("final" in its[4]) == ("final" in mine[4])
@@ -70,7 +72,7 @@ def test_a_closed_step_is_the_same_step(whole: bool, action: str) -> None:
     assert_same_life(plain, closed(other, whole), exact=True)
 
 
-@pytest.mark.parametrize("task", ["Reach", "Cabinet", "Velocity-Flat"])
+@pytest.mark.parametrize("task", ["Reach", "Cabinet", "Velocity-Flat", "Handover"])
 def test_events_written_for_indices_hold_under_a_mask(task: str) -> None:
     plain, other = (make(task, 3, BACKEND, episode_length=0.2) for _ in range(2))
     other.task.episode_step[:] = plain.task.episode_step[:] = torch.tensor([0, 3, 7])

@@ -17,7 +17,7 @@ from orbit_core.world import SimulatedWorld
 from orbit_tasks.lift import Lift
 from orbit_tasks.velocity_flat import VelocityFlat
 
-TASKS = ("Reach", "Lift", "Cabinet", "Velocity-Flat")
+TASKS = ("Reach", "Lift", "Cabinet", "Velocity-Flat", "Handover")
 
 
 @pytest.mark.parametrize("backend", backend_names())

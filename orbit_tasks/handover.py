@@ -1,0 +1,324 @@
+"""Handover: one arm passes a rod to another, which brings it to a sampled position."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+from torch.linalg import vector_norm
+
+from orbit_core.assets.objects import box, table
+from orbit_core.dynamics.transforms import quat_rotate
+from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
+from orbit_core.tasks import (
+    EventTerm,
+    EventTime,
+    Expert,
+    ObservationTerm,
+    Phase,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+    common,
+    randomize,
+)
+from orbit_core.tasks.ppo import PpoSettings
+from orbit_core.tasks.randomize import Range
+from orbit_core.tasks.terms import once_per_state
+from orbit_core.world import SimulatedWorld
+
+GIVER, RECEIVER = "giver", "receiver"
+LENGTH, WIDTH = 0.24, 0.03
+"""Metres, of the rod."""
+GRIP = 0.08
+"""Metres from the rod's middle to where a hand holds it: the giver the end on its own side, the receiver the other."""
+SIDES = {GIVER: -1.0, RECEIVER: 1.0}
+HEIGHT = 0.25
+"""Metres above the table at which the rod is passed on, in the middle between the arms."""
+
+
+def rod_pose(world: SimulatedWorld, task: Handover) -> Tensor:
+    """(N, 7)"""
+    return world.objects["rod"].root_pose
+
+
+@once_per_state
+def rod_position(world: SimulatedWorld, task: Handover) -> Tensor:
+    """(N, 3)"""
+    return rod_pose(world, task)[:, :3]
+
+
+@once_per_state
+def rod_direction(world: SimulatedWorld, task: Handover) -> Tensor:
+    """(N, 3) unit vector along the rod, from the giver's side to the receiver's."""
+    along = quat_rotate(rod_pose(world, task)[:, 3:], task.along)
+    return torch.where(along[:, :1] < 0.0, -along, along)
+
+
+@once_per_state
+def grip(world: SimulatedWorld, task: Handover, agent: str) -> Tensor:
+    """(N, 3) where that agent holds the rod."""
+    return rod_position(world, task) + SIDES[agent] * GRIP * rod_direction(world, task)
+
+
+@once_per_state
+def hand_to_grip(world: SimulatedWorld, task: Handover, agent: str) -> Tensor:
+    """(N, 3) from that agent's hand to where it holds the rod."""
+    return grip(world, task, agent) - common.hand_pose(world, task, agent)[:, :3]
+
+
+@once_per_state
+def goal_distance(world: SimulatedWorld, task: Handover) -> Tensor:
+    """(N,) between rod and goal."""
+    return vector_norm(task.goal - rod_position(world, task), dim=1)
+
+
+@once_per_state
+def place_distance(world: SimulatedWorld, task: Handover) -> Tensor:
+    """(N,) between the rod and the place where it is passed on."""
+    return vector_norm(task.place - rod_position(world, task), dim=1)
+
+
+def dropped(world: SimulatedWorld, task: Handover) -> Tensor:
+    """(N,) the rod fell off the table."""
+    return rod_position(world, task)[:, 2] < -0.05
+
+
+@once_per_state
+def lifted(world: SimulatedWorld, task: Handover) -> Tensor:
+    """(N,) 1 where the rod is off the table, else 0."""
+    return (rod_position(world, task)[:, 2] > 1.5 * WIDTH).float()
+
+
+@once_per_state
+def received(world: SimulatedWorld, task: Handover) -> Tensor:
+    """(N,) 1 where the rod is off the table and beyond the middle, where the receiver alone can have brought it."""
+    beyond = rod_position(world, task)[:, 0] > 0.5 * task.spacing + GRIP
+    return lifted(world, task) * beyond.float()
+
+
+def reaching(world: SimulatedWorld, task: Handover, agent: str) -> Tensor:
+    """(N,) in [0, 1]: how near that agent's hand is to where it holds the rod; for the giver, 1 once it has given."""
+    near = common.nearness(vector_norm(hand_to_grip(world, task, agent), dim=1), 0.1)
+    return torch.maximum(near, received(world, task)) if agent == GIVER else near * lifted(world, task)
+
+
+def offering(world: SimulatedWorld, task: Handover, agent: str) -> Tensor:
+    """(N,) in [0, 1]: how near the lifted rod is to where it is passed on; 1 once it has been."""
+    near = lifted(world, task) * common.nearness(place_distance(world, task), 0.2)
+    return torch.maximum(near, received(world, task))
+
+
+def tracking(world: SimulatedWorld, task: Handover, scale: float) -> Tensor:
+    """(N,) in [0, 1]: how near the lifted rod is to the goal."""
+    return lifted(world, task) * common.nearness(goal_distance(world, task), scale)
+
+
+def place_rod(world: SimulatedWorld, task: Handover, env_ids: Tensor) -> None:
+    """On a 10 x 40 cm patch of the table that the giver alone can reach, turned by up to half a radian."""
+    height = 0.5 * WIDTH
+    low, high = (0.37, -0.2, height, -0.5), (0.47, 0.2, height, 0.5)
+    place = world.random.uniform((4,), low, high, env_ids)
+    pose = torch.cat((place[:, :3], common.turned(place[:, 3])), dim=1)
+    world.objects["rod"].set_root_pose(pose, env_ids)
+    task.nearest[env_ids] = torch.inf
+
+
+def sample_goal(world: SimulatedWorld, task: Handover, env_ids: Tensor) -> None:
+    """15 to 35 cm above a patch as large and as far, before the receiver."""
+    low, high = (task.spacing - 0.47, -0.2, 0.15), (task.spacing - 0.37, 0.2, 0.35)
+    task.goal[env_ids] = goal = world.random.uniform((3,), low, high, env_ids)
+    upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=world.device).expand(len(env_ids), 4)
+    world.markers["goal"].set_pose(torch.cat((goal, upright), dim=1), env_ids)
+
+
+# Where the expert leads the hands
+
+
+def around_rod(agent: str, height: float = 0.0) -> Callable[[SimulatedWorld, Handover], Tensor]:
+    """(N, 7) that agent's hand around its end of the rod, pointing down, or above that by ``height``."""
+
+    def target(world: SimulatedWorld, task: Handover) -> Tensor:
+        direction = rod_direction(world, task)
+        yaw = torch.atan2(direction[:, 1], direction[:, 0])
+        above = torch.tensor([0.0, 0.0, height], device=world.device)
+        return torch.cat((grip(world, task, agent) + above, _facing_down(agent, yaw)), dim=1)
+
+    return target
+
+
+def beside_place(agent: str, back: float, height: float) -> Callable[[SimulatedWorld, Handover], Tensor]:
+    """(N, 7) that agent's hand above its side of the place where the rod is passed on, and behind by ``back``."""
+
+    def target(world: SimulatedWorld, task: Handover) -> Tensor:
+        offset = torch.tensor([SIDES[agent] * (GRIP + back), 0.0, height], device=world.device)
+        position = task.place + offset
+        return torch.cat((position, _facing_down(agent, torch.zeros_like(position[:, 0]))), dim=1)
+
+    return target
+
+
+def carried(agent: str, goal: Callable[[Handover], Tensor]) -> Callable[[SimulatedWorld, Handover], Tensor]:
+    """(N, 7) that agent's hand where the rod's middle comes to a goal (N, 3), as the rod sits in the hand now."""
+
+    def target(world: SimulatedWorld, task: Handover) -> Tensor:
+        wanted = goal(task)
+        position = wanted + common.hand_pose(world, task, agent)[:, :3] - rod_position(world, task)
+        return torch.cat((position, _facing_down(agent, torch.zeros_like(wanted[:, 0]))), dim=1)
+
+    return target
+
+
+def _facing_down(agent: str, yaw: Tensor) -> Tensor:
+    """(N, 4) that agent's hand pointing down, its fingers opening across a rod at ``yaw`` (N,)."""
+    return common.facing_down(yaw if agent == GIVER else yaw + math.pi)
+
+
+@dataclass
+class HandoverObservations:
+    giver_joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions, agent=GIVER)
+    giver_joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities, agent=GIVER)
+    giver_to_grip: ObservationTerm | None = ObservationTerm(hand_to_grip, agent=GIVER)
+    giver_last_action: ObservationTerm | None = ObservationTerm(common.last_action, agent=GIVER)
+    receiver_joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions, agent=RECEIVER)
+    receiver_joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities, agent=RECEIVER)
+    receiver_to_grip: ObservationTerm | None = ObservationTerm(hand_to_grip, agent=RECEIVER)
+    receiver_last_action: ObservationTerm | None = ObservationTerm(common.last_action, agent=RECEIVER)
+    rod_pose: ObservationTerm | None = ObservationTerm(rod_pose)
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
+
+
+@dataclass
+class HandoverRewards:
+    giver_reach: RewardTerm | None = RewardTerm(reaching, 1.0, agent=GIVER)
+    giver_offer: RewardTerm | None = RewardTerm(offering, 8.0, agent=GIVER)
+    giver_action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4, agent=GIVER)
+    giver_joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4, agent=GIVER)
+    receiver_reach: RewardTerm | None = RewardTerm(reaching, 4.0, agent=RECEIVER)
+    receiver_action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4, agent=RECEIVER)
+    receiver_joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4, agent=RECEIVER)
+    lift: RewardTerm | None = RewardTerm(lifted, 4.0)
+    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 16.0)
+    track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 5.0)
+
+
+@dataclass
+class HandoverTerminations:
+    dropped: TerminationTerm | None = TerminationTerm(dropped)
+
+
+@dataclass
+class HandoverEvents:
+    place_giver: EventTerm | None = EventTerm(common.randomize_robot_start(0.05, GIVER))
+    place_receiver: EventTerm | None = EventTerm(common.randomize_robot_start(0.05, RECEIVER))
+    place_rod: EventTerm | None = EventTerm(place_rod)
+    sample_goal: EventTerm | None = EventTerm(sample_goal)
+    rod_mass: EventTerm | None = None
+    friction: EventTerm | None = None
+    giver_gains: EventTerm | None = None
+    receiver_gains: EventTerm | None = None
+
+
+@dataclass(kw_only=True)
+class Handover(Task):
+    """Two arms face each other across a table. The rod starts where only the giver reaches it, the goal hangs where
+    only the receiver does.
+
+    Succeeds when the rod's middle is within ``tolerance`` of the goal at the episode's end. Metrics: that distance,
+    which is the receiver's to close, and the least in the episode between the rod and the place in the middle where it
+    is passed on, which is the giver's.
+    """  # fmt: skip
+
+    agents: ClassVar[tuple[str, ...]] = (GIVER, RECEIVER)
+    robot: str = "franka_panda"
+    """Name of both arms in the catalogue."""
+    action: str = "joint_position"
+    episode_length: float = 8.0
+    view: Pose = look_at(eye=(0.7, 1.9, 0.95), target=(0.7, 0.0, 0.2))
+    ppo: PpoSettings = PpoSettings(iterations=2000, initial_std=0.3, entropy_weight=0.005)
+    spacing: float = 1.4
+    """Metres between the arms' bases; for the Franka Panda, patches on one side are then out of the other's reach."""
+    rod_mass: float = 0.06
+    """Kilograms."""
+    tolerance: float = 0.03
+    """Metres."""
+    observations: HandoverObservations = field(default_factory=HandoverObservations)
+    rewards: HandoverRewards = field(default_factory=HandoverRewards)
+    terminations: HandoverTerminations = field(default_factory=HandoverTerminations)
+    events: HandoverEvents = field(default_factory=HandoverEvents)
+    goal: Tensor = field(init=False)
+    """(N, 3) in the environment's frame."""
+    place: Tensor = field(init=False)
+    """(N, 3) where the rod is passed on."""
+    along: Tensor = field(init=False)
+    """(3,) the rod's length, in its own frame."""
+    nearest: Tensor = field(init=False)
+    """(N,) metres, the least distance in the episode between the rod and that place."""
+
+    def scene(self) -> Scene:
+        size = (LENGTH, WIDTH, WIDTH)
+        start = Pose((0.42, 0.0, 0.5 * WIDTH))
+        rod = box("rod", size=size, mass=self.rod_mass, pose=start, color=(0.8, 0.2, 0.15, 1.0))
+        middle = Pose((0.5 * self.spacing, 0.0, 0.0))
+        bench = table("table", size=(self.spacing + 0.6, 1.4, common.BENCH_HEIGHT), pose=middle)
+        facing_giver = Pose((self.spacing, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        return Scene(
+            robots=(common.arm(self.robot, agent=GIVER), common.arm(self.robot, agent=RECEIVER, pose=facing_giver)),
+            objects=(rod, bench),
+            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            markers=(MarkerSpec("goal", MarkerShape.SPHERE, size=0.03),),
+            physics_dt=self.physics_dt,
+        )
+
+    def start(self, world: SimulatedWorld) -> None:
+        super().start(world)
+        self.goal = torch.zeros(world.num_envs, 3, device=world.device)
+        self.along = torch.tensor([1.0, 0.0, 0.0], device=world.device)
+        self.place = torch.tensor([0.5 * self.spacing, 0.0, HEIGHT], device=world.device).repeat(world.num_envs, 1)
+        self.nearest = torch.full((world.num_envs,), torch.inf, device=world.device)
+
+    def advance(self, world: SimulatedWorld) -> None:
+        self.nearest.copy_(torch.minimum(self.nearest, place_distance(world, self)))
+
+    def randomize(self) -> None:
+        """The rod's mass, its friction and the fingers', the arms' gains, and noise on joints and rod."""
+        scale = Range(0.8, 1.25)
+        friction = randomize.friction((GIVER, RECEIVER, "rod", "table"), Range(0.5, 1.2))
+        self.events.rod_mass = EventTerm(randomize.masses("rod", Range(0.5, 2.0)), EventTime.STARTUP)
+        self.events.friction = EventTerm(friction, EventTime.STARTUP)
+        self.events.giver_gains = EventTerm(randomize.gains(GIVER, stiffness=scale, damping=scale), EventTime.STARTUP)
+        receiver_gains = randomize.gains(RECEIVER, stiffness=scale, damping=scale)
+        self.events.receiver_gains = EventTerm(receiver_gains, EventTime.STARTUP)
+        positions = {f"{agent}_joint_positions": 0.005 for agent in self.agents}
+        velocities = {f"{agent}_joint_velocities": 0.05 for agent in self.agents}
+        common.add_noise(self.observations, rod_pose=0.002, **positions, **velocities)
+
+    def success(self, world: SimulatedWorld) -> Tensor:
+        return goal_distance(world, self) < self.tolerance
+
+    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+        return {"goal_distance_m": goal_distance(world, self), "handover_distance_m": self.nearest}
+
+    def expert(self, world: SimulatedWorld) -> Expert:
+        ready = Phase(beside_place(RECEIVER, back=0.05, height=0.12))
+        wait = Phase(ready.target, position_tolerance=math.inf, rotation_tolerance=math.inf)
+        offer = Phase(carried(GIVER, lambda task: task.place), gripper_open=False, position_tolerance=0.02)
+        keep = Phase(around_rod(RECEIVER), False, position_tolerance=math.inf, rotation_tolerance=math.inf)
+        back_off = Phase(beside_place(GIVER, back=0.1, height=0.15), position_tolerance=0.05, timeout=1.5)
+        steps = (
+            (Phase(around_rod(GIVER, 0.1), position_tolerance=0.02), wait),
+            (Phase(around_rod(GIVER), position_tolerance=0.006, timeout=1.5), wait),
+            (Phase(around_rod(GIVER), gripper_open=False, dwell=0.4, timeout=0.5), wait),
+            (offer, ready),
+            (offer, Phase(around_rod(RECEIVER), position_tolerance=0.006, timeout=1.5)),
+            (offer, Phase(around_rod(RECEIVER), gripper_open=False, dwell=0.4, timeout=0.5)),
+            (Phase(around_rod(GIVER), dwell=0.3, timeout=0.4), keep),
+            (back_off, keep),
+            (back_off, Phase(carried(RECEIVER, lambda task: task.goal), gripper_open=False)),
+        )
+        phases = {agent: [pair[index] for pair in steps] for index, agent in enumerate(self.agents)}
+        return Expert(world, self, phases)
