@@ -97,8 +97,8 @@ class ContactMeter:
         if self.queries:
             self.forces.zero_()
 
-    def add(self, steps: int) -> None:
-        """Take in the forces of one of ``steps`` physics steps."""
+    def add(self, share: float) -> None:
+        """Take in that share of the forces of a physics step."""
         if not self.queries:
             return
         contact = self._data.contact
@@ -106,9 +106,14 @@ class ContactMeter:
             add_contact_forces,
             dim=self._data.naconmax,
             inputs=[
-                self._model.opt.cone, self._link_of_geom, self._starts, self._numbers, self._answers, 1.0 / steps,
+                self._model.opt.cone, self._link_of_geom, self._starts, self._numbers, self._answers, share,
                 contact.frame, contact.friction, contact.dim, contact.geom, contact.efc_address, contact.worldid,
                 contact.adhesion, self._data.efc.force, self._data.njmax, self._data.nacon,
             ],
             outputs=[self.forces],
         )  # fmt: skip
+
+    def average(self, steps: int) -> None:
+        """Turn the sum over so many physics steps into their mean."""
+        if self.queries:
+            wp.to_torch(self.forces).div_(steps)

@@ -28,6 +28,10 @@ from orbit_warp.recording import Recording
 from orbit_warp.state import State
 
 
+_MOST_RECORDED = 16
+"""Physics steps that one recording takes on a GPU, where to launch a recording costs more than on a CPU."""
+
+
 @dataclass(frozen=True)
 class Native:
     """MuJoCo-Warp's own objects."""
@@ -46,7 +50,7 @@ class Snapshot:
 
 
 class WarpEngine(Engine):
-    """Holds all environments in MuJoCo-Warp's arrays; a step is one recorded graph.
+    """Holds all environments in MuJoCo-Warp's arrays; a step is one recorded graph on a GPU, and a few on a CPU.
 
     The graph writes the commands, takes the physics steps, adds up contact forces, notes faults, and brings poses and
     velocities up to date. Nothing in it waits for the host.
@@ -95,7 +99,10 @@ class WarpEngine(Engine):
     def step(self, steps: int) -> None:
         if not self._graphs.recording:
             self._prepare()
-        self._graphs.run(("step", steps), lambda: self._take(steps))
+        if self.device.type != "cpu" and steps <= _MOST_RECORDED:
+            self._graphs.run(("step", steps), lambda: self._take(steps))
+        else:
+            self._repeat(steps)
         self._state.mark_current()
         if self.device.type == "cpu":
             self._faults.report()
@@ -115,17 +122,33 @@ class WarpEngine(Engine):
         self._state.refresh()  # so that a recording need not
 
     def _take(self, steps: int) -> None:
-        data = self._data
+        self._begin()
+        for _ in range(steps):
+            self._advance(1.0 / steps)
+        self._finish()
+
+    def _repeat(self, steps: int) -> None:
+        """Recording a physics step takes long, so that one recording is repeated."""
+        self._graphs.run("begin", self._begin)
+        for _ in range(steps):
+            self._graphs.run("advance", lambda: self._advance(1.0))
+        self._contacts.average(steps)
+        self._graphs.run("finish", self._finish)
+
+    def _begin(self) -> None:
         self._faults.begin()
         self._contacts.clear()
         if self.layout.joints:
             inputs = [*self._warp_commands, self._model.actuator_biasprm]
-            wp.launch(write_commands, dim=data.ctrl.shape, inputs=inputs, outputs=[data.ctrl])
-        for _ in range(steps):
-            if self._looped:  # their constraints take velocities as the step before left them
-                self._state.derive_bodies()
-            mjw.step(self._model, data)
-            self._contacts.add(steps)
+            wp.launch(write_commands, dim=self._data.ctrl.shape, inputs=inputs, outputs=[self._data.ctrl])
+
+    def _advance(self, share: float) -> None:
+        if self._looped:  # their constraints take velocities as the step before left them
+            self._state.derive_bodies()
+        mjw.step(self._model, self._data)
+        self._contacts.add(share)
+
+    def _finish(self) -> None:
         self._faults.note()
         self._state.derive()
 
