@@ -31,7 +31,7 @@ types: $(VENV)/.ready-dev
 	$(BIN)/basedpyright
 
 unit: $(VENV)/.ready-dev
-	$(BIN)/pytest -n auto --ignore tests/conformance/test_scenarios.py --cov --cov-report=term:skip-covered --cov-fail-under=90
+	$(BIN)/pytest -n auto --dist worksteal --ignore tests/conformance/test_scenarios.py --cov --cov-report=term:skip-covered --cov-fail-under=90
 
 # Every scenario on every backend: what tests/conformance/test_scenarios.py collects for those who write them.
 conformance: $(VENV)/.ready-dev

@@ -93,7 +93,7 @@ class ProcessPool(Pool):
         self._connections: list[Any] = []
         self._posted: set[int] = set()
         self._dead = ""
-        with tempfile.TemporaryDirectory(prefix="orbit-bullet-", dir=folder) as name:
+        with tempfile.TemporaryDirectory(prefix=f"orbit-bullet-{os.getpid()}-", dir=folder) as name:
             memory = Path(name) / "state"
             self.buffers = shared_buffers(shapes, memory)
             with _hidden_main():

@@ -27,7 +27,6 @@ from orbit_warp.rays import RayCaster
 from orbit_warp.recording import Recording
 from orbit_warp.state import State
 
-
 _MOST_RECORDED = 16
 """Physics steps that one recording takes on a GPU, where to launch a recording costs more than on a CPU."""
 
