@@ -34,7 +34,7 @@ from orbit_core.world import SimulatedWorld
 GIVER, RECEIVER = "giver", "receiver"
 LENGTH, WIDTH = 0.24, 0.03
 """Metres, of the rod."""
-GRIP = 0.08
+GRIP = 0.065
 """Metres from the rod's middle to where a hand holds it: the giver the end on its own side, the receiver the other."""
 SIDES = {GIVER: -1.0, RECEIVER: 1.0}
 HEIGHT = 0.25
@@ -242,7 +242,7 @@ class Handover(Task):
     ppo: PpoSettings = PpoSettings(iterations=2000, initial_std=0.3, entropy_weight=0.005)
     spacing: float = 1.4
     """Metres between the arms' bases; for the Franka Panda, patches on one side are then out of the other's reach."""
-    rod_mass: float = 0.06
+    rod_mass: float = 0.04
     """Kilograms."""
     tolerance: float = 0.03
     """Metres."""
@@ -307,6 +307,7 @@ class Handover(Task):
         ready = Phase(beside_place(RECEIVER, back=0.05, height=0.12))
         wait = Phase(ready.target, position_tolerance=math.inf, rotation_tolerance=math.inf)
         offer = Phase(carried(GIVER, lambda task: task.place), gripper_open=False, position_tolerance=0.02)
+        hold = Phase(offer.target, False, position_tolerance=math.inf, rotation_tolerance=math.inf)
         keep = Phase(around_rod(RECEIVER), False, position_tolerance=math.inf, rotation_tolerance=math.inf)
         back_off = Phase(beside_place(GIVER, back=0.1, height=0.15), position_tolerance=0.05, timeout=1.5)
         steps = (
@@ -314,8 +315,8 @@ class Handover(Task):
             (Phase(around_rod(GIVER), position_tolerance=0.006, timeout=1.5), wait),
             (Phase(around_rod(GIVER), gripper_open=False, dwell=0.4, timeout=0.5), wait),
             (offer, ready),
-            (offer, Phase(around_rod(RECEIVER), position_tolerance=0.006, timeout=1.5)),
-            (offer, Phase(around_rod(RECEIVER), gripper_open=False, dwell=0.4, timeout=0.5)),
+            (hold, Phase(around_rod(RECEIVER), position_tolerance=0.006, timeout=1.5)),
+            (hold, Phase(around_rod(RECEIVER), gripper_open=False, dwell=0.4, timeout=0.5)),
             (Phase(around_rod(GIVER), dwell=0.3, timeout=0.4), keep),
             (back_off, keep),
             (back_off, Phase(carried(RECEIVER, lambda task: task.goal), gripper_open=False)),
