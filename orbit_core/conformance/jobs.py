@@ -65,8 +65,6 @@ def plan(settings: Settings) -> list[Phase]:
 
 def _scenarios(settings: Settings, backend: str) -> Iterable[Job]:
     for name in settings.scenarios:
-        if settings.quick and scenario(name).slow:
-            continue
         nominal = scenario(name).time_step
         steps = {nominal} if settings.quick else {nominal, *scenario(name).time_steps}
         for step in sorted(steps, reverse=True):
