@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 BACKENDS := mujoco bullet sapien warp
-LEARNING := rsl-rl,sb3,skrl,rl-games,torchrl,onnx
+LEARNING := rsl-rl,sb3,skrl,rl-games,torchrl,pettingzoo,onnx
 PLUGINS := mjmodel $(BACKENDS)
 SOURCES := pyproject.toml constraints.txt $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
 CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples

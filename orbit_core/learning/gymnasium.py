@@ -46,7 +46,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
     def __init__(self, task: str | Task, num_envs: int = 1, render_mode: str | None = None, **keywords: Any) -> None:
         self.environment = make(task, num_envs=num_envs, **keywords)
         self.metadata = _metadata(self.environment, AutoresetMode.SAME_STEP)
-        self.render_mode = _checked_mode(render_mode)
+        self.render_mode = checked_mode(render_mode)
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.environment)
         self.single_action_space = action_space(self.environment)
@@ -76,7 +76,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
         if self.render_mode is None:
             return None
-        self._camera = self._camera or _camera(self.environment)
+        self._camera = self._camera or overview_camera(self.environment)
         return tuple(self._camera.pictures().numpy())
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -93,7 +93,7 @@ class SingleEnvironment(gymnasium.Env[dict[str, npt.NDArray[np.float32]], npt.ND
     def __init__(self, task: str | Task, render_mode: str | None = None, **keywords: Any) -> None:
         self.environment = make(task, num_envs=1, **keywords)
         self.metadata = _metadata(self.environment, AutoresetMode.DISABLED)
-        self.render_mode = _checked_mode(render_mode)
+        self.render_mode = checked_mode(render_mode)
         self.observation_space = observation_space(self.environment)
         self.action_space = action_space(self.environment)
         self._camera: OverviewCamera | None = None
@@ -113,12 +113,12 @@ class SingleEnvironment(gymnasium.Env[dict[str, npt.NDArray[np.float32]], npt.ND
         end: EpisodeEnd | None = info.get("final")
         if end is not None:  # the batch has begun the next episode already: show the end of this one
             observation = end.observation
-        return _arrays(observation), float(reward), bool(terminated), bool(truncated), _outcome(end, 0)
+        return _arrays(observation), float(reward), bool(terminated), bool(truncated), outcome(end, 0)
 
     def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         if self.render_mode is None:
             return None
-        self._camera = self._camera or _camera(self.environment)
+        self._camera = self._camera or overview_camera(self.environment)
         return self._camera.pictures()[0].numpy()
 
     def close(self) -> None:
@@ -127,7 +127,8 @@ class SingleEnvironment(gymnasium.Env[dict[str, npt.NDArray[np.float32]], npt.ND
         self.environment.close()
 
 
-def _camera(environment: Environment) -> OverviewCamera:
+def overview_camera(environment: Environment) -> OverviewCamera:
+    """What draws a spectator's pictures."""
     return OverviewCamera(environment.world, 640, 480, environment.task.view)
 
 
@@ -135,7 +136,12 @@ def _metadata(environment: Environment, mode: AutoresetMode) -> dict[str, Any]:
     return {"render_modes": ["rgb_array"], "render_fps": round(1.0 / environment.step_dt), "autoreset_mode": mode}
 
 
-def _checked_mode(render_mode: str | None) -> str | None:
+def checked_mode(render_mode: str | None) -> str | None:
+    """The render mode.
+
+    Raises:
+        ConfigurationError: there is none of that name.
+    """
     if render_mode not in (None, "rgb_array"):
         raise ConfigurationError(f"render_mode '{render_mode}' is unknown: use 'rgb_array', or 'orbit view' to watch")
     return render_mode
@@ -151,7 +157,8 @@ def _final(everyone: EpisodeEnd, ended: Tensor) -> dict[str, Any]:
     }
 
 
-def _outcome(end: EpisodeEnd | None, row: int) -> dict[str, Any]:
+def outcome(end: EpisodeEnd | None, row: int) -> dict[str, Any]:
+    """Success and metrics of one of the episodes that ended; nothing where none did."""
     if end is None:
         return {}
     metrics = {name: float(value[row]) for name, value in end.metrics.items()}

@@ -1,0 +1,113 @@
+"""One environment of several agents as PettingZoo sees it: Terry et al., PettingZoo (2021), its parallel interface."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.learning.gymnasium import checked_mode, outcome, overview_camera
+from orbit_core.tasks.environment import make
+from orbit_core.tasks.episode import EpisodeEnd
+from orbit_core.tasks.task import Task
+from orbit_core.viewer.pictures import OverviewCamera
+
+Array = npt.NDArray[np.float32]
+
+
+class ParallelEnvironment(ParallelEnv[str, Array, Array]):
+    """One environment, with NumPy arrays; its agents are the robots that act, by their names in the scene.
+
+    Each sees and earns what :class:`orbit_core.tasks.shares.Shares` gives it. All live from ``reset`` to the end of the
+    episode, whose last observation the last step returns; the information then holds success and metrics. ``state``
+    is the whole observation. For many environments at once, ``Environment.shares`` does the same to torch tensors.
+
+    Keywords are those of :func:`orbit_core.tasks.make`: backend, device, seed, and the task's own fields.
+
+    Raises:
+        ConfigurationError: the task has one agent.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - PettingZoo looks at the class's own
+
+    def __init__(self, task: str | Task, render_mode: str | None = None, **keywords: Any) -> None:
+        self.render_mode = checked_mode(render_mode)
+        self.environment = make(task, num_envs=1, **keywords)
+        name = type(self.environment.task).__name__
+        if self.environment.shares is None:
+            self.environment.close()
+            raise ConfigurationError(
+                f"task {name} has one agent: take orbit_core.learning.gymnasium.SingleEnvironment for it"
+            )
+        self._shares = shares = self.environment.shares
+        fps = round(1.0 / self.environment.step_dt)
+        self.metadata = {**ParallelEnvironment.metadata, "name": f"orbit/{name}", "render_fps": fps}
+        self.possible_agents = list(shares.agents)
+        self.agents: list[str] = []
+        self.observation_spaces = {
+            agent: spaces.Box(-np.inf, np.inf, (size,), np.float32) for agent, size in shares.observation_sizes.items()
+        }
+        self.action_spaces = {
+            agent: spaces.Box(-1.0, 1.0, (size,), np.float32) for agent, size in shares.action_sizes.items()
+        }
+        self.state_space = spaces.Box(-np.inf, np.inf, (self.environment.observation_size,), np.float32)
+        self._state = np.zeros(self.state_space.shape, np.float32)
+        self._camera: OverviewCamera | None = None
+
+    def observation_space(self, agent: str) -> spaces.Space[Array]:
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[Array]:
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
+        observation, _ = self.environment.reset(seed)
+        self.agents = list(self.possible_agents)
+        return self._observed(observation["policy"]), {agent: {} for agent in self.agents}
+
+    def step(
+        self, actions: dict[str, Array]
+    ) -> tuple[dict[str, Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        if not self.agents:
+            raise ConfigurationError("the episode is over: reset the environment, then step")
+        device = self.environment.device
+        batch = {
+            agent: torch.as_tensor(np.asarray(action, dtype=np.float32), device=device)[None]
+            for agent, action in actions.items()
+        }
+        observation, _, terminated, truncated, info = self.environment.step(self._shares.action(batch))
+        end: EpisodeEnd | None = info.get("final")
+        # The batch has begun the next episode already where one ended: show the end of this one.
+        seen = observation if end is None else end.observation
+        rewards = {agent: float(reward) for agent, reward in self._shares.rewards().items()}
+        terminations, truncations = (dict.fromkeys(self.agents, bool(over)) for over in (terminated, truncated))
+        infos = {agent: outcome(end, 0) for agent in self.agents}
+        if end is not None:
+            self.agents = []
+        return self._observed(seen["policy"]), rewards, terminations, truncations, infos
+
+    def state(self) -> Array:
+        """(O,) the whole observation."""
+        return self._state
+
+    def render(self) -> npt.NDArray[np.uint8] | None:
+        if self.render_mode is None:
+            return None
+        self._camera = self._camera or overview_camera(self.environment)
+        return self._camera.pictures()[0].numpy()
+
+    def close(self) -> None:
+        if self._camera is not None:
+            self._camera.close()
+        self.environment.close()
+
+    def _observed(self, observation: torch.Tensor) -> dict[str, Array]:
+        self._state = observation[0].cpu().numpy()
+        return {agent: part[0].cpu().numpy() for agent, part in self._shares.observations(observation).items()}
