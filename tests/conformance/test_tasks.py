@@ -19,7 +19,7 @@ EXPERTS = [
     ("Lift", "franka_panda", "joint_position", 16, 0.9),
     ("Lift", "ur10_robotiq_2f85", "ik_relative", 16, 0.9),
     ("Cabinet", "franka_panda", "ik_relative", 32, 0.96),
-    ("Handover", "franka_panda", "ik_relative", 32, 0.95),
+    ("Handover", "franka_panda", "ik_relative", 16, 0.93),
 ]
 
 
