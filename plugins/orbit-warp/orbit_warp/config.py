@@ -15,12 +15,13 @@ class WarpConfig(ModelConfig):
 
     CHOICES: ClassVar = ModelConfig.CHOICES | {
         "integrator": ("implicitfast", "discrete", "euler", "rk4"),
-        "algorithm": ("newton", "cg"),
+        "algorithm": ("auto", "newton", "cg"),
         "overflow": ("error", "count"),
     }
 
-    algorithm: str = "newton"
-    """How constraints are solved."""
+    algorithm: str = "auto"
+    """How constraints are solved: ``newton``; ``cg``, conjugate gradients, whose cost grows slower with the number of
+    degrees of freedom; ``auto`` takes ``cg`` above 200 of them in an environment."""
     iterations: int = 30
     """At most, per step."""
     nconmax: int = 0
