@@ -137,7 +137,8 @@ def _throughput(record: Record, settings: Settings, folder: Path) -> Record:
 
 
 def _video(record: Record, settings: Settings, folder: Path) -> Record:
-    film(record.job.name, record.job.backend, folder / VIDEO, seed=settings.seed, device=record.device)
+    seconds = settings.extent.video_seconds
+    film(record.job.name, record.job.backend, folder / VIDEO, seconds=seconds, seed=settings.seed, device=record.device)
     return record
 
 

@@ -39,10 +39,12 @@ class Extent:
     blocks: int
     """Of the environment's steps and the raw engine's, which alternate."""
     block_steps: int
+    video_seconds: float
+    """At most; an episode may go on longer."""
 
 
-QUICK = Extent(episodes=8, throughput_envs=(16,), blocks=3, block_steps=10)
-FULL = Extent(episodes=100, throughput_envs=(1, 16, 64, 256), blocks=8, block_steps=50)
+QUICK = Extent(episodes=8, throughput_envs=(16,), blocks=3, block_steps=10, video_seconds=1.0)
+FULL = Extent(episodes=100, throughput_envs=(1, 16, 64, 256), blocks=8, block_steps=50, video_seconds=5.0)
 
 
 @dataclass(frozen=True, kw_only=True)

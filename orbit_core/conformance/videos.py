@@ -11,12 +11,10 @@ from orbit_core.tasks.agents import ExpertAgent
 from orbit_core.viewer.video import VideoRecorder
 
 WIDTH, HEIGHT = 256, 192
-SECONDS = 5.0
-"""At most; an episode may go on longer."""
 
 
-def film(task: str, backend_name: str, path: Path, *, seed: int, device: str) -> None:
-    """Film the first environment of a task, its expert acting, from the task's own view.
+def film(task: str, backend_name: str, path: Path, *, seconds: float, seed: int, device: str) -> None:
+    """Film the first environment of a task for some seconds, its expert acting, from the task's own view.
 
     A backend that draws nothing is drawn by another one, the same for all such.
 
@@ -29,7 +27,7 @@ def film(task: str, backend_name: str, path: Path, *, seed: int, device: str) ->
         environment.reset()
         recorder = VideoRecorder(environment, path, 1, WIDTH, HEIGHT)
         try:
-            for _ in range(min(environment.max_episode_steps, round(SECONDS / environment.step_dt))):
+            for _ in range(min(environment.max_episode_steps, round(seconds / environment.step_dt))):
                 recorder.add()
                 environment.step(expert.act())
         except BaseException:
