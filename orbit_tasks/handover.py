@@ -129,8 +129,8 @@ def place_rod(world: SimulatedWorld, task: Handover, env_ids: Tensor) -> None:
 
 
 def sample_goal(world: SimulatedWorld, task: Handover, env_ids: Tensor) -> None:
-    """15 to 35 cm above a patch as large and as far, before the receiver."""
-    low, high = (task.spacing - 0.47, -0.2, 0.15), (task.spacing - 0.37, 0.2, 0.35)
+    """15 to 35 cm above an 8 x 40 cm patch before the receiver."""
+    low, high = (task.spacing - 0.43, -0.2, 0.15), (task.spacing - 0.35, 0.2, 0.35)
     task.goal[env_ids] = goal = world.random.uniform((3,), low, high, env_ids)
     upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=world.device).expand(len(env_ids), 4)
     world.markers["goal"].set_pose(torch.cat((goal, upright), dim=1), env_ids)
@@ -238,10 +238,11 @@ class Handover(Task):
     """Name of both arms in the catalogue."""
     action: str = "joint_position"
     episode_length: float = 8.0
-    view: Pose = look_at(eye=(0.7, 1.9, 0.95), target=(0.7, 0.0, 0.2))
+    view: Pose = look_at(eye=(0.75, 1.9, 0.95), target=(0.75, 0.0, 0.2))
     ppo: PpoSettings = PpoSettings(iterations=2000, initial_std=0.3, entropy_weight=0.005)
-    spacing: float = 1.4
-    """Metres between the arms' bases; for the Franka Panda, patches on one side are then out of the other's reach."""
+    spacing: float = 1.5
+    """Metres between the arms' bases. A Franka Panda reaches 0.95 m from its shoulder: not to the rod's start from the
+    receiver's side, nor to the goal from the giver's."""
     rod_mass: float = 0.04
     """Kilograms."""
     tolerance: float = 0.03

@@ -8,9 +8,10 @@ import pytest
 import torch
 
 from orbit_core.backends import default_backend
+from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.tasks import Environment, Expert, ObservationTerm, Phase, RewardTerm, common, make
-from orbit_tasks.handover import GIVER, RECEIVER, Handover
+from orbit_tasks.handover import GIVER, GRIP, RECEIVER, Handover, grip
 from orbit_tasks.lift import Lift
 
 BACKEND = default_backend()
@@ -103,6 +104,25 @@ def test_whoever_is_not_there_is_named(handover: Environment) -> None:
     phase = Phase(lambda world, task: common.hand_pose(world, task, GIVER))
     with pytest.raises(ConfigurationError, match="equally many phases for each agent: giver, receiver"):
         Expert(handover.world, handover.task, {GIVER: [phase], RECEIVER: [phase, replace(phase)]})
+
+
+def test_neither_arm_can_do_it_alone() -> None:
+    """However a Panda is bent, it reaches neither the rod's start nor, by its own end of the rod, the goal."""
+    environment = make("Handover", num_envs=256, backend=BACKEND)
+    world, task = environment.world, environment.task
+    beyond = {RECEIVER: grip(world, task, RECEIVER), GIVER: task.goal - torch.tensor([GRIP, 0.0, 0.0])}
+    for agent, wanted in beyond.items():
+        robot = world.robots[agent]
+        low, high = robot.position_limits.unbind(1)
+        share = torch.rand(50_000, len(low), generator=torch.Generator().manual_seed(0))
+        joints = low + (high - low) * share
+        joints[:, 3] = high[3] - (high - low)[3] * share[:, 3] ** 3  # the elbow, which is mostly stretched so
+        tree = KinematicTree(robot.spec.articulation)
+        hands = tree.frame_pose(
+            tree.forward(robot.root_pose[:1].expand(len(joints), -1), joints), robot.spec.end_effector.frame
+        )
+        assert torch.cdist(wanted, hands[:, :3]).min() > task.tolerance
+    environment.close()
 
 
 def test_arms_wait_for_each_other(handover: Environment) -> None:
