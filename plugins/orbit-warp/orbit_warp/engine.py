@@ -25,6 +25,7 @@ from orbit_warp.model import build_models, on_device
 from orbit_warp.parameters import Parameters
 from orbit_warp.rays import RayCaster
 from orbit_warp.recording import Recording
+from orbit_warp.rows import rows_of
 from orbit_warp.state import State
 
 _MOST_RECORDED = 16
@@ -255,23 +256,23 @@ class WarpEngine(Engine):
         self._applied[rows[:, None], self._bodies[links]] = wrenches
 
     def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_masses(links, masses, _rows(env_ids))
+        self._parameters.set_masses(links, masses, rows_of(env_ids))
         self._state.mark_written()
 
     def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_centers_of_mass(links, centers, _rows(env_ids))
+        self._parameters.set_centers_of_mass(links, centers, rows_of(env_ids))
         self._state.mark_written()
 
     def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_friction(links, coefficients, _rows(env_ids))
+        self._parameters.set_friction(links, coefficients, rows_of(env_ids))
 
     def set_drive_gains(
         self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
     ) -> None:
-        self._parameters.set_drive_gains(joints, stiffness, damping, _rows(env_ids))
+        self._parameters.set_drive_gains(joints, stiffness, damping, rows_of(env_ids))
 
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_gravity(gravity, _rows(env_ids))
+        self._parameters.set_gravity(gravity, rows_of(env_ids))
 
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
@@ -309,7 +310,3 @@ class WarpEngine(Engine):
 
     def close(self) -> None:
         vars(self).clear()  # the arrays go with the last tensor that views them
-
-
-def _rows(env_ids: Tensor | None) -> Tensor | slice:
-    return slice(None) if env_ids is None else env_ids

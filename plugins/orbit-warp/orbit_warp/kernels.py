@@ -177,7 +177,7 @@ def reset_tensors(
     efforts: wp.array2d[float],
     joint_efforts: wp.array2d[float],
     contact_forces: wp.array2d[wp.vec3],
-    sensordata: wp.array2d[float],
+    wrenches: wp.array2d[float],
 ):
     """Commands to their defaults, measurements to zero."""
     env = int(env_ids[wp.tid()])
@@ -190,8 +190,8 @@ def reset_tensors(
         joint_efforts[env, i] = 0.0
     for i in range(contact_forces.shape[1]):
         contact_forces[env, i] = wp.vec3()
-    for i in range(sensordata.shape[1]):
-        sensordata[env, i] = 0.0
+    for i in range(wrenches.shape[1]):
+        wrenches[env, i] = 0.0
 
 
 @wp.kernel(enable_backward=False)

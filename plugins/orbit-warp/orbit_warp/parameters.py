@@ -16,6 +16,7 @@ from orbit_core.interfaces import TERRAIN, SceneLayout
 from orbit_mjmodel.addresses import Addresses
 from orbit_warp.graphs import Graphs
 from orbit_warp.model import LEAST_FRICTION
+from orbit_warp.rows import Rows, block
 
 _OF_MASS = ("body_mass", "body_inertia", "body_ipos", "body_subtreemass", "body_invweight0", "dof_invweight0")
 
@@ -44,21 +45,21 @@ class Parameters:
                 mjw.set_const(self._model, self._data)
             self._constants_due = False
 
-    def set_masses(self, links: Tensor, masses: Tensor, rows: Tensor | slice) -> None:
+    def set_masses(self, links: Tensor, masses: Tensor, rows: Rows) -> None:
         self._expand_masses()
         bodies = self._bodies[links]
-        index = _block(rows, bodies)
+        index = block(rows, bodies)
         scale = masses / self._nominal["body_mass"][index]
         self._fields["body_mass"][index] = masses
         self._fields["body_inertia"][index] = self._nominal["body_inertia"][index] * scale[..., None]
         self._constants_due = True
 
-    def set_centers_of_mass(self, links: Tensor, centers: Tensor, rows: Tensor | slice) -> None:
+    def set_centers_of_mass(self, links: Tensor, centers: Tensor, rows: Rows) -> None:
         self._expand_masses()
-        self._fields["body_ipos"][_block(rows, self._bodies[links])] = centers
+        self._fields["body_ipos"][block(rows, self._bodies[links])] = centers
         self._constants_due = True
 
-    def set_friction(self, links: Tensor, coefficients: Tensor, rows: Tensor | slice) -> None:
+    def set_friction(self, links: Tensor, coefficients: Tensor, rows: Rows) -> None:
         friction = self._field("geom_friction")
         columns = torch.full((self._links + 1,), -1, device=friction.device)
         columns[torch.where(links < 0, self._links, links)] = torch.arange(len(links), device=friction.device)
@@ -66,14 +67,14 @@ class Parameters:
         asked = coefficients.clamp_min(LEAST_FRICTION)[:, column.clamp_min(0)]
         friction[rows, :, 0] = torch.where(column >= 0, asked, friction[rows, :, 0])
 
-    def set_drive_gains(self, joints: Tensor, stiffness: Tensor, damping: Tensor, rows: Tensor | slice) -> None:
+    def set_drive_gains(self, joints: Tensor, stiffness: Tensor, damping: Tensor, rows: Rows) -> None:
         bias = self._field("actuator_biasprm")
-        index = _block(rows, joints)
+        index = block(rows, joints)
         driven = self._driven[joints]  # a mimic joint has no drive of its own
         for number, gains in ((1, stiffness), (2, damping)):
             bias[(*index, number)] = torch.where(driven, -gains, 0.0)
 
-    def set_gravity(self, gravity: Tensor, rows: Tensor | slice) -> None:
+    def set_gravity(self, gravity: Tensor, rows: Rows) -> None:
         self._field("opt.gravity")[rows] = gravity
 
     def save(self) -> dict[str, Tensor]:
@@ -105,8 +106,3 @@ class Parameters:
             self._fields[name] = wp.to_torch(expanded)
             self._nominal[name] = self._fields[name].clone()
         return self._fields[name]
-
-
-def _block(rows: Tensor | slice, indices: Tensor) -> tuple[Tensor | slice, Tensor]:
-    """The index of ``indices`` (k,) in each of ``rows``."""
-    return (rows, indices) if isinstance(rows, slice) else (rows[:, None], indices)

@@ -19,6 +19,7 @@ from orbit_core.interfaces import SceneLayout
 from orbit_mjmodel.addresses import Addresses, columns
 from orbit_warp.graphs import Graphs
 from orbit_warp.kernels import read_joints, read_links, write_root
+from orbit_warp.rows import array_of
 
 if TYPE_CHECKING:
     from orbit_warp.engine import Native
@@ -135,14 +136,11 @@ class State:
                 dim=len(env_ids),
                 inputs=[
                     wp.from_torch(env_ids.contiguous()), *map(int, places), pose is not None, velocity is not None,
-                    self._rows(pose), self._rows(velocity),
+                    array_of(pose, self._no_rows), array_of(velocity, self._no_rows),
                 ],
                 outputs=[data.qpos, data.qvel, data.mocap_pos, data.mocap_quat],
             )  # fmt: skip
         self.mark_written()
-
-    def _rows(self, values: Tensor | None) -> wp.array:
-        return self._no_rows if values is None else wp.from_torch(values.contiguous())
 
 
 def _write(target: Tensor, columns: Tensor, values: Tensor, env_ids: Tensor | None) -> None:

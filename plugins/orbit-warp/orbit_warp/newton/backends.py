@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib.metadata
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from orbit_core.interfaces import Backend, Capabilities, ConfigurationError
+from orbit_core.interfaces import Backend, Capabilities, ConfigurationError, Gap
 from orbit_warp.newton.capabilities import FEATHERSTONE, XPBD
 from orbit_warp.newton.config import FeatherstoneConfig, NewtonConfig, XpbdConfig
+from orbit_warp.newton.gaps import FEATHERSTONE_GAPS, XPBD_GAPS
 
 if TYPE_CHECKING:
     import torch
@@ -20,9 +21,13 @@ class NewtonBackend(Backend):
     """One of Newton's solvers, on ``cpu`` or ``cuda``."""
 
     solver_capabilities: ClassVar[Capabilities]
+    solver_gaps: ClassVar[tuple[Gap, ...]]
 
     def capabilities(self) -> Capabilities:
         return self.solver_capabilities
+
+    def gaps(self) -> tuple[Gap, ...]:
+        return self.solver_gaps
 
     def versions(self) -> dict[str, str]:
         return {name: importlib.metadata.version(name) for name in ("newton", "warp-lang")}
@@ -45,6 +50,7 @@ class FeatherstoneBackend(NewtonBackend):
     name: ClassVar[str] = "warp-featherstone"
     config_type: ClassVar[type[Any]] = FeatherstoneConfig
     solver_capabilities = FEATHERSTONE
+    solver_gaps = FEATHERSTONE_GAPS
 
     def dynamics(self) -> type[Dynamics]:
         from orbit_warp.newton.featherstone import FeatherstoneDynamics
@@ -58,6 +64,7 @@ class XpbdBackend(NewtonBackend):
     name: ClassVar[str] = "warp-xpbd"
     config_type: ClassVar[type[Any]] = XpbdConfig
     solver_capabilities = XPBD
+    solver_gaps = XPBD_GAPS
 
     def dynamics(self) -> type[Dynamics]:
         from orbit_warp.newton.xpbd import XpbdDynamics

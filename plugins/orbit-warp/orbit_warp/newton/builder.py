@@ -42,6 +42,8 @@ class BuiltModel:
     """(J,) into one environment's joint velocities."""
     targets: Indices
     """(J,) into one environment's position targets."""
+    zeros: npt.NDArray[np.float64]
+    """(J,) the contract's joint position where Newton's is zero."""
     root_joints: Indices
     """(entities,) joint that carries each root."""
     root_positions: Indices
@@ -54,16 +56,15 @@ class BuiltModel:
     """(shapes,) of one environment."""
 
 
-def build_model(
-    layout: SceneLayout, num_envs: int, device: wp.Device, gap: float, armature_on_links: bool
-) -> BuiltModel:
+def build_model(layout: SceneLayout, num_envs: int, device: wp.Device, gap: float, maximal: bool) -> BuiltModel:
     """Build ``num_envs`` worlds of the scene on ``device``.
 
-    ``gap`` in metres is how far around shapes contacts are found; ``armature_on_links`` makes the armature of a turning
-    joint inertia of its child link, about every axis, for solvers that know no armature: about one alone, bodies that
-    move freely between corrections would diverge.
+    ``gap`` in metres is how far around shapes contacts are found; ``maximal`` is for solvers whose bodies move freely
+    between corrections. The armature of a turning joint is then inertia of its child link, for they know none; about
+    every axis, for about one alone they would diverge. And joint positions count from the middle of their limits, for
+    such a solver knows an angle only within half a turn of zero.
     """
-    built = _Builder(layout, gap, armature_on_links)
+    built = _Builder(layout, gap, maximal)
     scene = newton.ModelBuilder()
     scene.replicate(built.world, num_envs)
     # Newton's validation would change inertias; the core has checked them.
@@ -80,6 +81,7 @@ def build_model(
         positions=position_starts[joints],
         velocities=velocity_starts[joints],
         targets=target_starts[joints],
+        zeros=built.zeros,
         root_joints=roots,
         root_positions=np.where(free, position_starts[roots], -1),
         root_velocities=np.where(free, velocity_starts[roots], -1),
@@ -94,7 +96,8 @@ class _Builder:
 
     layout: SceneLayout
     gap: float
-    armature_on_links: bool
+    maximal: bool
+    zeros: npt.NDArray[np.float64] = field(init=False)
     world: newton.ModelBuilder = field(init=False)
     shapes: ShapeBuilder = field(init=False)
     joints: list[int] = field(default_factory=list)
@@ -103,6 +106,7 @@ class _Builder:
     def __post_init__(self) -> None:
         self.world = newton.ModelBuilder(gravity=tuple(self.layout.scene.gravity))
         self.shapes = ShapeBuilder(self.world, self.gap)
+        self.zeros = _middles(self.layout) if self.maximal else np.zeros(len(self.layout.joints))
         rotors = self._rotor_inertias()
         for number in range(len(self.layout.links)):
             self._add_body(number, rotors[number])
@@ -115,7 +119,7 @@ class _Builder:
     def _rotor_inertias(self) -> npt.NDArray[np.float64]:
         """(L,) of motors, where links are to carry them."""
         inertias = np.zeros(len(self.layout.links))
-        if self.armature_on_links:
+        if self.maximal:
             for entity in self.layout.entities:
                 articulation = entity.spec.articulation
                 movable = zip(articulation.movable_joints, range(entity.joints.start, entity.joints.stop), strict=True)
@@ -169,6 +173,8 @@ class _Builder:
         if not joint.movable:
             return self.world.add_joint_fixed(parent, child, collision_filter_parent=False, **frames)
         number = len(self.joints)
+        zero = self.zeros[number]
+        frames["parent_xform"] = transform(joint.parent_pose @ turned @ Pose.from_axis_angle((1.0, 0.0, 0.0), zero))
         parameters = self.layout.joint_parameters
         lower, upper = joint_limits(self.layout)
         add = self.world.add_joint_prismatic if joint.type is JointType.PRISMATIC else self.world.add_joint_revolute
@@ -178,8 +184,8 @@ class _Builder:
             axis=newton.Axis.X,
             target_ke=float(parameters.drive_stiffness[number]),
             target_kd=float(parameters.drive_damping[number]),
-            limit_lower=float(lower[number]),
-            limit_upper=float(upper[number]),
+            limit_lower=float(lower[number] - zero),
+            limit_upper=float(upper[number] - zero),
             armature=float(parameters.armature[number]),
             effort_limit=float(min(parameters.effort_limit[number], UNLIMITED)),
             collision_filter_parent=False,
@@ -193,10 +199,12 @@ class _Builder:
         names = entity.spec.articulation.joint_names
         for offset, joint in enumerate(entity.spec.articulation.movable_joints):
             if joint.mimic:
-                follower = self.joints[entity.joints.start + offset]
-                leader = self.joints[entity.joints.start + names.index(joint.mimic.joint)]
-                coefficients = (float(joint.mimic.offset), float(joint.mimic.multiplier))
-                self.world.set_joint_mimic(follower, leader, coeffs=coefficients)
+                follower = entity.joints.start + offset
+                leader = entity.joints.start + names.index(joint.mimic.joint)
+                factor = joint.mimic.multiplier
+                constant = joint.mimic.offset + factor * self.zeros[leader] - self.zeros[follower]
+                coefficients = (float(constant), float(factor))
+                self.world.set_joint_mimic(self.joints[follower], self.joints[leader], coeffs=coefficients)
 
     # Shapes ----------------------------------------------------------------------------------------------------------
 
@@ -240,3 +248,11 @@ def joint_limits(layout: SceneLayout) -> tuple[npt.NDArray[np.float64], npt.NDAr
     lower = np.where(endless, -UNLIMITED, np.maximum(parameters.lower_limit, -UNLIMITED))
     upper = np.where(endless, UNLIMITED, np.minimum(parameters.upper_limit, UNLIMITED))
     return lower, upper
+
+
+def _middles(layout: SceneLayout) -> npt.NDArray[np.float64]:
+    """(J,) of the limits of joints that turn between limits; zero for others."""
+    lower, upper = joint_limits(layout)
+    turns = np.array([joint.type is not JointType.PRISMATIC for joint in layout.joints], dtype=bool)
+    bounded = turns & (lower > -UNLIMITED) & (upper < UNLIMITED)
+    return np.where(bounded, (lower + upper) / 2, 0.0)

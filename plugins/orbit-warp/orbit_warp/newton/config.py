@@ -15,6 +15,8 @@ class NewtonConfig:
     """Solver steps in each physics step; contacts are found once in a physics step."""
     contact_gap: float = 0.005
     """Metres around a shape within which contacts are found before it touches."""
+    speculative_gap: float = 0.1
+    """Most metres beyond that gap within which contacts are found of shapes that would meet before the next search."""
     contacts_per_env: int = 0
     """Size of the contact buffer per environment, on average over the environments; 0 lets Newton estimate it."""
     capture: bool = True
@@ -22,7 +24,7 @@ class NewtonConfig:
 
     def __post_init__(self) -> None:
         self._positive("substeps")
-        for name in ("contact_gap", "contacts_per_env"):
+        for name in ("contact_gap", "speculative_gap", "contacts_per_env"):
             if getattr(self, name) < 0:
                 raise ConfigurationError(f"{name} must not be negative, as {getattr(self, name)} is")
 
@@ -64,7 +66,7 @@ class FeatherstoneConfig(NewtonConfig):
 class XpbdConfig(NewtonConfig):
     """Positions corrected constraint by constraint."""
 
-    substeps: int = 4
+    substeps: int = 10
     iterations: int = 8
     """Sweeps over the constraints in a solver step."""
     joint_linear_relaxation: float = 0.7

@@ -14,14 +14,16 @@ from torch import Tensor
 
 from orbit_core.interfaces import Approximation, Capabilities, Engine, SceneLayout, SimulationError
 from orbit_warp.graphs import Graphs
+from orbit_warp.kernels import reset_tensors
 from orbit_warp.newton.builder import build_model
 from orbit_warp.newton.config import NewtonConfig
 from orbit_warp.newton.contacts import ContactFinder, ContactMeter
-from orbit_warp.newton.kernels import note_divergence, note_overflow, reset_commands
+from orbit_warp.newton.kernels import note_divergence, note_overflow
 from orbit_warp.newton.parameters import Parameters
 from orbit_warp.newton.plant import Dynamics, Plant
 from orbit_warp.newton.report import approximations
 from orbit_warp.newton.state import State
+from orbit_warp.rows import rows_of
 
 _DIVERGED, _OVERFLOWN = 1, 2
 
@@ -61,8 +63,8 @@ class NewtonEngine(Engine):
         wp.init()
         self._graphs = Graphs(device, config.capture)
         with self._graphs.stream():
-            built = build_model(layout, num_envs, self._graphs.device, config.contact_gap, dynamics.armature_on_links)
-            finder = ContactFinder(built, num_envs, config.contacts_per_env)
+            built = build_model(layout, num_envs, self._graphs.device, config.contact_gap, dynamics.maximal)
+            finder = ContactFinder(built, num_envs, config, layout.scene.physics_dt)
             meter = ContactMeter(layout, built, num_envs, finder)
             commands = (self.position_targets, self.velocity_targets, self.efforts)
             self._plant = plant = Plant(layout, built, num_envs, config, finder, meter, *commands)
@@ -84,7 +86,8 @@ class NewtonEngine(Engine):
     def step(self, steps: int) -> None:
         self._parameters.settle()
         self._state.settle()
-        self._plant.meter.clear()
+        with self._graphs.stream():
+            self._plant.meter.clear()
         for _ in range(steps):  # one recording whatever the number: recording takes long
             self._graphs.run("step", self._take)
         self._plant.meter.average(steps * self._dynamics.solver_steps)
@@ -154,7 +157,7 @@ class NewtonEngine(Engine):
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
-        self._state.write_joints(joints, positions, velocities, _rows(env_ids))
+        self._state.write_joints(joints, positions, velocities, rows_of(env_ids))
 
     def write_root_state(
         self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor | None = None
@@ -165,12 +168,12 @@ class NewtonEngine(Engine):
         ids = self._all if env_ids is None else env_ids
         with self._graphs.stream():
             wp.launch(
-                reset_commands,
+                reset_tensors,
                 dim=len(ids),
                 inputs=[wp.from_torch(ids.contiguous()), self._home_targets],
                 outputs=[
                     *(wp.from_torch(command) for command in self._commands), wp.from_torch(self._plant.joint_efforts),
-                    self._plant.meter.forces, self._plant.wrenches,
+                    self._plant.meter.forces, wp.from_torch(self._wrenches.flatten(1)),
                 ],
             )  # fmt: skip
         self._state.reset(ids)
@@ -193,27 +196,27 @@ class NewtonEngine(Engine):
         self._plant.applied[rows[:, None], links] = wrenches
 
     def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_masses(links, masses, _rows(env_ids))
+        self._parameters.set_masses(links, masses, rows_of(env_ids))
 
     def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
         velocities = self.link_velocities.clone()
-        self._parameters.set_centers_of_mass(links, centers, _rows(env_ids))
+        self._parameters.set_centers_of_mass(links, centers, rows_of(env_ids))
         for entity in self.layout.entities:  # a free root's coordinates are of its centre of mass
             if not entity.spec.fixed_base:
                 rows = self._all if env_ids is None else env_ids
                 self.write_root_state(entity.index, None, velocities[rows, entity.root_link], rows)
-        self._state.mark_written(_rows(env_ids))
+        self._state.mark_written(rows_of(env_ids))
 
     def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_friction(links, coefficients, _rows(env_ids))
+        self._parameters.set_friction(links, coefficients, rows_of(env_ids))
 
     def set_drive_gains(
         self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
     ) -> None:
-        self._parameters.set_drive_gains(joints, stiffness, damping, _rows(env_ids))
+        self._parameters.set_drive_gains(joints, stiffness, damping, rows_of(env_ids))
 
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_gravity(gravity, _rows(env_ids))
+        self._parameters.set_gravity(gravity, rows_of(env_ids))
 
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
@@ -246,7 +249,3 @@ class NewtonEngine(Engine):
 
     def close(self) -> None:
         vars(self).clear()  # the arrays go with the last tensor that views them
-
-
-def _rows(env_ids: Tensor | None) -> Tensor | slice:
-    return slice(None) if env_ids is None else env_ids

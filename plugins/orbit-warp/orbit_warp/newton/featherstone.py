@@ -26,6 +26,7 @@ from orbit_warp.newton.featherstone_kernels import (
     write_joint_forces,
 )
 from orbit_warp.newton.joints import drive_arrays, joint_table
+from orbit_warp.newton.mobility import Mobilities
 from orbit_warp.newton.plant import Dynamics, Plant
 from orbit_warp.newton.wrenches import WrenchReader
 
@@ -56,13 +57,16 @@ class FeatherstoneDynamics(Dynamics):
         self._contact_settings.stiffness = config.contact_stiffness
         self._contact_settings.damping_ratio = config.contact_damping
         self._contact_settings.friction_slope = config.friction_slope
-        self._bodies, self._found = _bodies(plant), _found(plant)
+        self._mobilities = Mobilities(plant)
+        self._bodies, self._found = _bodies(plant, self._mobilities), _found(plant)
         self._commands = drive_arrays(plant)
         self._joint_efforts = wp.from_torch(plant.joint_efforts)
 
     def take(self) -> None:
         plant = self._plant
         plant.finder.find(plant.state)
+        if plant.finder.any:
+            self._mobilities.find()
         for _ in range(self.solver_steps):
             plant.write_body_forces()
             self._write_joint_forces()
@@ -129,10 +133,10 @@ def _surfaces(plant: Plant) -> Surfaces:
     return surfaces
 
 
-def _bodies(plant: Plant) -> Bodies:
+def _bodies(plant: Plant, mobilities: Mobilities) -> Bodies:
     model, bodies = plant.model, Bodies()
     bodies.q, bodies.qd, bodies.com = plant.state.body_q, plant.state.body_qd, model.body_com
-    bodies.inv_mass, bodies.inv_inertia, bodies.flags = model.body_inv_mass, model.body_inv_inertia, model.body_flags
+    bodies.mobility, bodies.flags = mobilities.matrices, model.body_flags
     return bodies
 
 

@@ -70,8 +70,7 @@ class Bodies:
     q: wp.array[wp.transform]
     qd: wp.array[wp.spatial_vector]
     com: wp.array[wp.vec3]
-    inv_mass: wp.array[float]
-    inv_inertia: wp.array[wp.mat33]
+    mobility: wp.array[wp.spatial_matrix]
     flags: wp.array[int]
 
 
@@ -150,18 +149,19 @@ def _spin(bodies: Bodies, body: int) -> wp.vec3:
 @wp.func
 def _turn(bodies: Bodies, body: int, axis: wp.vec3) -> float:
     """Inverse of the inertia about an axis."""
-    if not _moves(bodies, body):
+    if body < 0:
         return 0.0
-    local = wp.quat_rotate_inv(wp.transform_get_rotation(bodies.q[body]), axis)
-    return wp.dot(local, bodies.inv_inertia[body] * local)
+    torque = wp.spatial_vector(wp.vec3(), axis)
+    return wp.dot(torque, bodies.mobility[body] * torque)
 
 
 @wp.func
 def _mobility(bodies: Bodies, body: int, arm: wp.vec3, direction: wp.vec3) -> float:
     """Inverse of the mass that a force feels."""
-    if not _moves(bodies, body):
+    if body < 0:
         return 0.0
-    return bodies.inv_mass[body] + _turn(bodies, body, wp.cross(arm, direction))
+    wrench = wp.spatial_vector(direction, wp.cross(arm, direction))
+    return wp.dot(wrench, bodies.mobility[body] * wrench)
 
 
 @wp.func

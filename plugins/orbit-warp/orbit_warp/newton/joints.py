@@ -22,6 +22,8 @@ class JointTable:
     """Column of its velocity."""
     targets: wp.array[int]
     """Column of its position target."""
+    zeros: wp.array[float]
+    """The contract's position where Newton's coordinate is zero."""
     lower: wp.array[float]
     upper: wp.array[float]
     effort_limit: wp.array[float]
@@ -38,6 +40,7 @@ def joint_table(plant: Plant) -> JointTable:
     table.positions = wp.array(built.positions, dtype=int)
     table.velocities = wp.array(built.velocities, dtype=int)
     table.targets = wp.array(built.targets, dtype=int)
+    table.zeros = wp.array(built.zeros, dtype=float)
     table.lower, table.upper = wp.array(lower, dtype=float), wp.array(upper, dtype=float)
     table.effort_limit = wp.array(np.minimum(parameters.effort_limit, UNLIMITED), dtype=float)
     table.damping = wp.array(parameters.damping, dtype=float)

@@ -1,4 +1,4 @@
-"""What ORBIT adds to Newton's own kernels: commands in, state, faults and contact forces out, resets.
+"""What ORBIT adds to Newton's own kernels: wrenches in, state and faults out, resets.
 
 Arrays of Newton's are flat, environment by environment; quaternions are (x, y, z, w) there, and (w, x, y, z) here.
 """
@@ -54,17 +54,10 @@ def read_links(
 
 
 @wp.kernel(enable_backward=False)
-def read_joints(
-    position_columns: wp.array[int],
-    velocity_columns: wp.array[int],
-    joint_q: wp.array2d[float],
-    joint_qd: wp.array2d[float],
-    positions: wp.array2d[float],
-    velocities: wp.array2d[float],
-):
+def shift_joints(zeros: wp.array[float], positions: wp.array2d[float]):
+    """From Newton's coordinates to the contract's."""
     env, joint = wp.tid()
-    positions[env, joint] = joint_q[env, position_columns[joint]]
-    velocities[env, joint] = joint_qd[env, velocity_columns[joint]]
+    positions[env, joint] += zeros[joint]
 
 
 @wp.kernel(enable_backward=False)
@@ -138,30 +131,6 @@ def reset_state(
         joint_X_p[env, i] = home_X_p[i]
     for i in range(applied.shape[1]):
         applied[env, i] = wp.spatial_vector()
-
-
-@wp.kernel(enable_backward=False)
-def reset_commands(
-    env_ids: wp.array[wp.int64],
-    home_targets: wp.array[float],
-    position_targets: wp.array2d[float],
-    velocity_targets: wp.array2d[float],
-    efforts: wp.array2d[float],
-    joint_efforts: wp.array2d[float],
-    contact_forces: wp.array2d[wp.vec3],
-    wrenches: wp.array2d[wp.spatial_vector],
-):
-    """Commands to their defaults, measurements to zero."""
-    env = int(env_ids[wp.tid()])
-    for i in range(home_targets.shape[0]):
-        position_targets[env, i] = home_targets[i]
-        velocity_targets[env, i] = 0.0
-        efforts[env, i] = 0.0
-        joint_efforts[env, i] = 0.0
-    for i in range(contact_forces.shape[1]):
-        contact_forces[env, i] = wp.vec3()
-    for i in range(wrenches.shape[1]):
-        wrenches[env, i] = wp.spatial_vector()
 
 
 @wp.kernel(enable_backward=False)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from orbit_core.interfaces import TERRAIN
 from orbit_warp.newton.plant import Plant
+from orbit_warp.rows import Rows, block
 
 
 class Parameters:
@@ -38,32 +39,32 @@ class Parameters:
             self._masses_changed()
             self._due = False
 
-    def set_masses(self, links: Tensor, masses: Tensor, rows: Tensor | slice) -> None:
+    def set_masses(self, links: Tensor, masses: Tensor, rows: Rows) -> None:
         mass, inverse_mass, inertia, inverse_inertia = (values[links] for values in self._nominal)
-        block = _block(rows, links)
+        index = block(rows, links)
         scale = masses / mass
-        self._masses[block] = masses
-        self._inverse_masses[block] = inverse_mass / scale
-        self._inertias[block] = inertia * scale[..., None, None]
-        self._inverse_inertias[block] = inverse_inertia / scale[..., None, None]
+        self._masses[index] = masses
+        self._inverse_masses[index] = inverse_mass / scale
+        self._inertias[index] = inertia * scale[..., None, None]
+        self._inverse_inertias[index] = inverse_inertia / scale[..., None, None]
         self._due = True
 
-    def set_centers_of_mass(self, links: Tensor, centers: Tensor, rows: Tensor | slice) -> None:
-        self._centers[_block(rows, links)] = centers
+    def set_centers_of_mass(self, links: Tensor, centers: Tensor, rows: Rows) -> None:
+        self._centers[block(rows, links)] = centers
         self._due = True
 
-    def set_friction(self, links: Tensor, coefficients: Tensor, rows: Tensor | slice) -> None:
+    def set_friction(self, links: Tensor, coefficients: Tensor, rows: Rows) -> None:
         for column, link in enumerate(links.tolist()):
             shapes = torch.nonzero(self._link_of_shape == (TERRAIN if link < 0 else link))[:, 0]
-            self._friction[_block(rows, shapes)] = coefficients[:, column, None]
+            self._friction[block(rows, shapes)] = coefficients[:, column, None]
 
-    def set_drive_gains(self, joints: Tensor, stiffness: Tensor, damping: Tensor, rows: Tensor | slice) -> None:
+    def set_drive_gains(self, joints: Tensor, stiffness: Tensor, damping: Tensor, rows: Rows) -> None:
         mimics = [joint.mimic is not None for joint in self._plant.layout.joints]
         driven = ~torch.tensor(mimics, device=joints.device)[joints]
-        self._plant.stiffness[_block(rows, joints)] = stiffness * driven
-        self._plant.damping[_block(rows, joints)] = damping * driven
+        self._plant.stiffness[block(rows, joints)] = stiffness * driven
+        self._plant.damping[block(rows, joints)] = damping * driven
 
-    def set_gravity(self, gravity: Tensor, rows: Tensor | slice) -> None:
+    def set_gravity(self, gravity: Tensor, rows: Rows) -> None:
         self._gravity[: self._plant.num_envs][rows] = gravity
 
     @property
@@ -82,8 +83,3 @@ class Parameters:
         for own, values in zip(self._all, saved, strict=True):
             own.copy_(values)
         self._due = True
-
-
-def _block(rows: Tensor | slice, indices: Tensor) -> tuple[Tensor | slice, Tensor]:
-    """The index of ``indices`` (k,) in each of ``rows``."""
-    return (rows, indices) if isinstance(rows, slice) else (rows[:, None], indices)

@@ -78,8 +78,6 @@ class Dynamics:
 
     maximal = False
     """Whether bodies, rather than joints, carry the state."""
-    armature_on_links = False
-    """Whether the solver knows no armature, so that links carry the inertia of motors."""
     solver_steps: int
     """In a physics step."""
 

@@ -19,15 +19,17 @@ from torch import Tensor
 
 from orbit_core.scene import Joint, JointType
 from orbit_warp.graphs import Graphs
+from orbit_warp.kernels import read_joints
 from orbit_warp.newton.kernels import (
     mark_articulations,
-    read_joints,
     read_links,
     reset_state,
+    shift_joints,
     unwrap_joints,
     write_root,
 )
 from orbit_warp.newton.plant import Plant
+from orbit_warp.rows import Rows, array_of, block
 
 
 class State:
@@ -41,6 +43,7 @@ class State:
         self._q, self._qd = wp.to_torch(self._joint_q), wp.to_torch(self._joint_qd)
         self._position_columns = torch.as_tensor(built.positions, device=device)
         self._velocity_columns = torch.as_tensor(built.velocities, device=device)
+        self._zeros = torch.as_tensor(built.zeros, dtype=torch.float32, device=device)
         self.joint_positions = torch.zeros(envs, len(plant.layout.joints), device=device)
         self.joint_velocities = torch.zeros_like(self.joint_positions)
         self.link_poses = torch.zeros(envs, len(plant.layout.links), 7, device=device)
@@ -55,7 +58,7 @@ class State:
             self._derived_q = wp.zeros_like(state.joint_q)
             self._no_rows = wp.zeros((1, 7), dtype=float)
             home = wp.to_torch(plant.model.joint_q).view(envs, -1)[0].clone()
-            home[self._position_columns] = plant.position_targets[0]
+            home[self._position_columns] = plant.position_targets[0] - self._zeros
             self._home_q = wp.clone(wp.from_torch(home))
             joints = plant.model.joint_count // envs
             self._home_frames = wp.clone(plant.model.joint_X_p[:joints])
@@ -98,6 +101,12 @@ class State:
                 inputs=[*self._columns, self._joint_q, self._joint_qd],
                 outputs=[wp.from_torch(self.joint_positions), wp.from_torch(self.joint_velocities)],
             )
+            wp.launch(
+                shift_joints,
+                dim=self.joint_positions.shape,
+                inputs=[wp.from_torch(self._zeros)],
+                outputs=[wp.from_torch(self.joint_positions)],
+            )
         wp.launch(
             read_links,
             dim=self.link_poses.shape[:2],
@@ -119,19 +128,16 @@ class State:
 
     # Writing ---------------------------------------------------------------------------------------------------------
 
-    def mark_written(self, rows: Tensor | slice) -> None:
+    def mark_written(self, rows: Rows) -> None:
         """What is derived no longer holds in these environments."""
         self._written[rows] = True
         self._current = False
 
-    def write_joints(
-        self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, rows: Tensor | slice
-    ) -> None:
-        block = rows if isinstance(rows, slice) else rows[:, None]
+    def write_joints(self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, rows: Rows) -> None:
         if positions is not None:
-            self._q[block, self._position_columns[joints]] = positions
+            self._q[block(rows, self._position_columns[joints])] = positions - self._zeros[joints]
         if velocities is not None:
-            self._qd[block, self._velocity_columns[joints]] = velocities
+            self._qd[block(rows, self._velocity_columns[joints])] = velocities
         self.mark_written(rows)
 
     def write_root(self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor) -> None:
@@ -148,8 +154,8 @@ class State:
                 dim=len(env_ids),
                 inputs=[
                     wp.from_torch(env_ids.contiguous()), links, plant.layout.entities[entity].root_link, joints,
-                    *map(int, places), pose is not None, velocity is not None, self._rows(pose), self._rows(velocity),
-                    plant.model.body_com,
+                    *map(int, places), pose is not None, velocity is not None, array_of(pose, self._no_rows),
+                    array_of(velocity, self._no_rows), plant.model.body_com,
                 ],
                 outputs=[self._joint_q, self._joint_qd, plant.model.joint_X_p],
             )  # fmt: skip
@@ -172,9 +178,6 @@ class State:
         state = self._plant.state
         flat = (state.joint_q, state.joint_qd, state.body_q, state.body_qd, self._plant.model.joint_X_p)
         return (*(wp.to_torch(array) for array in flat if array.size), self._plant.applied)
-
-    def _rows(self, values: Tensor | None) -> wp.array:
-        return self._no_rows if values is None else wp.from_torch(values.contiguous())
 
 
 def _turns(joint: Joint) -> bool:

@@ -22,7 +22,6 @@ class XpbdDynamics(Dynamics):
     """Drives and contacts are Newton's own."""
 
     maximal = True
-    armature_on_links = True
 
     def __init__(self, plant: Plant) -> None:
         config: XpbdConfig = plant.config

@@ -44,7 +44,8 @@ def write_drives(
     env, joint = wp.tid()
     dof = table.velocities[joint]
     q, v = joint_q[env, table.positions[joint]], joint_qd[env, dof]
-    asked = stiffness[env, joint] * (position_targets[env, joint] - q)
+    target = position_targets[env, joint] - table.zeros[joint]
+    asked = stiffness[env, joint] * (target - q)
     asked += damping[env, joint] * (velocity_targets[env, joint] - v) + efforts[env, joint]
     limit = table.effort_limit[joint]
     force = wp.clamp(asked, -limit, limit)
@@ -53,7 +54,7 @@ def write_drives(
     within = wp.where(beyond, 0.0, 1.0)
     ke, kd = within * stiffness[env, joint], within * damping[env, joint]
     drag = table.damping[joint] + table.friction[joint] / wp.max(wp.abs(v), friction_speed)
-    drives.target_q[env, table.targets[joint]] = position_targets[env, joint]
+    drives.target_q[env, table.targets[joint]] = target
     # Where there is damping, an effort is a velocity to be damped towards: so it acts in the sweeps, not before them.
     effort = wp.where(beyond, force, efforts[env, joint])
     damped = wp.where(kd + drag > 0.0, 1.0, 0.0)
