@@ -5,18 +5,22 @@ from __future__ import annotations
 import importlib.util
 import subprocess
 import sys
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 
-from orbit_core.conformance.bodies import cube, pendulum, scene
+from orbit_core.conformance.bodies import WEIGHTLESS, cube, pendulum, rotor, scene
 from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout, SimulationError
+from orbit_core.scene import ImplicitPd, JointType
 from orbit_warp.newton.backends import FeatherstoneBackend, NewtonBackend, XpbdBackend
 from orbit_warp.newton.config import FeatherstoneConfig, NewtonConfig, XpbdConfig
 
 BACKENDS = [FeatherstoneBackend, XpbdBackend]
-needs_newton = pytest.mark.skipif(not importlib.util.find_spec("newton"), reason="Newton is not installed")
+needs_newton = pytest.mark.skipif(
+    not importlib.util.find_spec("newton"), reason='Newton is not installed: pip install "orbit-core[newton]"'
+)
 
 
 def engine_of(backend: type[NewtonBackend], num_envs: int = 2, **settings: Any) -> Engine:
@@ -65,3 +69,17 @@ def test_a_full_contact_buffer_is_an_error_that_names_the_remedy() -> None:
     engine = engine_of(FeatherstoneBackend, contacts_per_env=2)
     with pytest.raises(SimulationError, match="contacts_per_env=4"):
         engine.step(2)
+
+
+@needs_newton
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_joint_is_driven_past_half_a_turn(backend: type[NewtonBackend]) -> None:
+    robot = rotor(actuators=(ImplicitPd(joints=(".*",), stiffness=100.0, damping=20.0),))
+    joint = replace(robot.articulation.joints[0], type=JointType.REVOLUTE, lower_limit=-0.02, upper_limit=3.75)
+    robot = replace(robot, articulation=replace(robot.articulation, joints=(joint,)))
+    layout = SceneLayout.of(scene(robot, gravity=WEIGHTLESS, terrain=()))
+    engine = backend().create_engine(layout, 2, torch.device("cpu"), backend.config_type())
+    engine.write_joint_state(torch.tensor([0]), torch.tensor([[3.0], [3.6]]), torch.zeros(2, 1))
+    engine.position_targets.fill_(3.3)
+    engine.step(400)
+    assert engine.joint_positions[:, 0].tolist() == pytest.approx([3.3, 3.3], abs=2e-3)

@@ -53,7 +53,9 @@ FEATHERSTONE = Capabilities(
         ),
         Capability.ARMATURE: EXACT,
         Capability.MIMIC_JOINTS: EXACT,
-        Capability.FRICTION: approximate("friction grows with the speed of slip: a held contact creeps at some mm/s"),
+        Capability.FRICTION: approximate(
+            "friction grows with the speed of slip: a held contact creeps, by up to 2 cm/s near the limit"
+        ),
         Capability.TORSIONAL_FRICTION: EXACT,
         Capability.ROLLING_FRICTION: EXACT,
         Capability.RESTITUTION: approximate("contacts are spring-dampers tuned to the rebound"),
@@ -69,21 +71,25 @@ XPBD = Capabilities(
     _COMMON
     | {
         Capability.IMPLICIT_DRIVES: approximate(
-            "each sweep applies its share of a drive: those of an arm may diverge at steps of 5 ms"
+            "each sweep applies its share of a drive, and the shares do not add up to the whole: responses are 1 % off"
         ),
         Capability.EFFORT_LIMITS: approximate("judged where a physics step begins"),
         Capability.JOINT_DAMPING: EXACT,
         Capability.JOINT_FRICTION: approximate(
             "friction is viscous below 0.005 rad/s (m/s): a held joint creeps so fast"
         ),
-        Capability.ARMATURE: approximate("inertia of the driven link, about every axis; none of sliding joints"),
+        Capability.ARMATURE: approximate(
+            "inertia of the driven link, about every axis and against the world; none of sliding joints"
+        ),
         Capability.MIMIC_JOINTS: EXACT,
         Capability.FRICTION: EXACT,
         Capability.TORSIONAL_FRICTION: EXACT,
         Capability.ROLLING_FRICTION: EXACT,
         Capability.RESTITUTION: EXACT,
         Capability.COMPLIANT_CONTACT: unsupported("XPBD's contacts are rigid"),
-        Capability.CONTACT_FORCES: EXACT,
+        Capability.CONTACT_FORCES: approximate(
+            "what the sweeps applied: up to a quarter off between things that lie on each other, and without rebounds"
+        ),
         Capability.JOINT_WRENCHES: unsupported(
             "what the sweeps applied is 0.7 % off a hanging link's weight at steps of 5 ms"
         ),

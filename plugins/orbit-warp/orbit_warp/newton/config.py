@@ -66,8 +66,8 @@ class FeatherstoneConfig(NewtonConfig):
 class XpbdConfig(NewtonConfig):
     """Positions corrected constraint by constraint."""
 
-    substeps: int = 10
-    iterations: int = 8
+    substeps: int = 4
+    iterations: int = 24
     """Sweeps over the constraints in a solver step."""
     joint_linear_relaxation: float = 0.7
     joint_angular_relaxation: float = 0.4

@@ -6,9 +6,7 @@ from orbit_core.interfaces import Gap
 
 _ROUNDING = "rounding in single precision adds up over twenty solver steps in each physics step"
 _FIRST_ORDER = "free and articulated motion is integrated in first order"
-_HELD = (
-    "an effort is held over the twenty solver steps of a physics step, so that a controller outside lags by half of one"
-)
+_HELD = "an effort is held over the solver steps of a physics step, so that a controller outside lags by half of one"
 _VISCOUS = "friction is viscous below joint_friction_speed, 0.005 rad/s (m/s)"
 _CREEP = "friction grows with the speed of slip up to Coulomb's limit, no more steeply than the step resolves"
 _ONE_COEFFICIENT = "there is one coefficient of sliding friction, the dynamic one"
@@ -56,4 +54,61 @@ FEATHERSTONE_GAPS = (
     Gap("force_torque_of_a_spinning_arm", "torque", 3.2e-3, _STATICS),
 )
 
-XPBD_GAPS: tuple[Gap, ...] = ()
+_DIFFERENCES = (
+    "angular velocities are differences of orientations in single precision: a change in a solver step is rounded to "
+    "about 1e-4 rad/s"
+)
+_DAMPED = "positions are corrected first and velocities follow, which damps motion in first order of the solver step"
+_SWEEPS = "joints are corrected in sweeps that end short of agreement, which takes energy and angular momentum"
+_SHARES = "each sweep applies its share of a drive, and the shares do not add up to the whole"
+_ROTORS = f"armature is inertia of the driven link against the world, not against its parent; {_DIFFERENCES}"
+_FINGERS = "sweeps pass on too little of the fingers' force: fingers of 0.2 kg do not lift a box of 1 kg"
+_SUPPORT = "forces are what the sweeps applied, which share what lies between several things unevenly"
+_REBOUND = "what restitution adds to velocities after the sweeps is no part of the forces told"
+
+XPBD_GAPS = (
+    Gap("projectile", "spin", 2.1e-3, _DIFFERENCES),
+    Gap("spinning_bodies", "energy", 6.3e-3, _DIFFERENCES),
+    Gap("floating_chain", "angular_momentum", 0.21, _SWEEPS),
+    Gap("floating_chain", "path", 1.8e-4, _SWEEPS),
+    Gap("floating_chain", "energy", 0.2, _SWEEPS),
+    Gap("pendulum", "small_period", 0.076, _DIFFERENCES),
+    Gap("pendulum", "large_period", 0.25, _DAMPED),
+    Gap("pendulum", "energy", 0.47, _DAMPED),
+    Gap("double_pendulum", "first_second", 1.2, _SWEEPS),
+    Gap("double_pendulum", "two_seconds", 1.2, _SWEEPS),
+    Gap("double_pendulum", "energy", 0.18, _SWEEPS),
+    Gap("joint_actuation", "revolute", 1.5, _DIFFERENCES),
+    Gap("reflected_inertia", "single", 2.3, _DIFFERENCES),
+    Gap("reflected_inertia", "chain", 0.84, _ROTORS),
+    Gap("joint_friction", "sliding", 0.01, _VISCOUS),
+    Gap("joint_friction", "creep", 1.5e-3, _VISCOUS),
+    Gap("joint_friction", "pushed", 1.5, _DIFFERENCES),
+    Gap("joint_friction", "driven", 8.6e-5, _DIFFERENCES),
+    Gap("effort_limits", "acceleration", 8e-5, _DIFFERENCES),
+    Gap("implicit_drive", "final", 7e-3, _SHARES),
+    Gap("explicit_drive", "final", 0.012, _HELD),
+    Gap("drive_tracking", "speed", 2.9e-5, _SHARES),
+    Gap("static_above_dynamic", "slip", 0.46, _ONE_COEFFICIENT),
+    Gap("ball_on_slope", "rolling", 7.6e-3, _FOUND),
+    Gap("collision_chain", "momentum", 5.4e-6, "velocities are differences of positions in single precision"),
+    Gap("resting_weight", "force", 4.6e-3, _SUPPORT),
+    Gap("resting_weight", "drift", 3.3e-5, _SUPPORT),
+    Gap("stack", "weight", 0.076, _SUPPORT),
+    Gap("grasp", "lift", 0.075, _FINGERS),
+    Gap("grasp", "limit", 0.15, _FINGERS),
+    Gap("contact_force_pairs", "net", 0.25, _SUPPORT),
+    Gap("contact_force_pairs", "pairs", 0.38, _SUPPORT),
+    Gap("contact_force_with_friction", "force", 2.2e-3, _SUPPORT),
+    Gap("contact_impulses", "net", 0.8, _REBOUND),
+    Gap("contact_impulses", "pairs", 0.8, _REBOUND),
+    Gap("landing_force", "force", 2e-5, "forces follow from positions in single precision"),
+    Gap("imu_in_a_circle", "angular_velocity", 0.024, _SHARES),
+    Gap("imu_in_a_circle", "acceleration", 0.059, _SHARES),
+    Gap("frame_and_joint_sensors", "joint_position", 5.7e-3, _SHARES),
+    Gap("frame_and_joint_sensors", "joint_velocity", 0.023, _SHARES),
+    Gap("frame_and_joint_sensors", "position", 2.3e-3, _SHARES),
+    Gap("frame_and_joint_sensors", "orientation", 2.9e-3, _SHARES),
+    Gap("frame_and_joint_sensors", "velocity", 0.027, _SHARES),
+    Gap("center_of_mass_per_environment", "sag", 0.043, _SHARES),
+)
