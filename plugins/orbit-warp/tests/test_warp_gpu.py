@@ -11,7 +11,7 @@ from orbit_core.tasks import make
 from orbit_core.tasks.environment import Environment
 from orbit_core.tasks.episode import StepInfo
 
-TASKS = ["Lift", "Reach", "Cabinet", "Velocity-Flat"]
+TASKS = ["Lift", "Reach", "Cabinet", "Velocity-Flat", "Handover"]
 WARM = 6
 """Steps: as it is, traced, run, recorded, and two replays."""
 
