@@ -43,7 +43,7 @@ class Extent:
     """At most; an episode may go on longer."""
 
 
-QUICK = Extent(episodes=8, throughput_envs=(16,), blocks=3, block_steps=10, video_seconds=1.0)
+QUICK = Extent(episodes=8, throughput_envs=(8,), blocks=3, block_steps=10, video_seconds=1.0)
 FULL = Extent(episodes=50, throughput_envs=(1, 16, 64, 256), blocks=5, block_steps=20, video_seconds=5.0)
 
 

@@ -10,15 +10,15 @@ from orbit_core.tasks import make
 
 # Task, robot, action space, how many environments run an episode, and the least success rate over them.
 EXPERTS = [
-    ("Reach", "franka_panda", "ik_relative", 32, 0.96),
+    ("Reach", "franka_panda", "ik_relative", 24, 0.95),
     ("Reach", "franka_panda", "ik_absolute", 16, 0.9),
     ("Reach", "franka_panda", "joint_position", 16, 0.9),
     ("Reach", "ur10_robotiq_2f85", "ik_relative", 16, 0.9),
-    ("Lift", "franka_panda", "ik_relative", 32, 0.96),
+    ("Lift", "franka_panda", "ik_relative", 24, 0.95),
     ("Lift", "franka_panda", "ik_absolute", 16, 0.9),
     ("Lift", "franka_panda", "joint_position", 16, 0.9),
     ("Lift", "ur10_robotiq_2f85", "ik_relative", 16, 0.9),
-    ("Cabinet", "franka_panda", "ik_relative", 32, 0.96),
+    ("Cabinet", "franka_panda", "ik_relative", 24, 0.95),
     ("Handover", "franka_panda", "ik_relative", 16, 0.93),
 ]
 
