@@ -27,7 +27,19 @@ from orbit_core.assets.validation import validate
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Mesh, MeshCollision
 
-_READERS = ("cache", "compose", "inertia", "merge", "meshes", "mjcf", "urdf", "usd", "usd_geometry", "validation")
+_READERS = (
+    "cache",
+    "compose",
+    "inertia",
+    "merge",
+    "meshes",
+    "mjcf",
+    "mjcf_geometry",
+    "urdf",
+    "usd",
+    "usd_geometry",
+    "validation",
+)
 
 
 @dataclass(frozen=True)

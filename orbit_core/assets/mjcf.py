@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
@@ -21,32 +20,23 @@ from typing import Any
 
 import numpy as np
 
+from orbit_core.assets.mjcf_geometry import Geoms, vector_of
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import (
     Articulation,
-    Box,
-    Capsule,
-    Color,
-    Cylinder,
     Frame,
-    Geometry,
     Joint,
     JointType,
     Link,
     LoopJoint,
-    Mesh,
     Mimic,
-    PhysicsMaterial,
     Pose,
     Shape,
-    Sphere,
 )
-from orbit_core.scene.pose import Vector3, canonical
+from orbit_core.scene.pose import canonical
 
 _LINK_MASS, _LINK_INERTIA = 1e-4, 1e-7
 """kg and kg m^2 of a link between two joints of one body: enough for an engine to invert, too little to be felt."""
-_UNPAINTED: Color = (0.5, 0.5, 0.5, 1.0)
-"""A geom of this colour shows its material's."""
 
 
 def read_mjcf(path: str | Path) -> Articulation:
@@ -78,6 +68,9 @@ class _Reader:
     path: Path
     name: str
     notes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._geoms = Geoms(self.model, self.mujoco, self.path, self.notes)
 
     def read(self) -> Articulation:
         model = self.model
@@ -121,7 +114,7 @@ class _Reader:
             if others:
                 self.notes.append(f"bodies fixed in the world are left out: {self._names(others)}")
             return free[0], self._descendants(free[0])
-        if len(top) == 1 and model.body_jntnum[top[0]] == 0 and not any(True for _ in self._geoms_of(0)):
+        if len(top) == 1 and model.body_jntnum[top[0]] == 0 and not any(True for _ in self._geoms.of_body(0)):
             return top[0], self._descendants(top[0])
         if not top and not model.body_geomnum[0]:
             raise AssetError(f"{self.path} holds no body: give it one")
@@ -142,7 +135,7 @@ class _Reader:
         """The joints of a body in order, the outermost first, and the links between them."""
         model = self.model
         name, parent = self._body_name(body), self._body_name(int(model.body_parentid[body]))
-        at_rest = Pose(_vector(model.body_pos[body]), canonical(tuple(model.body_quat[body])))
+        at_rest = Pose(vector_of(model.body_pos[body]), canonical(tuple(model.body_quat[body])))
         indices = self._joints_of(body)
         if not indices:
             return [], [Joint(f"{name}_fixed", JointType.FIXED, parent, name, at_rest)]
@@ -166,15 +159,15 @@ class _Reader:
         limited = bool(model.jnt_limited[index])
         lower, upper = model.jnt_range[index] if limited else (-math.inf, math.inf)
         dof = int(model.jnt_dofadr[index])
-        axis = _vector(model.jnt_axis[index])
-        anchor = Pose(_vector(model.jnt_pos[index]))
+        axis = vector_of(model.jnt_axis[index])
+        anchor = Pose(vector_of(model.jnt_pos[index]))
         if model.jnt_stiffness[index]:
             self.notes.append(
                 f"the spring of joint '{name}' is left out: {model.jnt_stiffness[index]:g} N/m or N m/rad"
             )
         # The file places bodies where the joint is at its reference; the description, where it is at zero.
         reference = float(model.qpos0[model.jnt_qposadr[index]])
-        back = Pose.from_axis_angle(axis, -reference) if angular else Pose(_vector(-reference * np.asarray(axis)))
+        back = Pose.from_axis_angle(axis, -reference) if angular else Pose(vector_of(-reference * np.asarray(axis)))
         kinds = (JointType.REVOLUTE if limited else JointType.CONTINUOUS) if angular else JointType.PRISMATIC
         return Joint(
             name,
@@ -220,81 +213,19 @@ class _Reader:
         model = self.model
         collisions: list[Shape] = []
         visuals: list[Shape] = []
-        for geom in self._geoms_of(body):
-            shape = self._shape(geom)
+        for geom in self._geoms.of_body(body):
+            shape = self._geoms.shape(geom)
             collisions += [shape] if self._collides(geom) else []
             visuals += [shape] if model.geom_group[geom] <= 2 and shape.color[3] > 0 else []
         axes = Pose(orientation=canonical(tuple(model.body_iquat[body]))).rotation_matrix()
         return Link(
             self._body_name(body),
             float(model.body_mass[body]),
-            _vector(model.body_ipos[body]),
+            vector_of(model.body_ipos[body]),
             axes @ np.diag(model.body_inertia[body]) @ axes.T,
             tuple(collisions),
             tuple(visuals),
         )
-
-    def _geoms_of(self, body: int) -> Iterator[int]:
-        """The body's geoms, without terrain."""
-        model, kinds = self.model, self.mujoco.mjtGeom
-        first = int(model.body_geomadr[body])
-        for geom in range(first, first + int(model.body_geomnum[body])):
-            if kinds(model.geom_type[geom]) not in (kinds.mjGEOM_PLANE, kinds.mjGEOM_HFIELD):
-                yield geom
-
-    def _shape(self, geom: int) -> Shape:
-        model = self.model
-        pose = Pose(_vector(model.geom_pos[geom]), canonical(tuple(model.geom_quat[geom])))
-        sliding, torsional, rolling = (float(value) for value in model.geom_friction[geom])
-        dimensions = int(model.geom_condim[geom])
-        sliding = sliding if dimensions >= 3 else 0.0
-        material = PhysicsMaterial(
-            static_friction=sliding,
-            dynamic_friction=sliding,
-            torsional_friction=torsional if dimensions >= 4 else 0.0,
-            rolling_friction=rolling if dimensions >= 6 else 0.0,
-        )
-        return Shape(self._geometry(geom), pose, material, self._color(geom), model.geom(geom).name)
-
-    def _geometry(self, geom: int) -> Geometry:
-        model, kinds = self.model, self.mujoco.mjtGeom
-        x, y, z = size = _vector(model.geom_size[geom])
-        match kinds(model.geom_type[geom]):
-            case kinds.mjGEOM_BOX:
-                return Box(size)
-            case kinds.mjGEOM_SPHERE:
-                return Sphere(x)
-            case kinds.mjGEOM_CAPSULE:
-                return Capsule(x, y)
-            case kinds.mjGEOM_CYLINDER:
-                return Cylinder(x, y)
-            case kinds.mjGEOM_ELLIPSOID:
-                return self._ellipsoid((x, y, z), geom)
-            case kinds.mjGEOM_MESH:
-                return self._mesh(int(model.geom_dataid[geom]))
-            case kind:
-                raise AssetError(f"geom '{model.geom(geom).name}' of {self.path} is of {kind.name}: make it a mesh")
-
-    def _ellipsoid(self, radii: Vector3, geom: int) -> Mesh:
-        from trimesh.creation import icosphere
-
-        self.notes.append(f"ellipsoid {self.model.geom(geom).name or geom} is a mesh of 320 triangles")
-        ball = icosphere(subdivisions=2)
-        return Mesh(np.asarray(ball.vertices) * radii, np.asarray(ball.faces))
-
-    def _mesh(self, mesh: int) -> Mesh:
-        model = self.model
-        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-        face, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-        return Mesh(model.mesh_vert[first : first + count].copy(), model.mesh_face[face : face + faces].copy())
-
-    def _color(self, geom: int) -> Color:
-        model = self.model
-        rgba = model.geom_rgba[geom]
-        if model.geom_matid[geom] >= 0 and np.allclose(rgba, _UNPAINTED):
-            rgba = model.mat_rgba[model.geom_matid[geom]]
-        red, green, blue, alpha = (float(value) for value in rgba)
-        return (red, green, blue, alpha)
 
     def _frame(self, site: int) -> Frame:
         model = self.model
@@ -302,7 +233,7 @@ class _Reader:
         name = model.site(site).name or f"site_{site}"
         if name in {self._body_name(each) for each in range(model.nbody)}:
             name = f"{name}_site"
-        return Frame(name, body, Pose(_vector(model.site_pos[site]), canonical(tuple(model.site_quat[site]))))
+        return Frame(name, body, Pose(vector_of(model.site_pos[site]), canonical(tuple(model.site_quat[site]))))
 
     def _constraints(self) -> list[int]:
         """Indices of the equality constraints that hold from the beginning."""
@@ -343,12 +274,12 @@ class _Reader:
             points = model.site_pos[ends[0]], model.site_pos[ends[1]]
             ends = int(model.site_bodyid[ends[0]]), int(model.site_bodyid[ends[1]])
         first, second = (self._body_name(body) for body in ends)
-        return LoopJoint(f"loop_{self._constraint_name(index)}", first, second, *map(_vector, points))
+        return LoopJoint(f"loop_{self._constraint_name(index)}", first, second, *map(vector_of, points))
 
     def _collisions(self, bodies: list[int]) -> tuple[bool, list[tuple[str, str]]]:
         """Whether any two links may collide, and the pairs that never do although others may."""
         model = self.model
-        colliders = {body: [geom for geom in self._geoms_of(body) if self._collides(geom)] for body in bodies}
+        colliders = {body: [geom for geom in self._geoms.of_body(body) if self._collides(geom)] for body in bodies}
         solid = [body for body in bodies if colliders[body]]
         # An exclusion's signature is the two bodies' numbers, 16 bits each.
         excluded = {(int(mark) >> 16, int(mark) & 0xFFFF) for mark in model.exclude_signature}
@@ -410,8 +341,3 @@ class _Reader:
 
 def _largest(limits: Any) -> float:
     return float(np.abs(limits).max())
-
-
-def _vector(values: Any) -> Vector3:
-    x, y, z = (float(value) for value in values)
-    return (x, y, z)
