@@ -44,7 +44,7 @@ class Extent:
 
 
 QUICK = Extent(episodes=8, throughput_envs=(8,), blocks=3, block_steps=10, video_seconds=1.0)
-FULL = Extent(episodes=50, throughput_envs=(1, 16, 64, 256), blocks=5, block_steps=20, video_seconds=5.0)
+FULL = Extent(episodes=50, throughput_envs=(1, 16, 64), blocks=5, block_steps=20, video_seconds=5.0)
 
 
 @dataclass(frozen=True, kw_only=True)
