@@ -1,10 +1,12 @@
-"""The committed report has every installed backend, and what its page shows is there."""
+"""The committed report is of a whole run on every backend, and what its page shows is there."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from orbit_core.conformance.jobs import Kind
 from orbit_core.conformance.results import load
+from orbit_core.conformance.tolerances import loose_tolerances
 
 FOLDER = Path(__file__).parents[2] / "docs" / "conformance"
 
@@ -17,3 +19,10 @@ def test_every_engine_is_in_the_report_and_its_videos_are_there() -> None:
     assert videos
     assert all(name in page and (FOLDER / name).exists() for name in videos)
     assert not result.objections
+
+
+def test_it_is_whole_and_no_tolerance_is_loose_without_a_reason() -> None:
+    result = load(FOLDER)
+    assert not result.header.settings.quick
+    assert {record.job.kind for record in result.records} == {*Kind}
+    assert [str(loose) for loose in loose_tolerances(result)] == []
