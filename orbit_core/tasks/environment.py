@@ -118,7 +118,9 @@ class Environment:
             self.world.random.seed(seed, env_ids)
         with SingleThreaded():
             self.begin(env_ids)
-            return self._observe_new(env_ids), {}
+            if env_ids is None:
+                return self._observe(), {}
+            return self._observe_new(torch.zeros_like(self.done).index_fill_(0, env_ids, True)), {}
 
     def step(self, action: Tensor) -> StepResult:
         """One step of all environments.
@@ -149,7 +151,7 @@ class Environment:
         final = self._everyone(self._observe()["policy"]).only(ended)
         self.progress()
         self.begin(ended)
-        return self._observe_new(ended), reward, terminated, truncated, {"final": final}
+        return self._observe_new(self.done), reward, terminated, truncated, {"final": final}
 
     def observe(self) -> Observation:
         """What a policy sees of the present state: what the last reset or step returned."""
@@ -250,12 +252,8 @@ class Environment:
             return self._seen[1]
         return self.observer()
 
-    def _observe_new(self, env_ids: Tensor | None) -> Observation:
-        """Of new episodes; the other environments have been observed already."""
-        if env_ids is None:
-            return self._observe()
-        began = torch.zeros_like(self.done)
-        began[env_ids] = True
+    def _observe_new(self, began: Tensor) -> Observation:
+        """Where episodes began (N,) bool; the other environments have been observed already."""
         with self.world.masking.only(began):
             return self._observe()
 
@@ -292,9 +290,10 @@ class Environment:
 
     def progress(self) -> None:
         """Let episodes that have just ended decide how difficult the next will be."""
-        for term in self._curriculum.values():
-            following = self.task.difficulty + term.function(self.world, self.task)
-            write_rows(self.task.difficulty, following.clamp(0.0, 1.0), self.done)
+        if self._curriculum:
+            changes = [term.function(self.world, self.task) for term in self._curriculum.values()]
+            following = torch.stack([self.task.difficulty, *changes]).sum(0).clamp(0.0, 1.0)
+            write_rows(self.task.difficulty, following, self.done)
 
     def begin(self, env_ids: Tensor | None) -> None:
         """New episodes in some environments, by index, or by mask where the step is traced."""

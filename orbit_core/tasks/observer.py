@@ -65,8 +65,8 @@ class _DelayLine:
             )
         self._world = world
         value = term.function(world, task)
-        self._history = value.new_zeros(len(value), self._most + 1, *value.shape[1:])
-        """The newest first."""
+        self._history = value.new_zeros(len(value), self._most + 1, value.shape[1])
+        """(N, steps, k), the newest first."""
         self._steps = torch.zeros(len(value), dtype=torch.int64, device=value.device)
         self._fresh = torch.ones(len(value), dtype=torch.bool, device=value.device)
         """(N,) whose episode has measured nothing yet."""
@@ -79,9 +79,8 @@ class _DelayLine:
     def push(self, value: Tensor) -> Tensor:
         newest = value[:, None]
         shifted = torch.cat((newest, self._history[:, :-1]), dim=1)
-        history = torch.where(self._fresh.view(-1, *(1 for _ in shifted.shape[1:])), newest, shifted)
+        history = torch.where(self._fresh[:, None, None], newest, shifted)
         rows = self._world.masking.rows(None)  # the others have measured in this step already
         write_rows(self._history, history, rows)
         write_rows(self._fresh, 0.0, rows)
-        late = self._steps.view(-1, *(1 for _ in shifted.shape[1:])).expand_as(newest)
-        return self._history.gather(1, late).squeeze(1)
+        return self._history.gather(1, self._steps[:, None, None].expand_as(newest)).squeeze(1)

@@ -62,8 +62,6 @@ class WarpEngine(Engine):
         super().__init__(layout, num_envs, device)
         wp.config.log_level = wp.LOG_WARNING  # Graphs tells what the user should know
         wp.init()
-        wp.config.quiet = True
-        wp.init()
         kinds = build_models(layout, config)
         built, addresses = kinds[0], kinds[0].addresses
         self._report = tuple(dict.fromkeys(line for kind in kinds for line in kind.report))
