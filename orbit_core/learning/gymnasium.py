@@ -52,7 +52,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
         self.single_action_space = action_space(self.environment)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
-        self._camera: OverviewCamera | None = None
+        self._spectator = Spectator(self.environment, self.render_mode)
 
     @property
     def device(self) -> torch.device:
@@ -74,14 +74,11 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
         return observation, reward, terminated, truncated, final
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
-        if self.render_mode is None:
-            return None
-        self._camera = self._camera or overview_camera(self.environment)
-        return tuple(self._camera.pictures().numpy())
+        pictures = self._spectator.pictures()
+        return None if pictures is None else tuple(pictures)
 
     def close_extras(self, **kwargs: Any) -> None:
-        if self._camera is not None:
-            self._camera.close()
+        self._spectator.close()
         self.environment.close()
 
 
@@ -96,7 +93,7 @@ class SingleEnvironment(gymnasium.Env[dict[str, npt.NDArray[np.float32]], npt.ND
         self.render_mode = checked_mode(render_mode)
         self.observation_space = observation_space(self.environment)
         self.action_space = action_space(self.environment)
-        self._camera: OverviewCamera | None = None
+        self._spectator = Spectator(self.environment, self.render_mode)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -116,20 +113,33 @@ class SingleEnvironment(gymnasium.Env[dict[str, npt.NDArray[np.float32]], npt.ND
         return _arrays(observation), float(reward), bool(terminated), bool(truncated), outcome(end, 0)
 
     def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        if self.render_mode is None:
-            return None
-        self._camera = self._camera or overview_camera(self.environment)
-        return self._camera.pictures()[0].numpy()
+        pictures = self._spectator.pictures()
+        return None if pictures is None else pictures[0]
 
     def close(self) -> None:
-        if self._camera is not None:
-            self._camera.close()
+        self._spectator.close()
         self.environment.close()
 
 
-def overview_camera(environment: Environment) -> OverviewCamera:
-    """What draws a spectator's pictures."""
-    return OverviewCamera(environment.world, 640, 480, environment.task.view)
+class Spectator:
+    """What ``render`` shows: pictures from the task's own view where there is a render mode, made on first use."""
+
+    def __init__(self, environment: Environment, render_mode: str | None) -> None:
+        self._environment = environment
+        self._render_mode = render_mode
+        self._camera: OverviewCamera | None = None
+
+    def pictures(self) -> npt.NDArray[np.uint8] | None:
+        """(N, 480, 640, 3) of all environments; None without a render mode."""
+        if self._render_mode is None:
+            return None
+        self._camera = self._camera or OverviewCamera(self._environment.world, 640, 480, self._environment.task.view)
+        return self._camera.pictures().numpy()
+
+    def close(self) -> None:
+        """Free what draws; the environment stays."""
+        if self._camera is not None:
+            self._camera.close()
 
 
 def _metadata(environment: Environment, mode: AutoresetMode) -> dict[str, Any]:

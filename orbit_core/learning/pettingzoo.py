@@ -11,11 +11,10 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.learning.gymnasium import checked_mode, outcome, overview_camera
+from orbit_core.learning.gymnasium import Spectator, checked_mode, outcome
 from orbit_core.tasks.environment import make
 from orbit_core.tasks.episode import EpisodeEnd
 from orbit_core.tasks.task import Task
-from orbit_core.viewer.pictures import OverviewCamera
 
 Array = npt.NDArray[np.float32]
 
@@ -57,7 +56,7 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
         }
         self.state_space = spaces.Box(-np.inf, np.inf, (self.environment.observation_size,), np.float32)
         self._state = np.zeros(self.state_space.shape, np.float32)
-        self._camera: OverviewCamera | None = None
+        self._spectator = Spectator(self.environment, self.render_mode)
 
     def observation_space(self, agent: str) -> spaces.Space[Array]:
         return self.observation_spaces[agent]
@@ -98,14 +97,11 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
         return self._state
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        if self.render_mode is None:
-            return None
-        self._camera = self._camera or overview_camera(self.environment)
-        return self._camera.pictures()[0].numpy()
+        pictures = self._spectator.pictures()
+        return None if pictures is None else pictures[0]
 
     def close(self) -> None:
-        if self._camera is not None:
-            self._camera.close()
+        self._spectator.close()
         self.environment.close()
 
     def _observed(self, observation: torch.Tensor) -> dict[str, Array]:
