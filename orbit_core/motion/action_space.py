@@ -22,7 +22,8 @@ def action_space(robot: Robot, name: str, prefix: str = "") -> tuple[MotionGener
 
     The first moves the arm of the robot's end effector, or all driven joints where the robot is legged or has none; the
     gripper of an arm adds one more. In ``joint_position``, one unit of action is half a radian from home for legs and
-    two for an arm; other robots, such as hands, span their joints' limits. ``prefix`` begins the generators' names, so
+    two for an arm; other robots, such as hands, span their joints' limits. An arm's position targets lead its joints by
+    no more than their velocity limits allow, as its own controller would see to. ``prefix`` begins the generators' names, so
     that those of several robots fit into one agent.
 
     Raises:
@@ -69,11 +70,13 @@ _WITHOUT: Mapping[str, Mapping[str, float]] = {
 
 def _joint_position(robot: Robot) -> MotionGenerator:
     scale = 2.0 if is_arm(robot.spec) else 0.5 if robot.spec.feet else None
-    return JointPosition("joint_position", robot, JointPositionConfig(scale=scale))
+    config = JointPositionConfig(scale=scale, limit_speed=is_arm(robot.spec))
+    return JointPosition("joint_position", robot, config)
 
 
 def _joint_position_relative(robot: Robot) -> MotionGenerator:
-    return JointPosition("joint_position_relative", robot, JointPositionConfig(scale=0.05, relative=True))
+    config = JointPositionConfig(scale=0.05, relative=True, limit_speed=is_arm(robot.spec))
+    return JointPosition("joint_position_relative", robot, config)
 
 
 def _joint_velocity(robot: Robot) -> MotionGenerator:

@@ -6,6 +6,7 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from enum import Enum
 
+import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import columns_of
@@ -101,3 +102,18 @@ def commanded_joints(spec: RobotSpec) -> list[int]:
 def chosen_joints(robot: Robot, patterns: Sequence[str] | None) -> list[int]:
     """Indices of the joints that match; :func:`commanded_joints` if None."""
     return commanded_joints(robot.spec) if patterns is None else robot.find_joints(*patterns)
+
+
+def speed_limited_lead(robot: Robot, joints: Sequence[int]) -> Tensor:
+    """(k,) rad or m by which a position target may lead a joint, so that its drive never drives it too fast.
+
+    ``velocity limit * damping / stiffness``: at the velocity limit the drive's effort,
+    ``stiffness * lead - damping * velocity``, is zero. Infinite for a joint without limit or without stiffness.
+    """
+    leads = torch.full((len(robot.joints),), torch.inf, device=robot.home_positions.device)
+    for group in robot.spec.actuators:
+        for joint in robot.find_joints(*group.joints):
+            limit = robot.joints[joint].velocity_limit if group.velocity_limit is None else group.velocity_limit
+            if group.stiffness > 0.0:
+                leads[joint] = limit * group.damping / group.stiffness
+    return leads[list(joints)]

@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError, Robot
-from orbit_core.motion.base import JointTarget, MotionGenerator, chosen_joints
+from orbit_core.motion.base import JointTarget, MotionGenerator, chosen_joints, speed_limited_lead
 from orbit_core.motion.pursuit import towards_pose
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointPositionConfig:
-    """Targets are clipped to the joints' limits.
+    """Targets are clipped to the joints' limits, and to what ``limit_speed`` says.
 
     Absolute: ``target = home + scale * command``. Relative: ``target += scale * command``, from the measured positions
     after a reset.
@@ -28,6 +28,9 @@ class JointPositionConfig:
     """rad or m. None (absolute only) puts -1, 0 and 1 at lower limit, home and upper limit, linear in between; a
     joint without limits takes half a turn either way."""
     relative: bool = False
+    limit_speed: bool = False
+    """Whether targets lead the measured positions by no more than :func:`orbit_core.motion.base.speed_limited_lead`.
+    For well damped drives, as an arm's: the effort left at standstill is ``damping * velocity limit``."""
 
 
 class JointPosition(MotionGenerator):
@@ -41,6 +44,7 @@ class JointPosition(MotionGenerator):
         self.config = config
         self._home = robot.home_positions[joints]
         self._above, self._below = self._spans()
+        self._lead = speed_limited_lead(robot, joints) if config.limit_speed else None
         self._targets = torch.zeros(self.num_envs, len(joints), device=self.device)
         self._stale = torch.ones(self.num_envs, 1, dtype=torch.bool, device=self.device)
 
@@ -51,6 +55,8 @@ class JointPosition(MotionGenerator):
             targets = torch.addcmul(self._home, command, span)
         else:
             targets = torch.addcmul(self._last_targets(), command, self._above)
+        if self._lead is not None:
+            targets = torch.clamp(targets, self.positions - self._lead, self.positions + self._lead)
         targets = torch.clamp(targets, self.lower_limits, self.upper_limits)
         if self.config.relative:
             self._targets.copy_(targets)

@@ -124,6 +124,20 @@ def test_relative_targets_accumulate_and_start_from_the_measured_positions(kinem
     torch.testing.assert_close(targets, start + torch.tensor([[0.1], [0.3], [0.1], [0.1]]))
 
 
+@pytest.mark.parametrize("relative", [False, True])
+def test_at_the_velocity_limit_a_speed_limited_drive_pushes_no_more(kinematic_robot: MakeRobot, relative: bool) -> None:
+    robot = kinematic_robot()
+    config = JointPositionConfig(scale=3.0, relative=relative, limit_speed=True)
+    generator = JointPosition("joints", robot, config)
+    (drive,) = (group for group in robot.spec.actuators if "panda_joint[1-7]" in group.joints)
+    targets = generator.compute({"command": torch.full((4, 7), 1.0)})["position_targets"]
+    limits = torch.tensor([joint.velocity_limit for joint in robot.joints[:7]])
+    effort = drive.stiffness * (targets - generator.positions) - drive.damping * limits
+    assert (effort < 1e-3).all()
+    free = targets < generator.upper_limits - 1e-3
+    assert free.any() and (effort[free] > -1e-3).all()
+
+
 def test_relative_joint_positions_need_a_scale(kinematic_robot: MakeRobot) -> None:
     with pytest.raises(ConfigurationError, match="scale"):
         JointPosition("joints", kinematic_robot(), JointPositionConfig(scale=None, relative=True))
