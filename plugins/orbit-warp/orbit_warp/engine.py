@@ -101,14 +101,14 @@ class WarpEngine(Engine):
             self._graphs.run(("step", steps), lambda: self._take(steps))
         else:
             self._repeat(steps)
-        self._state.mark_current()
+        self._state.mark_stepped()
         if self.device.type == "cpu":
             self._faults.report()
 
     def record(self, operations: Callable[[], None]) -> Callable[[], None]:
         if self.device.type == "cpu" or not self._capture:
             return operations
-        return Recording(self._graphs, operations, self._prepare_recording, self._state.mark_current)
+        return Recording(self._graphs, operations, self._prepare_recording, self._state.mark_stepped)
 
     def _prepare(self) -> None:
         """What a step needs the host for."""
@@ -244,7 +244,7 @@ class WarpEngine(Engine):
     def cast_rays(
         self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None = None
     ) -> RayHits:
-        self._state.refresh()
+        self._state.refresh_bodies()
         return self._rays.cast(origins, directions, max_distance, env_ids)
 
     # Parameters per environment --------------------------------------------------------------------------------------

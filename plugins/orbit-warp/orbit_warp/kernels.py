@@ -61,35 +61,6 @@ def read_joints(
 
 
 @wp.kernel(enable_backward=False)
-def read_links(
-    bodies: wp.array[int],
-    roots: wp.array[int],
-    xpos: wp.array2d[wp.vec3],
-    xquat: wp.array2d[wp.quat],
-    cvel: wp.array2d[wp.spatial_vector],
-    subtree_com: wp.array2d[wp.vec3],
-    poses: wp.array3d[float],
-    velocities: wp.array3d[float],
-):
-    """``cvel`` is angular, then linear velocity at the centre of mass of the tree: move it to the link's origin."""
-    env, link = wp.tid()
-    body = bodies[link]
-    position, q = xpos[env, body], xquat[env, body]
-    sign = wp.float32(1.0)
-    if q[0] < 0.0:
-        sign = -1.0
-    spatial = cvel[env, body]
-    spin = wp.spatial_top(spatial)
-    linear = wp.spatial_bottom(spatial) + wp.cross(spin, position - subtree_com[env, roots[link]])
-    for i in range(3):
-        poses[env, link, i] = position[i]
-        velocities[env, link, i] = linear[i]
-        velocities[env, link, 3 + i] = spin[i]
-    for i in range(4):
-        poses[env, link, 3 + i] = sign * q[i]
-
-
-@wp.kernel(enable_backward=False)
 def write_root(
     env_ids: wp.array[wp.int64],
     mocap: int,

@@ -17,8 +17,9 @@ from torch import Tensor
 
 from orbit_core.interfaces import SceneLayout
 from orbit_mjmodel.addresses import Addresses, columns
+from orbit_warp.forward import ForwardKinematics
 from orbit_warp.graphs import Graphs
-from orbit_warp.kernels import read_joints, read_links, write_root
+from orbit_warp.kernels import read_joints, write_root
 from orbit_warp.rows import array_of
 
 if TYPE_CHECKING:
@@ -45,27 +46,32 @@ class State:
             self._joint_positions, self._joint_velocities = self._qpos[:, places[0]], self._qvel[:, places[1]]
         self._link_poses = torch.zeros(envs, len(layout.links), 7, device=device)
         self._link_velocities = torch.zeros(envs, len(layout.links), 6, device=device)
-        self._bodies = wp.array(addresses.bodies, dtype=int)
-        self._roots = wp.array(addresses.roots, dtype=int)
+        self._kinematics = ForwardKinematics(addresses, native, self._link_poses, self._link_velocities)
         self._joint_addresses = [
             wp.array(a, dtype=int) for a in (addresses.joint_positions, addresses.joint_velocities)
         ]
         self._no_rows = wp.zeros((1, 7), dtype=float)
-        self._current = False
+        self._current = self._bodies_current = False
 
     def mark_written(self) -> None:
         """What is derived no longer holds."""
-        self._current = False
+        self._current = self._bodies_current = False
 
-    def mark_current(self) -> None:
-        """:meth:`derive` was run by a graph."""
-        self._current = True
+    def mark_stepped(self) -> None:
+        """:meth:`derive` was run by a graph, after whatever moved the bodies."""
+        self._current, self._bodies_current = True, False
 
     def refresh(self) -> None:
         """Derive what a write left behind."""
         if not self._current:
             self._graphs.run("derive", self.derive)
             self._current = True
+
+    def refresh_bodies(self) -> None:
+        """Derive what MuJoCo-Warp itself reads: its own poses and velocities of bodies, and geoms."""
+        if not self._bodies_current:
+            self._graphs.run("derive bodies", self.derive_bodies)
+            self._bodies_current = True
 
     def derive_bodies(self) -> None:
         """Launch what brings MuJoCo-Warp's own poses and velocities of bodies up to date."""
@@ -75,20 +81,13 @@ class State:
 
     def derive(self) -> None:
         """Launch what brings poses and velocities up to date."""
-        data = self._data
-        self.derive_bodies()
         if self._link_poses.numel():
-            wp.launch(
-                read_links,
-                dim=self._link_poses.shape[:2],
-                inputs=[self._bodies, self._roots, data.xpos, data.xquat, data.cvel, data.subtree_com],
-                outputs=[wp.from_torch(self._link_poses), wp.from_torch(self._link_velocities)],
-            )
+            self._kinematics.launch()
         if self._gathered:
             wp.launch(
                 read_joints,
                 dim=self._joint_positions.shape,
-                inputs=[*self._joint_addresses, data.qpos, data.qvel],
+                inputs=[*self._joint_addresses, self._data.qpos, self._data.qvel],
                 outputs=[wp.from_torch(self._joint_positions), wp.from_torch(self._joint_velocities)],
             )
 
