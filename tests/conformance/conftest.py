@@ -43,13 +43,18 @@ def needs(backend: Backend) -> Needs:
 
 
 @pytest.fixture
-def make_engine(backend: Backend, request: pytest.FixtureRequest) -> Iterator[MakeEngine]:
+def device(request: pytest.FixtureRequest) -> torch.device:
+    """Where the engines under test live."""
+    return torch.device(str(request.config.getoption("--device", "cpu")))
+
+
+@pytest.fixture
+def make_engine(backend: Backend, device: torch.device) -> Iterator[MakeEngine]:
     """An engine of a scene: ``make_engine(scene, num_envs=1, **settings)``; closed after the test.
 
     A scene that the backend refuses, for lack of what it declares, skips the test.
     """
     made: list[Engine] = []
-    device = torch.device(str(request.config.getoption("--device", "cpu")))
 
     def make(scene: Scene, num_envs: int = 1, **settings: Any) -> Engine:
         try:

@@ -59,10 +59,9 @@ def poses(*places: Pose) -> Tensor:
 
 
 @pytest.fixture
-def draw(backend: Backend, request: pytest.FixtureRequest) -> Iterator[Draw]:
+def draw(backend: Backend, device: torch.device) -> Iterator[Draw]:
     """``draw(objects, terrain, camera, channels, link_poses)``: pictures of environments with those poses (n, L, 7)."""
     made: list[Renderer] = []
-    device = torch.device(str(request.config.getoption("--device", "cpu")))
 
     def picture(
         objects: tuple[ObjectSpec, ...],
@@ -244,7 +243,7 @@ def test_only_channels_asked_for_come_back(draw):
     assert image.links is None
 
 
-def test_an_arrow_marker_is_as_long_as_it_says(backend):
+def test_an_arrow_marker_is_as_long_as_it_says(backend, device):
     if not backend.capabilities().has(Capability.RGB):
         pytest.skip(f"{backend.name}: {backend.capabilities()[Capability.RGB].reason}")
     camera = eye((2.0, 0, 0.5), (0, 0, 0.5))
@@ -253,10 +252,10 @@ def test_an_arrow_marker_is_as_long_as_it_says(backend):
     renderer = backend.create_renderer(layout, (camera,), backends.backend_config(backend))
     along_y = poses(Pose.from_euler(0.0, 0.0, np.pi / 2, (0.0, -0.1, 0.5)))
     images = [
-        renderer.render(camera, poses(camera.pose), NO_LINKS, (Channel.RGB,), markers).rgb[0].float()
-        for markers in (along_y[None], None)
+        renderer.render(camera, poses(camera.pose).to(device), NO_LINKS.to(device), (Channel.RGB,), markers).rgb[0]
+        for markers in (along_y[None].to(device), None)
     ]
-    columns = ((images[0] - images[1]).abs().sum(-1) > 60).any(0).nonzero().ravel()
+    columns = ((images[0].cpu().float() - images[1].cpu().float()).abs().sum(-1) > 60).any(0).nonzero().ravel()
     ends = torch.tensor([[0.0, -0.1, 0.5], [0.0, 0.5, 0.5]])
     expected = project(transform_points(pose_inverse(poses(camera.pose)), ends), intrinsic_matrix(camera))[:, 0]
     seen = torch.tensor([columns.min(), columns.max() + 1.0])
@@ -264,7 +263,7 @@ def test_an_arrow_marker_is_as_long_as_it_says(backend):
     renderer.close()
 
 
-def test_positions_lie_on_the_surfaces_that_are_seen(backend):
+def test_positions_lie_on_the_surfaces_that_are_seen(backend, device):
     """Through the camera sensor, which has them from depth: a ball turned with its link, on a level ground."""
     need = Capability.DEPTH
     if not backend.capabilities().has(need):
@@ -272,9 +271,9 @@ def test_positions_lie_on_the_surfaces_that_are_seen(backend):
     camera = eye((1.5, -0.8, 0.9), (0.2, 0.1, 0.0), channels=(Channel.POSITION, Channel.INSTANCE), far=3.0)
     center, radius = torch.tensor((0.2, 0.1, 0.2)), 0.2
     ball = replace(entity("ball", (Shape(Sphere(radius)),)), pose=Pose(tuple(center.tolist())), fixed_base=True)
-    world = SimulatedWorld(Scene(objects=(ball,), terrain=(GROUND,), sensors=(camera,)), 2, backend.name)
+    world = SimulatedWorld(Scene(objects=(ball,), terrain=(GROUND,), sensors=(camera,)), 2, backend.name, device=device)
     sensor = world.sensors["eye"]
-    points, seen = sensor.image(Channel.POSITION), sensor.image(Channel.INSTANCE)[..., 0]
+    points, seen = sensor.image(Channel.POSITION).cpu(), sensor.image(Channel.INSTANCE)[..., 0].cpu()
     assert points.shape == (2, 48, 64, 3)
     assert points.dtype == torch.float32
     distance = (points[seen == 0] - center).norm(dim=-1)

@@ -36,12 +36,12 @@ def thing(height: float = 0.12) -> ObjectSpec:
 
 
 @pytest.fixture
-def make_world(backend: Backend, request: pytest.FixtureRequest) -> Iterator[MakeWorld]:
+def make_world(backend: Backend, device: torch.device) -> Iterator[MakeWorld]:
     """``make_world(scene, num_envs)`` on the device of ``--device``; closed after the test."""
     made: list[SimulatedWorld] = []
 
     def make(scene: Scene, num_envs: int) -> SimulatedWorld:
-        made.append(SimulatedWorld(scene, num_envs, backend.name, device=str(request.config.getoption("--device"))))
+        made.append(SimulatedWorld(scene, num_envs, backend.name, device=device))
         return made[-1]
 
     yield make

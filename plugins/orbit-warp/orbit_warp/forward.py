@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 import warp as wp
 from mujoco import mjtJoint
 from torch import Tensor
@@ -28,16 +29,17 @@ _BALL = wp.constant(int(mjtJoint.mjJNT_BALL))
 _SLIDE = wp.constant(int(mjtJoint.mjJNT_SLIDE))
 
 
+_THREADS = 64
+"""Of a block: many small blocks, for a launch has few threads and each goes a long way."""
+
+
 @wp.struct
 class Tree:
-    """The bodies' part of a MuJoCo model; parents come before their children."""
+    """The bodies' part of a MuJoCo model."""
 
-    parents: wp.array[int]
     mocaps: wp.array[int]
     joint_counts: wp.array[int]
     first_joints: wp.array[int]
-    links: wp.array[int]
-    """The link that a body is, -1 for none."""
     positions: wp.array2d[wp.vec3]
     orientations: wp.array2d[wp.quat]
     types: wp.array[int]
@@ -46,6 +48,17 @@ class Tree:
     anchors: wp.array2d[wp.vec3]
     axes: wp.array2d[wp.vec3]
     zeros: wp.array2d[float]
+
+
+@wp.struct
+class Branches:
+    """The ways from a root to each body that has no children, one after the other."""
+
+    starts: wp.array[int]
+    """One more than there are branches."""
+    bodies: wp.array[int]
+    links: wp.array[int]
+    """What link each of the bodies is; -1 where it is none, or a branch before has it."""
 
 
 @wp.func
@@ -70,29 +83,24 @@ def vector_at(row: wp.array[float], start: int) -> wp.vec3:
 @wp.kernel(enable_backward=False)
 def derive_links(
     tree: Tree,
+    branches: Branches,
     qpos: wp.array2d[float],
     qvel: wp.array2d[float],
     mocap_pos: wp.array2d[wp.vec3],
     mocap_quat: wp.array2d[wp.quat],
-    body_positions: wp.array2d[wp.vec3],
-    body_orientations: wp.array2d[wp.quat],
-    body_velocities: wp.array2d[wp.spatial_vector],
     poses: wp.array3d[float],
     velocities: wp.array3d[float],
 ):
-    """A thread an environment; bodies' own arrays have the environment as their last index, so that threads read side
-    by side. Velocities are of the bodies' origins: linear, then angular.
-    """
-    env = wp.tid()
+    """Each thread goes along one branch. Velocities are of the bodies' origins: linear, then angular."""
+    branch, env = wp.tid()
     q, qd = qpos[env], qvel[env]
-    for body in range(1, tree.parents.shape[0]):
-        parent = tree.parents[body]
-        turn = body_orientations[parent, env]
-        base = 1.0 * body_positions[parent, env]  # a value, where the array's element would stay one
-        twist = body_velocities[parent, env]
-        linear, spin = wp.spatial_top(twist), wp.spatial_bottom(twist)  # at the parent's origin until all joints are in
-        position = base + rotate(turn, tree.positions[env % tree.positions.shape[0], body])
-        orientation = multiply(turn, tree.orientations[env % tree.orientations.shape[0], body])
+    position, linear, spin = wp.vec3(), wp.vec3(), wp.vec3()
+    orientation = wp.quat(1.0, 0.0, 0.0, 0.0)
+    for index in range(branches.starts[branch], branches.starts[branch + 1]):
+        body = branches.bodies[index]
+        base = 1.0 * position  # of the parent; to it the velocity belongs until all joints are in
+        position += rotate(orientation, tree.positions[env % tree.positions.shape[0], body])
+        orientation = multiply(orientation, tree.orientations[env % tree.orientations.shape[0], body])
         mocap = tree.mocaps[body]
         if mocap >= 0:
             position = 1.0 * mocap_pos[env, mocap]
@@ -128,10 +136,7 @@ def derive_links(
             linear += wp.cross(turning, base - anchor)
         orientation = wp.normalize(orientation)
         linear += wp.cross(spin, position - base)
-        body_positions[body, env] = position
-        body_orientations[body, env] = orientation
-        body_velocities[body, env] = wp.spatial_vector(linear, spin)
-        link = tree.links[body]
+        link = branches.links[index]
         if link >= 0:
             sign = wp.where(orientation[0] < 0.0, -1.0, 1.0)
             for i in range(3):
@@ -146,23 +151,15 @@ class ForwardKinematics:
     """Writes poses (N, links, 7) and velocities (N, links, 6) of an engine's links."""
 
     def __init__(self, addresses: Addresses, native: Native, poses: Tensor, velocities: Tensor) -> None:
-        model, data = native.model, native.data
-        self._data, self._tree = data, Tree()
-        bodies = native.host_model.nbody
-        links = np.full(bodies, -1, dtype=np.int32)
-        links[list(addresses.bodies)] = np.arange(len(addresses.bodies))
+        model = native.model
+        self._data, self._tree = native.data, Tree()
         tree = self._tree
-        tree.parents, tree.mocaps = model.body_parentid, model.body_mocapid
-        tree.joint_counts, tree.first_joints = model.body_jntnum, model.body_jntadr
-        tree.links = wp.array(links, dtype=int)
+        tree.mocaps, tree.joint_counts, tree.first_joints = model.body_mocapid, model.body_jntnum, model.body_jntadr
         tree.positions, tree.orientations = model.body_pos, model.body_quat
-        tree.types, tree.zeros = model.jnt_type, model.qpos0
+        tree.types, tree.anchors, tree.axes = model.jnt_type, model.jnt_pos, model.jnt_axis
         tree.position_addresses, tree.velocity_addresses = model.jnt_qposadr, model.jnt_dofadr
-        tree.anchors, tree.axes = model.jnt_pos, model.jnt_axis
-        shape = (bodies, data.nworld)
-        self._positions = wp.zeros(shape, dtype=wp.vec3)
-        self._orientations = wp.full(shape, wp.quat(1.0, 0.0, 0.0, 0.0), dtype=wp.quat)
-        self._velocities = wp.zeros(shape, dtype=wp.spatial_vector)
+        tree.zeros = model.qpos0
+        self._count, self._branches = _branches(native.host_model.body_parentid, addresses)
         self._outputs = (wp.from_torch(poses), wp.from_torch(velocities))
 
     def launch(self) -> None:
@@ -170,7 +167,24 @@ class ForwardKinematics:
         data = self._data
         wp.launch(
             derive_links,
-            dim=data.nworld,
-            inputs=[self._tree, data.qpos, data.qvel, data.mocap_pos, data.mocap_quat],
-            outputs=[self._positions, self._orientations, self._velocities, *self._outputs],
+            dim=(self._count, data.nworld),
+            inputs=[self._tree, self._branches, data.qpos, data.qvel, data.mocap_pos, data.mocap_quat],
+            outputs=[*self._outputs],
+            block_dim=_THREADS,
         )
+
+
+def _branches(parents: npt.NDArray[np.int32], addresses: Addresses) -> tuple[int, Branches]:
+    """Of the bodies 1 and up, given each body's parent; body 0 is the world."""
+    link_of = {int(body): link for link, body in enumerate(addresses.bodies)}
+    starts, bodies, links = [0], list[int](), list[int]()
+    for leaf in sorted(set(range(1, len(parents))) - set(parents[1:].tolist())):
+        path = [leaf]
+        while parents[path[-1]]:
+            path.append(int(parents[path[-1]]))
+        bodies += reversed(path)
+        links += [link_of.pop(body, -1) for body in reversed(path)]
+        starts.append(len(bodies))
+    branches = Branches()
+    branches.starts, branches.bodies, branches.links = (wp.array(a, dtype=int) for a in (starts, bodies, links))
+    return len(starts) - 1, branches

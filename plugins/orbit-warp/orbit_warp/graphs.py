@@ -9,6 +9,7 @@ told next, without any waiting on the host.
 from __future__ import annotations
 
 import contextlib
+import gc
 import sys
 import threading
 import time
@@ -99,10 +100,27 @@ class Graphs:
                 launches()
         else:  # the default stream cannot be captured
             self._own.wait_stream(stream)
-            with wp.ScopedStream(self._own, sync_enter=False), wp.ScopedCapture(stream=self._own) as capture:
+            with (
+                _without_garbage_collection(),
+                wp.ScopedStream(self._own, sync_enter=False),
+                wp.ScopedCapture(stream=self._own) as capture,
+            ):
                 launches()
         assert capture.graph is not None
         return capture.graph
+
+
+@contextlib.contextmanager
+def _without_garbage_collection() -> Iterator[None]:
+    """Memory that another engine's remains would give back to the device cannot go while a stream is captured."""
+    gc.collect()
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 @contextlib.contextmanager
