@@ -23,8 +23,8 @@ def action_space(robot: Robot, name: str, prefix: str = "") -> tuple[MotionGener
     The first moves the arm of the robot's end effector, or all driven joints where the robot is legged or has none; the
     gripper of an arm adds one more. In ``joint_position``, one unit of action is half a radian from home for legs and
     two for an arm; other robots, such as hands, span their joints' limits. An arm's position targets lead its joints by
-    no more than their velocity limits allow, as its own controller would see to. ``prefix`` begins the generators' names, so
-    that those of several robots fit into one agent.
+    no more than their velocity limits allow, as its own controller would see to. ``prefix`` begins the generators'
+    names, so that those of several robots fit into one agent.
 
     Raises:
         UnknownNameError: there is no action space of that name.

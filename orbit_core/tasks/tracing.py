@@ -172,7 +172,8 @@ class Trace:
                 if made < place and not memory.lasts(tensor):
                     wanted[made][id(tensor)] = tensor
         self._stages = [
-            _BuiltStage(stage, memory, list(need.values()), build) for stage, need in zip(stages, wanted, strict=True)
+            _BuiltStage(stage, memory, list(need.values()), build, engine.device)
+            for stage, need in zip(stages, wanted, strict=True)
         ]
 
     def __call__(self) -> tuple[Tensor, ...]:
@@ -208,16 +209,18 @@ class _BuiltStage:
         memory: _Memory,
         wanted: list[Tensor],
         build: Build,
+        device: torch.device,
     ) -> None:
         self._reads = tuple(stage.reads.items())
         self._settles = bool(stage.expressed)
         self._call = stage.call
         self._results = [id(tensor) for tensor in wanted]
         graph = _StageGraph(stage, memory, wanted)
-        self._inputs = graph.inputs
+        # Numbers of Python's lie on the host, from where each use would copy them to the device.
+        self._inputs = [tensor.to(device) if tensor.dim() == 0 else tensor for tensor in graph.inputs]
         self._passed = graph.passed
         some = stage.operations or wanted
-        self._function = build(graph.module, graph.inputs, not graph.passed) if some else _nothing
+        self._function = build(graph.module, self._inputs, not graph.passed) if some else _nothing
 
     def run(self, engine: Engine, values: dict[int, Tensor]) -> None:
         if self._settles:
