@@ -92,7 +92,7 @@ class Reach(Task):
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 4.0
-    ppo: PpoSettings = PpoSettings(iterations=300, initial_std=0.3)
+    ppo: PpoSettings = PpoSettings(iterations=500, initial_std=0.3)
     position_tolerance: float = 0.02
     """Metres."""
     rotation_tolerance: float = 0.1

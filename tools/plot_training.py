@@ -1,31 +1,49 @@
-"""Draw how trainings went: python tools/plot_training.py out/learning.png FOLDER ..."""
+"""Draw how trainings went: python tools/plot_training.py out/learning.png FOLDER ...
+
+Folders whose names differ in a last ``_<seed>`` alone become one line, their mean, in a band of a standard deviation.
+"""
 
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import numpy as np
+import numpy.typing as npt
+
+Curve = npt.NDArray[np.float64]
+"""(iterations, 3): environment steps in millions, return, success in percent."""
 
 
 def main(output: Path, folders: list[Path]) -> None:
-    """Return and success over environment steps, a line a training."""
-    figure, (returns, success) = plt.subplots(1, 2, figsize=(9.0, 3.2), layout="constrained")
+    """Return and success over environment steps, a line a training or a group of seeds."""
+    groups: dict[str, list[Curve]] = {}
     for folder in folders:
-        lines = [json.loads(line) for line in (folder / "curve.jsonl").read_text().splitlines()]
-        steps = [line["env_steps"] / 1e6 for line in lines]
-        best = max(line["episode_return"] for line in lines if line["episode_return"] is not None)
-        relative = [None if line["episode_return"] is None else line["episode_return"] / best for line in lines]
-        returns.plot(steps, [float("nan") if value is None else value for value in relative], label=folder.name)
-        rates = [line["success_rate"] for line in lines]
-        success.plot(steps, [float("nan") if rate is None else 100.0 * rate for rate in rates], label=folder.name)
-    for axes, name in ((returns, "return over the best"), (success, "success, %")):
+        groups.setdefault(re.sub(r"_\d+$", "", folder.name), []).append(_curve(folder))
+    figure, both = plt.subplots(1, 2, figsize=(9.0, 3.2), layout="constrained")
+    for name, curves in groups.items():
+        values = np.stack([curve[: min(map(len, curves))] for curve in curves])
+        values[..., 1] /= np.nanmax(values[..., 1])
+        seeds = f", {len(curves)} seeds" if len(curves) > 1 else ""
+        for column, axes in enumerate(both, start=1):
+            steps, mean, spread = values[0, :, 0], values[..., column].mean(0), values[..., column].std(0)
+            (line,) = axes.plot(steps, mean, label=name + seeds)
+            axes.fill_between(steps, mean - spread, mean + spread, color=line.get_color(), alpha=0.25, linewidth=0)
+    for axes, name in zip(both, ("return over the best", "success, %"), strict=True):
         axes.set(xlabel="environment steps, millions", ylabel=name)
         axes.grid(alpha=0.3)
-    returns.set_ylim(-0.5, 1.1)
-    success.legend(frameon=False)
+    both[0].set_ylim(-0.5, 1.1)
+    both[1].legend(frameon=False)
     figure.savefig(output, dpi=110)
+
+
+def _curve(folder: Path) -> Curve:
+    lines = [json.loads(line) for line in (folder / "curve.jsonl").read_text().splitlines()]
+    rows = [(line["env_steps"] / 1e6, line["episode_return"], line["success_rate"]) for line in lines]
+    return np.array(rows, dtype=float) * (1.0, 1.0, 100.0)  # None, before an episode has ended, becomes NaN
 
 
 if __name__ == "__main__":

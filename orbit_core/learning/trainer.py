@@ -25,9 +25,9 @@ class Progress:
     iteration: int
     """The one just done, from 0."""
     env_steps: int
-    """Of all environments together, since this command began."""
+    """Of all environments together; a trainer counts since it was made, a training since its first iteration."""
     seconds: float
-    """Of collecting and learning, since this command began."""
+    """Of collecting and learning, counted likewise."""
     episode_return: float
     """Mean over the last episodes; NaN before any has ended."""
     success_rate: float

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,23 +35,40 @@ class Training:
     record: dict[str, Any]
     leader: bool = True
 
+    def __post_init__(self) -> None:
+        self._steps_before, self._seconds_before = 0, 0.0
+
     def run(self, iterations: int, save_every: int, report: Callable[[Progress], None], resume: bool = False) -> Policy:
         """Learn until so many iterations are done in all; returns the last policy."""
         begin = self.trainer.resume(_latest(self.trainer.folder)) if resume else 0
         if begin >= iterations:
             raise ConfigurationError(f"{self.trainer.folder} has {begin} iterations already: ask for more")
         if self.leader:
-            self._start(resume)
+            self._start(begin)
         self.trainer.learn(iterations - begin, save_every, self._save, lambda progress: self._report(progress, report))
         return self._policy(iterations - 1)
 
-    def _start(self, resume: bool) -> None:
+    def _start(self, begin: int) -> None:
         folder = self.trainer.folder
         folder.mkdir(parents=True, exist_ok=True)
-        if not resume and (folder / RECORD).exists():
+        if not begin and (folder / RECORD).exists():
             raise ConfigurationError(f"folder {folder} holds a training already: resume it, or name another")
         settings = {"task": self.task, "library": self.trainer.name, "ppo": asdict(self.trainer.settings)}
         (folder / RECORD).write_text(json.dumps({**settings, **self.record}, indent=2, default=str))
+        if begin:
+            self._continue_curve(begin)
+
+    def _continue_curve(self, begin: int) -> None:
+        """Drop what was done after the checkpoint, for it is done again, and count on from there."""
+        curve = self.trainer.folder / CURVE
+        lines = curve.read_text().splitlines() if curve.exists() else []
+        kept = [line for line in lines if json.loads(line)["iteration"] < begin]
+        shortened = curve.with_suffix(".writing")
+        shortened.write_text("".join(f"{line}\n" for line in kept))
+        os.replace(shortened, curve)
+        if kept:
+            last = json.loads(kept[-1])
+            self._steps_before, self._seconds_before = last["env_steps"], last["seconds"]
 
     def _save(self, iteration: int) -> None:
         if self.leader:
@@ -63,6 +81,11 @@ class Training:
     def _report(self, progress: Progress, report: Callable[[Progress], None]) -> None:
         if not self.leader:  # its library counts nothing
             return
+        progress = replace(
+            progress,
+            env_steps=progress.env_steps + self._steps_before,
+            seconds=progress.seconds + self._seconds_before,
+        )
         # Before any episode has ended there is no number, and JSON has no NaN.
         numbers = {
             name: None if isinstance(value, float) and math.isnan(value) else value

@@ -146,6 +146,8 @@ def test_a_training_resumes_where_it_ended(library: str, tmp_path: Path) -> None
     with pytest.raises(ConfigurationError, match="2 iterations already"):
         learn(trainer(library, environment, tmp_path), 2, resume=True)
 
+    with (tmp_path / "curve.jsonl").open("a") as file:  # as if it had been killed after the checkpoint
+        file.write('{"iteration": 2, "env_steps": 7, "seconds": 7.0}\n')
     again = trainer(library, environment, tmp_path)
     again.resume(again.checkpoint(1))
     observation = environment.observe()["policy"]
@@ -155,6 +157,8 @@ def test_a_training_resumes_where_it_ended(library: str, tmp_path: Path) -> None
     assert [progress.iteration for progress in curve] == [2]
     lines = [json.loads(line) for line in (tmp_path / "curve.jsonl").read_text().splitlines()]
     assert [line["iteration"] for line in lines] == [0, 1, 2]
+    assert [line["env_steps"] for line in lines] == [lines[0]["env_steps"] * (k + 1) for k in range(3)]
+    assert lines[0]["seconds"] < lines[1]["seconds"] < lines[2]["seconds"]
     assert (first.description.iteration, load_policy(tmp_path).description.iteration) == (1, 2)
     with pytest.raises(ConfigurationError, match="holds a training already"):
         learn(trainer(library, environment, tmp_path), 3)

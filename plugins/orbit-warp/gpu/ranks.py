@@ -33,6 +33,10 @@ def main() -> None:
     distributed.all_reduce(most, distributed.ReduceOp.MAX)
     assert observation.device == device
     assert (most - least).abs().max() < 1e-4, "worlds with the same seed and actions differ after one step"
+    for action in actions:  # recorded by then
+        environment.step(action)
+    if cuda:
+        torch.cuda.synchronize(device)
     begun = time.perf_counter()
     for step in range(_STEPS):
         environment.step(actions[step % 8])
