@@ -38,6 +38,8 @@ TASKS = (
     Picture("Reach", 0.7, LIFT_VIEW),
     Picture("Cabinet", 4.0, look_at(eye=(-0.2, 1.6, 1.35), target=(0.5, 0.0, 0.4))),
     Picture("Velocity-Flat", 0.8, look_at(eye=(1.0, 1.35, 1.2), target=(0.0, 0.0, 0.42))),
+    Picture("Handover", 3.6, look_at(eye=(0.75, 1.75, 0.95), target=(0.75, 0.0, 0.25))),
+    Picture("Handover", 6.5, look_at(eye=(0.75, 1.75, 0.95), target=(0.75, 0.0, 0.25))),
 )
 LIFT_TIMES = (0.02, 0.4, 1.3, 3.4)
 
@@ -61,7 +63,7 @@ def frames(picture: Picture, times: tuple[float, ...]) -> npt.NDArray[np.uint8]:
 def main(folder: Path) -> None:
     """Write the pictures into a folder."""
     tasks = np.concatenate([frames(picture, (picture.seconds,)) for picture in TASKS])
-    iio.imwrite(folder / "tasks.png", tile(tasks, 2), optimize=True)
+    iio.imwrite(folder / "tasks.png", tile(tasks, 3), optimize=True)
     iio.imwrite(folder / "lift.png", tile(frames(TASKS[0], LIFT_TIMES), 4), optimize=True)
 
 
