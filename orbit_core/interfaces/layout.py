@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -259,3 +260,8 @@ def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.
         if joint.mimic:
             home[index] = joint.mimic.multiplier * home[names.index(joint.mimic.joint)] + joint.mimic.offset
     return home
+
+
+def joint_limits(entity: Entity, name: Literal["effort_limit", "velocity_limit"]) -> npt.NDArray[np.float64]:
+    """Of the movable joints (J,): an actuator's where it names one, else the joint's own."""
+    return _entity_parameters(entity)[name]

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from orbit_core.dynamics.indexing import columns_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, Robot, match_names
+from orbit_core.interfaces.layout import joint_limits
 from orbit_core.scene import EndEffector, RobotSpec
 
 
@@ -108,12 +109,15 @@ def speed_limited_lead(robot: Robot, joints: Sequence[int]) -> Tensor:
     """(k,) rad or m by which a position target may lead a joint, so that its drive never drives it too fast.
 
     ``velocity limit * damping / stiffness``: at the velocity limit the drive's effort,
-    ``stiffness * lead - damping * velocity``, is zero. Infinite for a joint without limit or without stiffness.
+    ``stiffness * lead - damping * velocity``, is zero. A drive with less damping may lead by
+    ``effort limit / stiffness``, for less would take effort from it at standstill; its speed is then not held. Infinite
+    for a joint without limits or without stiffness.
     """
+    fastest, strongest = (joint_limits(robot.spec, name) for name in ("velocity_limit", "effort_limit"))
     leads = torch.full((len(robot.joints),), torch.inf, device=robot.home_positions.device)
     for group in robot.spec.actuators:
         for joint in robot.find_joints(*group.joints):
-            limit = robot.joints[joint].velocity_limit if group.velocity_limit is None else group.velocity_limit
             if group.stiffness > 0.0:
-                leads[joint] = limit * group.damping / group.stiffness
+                braking = fastest[joint] * group.damping if group.damping > 0.0 else 0.0
+                leads[joint] = max(braking, strongest[joint]) / group.stiffness
     return leads[list(joints)]

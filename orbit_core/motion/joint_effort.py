@@ -10,6 +10,7 @@ from torch import Tensor
 
 from orbit_core.dynamics.rigid_body import RigidBodyModel
 from orbit_core.interfaces import ConfigurationError, Robot
+from orbit_core.interfaces.layout import joint_limits
 from orbit_core.motion.base import JointTarget, MotionGenerator, chosen_joints
 from orbit_core.motion.pursuit import towards_pose
 
@@ -67,14 +68,11 @@ class JointEffort(MotionGenerator):
 
 
 def _effort_limits(robot: Robot, joints: list[int]) -> list[float]:
-    limits = {joint: robot.joints[joint].effort_limit for joint in joints}
-    for group in robot.spec.actuators:
-        if group.effort_limit is not None:
-            limits.update(dict.fromkeys(robot.find_joints(*group.joints), group.effort_limit))
+    limits = joint_limits(robot.spec, "effort_limit")
     for joint in joints:
         if not 0.0 < limits[joint] < float("inf"):
             raise ConfigurationError(
                 f"joint '{robot.joint_names[joint]}' of '{robot.name}' has effort limit {limits[joint]}, which scales "
                 "no command: give JointEffortConfig a scale"
             )
-    return [limits[joint] for joint in joints]
+    return limits[joints].tolist()

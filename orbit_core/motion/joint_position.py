@@ -29,8 +29,7 @@ class JointPositionConfig:
     joint without limits takes half a turn either way."""
     relative: bool = False
     limit_speed: bool = False
-    """Whether targets lead the measured positions by no more than :func:`orbit_core.motion.base.speed_limited_lead`.
-    For well damped drives, as an arm's: the effort left at standstill is ``damping * velocity limit``."""
+    """Whether targets lead the measured positions by no more than :func:`orbit_core.motion.base.speed_limited_lead`."""
 
 
 class JointPosition(MotionGenerator):
@@ -56,7 +55,8 @@ class JointPosition(MotionGenerator):
         else:
             targets = torch.addcmul(self._last_targets(), command, self._above)
         if self._lead is not None:
-            targets = torch.clamp(targets, self.positions - self._lead, self.positions + self._lead)
+            positions = self.positions
+            targets = torch.clamp(targets, positions - self._lead, positions + self._lead)
         targets = torch.clamp(targets, self.lower_limits, self.upper_limits)
         if self.config.relative:
             self._targets.copy_(targets)

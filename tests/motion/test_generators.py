@@ -139,6 +139,19 @@ def test_at_the_velocity_limit_a_speed_limited_drive_pushes_no_more(kinematic_ro
     assert (effort[free] > -1e-3).all()
 
 
+@pytest.mark.parametrize("damping", [0.0, 1.0])
+def test_a_speed_limit_takes_no_effort_from_a_weakly_damped_drive(kinematic_robot: MakeRobot, damping: float) -> None:
+    robot = kinematic_robot()
+    drives = tuple(replace(group, damping=damping) for group in robot.spec.actuators)
+    robot._spec = replace(robot.spec, actuators=drives)
+    generator = JointPosition("joints", robot, JointPositionConfig(scale=3.0, limit_speed=True))
+    targets = generator.compute({"command": torch.full((4, 7), 1.0)})["position_targets"]
+    free = targets < generator.upper_limits - 1e-3
+    limits = torch.tensor([joint.effort_limit for joint in robot.joints[:7]]).expand(4, 7)
+    assert free.any()
+    assert (drives[0].stiffness * (targets - generator.positions)[free] > limits[free] - 1e-3).all()
+
+
 def test_relative_joint_positions_need_a_scale(kinematic_robot: MakeRobot) -> None:
     with pytest.raises(ConfigurationError, match="scale"):
         JointPosition("joints", kinematic_robot(), JointPositionConfig(scale=None, relative=True))

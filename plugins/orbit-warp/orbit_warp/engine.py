@@ -118,6 +118,7 @@ class WarpEngine(Engine):
     def _prepare_recording(self) -> None:
         self._prepare()
         self._state.refresh()  # so that a recording need not
+        self._state.mark_stepped()  # and so that it derives bodies itself, whatever was asked for meanwhile
 
     def _take(self, steps: int) -> None:
         self._begin()

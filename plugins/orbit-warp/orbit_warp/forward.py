@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 from mujoco import mjtJoint
+from mujoco_warp._src.math import axis_angle_to_quat, mul_quat
 from torch import Tensor
 
 from orbit_mjmodel.addresses import Addresses
@@ -62,15 +63,6 @@ class Branches:
 
 
 @wp.func
-def multiply(a: wp.quat, b: wp.quat) -> wp.quat:
-    """Of quaternions (w, x, y, z)."""
-    u, v = wp.vec3(a[1], a[2], a[3]), wp.vec3(b[1], b[2], b[3])
-    w = a[0] * b[0] - wp.dot(u, v)
-    x = a[0] * v + b[0] * u + wp.cross(u, v)
-    return wp.quat(w, x[0], x[1], x[2])
-
-
-@wp.func
 def quaternion_at(row: wp.array[float], start: int) -> wp.quat:
     return wp.normalize(wp.quat(row[start], row[start + 1], row[start + 2], row[start + 3]))
 
@@ -100,7 +92,7 @@ def derive_links(
         body = branches.bodies[index]
         base = 1.0 * position  # of the parent; to it the velocity belongs until all joints are in
         position += rotate(orientation, tree.positions[env % tree.positions.shape[0], body])
-        orientation = multiply(orientation, tree.orientations[env % tree.orientations.shape[0], body])
+        orientation = mul_quat(orientation, tree.orientations[env % tree.orientations.shape[0], body])
         mocap = tree.mocaps[body]
         if mocap >= 0:
             position = 1.0 * mocap_pos[env, mocap]
@@ -123,13 +115,11 @@ def derive_links(
                 linear += axis * qd[v]
                 continue
             if tree.types[joint] == _BALL:
-                orientation = multiply(orientation, quaternion_at(q, p))
+                orientation = mul_quat(orientation, quaternion_at(q, p))
                 turning = rotate(orientation, vector_at(qd, v))
             else:
-                half = 0.5 * (q[p] - tree.zeros[env % tree.zeros.shape[0], p])
-                s = wp.sin(half)
-                turned = wp.quat(wp.cos(half), s * local_axis[0], s * local_axis[1], s * local_axis[2])
-                orientation = multiply(orientation, turned)
+                angle = q[p] - tree.zeros[env % tree.zeros.shape[0], p]
+                orientation = mul_quat(orientation, axis_angle_to_quat(local_axis, angle))
                 turning = axis * qd[v]
             position = anchor - rotate(orientation, local_anchor)
             spin += turning
