@@ -42,7 +42,7 @@ def compiled(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callab
 
     Args:
         graph: of operations.
-        inputs: that it takes, on one device.
+        inputs: that it takes; what lies elsewhere than the rest is replaced by a copy beside it.
         fixed: whether it always takes these very tensors. What it gives may then be the same tensors each time.
 
     Raises:
@@ -63,7 +63,9 @@ def compiled(graph: fx.GraphModule, inputs: list[Tensor], fixed: bool) -> Callab
 def _on_gpu(graph: fx.GraphModule, inputs: list[Tensor]) -> Callable[..., Sequence[Tensor]]:
     import torch._inductor as inductor
 
+    # Numbers of Python's lie on the host, from where compiled code would copy them to the device each time.
     device = next(tensor.device for tensor in inputs if tensor.device.type != "cpu")
+    inputs[:] = [tensor.to(device) if tensor.dim() == 0 else tensor for tensor in inputs]
     for node in graph.graph.nodes:
         if "device" in node.kwargs:
             node.kwargs = {**node.kwargs, "device": device}

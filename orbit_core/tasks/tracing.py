@@ -98,7 +98,7 @@ class Tracer(TorchDispatchMode):
         result = func(*args, **keywords)
         if _comes_from_host((args, keywords), result):
             return result  # a constant that Python made: its copy on the device is one too
-        self.stages[-1].operations.append(Operation(func, args, keywords, result))
+        self.stages[-1].operations.append(Operation(func, _without_copy(func, args), keywords, result))
         return result
 
     def _noting_read(self, name: str, read: Callable[[Engine], Tensor]) -> Callable[[Engine], Tensor]:
@@ -172,8 +172,7 @@ class Trace:
                 if made < place and not memory.lasts(tensor):
                     wanted[made][id(tensor)] = tensor
         self._stages = [
-            _BuiltStage(stage, memory, list(need.values()), build, engine.device)
-            for stage, need in zip(stages, wanted, strict=True)
+            _BuiltStage(stage, memory, list(need.values()), build) for stage, need in zip(stages, wanted, strict=True)
         ]
 
     def __call__(self) -> tuple[Tensor, ...]:
@@ -209,18 +208,16 @@ class _BuiltStage:
         memory: _Memory,
         wanted: list[Tensor],
         build: Build,
-        device: torch.device,
     ) -> None:
         self._reads = tuple(stage.reads.items())
         self._settles = bool(stage.expressed)
         self._call = stage.call
         self._results = [id(tensor) for tensor in wanted]
         graph = _StageGraph(stage, memory, wanted)
-        # Numbers of Python's lie on the host, from where each use would copy them to the device.
-        self._inputs = [tensor.to(device) if tensor.dim() == 0 else tensor for tensor in graph.inputs]
+        self._inputs = graph.inputs
         self._passed = graph.passed
         some = stage.operations or wanted
-        self._function = build(graph.module, self._inputs, not graph.passed) if some else _nothing
+        self._function = build(graph.module, graph.inputs, not graph.passed) if some else _nothing
 
     def run(self, engine: Engine, values: dict[int, Tensor]) -> None:
         if self._settles:
@@ -339,6 +336,19 @@ def _comes_from_host(taken: Any, result: Any) -> bool:
     tensors = _tensors(taken)
     on_device = isinstance(result, Tensor) and result.device.type != "cpu"
     return on_device and bool(tensors) and all(tensor.device.type == "cpu" for tensor in tensors)
+
+
+def _without_copy(function: Any, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
+    """The arguments, with a number that is written to places given by index beside them, and not on the host.
+
+    Torch would copy it to the device each time. What is written by mask is given with the launch, and must stay.
+    """
+    if function is not torch.ops.aten.index_put_.default:
+        return arguments
+    target, indices, value, *rest = arguments
+    if value.dim() or any(index is not None and index.dtype == torch.bool for index in indices):
+        return arguments
+    return (target, indices, value.to(target.device), *rest)
 
 
 def _tensors(tree: Any) -> list[Tensor]:

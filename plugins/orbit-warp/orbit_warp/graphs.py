@@ -100,14 +100,24 @@ class Graphs:
                 launches()
         else:  # the default stream cannot be captured
             self._own.wait_stream(stream)
-            with (
-                _without_garbage_collection(),
-                wp.ScopedStream(self._own, sync_enter=False),
-                wp.ScopedCapture(stream=self._own) as capture,
-            ):
+            own = wp.ScopedStream(self._own, sync_enter=False)
+            with _without_garbage_collection(), own, self._capturing(self._own) as capture:
                 launches()
         assert capture.graph is not None
         return capture.graph
+
+    @contextlib.contextmanager
+    def _capturing(self, stream: wp.Stream) -> Iterator[wp.ScopedCapture]:
+        """Where a capture fails the driver drops the graph, and Warp, if a loop is in it, must not do so again."""
+        capture, graph = wp.ScopedCapture(stream=stream), None
+        try:
+            with capture:
+                graph = self.device.captures[stream]
+                yield capture
+        except BaseException:
+            if graph is not None and capture.graph is None:
+                graph.graph = None
+            raise
 
 
 @contextlib.contextmanager

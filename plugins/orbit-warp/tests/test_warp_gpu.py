@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import warnings
 
 import pytest
@@ -70,4 +71,26 @@ def test_nothing_in_a_step_waits(task: str, compile: bool) -> None:
         torch.cuda.set_sync_debug_mode("default")
     assert all(isinstance(info, StepInfo) for info in infos)
     assert sum(len(info["final"].env_ids) for info in infos if "final" in info) >= 64
+    environment.close()
+
+
+def test_what_cannot_be_recorded_is_run_each_time() -> None:
+    environment = environment_of("Lift")
+    engine = environment.world.engine
+    environment.reset(seed=3)
+    seen: list[float] = []
+
+    def operations() -> None:
+        engine.step(2)
+        seen.append(engine.joint_positions.sum().item())  # waits, which no recording can
+
+    repeated = engine.record(operations)
+    repeated()
+    with pytest.warns(RuntimeWarning, match="not recorded as one graph"):
+        repeated()
+    before = len(seen)
+    gc.collect()
+    repeated()
+    assert len(seen) == before + 1
+    environment.step(torch.zeros(64, environment.action_size, device="cuda"))
     environment.close()
