@@ -1,6 +1,7 @@
 """Draw how trainings went: python tools/plot_training.py out/learning.png FOLDER ...
 
-Folders whose names differ in a last ``_<seed>`` alone become one line, their mean, in a band of a standard deviation.
+Folders whose names differ in a last ``_<seed>`` alone become one line, their mean, in a band from the least to the most.
+Returns are given over the best of all whose names begin with the same word, which is the task's.
 """
 
 from __future__ import annotations
@@ -23,21 +24,28 @@ def main(output: Path, folders: list[Path]) -> None:
     groups: dict[str, list[Curve]] = {}
     for folder in folders:
         groups.setdefault(re.sub(r"_\d+$", "", folder.name), []).append(_curve(folder))
-    figure, both = plt.subplots(1, 2, figsize=(9.0, 3.2), layout="constrained")
+    best: dict[str, float] = {}
+    for name, curves in groups.items():
+        best[_task(name)] = max(best.get(_task(name), 0.0), *(np.nanmax(curve[:, 1]) for curve in curves))
+    figure, both = plt.subplots(1, 2, figsize=(9.0, 3.4), layout="constrained")
     for name, curves in groups.items():
         values = np.stack([curve[: min(map(len, curves))] for curve in curves])
-        values[..., 1] /= np.nanmax(values[..., 1])
+        values[..., 1] /= best[_task(name)]
         seeds = f", {len(curves)} seeds" if len(curves) > 1 else ""
         for column, axes in enumerate(both, start=1):
-            steps, mean, spread = values[0, :, 0], values[..., column].mean(0), values[..., column].std(0)
-            (line,) = axes.plot(steps, mean, label=name + seeds)
-            axes.fill_between(steps, mean - spread, mean + spread, color=line.get_color(), alpha=0.25, linewidth=0)
+            steps, some = values[0, :, 0], values[..., column]
+            (line,) = axes.plot(steps, some.mean(0), label=name + seeds)
+            axes.fill_between(steps, some.min(0), some.max(0), color=line.get_color(), alpha=0.25, linewidth=0)
     for axes, name in zip(both, ("return over the best", "success, %"), strict=True):
         axes.set(xlabel="environment steps, millions", ylabel=name)
         axes.grid(alpha=0.3)
     both[0].set_ylim(-0.5, 1.1)
-    both[1].legend(frameon=False)
+    figure.legend(*both[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     figure.savefig(output, dpi=110)
+
+
+def _task(name: str) -> str:
+    return name.split(",")[0]
 
 
 def _curve(folder: Path) -> Curve:
