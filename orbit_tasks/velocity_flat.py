@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.dynamics.transforms import quat_rotate_inverse
+from orbit_core.interfaces.layout import joint_limits
 from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
 from orbit_core.sensors import ContactSensor
 from orbit_core.tasks import (
@@ -101,6 +102,12 @@ def effort(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
     return common.squared_norm(common.robot_of(world).joint_efforts)
 
 
+def overspeed(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+    """(N,) rad/s, summed over joints: what they are beyond their velocity limits, which few engines hold."""
+    speeds = common.robot_of(world).joint_velocities.abs()
+    return (speeds - task.speed_limits).clamp_min(0.0).sum(1)
+
+
 @once_per_state
 def fallen(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
     """(N,) the trunk touches something, or leans by more than 60 degrees."""
@@ -146,6 +153,7 @@ class VelocityRewards:
     tilt: RewardTerm | None = RewardTerm(tilt, -5.0)
     effort: RewardTerm | None = RewardTerm(effort, -2.5e-5)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.01)
+    overspeed: RewardTerm | None = RewardTerm(overspeed, -0.2)
 
 
 @dataclass
@@ -205,6 +213,8 @@ class VelocityFlat(Task):
     """(N, 3)"""
     down: Tensor = field(init=False)
     """(3,) in the world's axes."""
+    speed_limits: Tensor = field(init=False)
+    """(joints,) rad/s."""
     errors: Tensor = field(init=False)
     """(N, 2) linear and yaw error summed over the episode."""
 
@@ -221,6 +231,8 @@ class VelocityFlat(Task):
         self.command = torch.zeros(world.num_envs, 3, device=world.device)
         self.errors = torch.zeros(world.num_envs, 2, device=world.device)
         self.down = torch.tensor([0.0, 0.0, -1.0], device=world.device)
+        limits = joint_limits(common.robot_of(world).spec, "velocity_limit")
+        self.speed_limits = torch.as_tensor(limits, dtype=torch.float32, device=world.device)
 
     def reset(self, env_ids: Tensor | None) -> None:
         super().reset(env_ids)

@@ -1,6 +1,6 @@
 """Draw how trainings went: python tools/plot_training.py out/learning.png FOLDER ...
 
-Folders whose names differ in a last ``_<seed>`` alone become one line, their mean, in a band from the least to the most.
+Folders whose names differ in a last ``_<seed>`` alone become one line: their mean, in a band from least to most.
 Returns are given over the best of all whose names begin with the same word, which is the task's.
 """
 

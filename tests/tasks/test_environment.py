@@ -19,6 +19,7 @@ from orbit_core.tasks import Environment, RewardTerm, make, task_entries
 from orbit_core.tasks.terms import once_per_state, terms_of
 from orbit_tasks.lift import Lift
 from orbit_tasks.reach import Reach
+from orbit_tasks.velocity_flat import VelocityFlat, overspeed
 
 BACKEND = default_backend()
 
@@ -192,3 +193,15 @@ def test_bad_input_is_one_clear_error(keywords: dict, error: type[Exception], me
 def test_a_backend_nobody_has_is_named() -> None:
     with pytest.raises((UnknownNameError, BackendNotInstalledError), match="nosuchengine"):
         make("Lift", backend="nosuchengine")
+
+
+def test_walking_costs_what_joints_are_faster_than_they_can_be() -> None:
+    environment = make("Velocity-Flat", num_envs=2, backend=BACKEND)
+    task, robot = environment.task, environment.world.robots["robot"]
+    assert isinstance(task, VelocityFlat)
+    environment.reset(seed=0)
+    velocities = torch.zeros(2, len(robot.joints))
+    velocities[1, :3] = torch.tensor([7.0, -8.5, 10.0])  # of joints whose limits are 7.5
+    robot.set_joint_state(robot.joint_positions, velocities)
+    torch.testing.assert_close(overspeed(environment.world, task), torch.tensor([0.0, 3.5]))
+    environment.close()
