@@ -26,7 +26,7 @@ def main(output: Path, folders: list[Path]) -> None:
         groups.setdefault(re.sub(r"_\d+$", "", folder.name), []).append(_curve(folder))
     best: dict[str, float] = {}
     for name, curves in groups.items():
-        best[_task(name)] = max(best.get(_task(name), 0.0), *(np.nanmax(curve[:, 1]) for curve in curves))
+        best[_task(name)] = max(best.get(_task(name), -np.inf), *(np.nanmax(curve[:, 1]) for curve in curves))
     figure, both = plt.subplots(1, 2, figsize=(9.0, 3.4), layout="constrained")
     for name, curves in groups.items():
         values = np.stack([curve[: min(map(len, curves))] for curve in curves])
