@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from orbit_core.interfaces.backend import Backend
+    from orbit_core.interfaces.built import BuiltModel
     from orbit_core.interfaces.capabilities import (
         EXACT,
         Capabilities,
@@ -19,10 +20,12 @@ if TYPE_CHECKING:
         approximate,
         unsupported,
     )
+    from orbit_core.interfaces.divergence import MAX_DISTANCE, MAX_SPEED, diverged, divergence_error
     from orbit_core.interfaces.engine import Approximation, Engine, RayHits
     from orbit_core.interfaces.errors import (
         AssetError,
         BackendNotInstalledError,
+        BuildError,
         ConfigurationError,
         NonFiniteError,
         OrbitError,
@@ -49,11 +52,13 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "backend": ("Backend",),
+    "built": ("BuiltModel",),
     "capabilities": ("EXACT", "Capabilities", "Capability", "Level", "Support", "approximate", "unsupported"),
+    "divergence": ("MAX_DISTANCE", "MAX_SPEED", "diverged", "divergence_error"),
     "engine": ("Approximation", "Engine", "RayHits"),
     "errors": (
-        "AssetError", "BackendNotInstalledError", "ConfigurationError", "NonFiniteError", "OrbitError", "ShapeError",
-        "SimulationError", "UnknownNameError", "UnsupportedCapabilityError",
+        "AssetError", "BackendNotInstalledError", "BuildError", "ConfigurationError", "NonFiniteError", "OrbitError",
+        "ShapeError", "SimulationError", "UnknownNameError", "UnsupportedCapabilityError",
     ),
     "gaps": ("Gap",),
     "layout": ("BACKGROUND", "TERRAIN", "ContactQuery", "EntityLayout", "JointParameters", "SceneLayout"),
@@ -67,11 +72,12 @@ _MODULES = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "BACKGROUND", "EXACT", "IMAGES", "TERRAIN", "Approximation", "AssetError", "Backend", "BackendNotInstalledError",
-    "Capabilities", "Capability", "ConfigurationError", "ContactQuery", "Engine", "EntityLayout", "Gap", "Image",
-    "JointParameters", "Level", "Marker", "Node", "NonFiniteError", "Object", "OrbitError", "Port", "RayHits",
-    "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError", "Support", "UnknownNameError",
-    "UnsupportedCapabilityError", "World", "albedo_table", "approximate", "drawn_shapes", "find_name", "match_names",
+    "BACKGROUND", "EXACT", "IMAGES", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation", "AssetError", "Backend",
+    "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities", "Capability", "ConfigurationError",
+    "ContactQuery", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "Level", "Marker", "Node",
+    "NonFiniteError", "Object", "OrbitError", "Port", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor",
+    "ShapeError", "SimulationError", "Support", "UnknownNameError", "UnsupportedCapabilityError", "World",
+    "albedo_table", "approximate", "diverged", "divergence_error", "drawn_shapes", "find_name", "match_names",
     "match_values", "required_capabilities", "unsupported",
 ]  # fmt: skip
 

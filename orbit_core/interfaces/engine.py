@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from orbit_core.interfaces.built import BuiltModel
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.layout import SceneLayout
 
@@ -73,7 +74,7 @@ class Engine(ABC):
         """Advance by ``steps`` physics steps of ``scene.physics_dt`` with commands held.
 
         Raises:
-            SimulationError: the engine diverged; names the environments.
+            SimulationError: the engine diverged (:mod:`orbit_core.interfaces.divergence`); names the environments.
         """
 
     def record(self, operations: Callable[[], None]) -> Callable[[], None]:
@@ -227,6 +228,13 @@ class Engine(ABC):
     @abstractmethod
     def build_report(self) -> tuple[Approximation, ...]:
         """What the engine could not take exactly as the scene asked."""
+
+    def built_model(self) -> tuple[BuiltModel, ...]:
+        """What each kind of environment came to, from the engine's own objects, in the order of ``layout.variants``.
+
+        Called once, before the first step; the core compares it with the description.
+        """
+        return ()
 
     @property
     @abstractmethod

@@ -39,6 +39,10 @@ class AssetError(OrbitError):
     """A file or description that describes nothing that can be simulated."""
 
 
+class BuildError(OrbitError):
+    """An engine built something else than the description says."""
+
+
 class ShapeError(OrbitError, ValueError):
     """A tensor of the wrong shape."""
 

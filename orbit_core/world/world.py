@@ -18,9 +18,19 @@ from orbit_core.backends import backend_config, check_scene
 from orbit_core.backends import renderer as find_renderer
 from orbit_core.dynamics.indexing import Masking, write_rows
 from orbit_core.dynamics.random import RandomStreams
-from orbit_core.interfaces import TERRAIN, Approximation, ConfigurationError, Renderer, SceneLayout, Sensor, World
+from orbit_core.interfaces import (
+    TERRAIN,
+    Approximation,
+    BuildError,
+    ConfigurationError,
+    Renderer,
+    SceneLayout,
+    Sensor,
+    World,
+)
 from orbit_core.scene import CameraSpec, Entity, Scene
 from orbit_core.sensors import SensorContext, create_sensor
+from orbit_core.world.build_check import check_build
 from orbit_core.world.clock import Clock
 from orbit_core.world.entities import SimulatedObject, SimulatedRobot
 from orbit_core.world.markers import SimulatedMarker, identity_poses
@@ -57,6 +67,7 @@ class SimulatedWorld(World):
         UnknownNameError, BackendNotInstalledError: no such backend.
         UnsupportedCapabilityError: the backend lacks what the scene needs, or the renderer what its cameras need.
         AssetError: an articulation cannot be simulated.
+        BuildError: what the engine built is not what the scene describes.
     """
 
     def __init__(
@@ -87,6 +98,11 @@ class SimulatedWorld(World):
         shared = (settings or {}) if self._renderer_plugin.name == backend else {}
         self._renderer_config = backend_config(self._renderer_plugin, {**shared, **(renderer_settings or {})})
         self.engine = plugin.create_engine(self.layout, num_envs, self.device, config)
+        try:
+            check_build(self.engine, backend)
+        except BuildError:
+            self.engine.close()
+            raise
         self.masking = Masking()
         """Set a mask, and what is written for all environments reaches those of the mask alone."""
         self.random = RandomStreams(num_envs, seed, self.device, self.masking)

@@ -1,0 +1,170 @@
+"""Compares what an engine built with the description, before anything runs.
+
+Kinematics are compared at home and at one other position of the joints, so that a wrong axis or frame shows as well;
+masses, centres of mass, inertias, limits and armatures by the numbers that the engine holds.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.transforms import quat_distance
+from orbit_core.interfaces import BuildError, BuiltModel, Engine, EntityLayout, SceneLayout
+
+FloatArray = npt.NDArray[np.float64]
+
+_LENGTH, _ANGLE = 2e-4, 2e-3
+"""Of links: metres, per metre of distance from the origin where that is more, and radians. Engines reckon in single
+precision, some of them far from the origin."""
+_TOLD = 1e-4
+"""Radians or metres, of joint positions."""
+_RELATIVE = 1e-4
+"""Of masses, limits and armatures, and of inertias by the largest moment."""
+_CENTER = 1e-5
+"""Metres, of centres of mass."""
+_UNLIMITED = 1e8
+_STRAY = 0.381966
+"""Fraction of a joint's range, up or down from home, at which kinematics are compared a second time."""
+
+
+def check_build(engine: Engine, backend: str) -> None:
+    """Hold a new engine to its layout; it is in the scene's initial state afterwards.
+
+    Raises:
+        BuildError: names the backend, what is wrong, by how much and what it should be.
+    """
+    problems = itertools.chain(_wrong_numbers(engine), _wrong_poses(engine))
+    problem = next(problems, None)
+    if problem is not None:
+        raise BuildError(
+            f"backend '{backend}' built the scene wrong: {problem}; the fault is the plugin's, and it would simulate "
+            "another scene than this: tell its authors, and choose another backend"
+        )
+
+
+def _wrong_numbers(engine: Engine) -> Iterator[str]:
+    kinds, built = engine.layout.variants, engine.built_model()
+    if not built:
+        return
+    if len(built) != len(kinds):
+        yield f"it tells of {len(built)} kinds of environments where the scene has {len(kinds)}"
+    for layout, model in zip(kinds, built, strict=False):
+        yield from _wrong_inertias(layout, model)
+        yield from _wrong_joints(layout, model)
+
+
+def _wrong_inertias(layout: SceneLayout, model: BuiltModel) -> Iterator[str]:
+    for entity in layout.entities:
+        for number in range(entity.links.start, entity.links.stop):
+            link = layout.links[number]
+            if entity.spec.fixed_base and number == entity.root_link:
+                continue
+            subject = f"of link '{link.name}' of '{entity.name}'"
+            if not np.isclose(model.masses[number], link.mass, rtol=_RELATIVE, atol=0.0):
+                yield f"the mass {subject} is {model.masses[number]:.6g} kg instead of {link.mass:.6g}"
+            center = model.centers_of_mass[number]
+            if not np.allclose(center, link.center_of_mass, rtol=_RELATIVE, atol=_CENTER):
+                yield f"the centre of mass {subject} is at {_shown(center)} m instead of {_shown(link.center_of_mass)}"
+            inertia = np.asarray(link.inertia, dtype=np.float64)
+            least, middle, largest = np.linalg.eigvalsh(inertia)
+            possible = least + middle >= largest * (1 - 1e-9)  # engines may round what no solid has, and report it
+            if possible and not np.allclose(model.inertias[number], inertia, rtol=0.0, atol=10 * _RELATIVE * largest):
+                off = np.abs(model.inertias[number] - inertia).max() / largest
+                yield f"the inertia {subject} is {off:.2g} of its largest moment, {largest:.4g} kg m^2, off"
+
+
+def _wrong_joints(layout: SceneLayout, model: BuiltModel) -> Iterator[str]:
+    asked = layout.joint_parameters
+    pairs = {
+        "lower limit": (model.lower_limits, asked.lower_limit),
+        "upper limit": (model.upper_limits, asked.upper_limit),
+        "armature": (model.armatures, asked.armature),
+        "effort limit": (model.effort_limits, asked.effort_limit),
+    }
+    for what, (got, wanted) in pairs.items():
+        if got is None:
+            continue
+        for number in np.flatnonzero(_differ(got, wanted)):
+            joint, entity = layout.joints[number], _entity_of_joint(layout, int(number))
+            yield (
+                f"the {what} of joint '{joint.name}' of '{entity.name}' is {got[number]:.6g} instead of "
+                f"{wanted[number]:.6g}"
+            )
+
+
+def _differ(got: FloatArray, wanted: FloatArray) -> npt.NDArray[np.bool_]:
+    got, wanted = (np.where(np.abs(a) >= _UNLIMITED, np.copysign(np.inf, a), a) for a in (got, wanted))
+    return ~np.isclose(got, wanted, rtol=_RELATIVE, atol=1e-6)
+
+
+def _wrong_poses(engine: Engine) -> Iterator[str]:
+    """Compare all environments at home, then the last one with its joints moved, which is put back after."""
+    parameters = engine.layout.joint_parameters
+    home = torch.as_tensor(parameters.home, dtype=torch.float32, device=engine.device).repeat(engine.num_envs, 1)
+    yield from _misplaced(engine, home, "at home")
+    if not home.shape[1]:
+        return
+    last = torch.tensor([engine.num_envs - 1], device=engine.device)
+    moved = home.clone()
+    moved[-1] = torch.as_tensor(_positions_elsewhere(engine.layout))
+    engine.write_joint_state(torch.arange(home.shape[1], device=engine.device), moved[-1:], None, last)
+    yield from _misplaced(engine, moved, "with the joints of the last environment moved")
+    engine.reset(last)
+
+
+def _positions_elsewhere(layout: SceneLayout) -> FloatArray:
+    """(J,) within limits, mimic joints with their leaders; joints of closed loops stay at home."""
+    parameters = layout.joint_parameters
+    home = parameters.home
+    below = np.maximum(parameters.lower_limit, home - 1.0) - home
+    above = np.minimum(parameters.upper_limit, home + 1.0) - home
+    positions = home + _STRAY * np.where(above > -below, above, below)
+    for entity in layout.entities:
+        articulation, start = entity.spec.articulation, entity.joints.start
+        if articulation.loops:
+            positions[entity.joints] = home[entity.joints]
+            continue
+        for index, joint in enumerate(articulation.movable_joints):
+            if joint.mimic is not None:
+                leader = positions[start + articulation.joint_names.index(joint.mimic.joint)]
+                positions[start + index] = joint.mimic.multiplier * leader + joint.mimic.offset
+    return positions
+
+
+def _misplaced(engine: Engine, positions: Tensor, when: str) -> Iterator[str]:
+    """Joints that do not tell the positions (N, J) that they were given, and links that do not stand accordingly."""
+    off = (engine.joint_positions - positions).abs() > _TOLD
+    for env, joint in off.nonzero().tolist():
+        name, entity = engine.layout.joints[joint].name, _entity_of_joint(engine.layout, joint)
+        told, given = float(engine.joint_positions[env, joint]), float(positions[env, joint])
+        yield f"{when}, joint '{name}' of '{entity.name}' in environment {env} tells {told:.6g} instead of {given:.6g}"
+    for entity in engine.layout.entities:
+        root = torch.tensor((*entity.spec.pose.position, *entity.spec.pose.orientation), device=engine.device)
+        tree = KinematicTree(entity.spec.articulation, engine.device)
+        asked = tree.forward(root.expand(engine.num_envs, 7), positions[:, entity.joints])
+        built = engine.link_poses[:, entity.links]
+        distance = (built[..., :3] - asked[..., :3]).norm(dim=-1)
+        angle = quat_distance(built[..., 3:], asked[..., 3:])
+        right = (distance <= _LENGTH * asked[..., :3].norm(dim=-1).clamp_min(1.0)) & (angle <= _ANGLE)
+        for env, link in (~right).nonzero().tolist():
+            name = entity.spec.articulation.link_names[link]
+            yield (
+                f"{when}, link '{name}' of '{entity.name}' in environment {env} stands {distance[env, link]:.3g} m and "
+                f"{angle[env, link]:.3g} rad off, at {_shown(built[env, link, :3].cpu())} m instead of "
+                f"{_shown(asked[env, link, :3].cpu())}"
+            )
+
+
+def _entity_of_joint(layout: SceneLayout, joint: int) -> EntityLayout:
+    return next(entity for entity in layout.entities if entity.joints.start <= joint < entity.joints.stop)
+
+
+def _shown(vector: object) -> str:
+    return "(" + ", ".join(f"{float(x):.4g}" for x in np.asarray(vector)) + ")"
