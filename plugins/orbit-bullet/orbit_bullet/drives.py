@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from orbit_bullet.urdf import write_urdf
+
 FloatArray = npt.NDArray[np.float64]
 _UNLIMITED = 1e12
 _FASTEST = 1e9
@@ -73,4 +75,4 @@ def write_wheels(path: Path, count: int) -> None:
         ET.SubElement(joint, "parent", link="base")
         ET.SubElement(joint, "child", link=f"l{number}")
         ET.SubElement(joint, "axis", xyz="0 0 1")
-    ET.ElementTree(robot).write(path)
+    write_urdf(robot, path)

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-from orbit_core.interfaces import BackendNotInstalledError
+from orbit_core.interfaces import BackendNotInstalledError, OrbitError
 
 LAST_PYTHON = (3, 11)
 """The newest for which pybullet has wheels."""
@@ -60,6 +60,15 @@ class Client:
         if self._number >= 0:
             self._module.disconnect(physicsClientId=self._number)
             self._number = -1
+
+
+@contextlib.contextmanager
+def refusals(what: str, kind: type[OrbitError]) -> Iterator[None]:
+    """Raise Bullet's own errors, which name neither culprit nor cause, as one of ``kind`` that says ``what`` failed."""
+    try:
+        yield
+    except bullet().error as error:
+        raise kind(f"{what}: {error}") from error
 
 
 @contextlib.contextmanager

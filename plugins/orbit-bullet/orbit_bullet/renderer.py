@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from orbit_bullet.config import BulletConfig
-from orbit_bullet.library import Client, silence
+from orbit_bullet.library import Client, refusals, silence
 from orbit_bullet.normals import normals_of
 from orbit_bullet.rotations import compose, rotate
 from orbit_bullet.visuals import VisualShapes, marker_shapes
@@ -26,6 +26,7 @@ from orbit_core.interfaces import (
     Image,
     Renderer,
     SceneLayout,
+    SimulationError,
     albedo_table,
     drawn_shapes,
 )
@@ -58,7 +59,8 @@ class BulletRenderer(Renderer):
         self._closed = False
         wanted = config.renderer == "egl" or (config.renderer == "auto" and _suits_opengl(cameras))
         self._opengl = wanted and self._load_opengl(required=config.renderer == "egl")
-        with tempfile.TemporaryDirectory(prefix="orbit-bullet-") as folder, silence():
+        refused = refusals("Bullet cannot draw the scene", SimulationError)
+        with tempfile.TemporaryDirectory(prefix="orbit-bullet-") as folder, silence(), refused:
             shapes = VisualShapes(self._client, Path(folder))
             things = drawn_shapes(layout)
             self._links = np.array([link for _, link in things], dtype=np.int64)

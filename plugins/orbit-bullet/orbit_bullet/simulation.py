@@ -13,14 +13,20 @@ from orbit_bullet.buffers import Buffers
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.contacts import ContactMeter
 from orbit_bullet.deformables import Deformables
-from orbit_bullet.library import Client, silence
+from orbit_bullet.library import Client, refusals, silence
 from orbit_bullet.loads import Loads
 from orbit_bullet.materials import PairProducts, nominal
 from orbit_bullet.rays import cast_rays
 from orbit_bullet.rotations import compose, cross
 from orbit_bullet.stage import SceneFiles, Stage
 from orbit_bullet.wrenches import WrenchMeter
-from orbit_core.interfaces import TERRAIN, ConfigurationError, SceneLayout, UnsupportedCapabilityError
+from orbit_core.interfaces import (
+    TERRAIN,
+    ConfigurationError,
+    SceneLayout,
+    SimulationError,
+    UnsupportedCapabilityError,
+)
 
 FloatArray = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
@@ -48,7 +54,7 @@ class Simulation:
         self.buffers = buffers
         self.count = len(buffers.link_poses)
         self.client = Client()
-        with silence():
+        with silence(), refusals("Bullet cannot build the scene", SimulationError):
             if layout.scene.deformables:
                 self.client.resetSimulation(self.client.RESET_USE_DEFORMABLE_WORLD)
             self._set_options(config)

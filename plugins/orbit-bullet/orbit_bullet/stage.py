@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_bullet.config import BulletConfig
+from orbit_bullet.library import refusals
 from orbit_bullet.urdf import MeshFiles, child_poses, write_entity
-from orbit_core.interfaces import TERRAIN, ConfigurationError, EntityLayout, SceneLayout
+from orbit_core.interfaces import TERRAIN, AssetError, ConfigurationError, EntityLayout, SceneLayout
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -44,6 +45,8 @@ _ROW = 32
 _RAY_CELLS = 15
 """Bullet meets a height field cell by cell on shorter rays, and by chunks of 16 cells, some of which it misses, on
 longer ones."""
+_LONGEST_FOLDER = 960
+"""Bytes of a folder's name: Bullet keeps names of files in 1,024."""
 _GEAR_FORCE = 1e9
 _GEAR_ERP = 0.2
 """Share of a mimic joint's error that a step removes."""
@@ -60,7 +63,16 @@ class SceneFiles:
 
 
 def write_scene(layout: SceneLayout, folder: Path) -> SceneFiles:
-    """Write the files of a scene."""
+    """Write the files of a scene.
+
+    Raises:
+        ConfigurationError: the folder's name is longer than Bullet reads, or Bullet has no such shape.
+    """
+    if len(bytes(folder)) > _LONGEST_FOLDER:
+        raise ConfigurationError(
+            f"Bullet reads files from folders whose name has {_LONGEST_FOLDER} bytes or fewer, and this one's has "
+            f"{len(bytes(folder))}: set TMPDIR to a shorter one than '{folder.parent}'"
+        )
     meshes = MeshFiles(folder)
     paths = []
     for entity in layout.entities:
@@ -199,13 +211,14 @@ class Stage:
         flags |= client.URDF_INITIALIZE_SAT_FEATURES
         if articulation.self_collisions:
             flags |= client.URDF_USE_SELF_COLLISION | client.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
-        body = client.loadURDF(
-            str(self.files.entities[number]),
-            tuple(self.origins[slot] + spec.pose.position),
-            _xyzw(spec.pose.orientation),
-            useFixedBase=spec.fixed_base,
-            flags=flags,
-        )
+        with refusals(f"Bullet cannot load the model of '{entity.name}'", AssetError):
+            body = client.loadURDF(
+                str(self.files.entities[number]),
+                tuple(self.origins[slot] + spec.pose.position),
+                _xyzw(spec.pose.orientation),
+                useFixedBase=spec.fixed_base,
+                flags=flags,
+            )
         self.bodies[slot].append(body)
         if slot == 0:
             self._number_links(body, entity)

@@ -116,7 +116,7 @@ def write_entity(entity: Entity, path: Path, meshes: MeshFiles) -> None:
         ConfigurationError: Bullet has no such shape.
     """
     articulation = entity.articulation
-    robot = ET.Element("robot", name=entity.name)
+    robot = ET.Element("robot", name="entity")
     places = child_poses(entity)
     numbers = {name: number for number, name in enumerate(articulation.link_names)}
     for number, link in enumerate(articulation.links):
@@ -126,6 +126,16 @@ def write_entity(entity: Entity, path: Path, meshes: MeshFiles) -> None:
     for joint in articulation.joints:
         parent = numbers[joint.parent]
         _add_joint(robot, joint, parent, numbers[joint.child], places[parent])
+    write_urdf(robot, path)
+
+
+def write_urdf(robot: ET.Element, path: Path) -> None:
+    """Write a URDF file with a line for each element.
+
+    Bullet reads lines into a buffer of 8,192 bytes and puts line breaks between what it read, so that a longer line is
+    cut in two wherever the buffer ends: within a word, or a number. No element is nearly as long.
+    """
+    ET.indent(robot, space="")
     ET.ElementTree(robot).write(path)
 
 
