@@ -11,7 +11,15 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import Approximation, Engine, RayHits, SceneLayout, SimulationError
+from orbit_core.interfaces import (
+    Approximation,
+    BuiltModel,
+    Engine,
+    RayHits,
+    SceneLayout,
+    SimulationError,
+    divergence_error,
+)
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.drives import Drives
 from orbit_sapien.model import BuiltWorld, build_world, configure_physx
@@ -19,6 +27,7 @@ from orbit_sapien.native import physx, sapien
 from orbit_sapien.parameters import Parameters
 from orbit_sapien.probes import ContactMeter, WrenchMeter, held_links
 from orbit_sapien.rays import RayWorld
+from orbit_sapien.readback import read_model
 from orbit_sapien.state import State
 
 
@@ -59,7 +68,7 @@ class SapienEngine(Engine):
     def step(self, steps: int) -> None:
         commands = self._drives.commands(*self._commands)
         if not commands.sum().isfinite():
-            self._refuse((~commands.isfinite()).any(0).any(-1).nonzero().flatten().tolist(), "were told")
+            self._refuse_commands((~commands.isfinite()).any(0).any(-1).nonzero().flatten().tolist())
         self._drives.send(commands)
         if self._contacts.active:
             self._contacts.clear()
@@ -68,7 +77,7 @@ class SapienEngine(Engine):
         if self._contacts.active:
             self._contacts.average(steps)
         if failed := self._state.diverged():
-            self._refuse(failed, "diverged: they hold")
+            raise divergence_error(failed)
         if self._world.shared_ground and (strayed := self._state.beyond(self._world.reach)):
             self._refuse_strayed(strayed)
         self._drives.measure(*self._commands, self._state.joint_positions, self._state.joint_velocities)
@@ -85,12 +94,9 @@ class SapienEngine(Engine):
         if self._contacts.active:
             self._contacts.add()
 
-    def _refuse(self, environments: list[int], what: str) -> None:
+    def _refuse_commands(self, environments: list[int]) -> None:
         shown = ", ".join(map(str, environments[:8])) + (", ..." if len(environments) > 8 else "")
-        raise SimulationError(
-            f"environments {shown} {what} numbers that are not finite; reset them, and use a smaller physics_dt, "
-            "softer drives or larger masses"
-        )
+        raise SimulationError(f"environments {shown} were given targets or efforts that are not finite: reset them")
 
     def _refuse_strayed(self, environments: list[int]) -> None:
         raise SimulationError(
@@ -225,6 +231,9 @@ class SapienEngine(Engine):
     @property
     def build_report(self) -> tuple[Approximation, ...]:
         return self._world.report
+
+    def built_model(self) -> tuple[BuiltModel, ...]:
+        return (read_model(self._world.environments[0]),)
 
     @property
     def native(self) -> tuple[physx.PhysxCpuSystem, tuple[sapien.Scene, ...]]:

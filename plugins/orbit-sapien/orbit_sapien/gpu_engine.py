@@ -23,10 +23,12 @@ from torch import Tensor
 from orbit_core.interfaces import (
     TERRAIN,
     Approximation,
+    BuiltModel,
     Engine,
     SceneLayout,
-    SimulationError,
     UnsupportedCapabilityError,
+    diverged,
+    divergence_error,
 )
 from orbit_sapien import physx_gpu
 from orbit_sapien.config import SapienConfig
@@ -34,6 +36,7 @@ from orbit_sapien.drives import Drives
 from orbit_sapien.kinematics import rotate
 from orbit_sapien.model import BuiltWorld, build_world, configure_physx
 from orbit_sapien.native import physx, sapien
+from orbit_sapien.readback import read_model
 
 _MOVING = physx.PhysxRigidDynamicComponent, physx.PhysxArticulationLinkComponent
 _UNTESTED = Approximation(
@@ -157,9 +160,8 @@ class SapienGpuEngine(Engine):
         self._contacts.average(steps * self._dt)
         self._fetch()
         # PhysX's own step waits for the GPU, so that this look at the result costs no wait of its own.
-        if not bool(self._buffers.bodies.isfinite().all()):
-            failed = (~self.link_poses.isfinite().flatten(1).all(-1)).nonzero().flatten().tolist()
-            raise SimulationError(f"environments {failed[:8]} diverged: use a smaller physics_dt or softer drives")
+        if failed := diverged(self.link_poses, self.link_velocities).nonzero().flatten().tolist():
+            raise divergence_error(failed)
         self._drives.measure(
             self.position_targets, self.velocity_targets, self.efforts, self.joint_positions, self.joint_velocities
         )
@@ -309,6 +311,9 @@ class SapienGpuEngine(Engine):
     @property
     def build_report(self) -> tuple[Approximation, ...]:
         return (_UNTESTED, *self._world.report)
+
+    def built_model(self) -> tuple[BuiltModel, ...]:
+        return (read_model(self._world.environments[0]),)
 
     @property
     def native(self) -> tuple[physx.PhysxGpuSystem, tuple[sapien.Scene, ...]]:

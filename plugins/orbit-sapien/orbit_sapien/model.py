@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.interfaces import TERRAIN, Approximation, AssetError, EntityLayout, SceneLayout
+from orbit_core.interfaces import MAX_SPEED, TERRAIN, Approximation, AssetError, EntityLayout, SceneLayout
 from orbit_core.scene import Joint, JointType, Link, LoopJoint, PhysicsMaterial, Plane, Pose, Shape
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.geometry import collision_shape
@@ -28,8 +28,9 @@ from orbit_sapien.materials import PairRule
 from orbit_sapien.native import native_pose, physx, sapien
 from orbit_sapien.tendons import add_mimic_tendon, mimic_approximations
 
-_FAST = 1e4
-"""Stands for no limit on a body's speed; PhysX's own limits are a few metres per second."""
+_FAST = 10.0 * MAX_SPEED
+"""Stands for no limit on a body's speed, beyond where a run counts as diverged; PhysX's own are a few metres per
+second."""
 _FREE_CELLS = 2.5
 """Less than half the distance between environments of one colour, in cells."""
 _SHARED_SPREAD = 4.0

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import SceneLayout
+from orbit_core.interfaces import SceneLayout, diverged
 from orbit_sapien.kinematics import Kinematics, rotate
 from orbit_sapien.model import BuiltWorld, NativeEntity
 from orbit_sapien.native import NativePose, physx
@@ -83,10 +83,13 @@ class State:
         return self._values["packed"]
 
     def diverged(self) -> list[int]:
-        """Environments whose state is not finite."""
-        if not self.packed.numel() or self.packed.sum().isfinite():
+        """Environments that are out of bounds."""
+        if not self.packed.numel():
             return []
-        return (~self.packed.isfinite().all(-1)).nonzero().flatten().tolist()
+        roots = self.packed[:, self._root_index]
+        positions = torch.cat((roots[..., :7].flatten(1), self.joint_positions), -1)
+        velocities = torch.cat((roots[..., 7:].flatten(1), self.joint_velocities), -1)
+        return diverged(positions, velocities).nonzero().flatten().tolist()
 
     def beyond(self, reach: float) -> list[int]:
         """Environments with a free root farther than ``reach`` metres from their origin along x or y."""
