@@ -129,3 +129,49 @@ class PlanarChain:
         joints = self.armature * float((state[self.links :] ** 2).sum())
         height = -(levers @ np.sin(angles)).sum()
         return 0.5 * float(speeds @ matrix @ speeds) + 0.5 * joints + self.mass * self.gravity * float(height)
+
+
+@dataclass(frozen=True)
+class RotaryPendulum:
+    """Furuta's: a pendulum about the axis of an arm, which turns about the vertical; nothing drives or damps it.
+
+    State: the arm's angle a, the pendulum's b (zero where it hangs down), and their rates. With ``J`` of the arm about
+    its axis, lever ``l`` and inertia ``I`` (the same about any axis) of the pendulum, arm ``L``, Lagrange's equations
+    (Cazzolato and Prime, Journal of Control Science and Engineering 2011, article 528341, with their J2 = I) are::
+
+        (J + m L^2 + m l^2 sin^2 b + I) a'' + m L l cos b b'' = m L l sin b b'^2 - m l^2 sin 2b a' b'
+        m L l cos b a'' + (m l^2 + I) b'' = m l^2 sin 2b a'^2 / 2 - m g l sin b
+    """
+
+    arm: float
+    lever: float
+    arm_inertia: float
+    """J, in kg m^2."""
+    mass: float = 1.0
+    inertia: float = 0.01
+    """Of the pendulum about its centre."""
+    gravity: float = 9.81
+
+    def derivative(self, state: FloatArray) -> FloatArray:
+        """Of the state."""
+        _, b, turning, swinging = state
+        sine, cosine = math.sin(b), math.cos(b)
+        twist = self.mass * self.lever**2 * 2 * sine * cosine
+        couple = self.mass * self.arm * self.lever
+        push = np.array([
+            couple * sine * swinging**2 - twist * turning * swinging,
+            0.5 * twist * turning**2 - self.mass * self.gravity * self.lever * sine,
+        ])  # fmt: skip
+        return np.concatenate((state[2:], np.linalg.solve(self._inertia(b), push)))
+
+    def energy(self, state: FloatArray) -> float:
+        """Kinetic, and potential above hanging, in J."""
+        rates = state[2:]
+        height = self.lever * (1 - math.cos(state[1]))
+        return 0.5 * float(rates @ self._inertia(state[1]) @ rates) + self.mass * self.gravity * height
+
+    def _inertia(self, b: float) -> FloatArray:
+        sine, couple = math.sin(b), self.mass * self.arm * self.lever * math.cos(b)
+        own = self.mass * self.lever**2
+        arm = self.arm_inertia + self.mass * self.arm**2 + own * sine**2 + self.inertia
+        return np.array([[arm, couple], [couple, own + self.inertia]])

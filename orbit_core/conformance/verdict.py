@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from orbit_core.conformance.scenario import Scenario, Trial
-from orbit_core.interfaces import Backend, Capability, Gap, UnsupportedCapabilityError
+from orbit_core.interfaces import Backend, Capability, Gap, SimulationError, UnsupportedCapabilityError
 
 
 class Status(Enum):
@@ -64,9 +64,15 @@ def _judge_metric(tolerance: float, error: float, gap: Gap | None, name: str) ->
         return (Status.PASS, "") if within else (Status.FAIL, f"{name} is {error:.3g}, above {tolerance:.3g}")
     if within:
         return Status.STALE, f"{name} is {error:.3g}, within {tolerance:.3g}: take the declared gap back"
-    if math.isfinite(error) and error <= gap.limit:
+    if error <= gap.limit:
         return Status.GAP, f"{name} is {error:.3g}, above {tolerance:.3g}: {gap.reason}"
     return Status.FAIL, f"{name} is {error:.3g}, beyond the declared {gap.limit:.3g}"
+
+
+def _diverged(backend: Backend, scenario: Scenario, error: SimulationError) -> Verdict:
+    """An engine that says itself that it diverged: no metric has a finite error."""
+    verdict = judge(backend, scenario, {metric.name: math.inf for metric in scenario.metrics})
+    return replace(verdict, reason=f"{error}; {verdict.reason}")
 
 
 def run_scenario(scenario: Scenario, backend: Backend, trial: Trial) -> Verdict:
@@ -79,4 +85,6 @@ def run_scenario(scenario: Scenario, backend: Backend, trial: Trial) -> Verdict:
             errors = scenario.run(trial)
         except UnsupportedCapabilityError as error:
             return Verdict(Status.UNSUPPORTED, str(error))
+        except SimulationError as error:
+            return _diverged(backend, scenario, error)
     return judge(backend, scenario, errors)

@@ -16,6 +16,9 @@ class Gap:
     scenario: str
     metric: str
     limit: float
-    """The largest error that the backend admits to, in the metric's unit: what was measured, with a margin."""
+    """The largest error that the backend admits to, in the metric's unit: what was measured, with a margin.
+
+    ``math.inf`` where the engine diverges and raises :class:`SimulationError`.
+    """
     reason: str
     """Why the engine cannot do better."""

@@ -9,6 +9,7 @@ from orbit_core.conformance.scenarios import (
     free_motion,
     friction,
     grasp,
+    gyroscopes,
     images,
     impact,
     joints,
@@ -18,16 +19,19 @@ from orbit_core.conformance.scenarios import (
     rays,
     repeatability,
     resting,
+    rolling,
     sensing,
 )
 
 SCENARIOS: tuple[Scenario, ...] = (
     *free_motion.SCENARIOS,
     *pendula.SCENARIOS,
+    *gyroscopes.SCENARIOS,
     *joints.SCENARIOS,
     *drives.SCENARIOS,
     *linkages.SCENARIOS,
     *friction.SCENARIOS,
+    *rolling.SCENARIOS,
     *impact.SCENARIOS,
     *resting.SCENARIOS,
     *grasp.SCENARIOS,

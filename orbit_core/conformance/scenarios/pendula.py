@@ -9,9 +9,10 @@ from functools import cache
 import numpy as np
 import torch
 
-from orbit_core.conformance.bodies import G, pendulum, scene
-from orbit_core.conformance.reference import FloatArray, PlanarChain, pendulum_period, trajectory
+from orbit_core.conformance.bodies import G, body, pendulum, scene
+from orbit_core.conformance.reference import FloatArray, PlanarChain, RotaryPendulum, pendulum_period, trajectory
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
+from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, RobotSpec
 
 _LENGTH = 0.5
 _AMPLITUDES = (0.05, 1.5, 2.8)
@@ -84,6 +85,67 @@ def _double_pendulum(trial: Trial) -> Mapping[str, float]:
     }
 
 
+_LINKS = 4
+
+
+def _energy_of_a_chain(trial: Trial) -> Mapping[str, float]:
+    """Four links let go level: their way is chaotic, their energy is not."""
+    world = trial.world(scene(pendulum(length=_LENGTH, links=_LINKS), terrain=()))
+    robot, chain = world.robots["pendulum"], PlanarChain(_LINKS, _LENGTH)
+    lowest = chain.energy(np.array([math.pi / 2] + [0.0] * (2 * _LINKS - 1)))
+    times, energies = [], []
+    for time in trial.advance(world, 20.0, every=0.1):
+        state = torch.cat((robot.joint_positions[0], robot.joint_velocities[0])).double().cpu().numpy()
+        times.append(time)
+        energies.append(chain.energy(state) - lowest)
+    trial.trace("energy above hanging", "J", times, energies, [energies[0]] * len(times))
+    shares = np.array(energies) / energies[0] - 1
+    return {"gained": max(0.0, float(shares.max())), "lost": max(0.0, float(-shares.min()))}
+
+
+_ARM, _LEVER, _ARM_INERTIA = 0.3, 0.25, 0.1
+_UP = 2.5
+"""rad from hanging, of the pendulum at its release."""
+
+
+def _furuta() -> RobotSpec:
+    """An arm about z along x, and a pendulum about x at its end, which hangs at zero."""
+    links = (
+        body("base"),
+        Link("arm", 1.0, (0.0, 0.0, 0.0), np.eye(3) * _ARM_INERTIA),
+        body("pendulum", 1.0, (0.0, 0.0, -_LEVER), 0.01),
+    )
+    joints = (
+        Joint("arm_hinge", JointType.CONTINUOUS, "base", "arm"),
+        Joint("hinge", JointType.CONTINUOUS, "arm", "pendulum", Pose((_ARM, 0.0, 0.0)), axis=(1.0, 0.0, 0.0)),
+    )
+    return RobotSpec(name="furuta", articulation=Articulation("furuta", links, joints), fixed_base=True)
+
+
+@cache
+def _rotary(times: tuple[float, ...]) -> FloatArray:
+    return trajectory(RotaryPendulum(_ARM, _LEVER, _ARM_INERTIA).derivative, np.array([0.0, _UP, 0.0, 0.0]), times)
+
+
+def _rotary_pendulum(trial: Trial) -> Mapping[str, float]:
+    world = trial.world(scene(_furuta(), terrain=()))
+    robot, reference = world.robots["furuta"], RotaryPendulum(_ARM, _LEVER, _ARM_INERTIA)
+    robot.set_joint_state(torch.tensor([[0.0, _UP]], device=world.device))
+    times, states = [], []
+    for time in trial.advance(world, 2.0, every=0.02):
+        times.append(time)
+        states.append(torch.cat((robot.joint_positions[0], robot.joint_velocities[0])).tolist())
+    truth, measured = _rotary(tuple(times)), np.array(states)
+    trial.trace("angle of the arm", "rad", times, measured[:, 0].tolist(), truth[:, 0].tolist())
+    apart = np.abs(measured[:, :2] - truth[:, :2]).max(0)
+    energies = np.array([reference.energy(state) for state in measured])
+    return {
+        "arm": float(apart[0]),
+        "pendulum": float(apart[1]),
+        "energy": float(np.abs(energies / energies[0] - 1).max()),
+    }
+
+
 SCENARIOS = (
     Scenario(
         name="pendulum",
@@ -124,6 +186,35 @@ SCENARIOS = (
             Metric(
                 name="energy", unit="", tolerance=0.08, meaning="largest change, relative to that above hanging at rest"
             ),
+        ),
+    ),
+    Scenario(
+        name="energy_of_a_chain",
+        group="Joints in motion",
+        question="Does a chain of four links, which nothing drives or damps, keep its energy for 20 s?",
+        truth="T + V is constant",
+        source="Goldstein, Classical Mechanics, 3rd ed., section 1.2",
+        run=_energy_of_a_chain,
+        metrics=(
+            Metric(
+                name="gained", unit="", tolerance=0.05, meaning="largest gain, relative to that above hanging at rest"
+            ),
+            Metric(
+                name="lost", unit="", tolerance=0.05, meaning="largest loss, relative to that above hanging at rest"
+            ),
+        ),
+    ),
+    Scenario(
+        name="rotary_pendulum",
+        group="Joints in motion",
+        question="Does a pendulum on a turning arm (Furuta's) go the way of its equations of motion?",
+        truth="Lagrange's equations, integrated at 1 ms in double precision with fourth order",
+        source="Cazzolato and Prime, Journal of Control Science and Engineering 2011, article 528341",
+        run=_rotary_pendulum,
+        metrics=(
+            Metric(name="arm", unit="rad", tolerance=0.4, meaning="largest error of the arm's angle in two seconds"),
+            Metric(name="pendulum", unit="rad", tolerance=0.8, meaning="the same of the pendulum's"),
+            Metric(name="energy", unit="", tolerance=0.07, meaning="largest change, relative"),
         ),
     ),
 )

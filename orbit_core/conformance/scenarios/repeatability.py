@@ -26,9 +26,9 @@ def _busy_scene(*sensors: SensorSpec) -> Scene:
     return scene(arm, *cubes, sensors=sensors)
 
 
-def _drive(trial: Trial, world: SimulatedWorld, seconds: float, begin: int = 0) -> None:
-    """Commands that depend on the environment's number and the time alone."""
-    numbers = torch.arange(1.0, world.num_envs + 1.0, device=world.device)[:, None]
+def _drive(trial: Trial, world: SimulatedWorld, seconds: float, begin: int = 0, first: int = 0) -> None:
+    """Commands that depend on the environment's number, counted from ``first``, and the time alone."""
+    numbers = first + torch.arange(1.0, world.num_envs + 1.0, device=world.device)[:, None]
     for turn in range(begin, begin + trial.steps(seconds) // _STEPS):
         phase = 0.1 * numbers * (turn + 1)
         world.robots["pendulum"].set_position_targets(torch.cat((phase.sin(), phase.cos()), -1))
@@ -53,10 +53,17 @@ def _the_same_run_twice(trial: Trial) -> Mapping[str, float]:
 
 
 def _alone_and_among_seven(trial: Trial) -> Mapping[str, float]:
-    alone, among = trial.world(_busy_scene()), trial.world(_busy_scene(), num_envs=7)
-    for world in (alone, among):
-        _drive(trial, world, 0.6)
-    return _apart(_state(alone), _state(among), (0,))
+    """Environments 0, 3 and 6, each beside a world of its own that is given the same commands."""
+    among = trial.world(_busy_scene(), num_envs=7)
+    _drive(trial, among, 0.6)
+    told = _state(among)
+    difference = 0.0
+    for number in (0, 3, 6):
+        alone = trial.world(_busy_scene())
+        _drive(trial, alone, 0.6, first=number)
+        own = {name: values[number : number + 1] for name, values in told.items()}
+        difference = max(difference, _apart(own, _state(alone), (0,))["difference"])
+    return {"difference": difference}
 
 
 def _beside_a_reset(trial: Trial) -> Mapping[str, float]:
@@ -95,6 +102,16 @@ def _snapshot(trial: Trial) -> Mapping[str, float]:
     return _apart(first, _state(world), (0, 1, 2))
 
 
+def _saved_in_passing(trial: Trial) -> Mapping[str, float]:
+    """One world is saved after every command, and never loaded."""
+    saved, plain = (trial.world(_busy_scene(), num_envs=3) for _ in range(2))
+    for turn in range(trial.steps(0.6) // _STEPS):
+        for world in (saved, plain):
+            _drive(trial, world, _STEPS * trial.time_step, begin=turn)
+        saved.save_state()
+    return _apart(_state(saved), _state(plain), (0, 1, 2))
+
+
 def _scenario(
     name: str, question: str, truth: str, run: Callable[[Trial], Mapping[str, float]], need: Capability
 ) -> Scenario:
@@ -123,7 +140,7 @@ SCENARIOS = (
     ),
     _scenario(
         "alone_and_among_seven", "Does an environment do the same however many there are?",
-        "environment 0 of seven does what it does alone", _alone_and_among_seven, Capability.DETERMINISTIC,
+        "environments 0, 3 and 6 of seven do what they do alone", _alone_and_among_seven, Capability.DETERMINISTIC,
     ),
     _scenario(
         "beside_a_reset", "Does the reset of one environment leave the others alone?",
@@ -136,5 +153,9 @@ SCENARIOS = (
     _scenario(
         "snapshot", "Does a saved state continue as it did?",
         "its second continuation is the first", _snapshot, Capability.SNAPSHOTS,
+    ),
+    _scenario(
+        "saved_in_passing", "Does a run go on as it would have without being saved?",
+        "a run that is saved after every command is one that never is", _saved_in_passing, Capability.SNAPSHOTS,
     ),
 )  # fmt: skip
