@@ -162,7 +162,8 @@ class RotaryPendulum:
             couple * sine * swinging**2 - twist * turning * swinging,
             0.5 * twist * turning**2 - self.mass * self.gravity * self.lever * sine,
         ])  # fmt: skip
-        return np.concatenate((state[2:], np.linalg.solve(self._inertia(b), push)))
+        change = np.concatenate((state[2:], np.linalg.solve(self._inertia(b), push)))
+        return np.asarray(change, np.float64)
 
     def energy(self, state: FloatArray) -> float:
         """Kinetic, and potential above hanging, in J."""
@@ -174,4 +175,4 @@ class RotaryPendulum:
         sine, couple = math.sin(b), self.mass * self.arm * self.lever * math.cos(b)
         own = self.mass * self.lever**2
         arm = self.arm_inertia + self.mass * self.arm**2 + own * sine**2 + self.inertia
-        return np.array([[arm, couple], [couple, own + self.inertia]])
+        return np.array([[arm, couple], [couple, own + self.inertia]], dtype=np.float64)

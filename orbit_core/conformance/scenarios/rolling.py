@@ -64,7 +64,7 @@ def _rolling_wheel(trial: Trial) -> Mapping[str, float]:
             way = wheel.root_pose[0, :3].cpu() - start
             slower = max(slower, abs(float(way @ along) / _SPEED - time))
             aside = max(aside, float((way - (way @ along) * along).norm()))
-        curve.append((time, float(wheel.root_velocity[0, :3].norm()), _SPEED))
+        curve.append((time, float(world.objects["wheel0"].root_velocity[0, :3].norm()), _SPEED))
     trial.trace("speed of a wheel on the level", "m/s", *zip(*curve, strict=True))
     downhill = [abs(value - 1) for tangent in _SLOPES for value in _down(trial, tangent)]
     return {"level": slower / 2.0, "aside": aside, "downhill": max(downhill)}
@@ -86,7 +86,8 @@ def _down(trial: Trial, tangent: float) -> tuple[float, float]:
 
 # A coin --------------------------------------------------------------------------------------------------------------
 
-_THICKNESS = 0.02
+THICKNESS = 0.02
+"""Of the coin, in metres; its radius is that of the wheels."""
 _LEAN, _TURNING = 0.3, 1.5
 """rad from upright, and rad/s about the vertical."""
 
@@ -100,8 +101,8 @@ def steady_roll(lean: float, turning: float) -> tuple[float, float]:
     spin w: ``W s (C w - A W c) = W v q - g (a c - h s)`` and ``v = h W s - a w``, where a is the radius, h half the
     thickness, W the turning, ``s = cos(lean)``, ``c = sin(lean)`` and ``q = a s + h c`` the height of the centre.
     """
-    radius, half = RADIUS, _THICKNESS / 2
-    across, axial = (3 * radius**2 + _THICKNESS**2) / 12, radius**2 / 2
+    radius, half = RADIUS, THICKNESS / 2
+    across, axial = (3 * radius**2 + THICKNESS**2) / 12, radius**2 / 2
     s, c = math.cos(lean), math.sin(lean)
     height = radius * s + half * c
     push = turning * s * (across * c + half * height) - G * (radius * c - half * s) / turning
@@ -113,9 +114,9 @@ def _rolling_coin(trial: Trial) -> Mapping[str, float]:
     """The coin moves along x at first, leaning towards y."""
     speed, spin = steady_roll(_LEAN, _TURNING)
     axis = torch.tensor([0.0, -math.cos(_LEAN), math.sin(_LEAN)])
-    height = RADIUS * math.cos(_LEAN) + _THICKNESS / 2 * math.sin(_LEAN)
+    height = RADIUS * math.cos(_LEAN) + THICKNESS / 2 * math.sin(_LEAN)
     pose = Pose.from_euler(math.pi / 2 - _LEAN, 0.0, 0.0, (0.0, 0.0, height))
-    coin = cylinder("coin", RADIUS, _THICKNESS, mass=1.0, material=smooth_material(0.9), pose=pose)
+    coin = cylinder("coin", RADIUS, THICKNESS, mass=1.0, material=smooth_material(0.9), pose=pose)
     world = trial.world(scene(coin, terrain=SMOOTH_GROUND))
     thing = world.objects["coin"]
     turning = torch.tensor([0.0, 0.0, _TURNING])

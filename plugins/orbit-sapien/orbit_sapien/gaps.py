@@ -18,7 +18,7 @@ _LOADED_DRIVE = (
 
 _UNDAMPED = "joint velocities are integrated in first order, which takes energy from fast chains, or gives it"
 _GYROSCOPIC = (
-    "in single precision the rounding of each step excites the nutation, which a first-order step of 17 degrees of spin "
+    "in single precision rounding excites the nutation at each step, which a first-order step of 17 degrees of spin "
     "does not hold"
 )
 _FAST_BODY = (

@@ -18,7 +18,7 @@ _CONTACT = (
 )
 
 _STIFF_NUTATION = (
-    "in single precision the rounding of each step excites the nutation, which a first-order step of 17 degrees of spin "
+    "in single precision rounding excites the nutation at each step, which a first-order step of 17 degrees of spin "
     "barely holds"
 )
 
