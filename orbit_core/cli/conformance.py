@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.table import Table
 from tyro.conf import Positional, arg
@@ -14,6 +15,8 @@ from tyro.conf import Positional, arg
 from orbit_core.cli.checks import check_positive
 from orbit_core.cli.output import console, new_table, progress_bar
 from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import KeyValues
+from orbit_core.cli.values import defaults_of, parse_values
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -54,6 +57,10 @@ class RunSettings:
     """Torch device of the backends that simulate on a GPU; the others take the CPU."""
     seed: int = 0
     """Of every random stream."""
+    setting: KeyValues = ()
+    """A setting of a backend, such as mujoco.impratio=10, or impratio=10 where one --backend is named; repeatable."""
+    fresh: bool = False
+    """Begin anew where an unfinished run would go on."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +102,7 @@ def _run(words: Sequence[str]) -> int:
         quick=settings.quick,
         device=settings.device,
         seed=settings.seed,
+        backend_settings=_backend_settings(settings.setting, settings.backend),
     )
     with progress_bar() as bar:
         task = bar.add_task("jobs", total=None)
@@ -105,8 +113,26 @@ def _run(words: Sequence[str]) -> int:
             if record is not None and not record.ending.acceptable:
                 bar.console.print(f"{record.job.key}: {record.ending.value}: {record.reason}", markup=False)
 
-        result = run(chosen, settings.output, _pool(settings), progress)
+        tell = functools.partial(bar.console.print, markup=False)
+        result = run(chosen, settings.output, _pool(settings), progress, tell, settings.fresh)
     return _tell(result, settings.output)
+
+
+def _backend_settings(pairs: Sequence[str], backends: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """``backend.key=value`` by backend; ``key=value`` is that of the only one."""
+    from orbit_core.backends import backend
+
+    grouped: dict[str, list[str]] = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        name, dot, field = key.rpartition(".")
+        if not dot and len(backends) != 1:
+            raise ConfigurationError(f"say of which backend the setting '{pair}' is: BACKEND.{pair}, or one --backend")
+        grouped.setdefault(name if dot else backends[0], []).append(f"{field}{equals}{value}")
+    return {
+        name: parse_values(own, defaults_of(backend(name).config_type), "setting", f"backend '{name}'")
+        for name, own in grouped.items()
+    }
 
 
 def _pool(settings: RunSettings) -> Pool:

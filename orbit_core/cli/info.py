@@ -138,6 +138,20 @@ def _show_plugin(console: Console, title: str, plugin: Backend, shown: Sequence[
         support = capabilities[capability]
         table.add_row(capability.value, support.level.value, support.reason)
     console.print(table)
+    _show_gaps(console, plugin)
+
+
+def _show_gaps(console: Console, plugin: Backend) -> None:
+    if not plugin.gaps():
+        return
+    from orbit_core.conformance.scenarios import SCENARIOS
+
+    units = {(scenario.name, metric.name): metric.unit for scenario in SCENARIOS for metric in scenario.metrics}
+    table = new_table("conformance scenario", "metric", "error up to", "why", title="Declared gaps")
+    for gap in plugin.gaps():
+        limit = f"{gap.limit:g} {units.get((gap.scenario, gap.metric), '')}"
+        table.add_row(gap.scenario, gap.metric, limit.strip(), gap.reason)
+    console.print(table)
 
 
 def _heading(console: Console, title: str, text: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import tempfile
 import time
@@ -23,11 +24,12 @@ from orbit_core.conformance.throughput import measure_once
 from orbit_core.conformance.transfer import transfer
 from orbit_core.conformance.verdict import Status, run_scenario
 from orbit_core.conformance.videos import film
-from orbit_core.interfaces import UnsupportedCapabilityError
+from orbit_core.interfaces import ConfigurationError, UnsupportedCapabilityError
 
 RECORDING = "recording.npz"
 TRACES = "traces.json"
 VIDEO = "video.mp4"
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 _DIGITS = 6
 """Of a trace's numbers: more than a plot shows."""
 
@@ -51,19 +53,24 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
 
     Returns:
         The outcome; an exception becomes a record of its own.
+
+    Raises:
+        ConfigurationError: the disk is full, which tells nothing of the backend.
     """
     torch.set_num_threads(1)  # other jobs run on the other cores
     begin = time.perf_counter()
     record = Record(job, Ending.DONE, device=settings.device_of(job.backend))
     with tempfile.TemporaryDirectory(prefix="orbit_conformance_") as name:
         folder = Path(name)
-        for file, content in inputs.items():
-            (folder / file).write_bytes(content)
         try:
+            for file, content in inputs.items():
+                (folder / file).write_bytes(content)
             record = _DOINGS[job.kind](record, settings, folder)
         except UnsupportedCapabilityError as error:
             record = replace(record, ending=Ending.UNSUPPORTED, reason=str(error))
         except Exception as error:
+            if isinstance(error, OSError) and error.errno in _FULL:
+                raise ConfigurationError(f"cannot write into folder {folder.parent}: {error.strerror}") from error
             traceback.print_exc()
             record = replace(record, ending=Ending.ERROR, reason=f"{type(error).__name__}: {error}")
         made = {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.name not in inputs}
@@ -73,7 +80,7 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
 def _scenario(record: Record, settings: Settings, folder: Path) -> Record:
     job, described = record.job, scenario(record.job.name)
     nominal = job.time_step == described.time_step
-    trial = Trial(job.backend, job.time_step, record.device, seed=settings.seed)
+    trial = Trial(job.backend, job.time_step, record.device, settings.settings_of(job.backend), settings.seed)
     verdict = run_scenario(described, find_backend(job.backend), trial)
     if nominal and trial.traces:
         _write_traces(trial, folder / TRACES)
@@ -112,18 +119,26 @@ def _task(record: Record, settings: Settings, folder: Path) -> Record:
         seed=settings.seed,
         recording=folder / RECORDING,
         device=record.device,
+        settings=settings.settings_of(job.backend),
     )
     return replace(record, task=result)
 
 
 def _replay(record: Record, settings: Settings, folder: Path) -> Record:
-    return replace(record, replay=replay(folder / RECORDING, record.job.backend, device=record.device))
+    backend = record.job.backend
+    own = settings.settings_of(backend)
+    return replace(record, replay=replay(folder / RECORDING, backend, device=record.device, settings=own))
 
 
 def _transfer(record: Record, settings: Settings, folder: Path) -> Record:
     job = record.job
     result = transfer(
-        job.name, job.backend, num_envs=settings.extent.episodes, seed=settings.seed, device=record.device
+        job.name,
+        job.backend,
+        num_envs=settings.extent.episodes,
+        seed=settings.seed,
+        device=record.device,
+        settings=settings.settings_of(job.backend),
     )
     return replace(record, transfer=result)
 
@@ -131,14 +146,28 @@ def _transfer(record: Record, settings: Settings, folder: Path) -> Record:
 def _throughput(record: Record, settings: Settings, folder: Path) -> Record:
     extent, job = settings.extent, record.job
     measured = measure_once(
-        job.name, job.backend, job.num_envs, extent.blocks, extent.block_steps, settings.seed, device=record.device
+        job.name,
+        job.backend,
+        job.num_envs,
+        extent.blocks,
+        extent.block_steps,
+        settings.seed,
+        device=record.device,
+        settings=settings.settings_of(job.backend),
     )
     return replace(record, throughput=measured)
 
 
 def _video(record: Record, settings: Settings, folder: Path) -> Record:
-    seconds = settings.extent.video_seconds
-    film(record.job.name, record.job.backend, folder / VIDEO, seconds=seconds, seed=settings.seed, device=record.device)
+    film(
+        record.job.name,
+        record.job.backend,
+        folder / VIDEO,
+        seconds=settings.extent.video_seconds,
+        seed=settings.seed,
+        device=record.device,
+        settings=settings.settings_of(record.job.backend),
+    )
     return record
 
 

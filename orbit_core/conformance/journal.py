@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from orbit_core.conformance.execution import Outcome
-from orbit_core.conformance.results import RESULT_FILE, Header, Parting, Record, Result, decode, encode, save
+from orbit_core.conformance.lock import FolderLock
+from orbit_core.conformance.results import (
+    RESULT_FILE,
+    Header,
+    Parting,
+    Record,
+    Result,
+    decode,
+    encode,
+    save,
+    write_whole,
+)
+from orbit_core.conformance.sources import CORE, sources_of
 from orbit_core.interfaces import ConfigurationError
 
 JOURNAL = "journal.jsonl"
@@ -25,87 +38,125 @@ def now() -> str:
 class Journal:
     """Appends each record to a file of JSON lines, flushed to the disk; the first line is the run's header.
 
-    A folder whose run is unfinished goes on; one whose run is finished begins anew, and its result is kept as
-    ``previous.json``.
+    A folder whose run is unfinished goes on, without the records of a backend, a task, a policy or scenarios whose
+    source has changed since; one whose run is finished begins anew, and its result is kept as ``previous.json``. No
+    other process may write into the folder until the journal is closed.
+
+    Args:
+        folder: of the run.
+        header: what the run is of.
+        fresh: begin anew, whatever the folder holds.
 
     Raises:
-        ConfigurationError: the folder holds an unfinished run of other settings or versions, or cannot be written.
+        ConfigurationError: the folder holds an unfinished run of other settings, versions or another core, or the
+            journal of one is no journal; another process writes into it; or, then and later, it cannot be written.
     """
 
-    def __init__(self, folder: Path, header: Header) -> None:
+    def __init__(self, folder: Path, header: Header, fresh: bool = False) -> None:
         self.folder = folder
         self.header = header
         self.records: dict[str, Record] = {}
+        self.dropped = ""
+        """What has changed, and how many records were dropped for it, in words; empty if none was."""
         self._path = folder / JOURNAL
-        try:
+        with _told(folder):
             folder.mkdir(parents=True, exist_ok=True)
-            if (folder / RESULT_FILE).exists():
-                (folder / RESULT_FILE).replace(folder / PREVIOUS)
-                self._path.unlink(missing_ok=True)
-            kept = self._resume() if self._path.exists() else 0
-            self._file = self._path.open("r+b" if kept else "wb")
-        except OSError as error:
-            raise ConfigurationError(f"cannot write into folder {folder}: {error.strerror}") from error
-        self._file.seek(kept)
-        self._file.truncate()
-        if not kept:
-            self._append(encode(header))
+            self._lock = FolderLock(folder)
+        try:
+            self._begin(fresh)
+        except BaseException:
+            self._lock.release()
+            raise
 
     def add(self, outcome: Outcome) -> None:
         """Keep an outcome: its files first, so that a record's files are always there."""
         record = outcome.record
         own = self.folder / record.job.key
-        for name, content in outcome.files.items():
-            own.mkdir(parents=True, exist_ok=True)
-            (own / name).write_bytes(content)
+        with _told(self.folder):
+            for name, content in outcome.files.items():
+                own.mkdir(parents=True, exist_ok=True)
+                write_whole(own / name, content)
+            self._append(encode(record))
         self.records[record.job.key] = record
-        self._append(encode(record))
 
     def finish(self, partings: Iterable[Parting] = ()) -> Result:
         """Write the result; the journal has done its work."""
-        self._file.close()
         records = tuple(self.records.values())
         result = Result(header=self.header, records=records, partings=tuple(partings), finished=now())
-        save(result, self.folder)
-        self._path.unlink()
+        with _told(self.folder):
+            save(result, self.folder)
+            self._path.unlink()
         return result
 
     def close(self) -> None:
-        """Leave the run as it is."""
+        """Leave the run as it is, to whoever comes."""
         self._file.close()
+        self._lock.release()
+
+    def _begin(self, fresh: bool) -> None:
+        with _told(self.folder):
+            if (self.folder / RESULT_FILE).exists():
+                (self.folder / RESULT_FILE).replace(self.folder / PREVIOUS)
+                self._path.unlink(missing_ok=True)
+            if self._path.exists() and not fresh:
+                self._resume()
+            lines = [encode(self.header), *map(encode, self.records.values())]
+            write_whole(self._path, "".join(f"{line}\n" for line in lines).encode())
+            self._file = self._path.open("ab", buffering=0)
 
     def _append(self, line: str) -> None:
-        self._file.write(line.encode() + b"\n")
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        """Add a whole line, or, on an error, nothing."""
+        whole = self._path.stat().st_size
+        rest = memoryview(line.encode() + b"\n")
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+            os.fsync(self._file.fileno())
+        except OSError:
+            self._file.truncate(whole)
+            raise
 
-    def _resume(self) -> int:
-        """Read the records of an unfinished run; the number of bytes that are whole."""
+    def _resume(self) -> None:
+        """Take over the records of an unfinished run, but for those that other code made."""
         lines = self._path.read_bytes().splitlines(keepends=True)
-        whole = [line for line in lines if line.endswith(b"\n")]  # the last one may be torn
+        whole = [line for line in lines if line.endswith(b"\n")]  # a kill may have torn the last one
         if not whole:
-            return 0
-        self._go_on_from(decode(whole[0], Header))
-        records = [decode(line, Record) for line in whole[1:]]
-        self.records = {record.job.key: record for record in records}
-        return sum(map(len, whole))
-
-    def _go_on_from(self, old: Header) -> None:
-        differing = _differing(old, self.header)
-        if differing:
-            raise ConfigurationError(
-                f"folder {self.folder} holds an unfinished run of other {differing}: "
-                "give another --output, or delete it"
-            )
+            return
+        try:
+            old = decode(whole[0], Header)
+            records = [decode(line, Record) for line in whole[1:]]
+        except ValueError as error:
+            raise ConfigurationError(f"{self._path} is no journal of this version ({error}): {_REMEDY}") from error
+        if differing := _differing(old, self.header):
+            raise ConfigurationError(f"folder {self.folder} holds an unfinished run of other {differing}: {_REMEDY}")
+        changed = {name for name, digest in old.sources.items() if self.header.sources.get(name) != digest}
+        kept = [record for record in records if not changed & sources_of(record.job)]
+        if len(kept) < len(records):
+            self.dropped = f"{', '.join(sorted(changed))} changed: {len(records) - len(kept)} jobs are done again"
+        self.records = {record.job.key: record for record in kept}
         self.header = replace(self.header, started=old.started)
+
+
+_REMEDY = "--fresh begins anew, another --output keeps it"
+
+
+@contextlib.contextmanager
+def _told(folder: Path) -> Iterator[None]:
+    """Tell of a full disk, or of whatever else keeps files from being written, in a line."""
+    try:
+        yield
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot write into folder {folder}: {error.strerror}; the same command goes on once that is mended"
+        ) from error
 
 
 def _differing(old: Header, new: Header) -> str:
     """What makes them different runs, in words; empty if nothing does."""
-    pairs: Mapping[str, tuple[object, object]] = {
-        "settings": (old.settings, new.settings),
-        "policies": (old.policies, new.policies),
-        "versions": ((old.versions, old.backends), (new.versions, new.backends)),
+    pairs = {
+        "settings": (encode(old.settings), encode(new.settings)),  # as JSON has them: lists for tuples
+        "versions": (old.versions, new.versions),
         "hardware": (old.hardware, new.hardware),
+        f"source of {CORE}": (old.sources.get(CORE), new.sources.get(CORE)),
     }
     return " and ".join(name for name, (before, after) in pairs.items() if before != after)

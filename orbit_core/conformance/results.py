@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar
@@ -172,6 +173,8 @@ class Header:
     scenarios: tuple[ScenarioInfo, ...]
     backends: tuple[BackendInfo, ...]
     policies: tuple[PolicyInfo, ...] = ()
+    sources: dict[str, str] = field(default_factory=dict)
+    """Digests of the code that the records come from, as :func:`sources.source_digests` names it."""
     schema: int = SCHEMA
 
 
@@ -259,9 +262,21 @@ def load(path: Path) -> Result:
 
 def save(result: Result, folder: Path) -> None:
     """Write the result's file; it is whole or not there."""
-    partial = folder / f".{RESULT_FILE}.partial"
-    partial.write_text(encode(result) + "\n")
-    partial.replace(folder / RESULT_FILE)
+    write_whole(folder / RESULT_FILE, f"{encode(result)}\n".encode())
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file that is whole or, on an error, as it was before."""
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
 
 
 def _plain(value: Any) -> Any:

@@ -23,13 +23,21 @@ from orbit_core.conformance.results import (
     ScenarioInfo,
 )
 from orbit_core.conformance.settings import Settings, scenario
+from orbit_core.conformance.sources import source_digests
 from orbit_core.conformance.tasks import compare_recordings
 
 Progress = Callable[[Record | None, int, int], None]
 """Takes the record that has come, if one has, how many are in, and how many there will be."""
 
 
-def run(settings: Settings, folder: Path, pool: Pool, progress: Progress = lambda record, done, total: None) -> Result:
+def run(
+    settings: Settings,
+    folder: Path,
+    pool: Pool,
+    progress: Progress = lambda record, done, total: None,
+    tell: Callable[[str], None] = lambda line: None,
+    fresh: bool = False,
+) -> Result:
     """Do all jobs of the settings that the folder does not hold yet.
 
     Args:
@@ -37,15 +45,20 @@ def run(settings: Settings, folder: Path, pool: Pool, progress: Progress = lambd
         folder: for records and files.
         pool: where to do it; closed in the end.
         progress: called at the beginning and after each job.
+        tell: takes a line on what is done again, if anything is.
+        fresh: do all anew, whatever the folder holds.
 
     Raises:
-        ConfigurationError: the folder holds an unfinished run of other settings.
+        ConfigurationError: the folder holds an unfinished run of other settings, versions or another core, is in use,
+            or cannot be written.
     """
     phases = plan(settings)
     total = sum(len(phase.jobs) for phase in phases)
     try:
-        journal = Journal(folder, header_of(settings))
+        journal = Journal(folder, header_of(settings), fresh)
         try:
+            if journal.dropped:
+                tell(journal.dropped)
             progress(None, len(journal.records), total)
             for phase in phases:
                 work = [one for job in phase.jobs if (one := _work(job, settings, journal)) is not None]
@@ -81,6 +94,7 @@ def header_of(settings: Settings) -> Header:
         scenarios=tuple(ScenarioInfo.of(scenario(name)) for name in settings.scenarios),
         backends=tuple(_backend_info(name) for name in settings.backends),
         policies=tuple(PolicyInfo.of(name) for name in settings.policies),
+        sources=source_digests(settings),
     )
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
 
 from orbit_core.backends import backend as find_backend
-from orbit_core.backends import backend_names
+from orbit_core.backends import backend_config, backend_names
+from orbit_core.conformance.declarations import check_gaps
 from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.conformance.transfer import learned
@@ -64,11 +66,17 @@ class Settings:
     device: str = "cpu"
     """Torch device of the backends that simulate on a GPU; the others take the CPU."""
     seed: int = 0
+    backend_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Of backends' own settings, by backend and field name, those that are not as they are by default."""
 
     @property
     def extent(self) -> Extent:
         """How much is spent on each task."""
         return QUICK if self.quick else FULL
+
+    def settings_of(self, backend: str) -> Mapping[str, Any]:
+        """What the backend is told instead of its defaults, by field name."""
+        return self.backend_settings.get(backend, {})
 
     def device_of(self, backend: str) -> str:
         """Where the backend simulates."""
@@ -84,14 +92,15 @@ def choose(
     quick: bool = False,
     device: str = "cpu",
     seed: int = 0,
+    backend_settings: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Settings:
     """Settings from names; none given means all of that kind.
 
     Without ``parts``, naming scenarios leaves the tasks out, and naming tasks the scenarios.
 
     Raises:
-        UnknownNameError: nothing bears a name; tells the nearest.
-        ConfigurationError: no backend is installed.
+        UnknownNameError: nothing bears a name, or what a declared gap names; tells the nearest.
+        ConfigurationError: no backend is installed; a declared gap, or a backend's setting, can not be.
     """
     installed = backend_names()
     if not installed:
@@ -103,8 +112,13 @@ def choose(
     of_tasks = (Part.TASKS, Part.TRANSFERS, Part.THROUGHPUT)
     implied = tuple(part for part in Part if not (scenarios or tasks) or (tasks if part in of_tasks else scenarios))
     chosen = tuple(Part(name) for name in _known("part", parts, [part.value for part in Part])) if parts else implied
+    backends = _known("backend", backends, installed)
+    for name in backends:
+        check_gaps(find_backend(name))
+    for name, values in (backend_settings or {}).items():
+        backend_config(find_backend(*_known("backend", (name,), backends)), values)
     return Settings(
-        backends=_known("backend", backends, installed),
+        backends=backends,
         scenarios=_known("scenario", scenarios or tried, known) if Part.SCENARIOS in chosen else (),
         tasks=_known("task", tasks, task_entries()) if {*of_tasks} & {*chosen} else (),
         parts=chosen,
@@ -112,6 +126,7 @@ def choose(
         quick=quick,
         device=device,
         seed=seed,
+        backend_settings=backend_settings or {},
     )
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 from orbit_core.conformance.episodes import FirstEpisodes, TaskResult
 from orbit_core.conformance.estimates import Estimate
@@ -33,7 +35,15 @@ def learned(policy: str) -> PolicyDescription:
     return load_policy(kept_policy(policy).folder).description
 
 
-def transfer(policy: str, backend: str, *, num_envs: int, seed: int = 0, device: str = "cpu") -> TransferResult:
+def transfer(
+    policy: str,
+    backend: str,
+    *,
+    num_envs: int,
+    seed: int = 0,
+    device: str = "cpu",
+    settings: Mapping[str, Any] | None = None,
+) -> TransferResult:
     """One episode of a kept policy in each environment of the task that it was learned for.
 
     Args:
@@ -42,6 +52,7 @@ def transfer(policy: str, backend: str, *, num_envs: int, seed: int = 0, device:
         num_envs: episodes.
         seed: of the environments.
         device: where tensors live.
+        settings: of the backend, by field name.
 
     Raises:
         UnsupportedCapabilityError: the backend lacks what the task needs.
@@ -49,7 +60,7 @@ def transfer(policy: str, backend: str, *, num_envs: int, seed: int = 0, device:
     """
     kept, description = kept_policy(policy), learned(policy)
     fields = {"robot": description.robot, "action": description.action}
-    with FirstEpisodes(description.task, backend, num_envs, seed, fields, device, None) as episodes:
+    with FirstEpisodes(description.task, backend, num_envs, seed, fields, device, settings) as episodes:
         agent = PolicyAgent(episodes.environment, kept.folder)
         episodes.run(lambda step: agent.act(), tracked_envs=0)
         result = episodes.result()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
-from orbit_core.conformance.scenario import Scenario, Trial
+from orbit_core.conformance.scenario import Metric, Scenario, Trace, Trial
 from orbit_core.interfaces import Backend, Capability, Gap, SimulationError, UnsupportedCapabilityError
 
 
@@ -49,8 +49,7 @@ def lacking(backend: Backend, scenario: Scenario) -> str:
 def judge(backend: Backend, scenario: Scenario, errors: Mapping[str, float]) -> Verdict:
     """Hold the errors at the nominal time step against tolerances and declared gaps."""
     gaps = {gap.metric: gap for gap in backend.gaps() if gap.scenario == scenario.name}
-    findings = [_judge_metric(metric.tolerance, errors[metric.name], gaps.get(metric.name), metric.name)
-                for metric in scenario.metrics]  # fmt: skip
+    findings = [_judge_metric(metric, errors[metric.name], gaps.get(metric.name)) for metric in scenario.metrics]
     for status in (Status.FAIL, Status.STALE, Status.GAP):
         reasons = [reason for found, reason in findings if found is status]
         if reasons:
@@ -58,15 +57,38 @@ def judge(backend: Backend, scenario: Scenario, errors: Mapping[str, float]) -> 
     return Verdict(Status.PASS, errors=errors)
 
 
-def _judge_metric(tolerance: float, error: float, gap: Gap | None, name: str) -> tuple[Status, str]:
-    within = math.isfinite(error) and error <= tolerance
+def _judge_metric(metric: Metric, error: float, gap: Gap | None) -> tuple[Status, str]:
+    def told(value: float) -> str:
+        return f"{value:.3g} {metric.unit}".strip()
+
+    within = math.isfinite(error) and error <= metric.tolerance
+    measured, tolerance = f"{metric.name} is {told(error)}", f"tolerance of {told(metric.tolerance)}"
     if gap is None:
-        return (Status.PASS, "") if within else (Status.FAIL, f"{name} is {error:.3g}, above {tolerance:.3g}")
+        return (Status.PASS, "") if within else (Status.FAIL, f"{measured}, above the {tolerance}")
     if within:
-        return Status.STALE, f"{name} is {error:.3g}, within {tolerance:.3g}: take the declared gap back"
+        return Status.STALE, f"{measured}, within the {tolerance}: take the declared gap back"
     if error <= gap.limit:
-        return Status.GAP, f"{name} is {error:.3g}, above {tolerance:.3g}: {gap.reason}"
-    return Status.FAIL, f"{name} is {error:.3g}, beyond the declared {gap.limit:.3g}"
+        return Status.GAP, f"{measured}, above the {tolerance}: {gap.reason}"
+    return Status.FAIL, f"{measured}, beyond the declared {told(gap.limit)} (the {tolerance})"
+
+
+def farthest(traces: Iterable[Trace]) -> str:
+    """Where each measured curve is farthest from the truth, and to which side; empty if all are on it, or none is."""
+    found: list[str] = []
+    for trace in traces:
+        differences = [measured - true for measured, true in zip(trace.measured, trace.truth, strict=True)]
+        where = max(range(len(differences)), key=lambda index: _size(differences[index]), default=None)
+        if where is None or not differences[where]:
+            continue
+        measured, true = (f"{curve[where]:.4g} {trace.unit}".strip() for curve in (trace.measured, trace.truth))
+        side = "above" if differences[where] > 0 else "below" if differences[where] < 0 else "beside"
+        found.append(f"curve '{trace.name}' is farthest at {trace.times[where]:.4g} s: {measured}, {side} {true}")
+    return "; ".join(found)
+
+
+def _size(difference: float) -> float:
+    """Its absolute value; what is not a number is larger than all that is."""
+    return math.inf if math.isnan(difference) else abs(difference)
 
 
 def _diverged(backend: Backend, scenario: Scenario, error: SimulationError) -> Verdict:
@@ -87,4 +109,7 @@ def run_scenario(scenario: Scenario, backend: Backend, trial: Trial) -> Verdict:
             return Verdict(Status.UNSUPPORTED, str(error))
         except SimulationError as error:
             return _diverged(backend, scenario, error)
-    return judge(backend, scenario, errors)
+    verdict = judge(backend, scenario, errors)
+    if verdict.status is Status.FAIL and (where := farthest(trial.traces)):
+        return replace(verdict, reason=f"{verdict.reason}; {where}")
+    return verdict

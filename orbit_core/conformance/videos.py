@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from orbit_core.backends import backend, backend_names
 from orbit_core.interfaces import Backend, Capability, Level, UnsupportedCapabilityError
@@ -13,7 +15,9 @@ from orbit_core.viewer.video import VideoRecorder
 WIDTH, HEIGHT = 256, 192
 
 
-def film(task: str, backend_name: str, path: Path, *, seconds: float, seed: int, device: str) -> None:
+def film(
+    task: str, backend_name: str, path: Path, *, seconds: float, seed: int, device: str, settings: Mapping[str, Any]
+) -> None:
     """Film the first environment of a task for some seconds, its expert acting, from the task's own view.
 
     A backend that draws nothing is drawn by another one, the same for all such.
@@ -21,7 +25,7 @@ def film(task: str, backend_name: str, path: Path, *, seconds: float, seed: int,
     Raises:
         UnsupportedCapabilityError: nothing that is installed draws, or the backend lacks what the task needs.
     """
-    environment = make(task, 1, backend_name, device, seed, renderer_for(backend(backend_name)))
+    environment = make(task, 1, backend_name, device, seed, renderer_for(backend(backend_name)), settings)
     try:
         expert = ExpertAgent(environment, seed)
         environment.reset()

@@ -57,6 +57,7 @@ def test_a_finished_run_begins_anew_and_keeps_its_result(tmp_path: Path) -> None
     first = Journal(tmp_path, header)
     first.add(Outcome(record(0.1), {"traces.json": b"[]"}))
     finished = first.finish()
+    first.close()
     assert (tmp_path / "scenario/still/one/0.005/traces.json").read_bytes() == b"[]"
     again = Journal(tmp_path, header)
     assert not again.records

@@ -1,0 +1,40 @@
+"""Whether what a backend declares can be true at all, found before anything runs."""
+
+from __future__ import annotations
+
+import math
+
+from orbit_core.conformance.scenarios import SCENARIOS
+from orbit_core.interfaces import Backend, ConfigurationError, Gap, UnknownNameError
+
+
+def check_gaps(backend: Backend) -> None:
+    """Refuse declared gaps that nothing would ever be held against.
+
+    Raises:
+        UnknownNameError: a gap names no scenario, or no metric of its scenario; tells the nearest.
+        ConfigurationError: two gaps are of one metric, one has no reason, or a limit is no more than the tolerance.
+    """
+    scenarios = {scenario.name: scenario for scenario in SCENARIOS}
+    seen: set[tuple[str, str]] = set()
+    for gap in backend.gaps():
+        where = f"the gaps of backend '{backend.name}'"
+        if gap.scenario not in scenarios:
+            raise UnknownNameError("scenario", gap.scenario, scenarios, where)
+        metrics = {metric.name: metric for metric in scenarios[gap.scenario].metrics}
+        if gap.metric not in metrics:
+            raise UnknownNameError("metric", gap.metric, metrics, f"{where}, scenario '{gap.scenario}'")
+        if (gap.scenario, gap.metric) in seen:
+            raise ConfigurationError(f"{where} name metric '{gap.metric}' of '{gap.scenario}' twice: keep one")
+        seen.add((gap.scenario, gap.metric))
+        _check_limit(gap, metrics[gap.metric].tolerance, where)
+
+
+def _check_limit(gap: Gap, tolerance: float, where: str) -> None:
+    what = f"{where}, metric '{gap.metric}' of '{gap.scenario}':"
+    if not (math.isfinite(gap.limit) and gap.limit > tolerance):
+        raise ConfigurationError(
+            f"{what} the limit must be finite and above the tolerance of {tolerance:g}, not {gap.limit:g}"
+        )
+    if not gap.reason.strip():
+        raise ConfigurationError(f"{what} a gap needs a reason")

@@ -1,0 +1,120 @@
+"""Which code a record comes from, so that a run that goes on does again what other code had done.
+
+Versions do not tell: a plugin that is being written changes from run to run under one version.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import importlib_metadata
+
+from orbit_core.backends import GROUP
+from orbit_core.backends import backend as find_backend
+from orbit_core.conformance.jobs import Job, Kind
+from orbit_core.conformance.settings import Settings
+from orbit_core.conformance.transfer import learned
+from orbit_core.policies import kept_policy
+from orbit_core.tasks.registry import task_entry
+
+CORE = "orbit_core"
+_SCENARIOS = "orbit_core.conformance.scenarios"
+_SCENARIOS_WORDS = "the scenarios"
+_IN_NO_JOB = ("cli/", "conformance/report/", "conformance/scenarios/")
+"""Of the core: what no job runs, and the scenarios, which have a digest of their own."""
+
+
+def source_digests(settings: Settings) -> dict[str, str]:
+    """The digest of each body of code that a run depends on, by the words that messages call it."""
+    core = ((name, path) for name, path in _files(CORE) if not name.startswith(_IN_NO_JOB))
+    found = {CORE: _digest(core)}
+    if settings.scenarios:
+        found[_SCENARIOS_WORDS] = _digest(_files(_SCENARIOS))
+    for name in settings.backends:
+        files = (file for package in backend_packages(name) for file in _files(package))
+        found[_backend(name)] = _digest(files, *map(str, sorted(find_backend(name).versions().items())))
+    for name in settings.tasks:
+        found[_task(name)] = _digest(_files(task_entry(name).factory.partition(":")[0].partition(".")[0]))
+    for name in settings.policies:
+        found[_policy(name)] = _digest(_below(kept_policy(name).folder))
+    return found
+
+
+def sources_of(job: Job) -> set[str]:
+    """What a job's outcome depends on, in the same words."""
+    found = {CORE, _backend(job.backend)}
+    if job.source:
+        found.add(_backend(job.source))
+    match job.kind:
+        case Kind.SCENARIO:
+            found.add(_SCENARIOS_WORDS)
+        case Kind.TRANSFER:
+            found |= {_policy(job.name), _task(learned(job.name).task)}
+        case _:
+            found.add(_task(job.name))
+    return found
+
+
+def backend_packages(name: str) -> tuple[str, ...]:
+    """The Python packages of a backend's plugin: its own, and those of the distributions that it shares with others.
+
+    A distribution is shared if the plugin's requires it and it requires ``orbit-core`` itself; its package is taken to
+    be of the same name.
+    """
+    own = type(find_backend(name)).__module__.partition(".")[0]
+    (entry_point,) = importlib_metadata.entry_points(group=GROUP, name=name)
+    required = {*_requirements(entry_point.dist)} if entry_point.dist else set[str]()
+    shared = {each.replace("-", "_") for each in required - {"orbit-core"} if "orbit-core" in _required_by(each)}
+    return (own, *sorted(package for package in shared - {own} if importlib.util.find_spec(package)))
+
+
+def _required_by(distribution: str) -> Iterable[str]:
+    try:
+        return _requirements(importlib_metadata.distribution(distribution))
+    except importlib_metadata.PackageNotFoundError:
+        return ()
+
+
+def _requirements(distribution: importlib_metadata.Distribution) -> list[str]:
+    """Names of the distributions that one requires."""
+    return [re.split(r"[^\w.-]", requirement)[0].lower() for requirement in distribution.requires or ()]
+
+
+def _backend(name: str) -> str:
+    return f"backend '{name}'"
+
+
+def _task(name: str) -> str:
+    return f"task '{name}'"
+
+
+def _policy(name: str) -> str:
+    return f"policy '{name}'"
+
+
+def _files(package: str) -> Iterator[tuple[str, Path]]:
+    """The files of a package, or of a module that is one file, with their names below it."""
+    spec = importlib.util.find_spec(package)
+    if spec and spec.submodule_search_locations:
+        for folder in spec.submodule_search_locations:
+            yield from _below(Path(folder))
+    elif spec and spec.origin:
+        yield package, Path(spec.origin)
+
+
+def _below(folder: Path) -> list[tuple[str, Path]]:
+    """The files below a folder but for what Python compiled, with their names below it, in order."""
+    paths = (path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    return sorted((path.relative_to(folder).as_posix(), path) for path in paths)
+
+
+def _digest(files: Iterable[tuple[str, Path]], *words: str) -> str:
+    """Of names and contents."""
+    digest = hashlib.sha256(repr(words).encode())
+    for name, path in files:
+        digest.update(f"{name}\0{path.stat().st_size}\0".encode() + path.read_bytes())
+    return digest.hexdigest()
