@@ -58,7 +58,7 @@ class RunSettings:
     seed: int = 0
     """Of every random stream."""
     setting: KeyValues = ()
-    """A setting of a backend, such as mujoco.impratio=10, or impratio=10 where one --backend is named; repeatable."""
+    """A setting of a backend, as BACKEND.KEY=VALUE, or KEY=VALUE where one --backend is named; repeatable."""
     fresh: bool = False
     """Begin anew where an unfinished run would go on."""
 
