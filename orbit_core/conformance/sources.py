@@ -67,21 +67,18 @@ def backend_packages(name: str) -> tuple[str, ...]:
     """
     own = type(find_backend(name)).__module__.partition(".")[0]
     (entry_point,) = importlib_metadata.entry_points(group=GROUP, name=name)
-    required = {*_requirements(entry_point.dist)} if entry_point.dist else set[str]()
+    required = _required_by(entry_point.dist.name) if entry_point.dist else set[str]()
     shared = {each.replace("-", "_") for each in required - {"orbit-core"} if "orbit-core" in _required_by(each)}
     return (own, *sorted(package for package in shared - {own} if importlib.util.find_spec(package)))
 
 
-def _required_by(distribution: str) -> Iterable[str]:
+def _required_by(distribution: str) -> set[str]:
+    """Names of the distributions that one requires; none of one that is not installed."""
     try:
-        return _requirements(importlib_metadata.distribution(distribution))
+        requirements = importlib_metadata.requires(distribution) or []
     except importlib_metadata.PackageNotFoundError:
-        return ()
-
-
-def _requirements(distribution: importlib_metadata.Distribution) -> list[str]:
-    """Names of the distributions that one requires."""
-    return [re.split(r"[^\w.-]", requirement)[0].lower() for requirement in distribution.requires or ()]
+        return set()
+    return {re.split(r"[^\w.-]", requirement)[0].lower() for requirement in requirements}
 
 
 def _backend(name: str) -> str:

@@ -51,8 +51,8 @@ def of_energy(limit: float = 9.0, reason: str = "why", scenario: str = "pendulum
         ((of_energy(scenario="pendulem"),), "unknown scenario 'pendulem' in the gaps of .* did you mean 'pendulum'"),
         ((of_energy(metric="enrgy"),), "unknown metric 'enrgy' in .*, scenario 'pendulum': did you mean 'energy'"),
         ((of_energy(), of_energy(8.0)), "metric 'energy' of 'pendulum' twice"),
-        ((of_energy(0.0),), "'energy' of 'pendulum': the limit must be finite and above the tolerance of .*, not 0"),
-        ((of_energy(math.inf),), "'energy' of 'pendulum': the limit must be finite and above the tolerance"),
+        ((of_energy(0.0),), "'energy' of 'pendulum': the limit must be above the tolerance of .*, not 0"),
+        ((of_energy(math.nan),), "'energy' of 'pendulum': the limit must be above the tolerance of .*, not nan"),
         ((of_energy(reason=" "),), "'energy' of 'pendulum': a gap needs a reason"),
     ],
 )
