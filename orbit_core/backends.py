@@ -28,6 +28,7 @@ from orbit_core.interfaces.errors import (
     UnsupportedCapabilityError,
 )
 from orbit_core.interfaces.requirements import IMAGES, required_capabilities
+from orbit_core.registry import described, faults_named
 from orbit_core.scene import Scene
 
 GROUP = "orbit.backends"
@@ -35,11 +36,7 @@ RENDERERS = "orbit.renderers"
 
 
 def backend_names() -> list[str]:
-    """The installed backends, sorted; none of them is imported.
-
-    Raises:
-        ConfigurationError: two distributions provide a backend of the same name.
-    """
+    """The installed backends, sorted; none of them is imported."""
     return sorted(_entry_points())
 
 
@@ -80,7 +77,8 @@ def backend(name: str) -> Backend:
     Raises:
         BackendNotInstalledError: it is known but not installed; says how to install it.
         UnknownNameError: no backend has that name.
-        ConfigurationError: its plugin fails to import, or is no backend, or only draws; names the plugin and the cause.
+        ConfigurationError: its plugin fails to import, or is no backend, or only draws, or two distributions bring it;
+            names the plugin and the cause.
     """
     entry_point = _entry_points().get(name)
     if entry_point is None:
@@ -90,7 +88,7 @@ def backend(name: str) -> Backend:
         if name in renderer_names():
             raise ConfigurationError(f"'{name}' draws and simulates nothing: give it as renderer, and another backend")
         raise UnknownNameError("backend", name, {*backend_names(), *installable})
-    return _made(entry_point)
+    return _made(entry_point, GROUP)
 
 
 @functools.cache
@@ -102,7 +100,7 @@ def renderer(name: str) -> Backend:
     """
     entry_point = _entry_points(RENDERERS).get(name)
     if entry_point is not None:
-        return _made(entry_point)
+        return _made(entry_point, RENDERERS)
     try:
         return backend(name)
     except UnknownNameError:
@@ -163,17 +161,14 @@ def backend_config(backend: Backend, values: Mapping[str, Any] | None = None) ->
         raise ConfigurationError(f"settings of '{backend.name}': {error}") from error
 
 
-def _made(entry_point: importlib_metadata.EntryPoint) -> Backend:
-    name = entry_point.name
-    plugin = f"plugin '{entry_point.value}' of backend '{name}' ({_distribution(entry_point)})"
-    try:
+def _made(entry_point: importlib_metadata.EntryPoint, group: str) -> Backend:
+    if fault := _twice(group).get(entry_point.name):
+        raise ConfigurationError(fault)
+    plugin = f"backend '{entry_point.name}', {described(entry_point)}"
+    with faults_named(plugin):
         made = entry_point.load()()
-    except OrbitError:
-        raise
-    except Exception as error:
-        raise ConfigurationError(f"{plugin} fails to load: {type(error).__name__}: {error}") from error
     if not isinstance(made, Backend):
-        raise ConfigurationError(f"{plugin} makes a {type(made).__name__}, not an orbit_core.interfaces.Backend")
+        raise ConfigurationError(f"{plugin}, makes a {type(made).__name__}, not an orbit_core.interfaces.Backend")
     return made
 
 
@@ -204,15 +199,23 @@ def _is_installed(distribution: str) -> bool:
 
 @functools.cache
 def _declared(group: str) -> dict[str, importlib_metadata.EntryPoint]:
+    """By name; of two of one name the first, which cannot be made."""
     found: dict[str, importlib_metadata.EntryPoint] = {}
     for entry_point in importlib_metadata.entry_points(group=group):
-        if entry_point.name in found:
-            both = sorted((_distribution(found[entry_point.name]), _distribution(entry_point)))
-            raise ConfigurationError(
-                f"backend '{entry_point.name}' is provided twice, by {' and by '.join(both)}: uninstall one"
-            )
-        found[entry_point.name] = entry_point
+        found.setdefault(entry_point.name, entry_point)
     return found
+
+
+@functools.cache
+def _twice(group: str) -> dict[str, str]:
+    """What is wrong with names that two distributions bring."""
+    points = list(importlib_metadata.entry_points(group=group))
+    faults: dict[str, str] = {}
+    for name in {point.name for point in points}:
+        origins = sorted(described(point) for point in points if point.name == name)
+        if len(origins) > 1:
+            faults[name] = f"backend '{name}' is provided twice, by {' and by '.join(origins)}: uninstall one"
+    return faults
 
 
 @functools.cache
@@ -224,10 +227,6 @@ def _extras() -> tuple[str, ...]:
         return ()
     pattern = re.compile(r"orbit-([\w-]+)\b.*extra\s*==\s*['\"]\1['\"]")
     return tuple(match[1] for requirement in requirements if (match := pattern.match(requirement)))
-
-
-def _distribution(entry_point: importlib_metadata.EntryPoint) -> str:
-    return f"distribution {entry_point.dist.name}" if entry_point.dist else entry_point.value
 
 
 def _able(names: Iterable[str], needs: Iterable[Capability]) -> list[str]:

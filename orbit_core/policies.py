@@ -18,15 +18,14 @@ Listing names imports nothing heavy.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
-from importlib_metadata import EntryPoint, entry_points
-
-from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_core.interfaces.errors import ConfigurationError
+from orbit_core.registry import Registry
 
 GROUP = "orbit.policies"
 ABOUT = "policy.toml"
@@ -67,20 +66,20 @@ class KeptPolicy:
 
 
 @cache
-def kept_policies() -> dict[str, KeptPolicy]:
-    """All that installed packages bring, by name, sorted.
+def _installed() -> Registry[KeptPolicy]:
+    def read(package: ModuleType) -> None:
+        for folder in package.__path__:
+            for about in sorted(Path(folder).glob(f"*/{ABOUT}")):
+                registry.add(about.parent.name, _read(about))
 
-    Raises:
-        ConfigurationError: a package fails to load, a file says what it should not, or two policies bear one name.
-    """
-    found: dict[str, KeptPolicy] = {}
-    for point in entry_points(group=GROUP):
-        for policy in _of_package(point):
-            if policy.name in found:
-                folders = f"{found[policy.name].folder} and {policy.folder}"
-                raise ConfigurationError(f"policy '{policy.name}' is there twice, {folders}: rename one folder")
-            found[policy.name] = policy
-    return dict(sorted(found.items()))
+    registry = Registry[KeptPolicy]("policy", GROUP, read)
+    registry.add_installed()
+    return registry
+
+
+def kept_policies() -> dict[str, KeptPolicy]:
+    """All that installed packages bring, by name, sorted; those of broken packages left out."""
+    return dict(sorted(_installed().values.items()))
 
 
 def kept_policy(name: str) -> KeptPolicy:
@@ -88,10 +87,9 @@ def kept_policy(name: str) -> KeptPolicy:
 
     Raises:
         UnknownNameError: there is none.
+        ConfigurationError: two packages bring it.
     """
-    if name not in kept_policies():
-        raise UnknownNameError("policy", name, kept_policies())
-    return kept_policies()[name]
+    return _installed().get(name)
 
 
 def policy_path(name: str | Path) -> Path:
@@ -101,19 +99,6 @@ def policy_path(name: str | Path) -> Path:
         UnknownNameError: there is neither.
     """
     return Path(name) if Path(name).exists() else kept_policy(str(name)).folder
-
-
-def _of_package(point: EntryPoint) -> Iterator[KeptPolicy]:
-    try:
-        paths = point.load().__path__
-    except Exception as error:  # a package's own fault may be of any class
-        raise ConfigurationError(
-            f"entry point '{point.name}' ({point.value}) of group {GROUP} names no package that can be imported "
-            f"({error}): mend or uninstall it"
-        ) from error
-    for path in paths:
-        for about in sorted(Path(path).glob(f"*/{ABOUT}")):
-            yield _read(about)
 
 
 def _read(about: Path) -> KeptPolicy:

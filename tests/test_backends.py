@@ -84,6 +84,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
             backends.renderer,
             backends._entry_points,
             backends._declared,
+            backends._twice,
             backends._extras,
         ):
             cached.cache_clear()
@@ -162,18 +163,22 @@ def test_a_backend_whose_extra_is_not_installed_says_how_to_install_it(install: 
         backends.backend("plain-fast")
 
 
-def test_two_plugins_of_one_name_are_both_named(install: Install) -> None:
-    install(("plain", "orbit-plain", PlainBackend), ("plain", "other-plain", PlainBackend))
-    with pytest.raises(ConfigurationError, match=r"'plain'.*orbit-plain and by distribution other-plain"):
-        backends.backend_names()
+def test_two_plugins_of_one_name_are_both_named_to_who_asks_for_it_alone(install: Install) -> None:
+    install(("plain", "orbit-plain", PlainBackend), ("plain", "other-plain", PlainBackend), ("m", "m", MeshBackend))
+    assert backends.backend_names() == ["m", "plain"]
+    assert isinstance(backends.backend("m"), MeshBackend)
+    with pytest.raises(ConfigurationError, match=r"'plain'.*orbit-plain\) and by .*distribution other-plain"):
+        backends.backend("plain")
 
 
 def test_a_plugin_that_does_not_load_is_named_with_the_cause(install: Install) -> None:
-    install(("broken", "orbit-broken", broken), ("number", "orbit-number", int))
+    install(("broken", "orbit-broken", broken), ("number", "orbit-number", int), ("ends", "orbit-ends", sys.exit))
     with pytest.raises(ConfigurationError, match=r"broken:Backend.*orbit-broken.*ImportError: libengine.so"):
         backends.backend("broken")
-    with pytest.raises(ConfigurationError, match=r"orbit-number\) makes a int, not an"):
+    with pytest.raises(ConfigurationError, match=r"orbit-number\), makes a int, not an"):
         backends.backend("number")
+    with pytest.raises(ConfigurationError, match=r"orbit-ends\) cannot be loaded \(SystemExit"):
+        backends.backend("ends")
 
 
 def test_a_scene_beyond_a_backend_is_refused_with_reason_and_alternatives(install: Install) -> None:

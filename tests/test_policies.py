@@ -61,14 +61,14 @@ def test_another_package_brings_policies_of_its_own(tmp_path: Path) -> None:
         (ABOUT + "speed = 3\n", "stack", "unexpected keyword argument 'speed'"),
         (ABOUT + GAP.replace("reason", "cause"), "stack", "unexpected keyword argument 'cause'"),
         ("description = \n", "stack", "describes no policy"),
-        (ABOUT, "reach", "policy 'reach' is there twice"),
+        (ABOUT, "reach", "policy 'reach' is registered twice"),
     ],
 )
 def test_what_is_wrong_with_a_policy_is_told(tmp_path: Path, about: str, name: str, complaint: str) -> None:
     install(tmp_path, about, name)
     told = ask(tmp_path, "from orbit_core.cli import main; main(['list', 'policies'])").stderr
     assert complaint in " ".join(told.split())
-    assert f"their_policies/{name}" in told
+    assert "their_policies" in told
 
 
 def test_a_path_is_taken_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
-from importlib_metadata import entry_points
-
-from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_core.interfaces.errors import UnknownNameError
+from orbit_core.registry import Registry, faults_named
 
 if TYPE_CHECKING:
     from orbit_core.scene import RobotSpec
@@ -38,11 +37,18 @@ class RobotEntry:
     licence: str = ""
 
     def load(self) -> RobotSpec:
-        """Build the robot."""
+        """Build the robot.
+
+        Raises:
+            AssetError: its model cannot be had.
+            ConfigurationError: the module that builds it cannot be imported.
+        """
         if callable(self.build):
             return self.build()
         module, _, function = self.build.partition(":")
-        return getattr(importlib.import_module(module), function)()
+        with faults_named(f"robot '{self.name}' ({self.build})"):
+            build = getattr(importlib.import_module(module), function)
+        return build()
 
     @cached_property
     def dof(self) -> int:
@@ -51,12 +57,15 @@ class RobotEntry:
 
 
 class RobotCatalogue:
-    """Robots by name, and who added each."""
+    """Robots by name; each entry point is a function that takes one of these and adds to it."""
 
     def __init__(self) -> None:
-        self.entries: dict[str, RobotEntry] = {}
-        self._added_by: dict[str, str] = {}
-        self._adding = "this program"
+        self._registry = Registry[RobotEntry]("robot", ENTRY_POINT_GROUP, lambda register: register(self))
+
+    @property
+    def entries(self) -> dict[str, RobotEntry]:
+        """All robots by name, those of broken packages left out."""
+        return self._registry.values
 
     def add(self, entry: RobotEntry) -> None:
         """Add a robot.
@@ -64,40 +73,20 @@ class RobotCatalogue:
         Raises:
             ConfigurationError: the name is taken.
         """
-        if entry.name in self.entries:
-            raise ConfigurationError(
-                f"robot '{entry.name}' is registered twice, by {self._added_by[entry.name]} and by {self._adding}: "
-                "rename one, or uninstall one of the two packages"
-            )
-        self.entries[entry.name] = entry
-        self._added_by[entry.name] = self._adding
+        self._registry.add(entry.name, entry)
 
     def add_installed(self) -> None:
-        """Add the robots of every installed package that declares some.
-
-        Raises:
-            ConfigurationError: a package fails to load, or two give the same name.
-        """
-        for point in entry_points(group=ENTRY_POINT_GROUP):
-            self._adding = f"entry point '{point.name}' ({point.value})"
-            try:
-                register = point.load()
-            except Exception as error:  # a package's own fault may be of any class
-                raise ConfigurationError(
-                    f"{self._adding} of group {ENTRY_POINT_GROUP} cannot be loaded ({error}): mend or uninstall it"
-                ) from error
-            register(self)
-        self._adding = "this program"
+        """Add the robots of every installed package that declares some; warns of each that is left out."""
+        self._registry.add_installed()
 
     def entry(self, name: str) -> RobotEntry:
         """The robot's entry.
 
         Raises:
             UnknownNameError: there is none of that name.
+            ConfigurationError: two packages bring it.
         """
-        if name not in self.entries:
-            raise UnknownNameError("robot", name, self.entries)
-        return self.entries[name]
+        return self._registry.get(name)
 
 
 @cache

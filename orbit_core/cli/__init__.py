@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 
 from orbit_core.interfaces.errors import OrbitError, UnknownNameError
@@ -31,7 +32,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     debug = "--debug" in words or os.environ.get("ORBIT_DEBUG", "") not in ("", "0")
     words = [word for word in words if word != "--debug"]
     try:
-        return _dispatch(words)
+        with warnings.catch_warnings():
+            if not debug:
+                warnings.showwarning = _show_warning
+            return _dispatch(words)
     except OrbitError as error:
         if debug:
             raise
@@ -39,6 +43,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         return 130
+
+
+def _show_warning(message: Warning | str, *_: object) -> None:
+    """A warning is a sentence to the user; where in the code it arose is for ``--debug``."""
+    print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
 
 
 def _dispatch(words: list[str]) -> int:

@@ -17,12 +17,13 @@ class ConfigurationError(OrbitError):
 class UnknownNameError(OrbitError):
     """A name that nothing bears, with the nearest names that something does."""
 
-    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
+    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "", note: str = "") -> None:
         known = sorted(known)
         near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
         place = f" in {where}" if where else ""
         hint = f"did you mean {' or '.join(repr(n) for n in near)}? " if near else ""
-        super().__init__(f"unknown {kind} '{name}'{place}: {hint}known: {', '.join(known) or 'none'}")
+        known_names = f"known: {', '.join(known) or 'none'}"
+        super().__init__(f"unknown {kind} '{name}'{place}: {hint}{known_names}{'; ' if note else ''}{note}")
         self.name = name
         self.near = near
 

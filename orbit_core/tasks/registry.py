@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from importlib_metadata import entry_points
-
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.registry import Registry, faults_named
 
 if TYPE_CHECKING:
     from orbit_core.tasks.task import Task
@@ -24,16 +22,21 @@ class TaskEntry:
     factory: str
 
     def task_type(self) -> type[Task]:
-        """The task's class."""
+        """The task's class.
+
+        Raises:
+            ConfigurationError: its module cannot be imported, or has no such class.
+        """
         module, _, attribute = self.factory.partition(":")
-        return getattr(importlib.import_module(module), attribute)
+        with faults_named(f"task '{self.name}' ({self.factory})"):
+            return getattr(importlib.import_module(module), attribute)
 
 
 class TaskRegistry:
     """Collects entries; each entry point is a function that takes one of these and adds to it."""
 
     def __init__(self) -> None:
-        self.entries: dict[str, TaskEntry] = {}
+        self.registry = Registry[TaskEntry]("task", "orbit.tasks", lambda register: register(self))
 
     def add(self, name: str, description: str, factory: str) -> None:
         """Add a task.
@@ -41,19 +44,19 @@ class TaskRegistry:
         Raises:
             ConfigurationError: the name is taken.
         """
-        if name in self.entries:
-            taken = self.entries[name].factory
-            raise ConfigurationError(f"task '{name}' is registered twice: by {taken} and by {factory}; rename one")
-        self.entries[name] = TaskEntry(name, description, factory)
+        self.registry.add(name, TaskEntry(name, description, factory))
 
 
 @lru_cache(maxsize=1)
+def _installed() -> Registry[TaskEntry]:
+    registry = TaskRegistry().registry
+    registry.add_installed()
+    return registry
+
+
 def task_entries() -> dict[str, TaskEntry]:
-    """All registered tasks by name."""
-    registry = TaskRegistry()
-    for point in entry_points(group="orbit.tasks"):
-        point.load()(registry)
-    return registry.entries
+    """All registered tasks by name, those of broken packages left out."""
+    return _installed().values
 
 
 def task_entry(name: str) -> TaskEntry:
@@ -61,8 +64,6 @@ def task_entry(name: str) -> TaskEntry:
 
     Raises:
         UnknownNameError: there is none.
+        ConfigurationError: two packages bring it.
     """
-    entries = task_entries()
-    if name not in entries:
-        raise UnknownNameError("task", name, entries)
-    return entries[name]
+    return _installed().get(name)

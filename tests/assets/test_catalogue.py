@@ -193,32 +193,18 @@ def test_overrides_and_unknown_names() -> None:
         robot("cartpole", poses=pose)
 
 
-class _Point:
-    def __init__(self, name: str, register: object) -> None:
-        self.name, self.value, self._register = name, f"{name}:register", register
-
-    def load(self) -> object:
-        if isinstance(self._register, Exception):
-            raise self._register
-        return self._register
-
-
-def _installed(monkeypatch: pytest.MonkeyPatch, *points: _Point) -> RobotCatalogue:
-    monkeypatch.setattr("orbit_core.assets.catalogue.entry_points", lambda group: points)
-    catalogue = RobotCatalogue()
-    catalogue.add_installed()
-    return catalogue
-
-
-def test_third_parties_add_robots(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_programs_add_robots_and_no_name_twice() -> None:
     ball = RobotSpec(name="ball", articulation=Articulation("ball", ()))
-    entry = RobotEntry("ball", "A ball", lambda: ball)
-    point = _Point("theirs", lambda catalogue: catalogue.add(entry))
-    assert _installed(monkeypatch, point).entry("ball").load() is ball
-    with pytest.raises(ConfigurationError, match=r"'theirs' \(theirs:register\) and by entry point 'others'"):
-        _installed(monkeypatch, point, _Point("others", lambda catalogue: catalogue.add(entry)))
-    with pytest.raises(ConfigurationError, match=r"'broken'.*no such thing"):
-        _installed(monkeypatch, _Point("broken", ImportError("no such thing")))
+    catalogue = RobotCatalogue()
+    catalogue.add(RobotEntry("ball", "A ball", lambda: ball))
+    assert catalogue.entry("ball").load() is ball
+    with pytest.raises(ConfigurationError, match="robot 'ball' is registered twice, by this program and by this"):
+        catalogue.add(RobotEntry("ball", "Another ball", lambda: ball))
+
+
+def test_a_robot_whose_module_is_missing_names_it() -> None:
+    with pytest.raises(ConfigurationError, match=r"robot 'ball' \(nowhere.balls:build\).*No module named 'nowhere'"):
+        RobotEntry("ball", "A ball", "nowhere.balls:build").load()
 
 
 def test_our_own_entry_point_is_declared() -> None:

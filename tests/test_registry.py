@@ -1,0 +1,84 @@
+"""A broken package is named and left out, and stops only those who ask for what it would have brought."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+_CODE = """
+def register_fine(registry):
+    registry.add("Juggle", "Keep three balls in the air", "theirs:Juggle")
+
+def register_halfway(registry):
+    registry.add("Halfway", "Never seen", "theirs:Halfway")
+    raise RuntimeError("no licence found")
+
+def register_leaving(registry):
+    raise SystemExit(3)
+
+def register_known(registry):
+    registry.add("Lift", "Another lift", "theirs:Lift")
+
+def register_robot(catalogue):
+    catalogue.add(None)
+"""
+
+
+def orbit(folder: Path, group: str, points: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """``orbit WORDS`` where a distribution 'theirs' with these entry points is installed beside ORBIT."""
+    (folder / "theirs.py").write_text(_CODE)
+    about = folder / "theirs-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(f"[{group}]\n{points}\n")
+    path = os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
+    code = "import sys; from orbit_core.cli import main; sys.exit(main(sys.argv[1:]))"
+    return subprocess.run(
+        [sys.executable, "-c", code, *words],
+        capture_output=True, text=True, timeout=60, check=False, env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("point", "complaint"),
+    [
+        ("a = theirs:register_halfway", "RuntimeError: no licence found"),
+        ("a = theirs:register_leaving", "SystemExit: 3"),
+        ("a = theirs:nothing", "AttributeError"),
+        ("a = not_there:register", "ModuleNotFoundError: No module named 'not_there'"),
+    ],
+)
+def test_a_broken_task_package_is_named_and_left_out(tmp_path: Path, point: str, complaint: str) -> None:
+    listed = orbit(tmp_path, "orbit.tasks", f"{point}\nb = theirs:register_fine", "list", "tasks")
+    assert listed.returncode == 0
+    assert {"Lift", "Juggle"} <= {line.split()[0] for line in listed.stdout.splitlines()}
+    assert "Halfway" not in listed.stdout
+    told = " ".join(listed.stderr.split())
+    assert "warning: entry point 'a'" in told
+    assert "of distribution theirs" in told
+    assert complaint in told
+    assert "Traceback" not in told
+
+
+def test_what_a_broken_package_would_have_brought_is_told_to_who_asks(tmp_path: Path) -> None:
+    asked = orbit(tmp_path, "orbit.tasks", "a = theirs:register_halfway", "info", "Halfway")
+    assert asked.returncode == 2
+    assert "no licence found" in asked.stderr
+
+
+def test_a_name_that_two_packages_bring_stops_only_who_asks_for_it(tmp_path: Path) -> None:
+    points = "a = theirs:register_known\nb = theirs:register_fine"
+    listed = orbit(tmp_path, "orbit.tasks", points, "list", "tasks")
+    assert "Reach" in listed.stdout
+    assert "Juggle" in listed.stdout
+    assert "task 'Lift' is registered twice" in " ".join(listed.stderr.split())
+
+
+def test_a_broken_robot_package_leaves_the_other_robots(tmp_path: Path) -> None:
+    listed = orbit(tmp_path, "orbit.robots", "a = theirs:register_robot", "list", "robots")
+    assert "franka_panda" in listed.stdout
+    assert "theirs:register_robot" in " ".join(listed.stderr.split())
