@@ -16,7 +16,7 @@ CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples
 
 demo: $(VENV)/.ready
 	@mkdir -p out
-	$(BIN)/orbit run Lift --backend mujoco --num-envs 16 --episodes 64 --agent expert --video out/lift.mp4
+	$(BIN)/orbit run Lift --backend mujoco --num-envs 16 --episodes 64 --agent expert --video out/lift.mp4 --overwrite
 
 view: $(VENV)/.ready
 	$(BIN)/orbit view Lift --backend mujoco

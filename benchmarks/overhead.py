@@ -48,6 +48,8 @@ class Settings:
     """Write the figures here."""
     plot: Path | None = None
     """Draw the figures here, as PNG."""
+    overwrite: bool = False
+    """Replace files of those names that are there already."""
 
 
 def measure(settings: Settings, num_envs: int) -> Throughput:
@@ -106,8 +108,8 @@ def _plot(figures: list[Throughput], title: str, path: Path) -> None:
 
 def main(settings: Settings) -> None:
     """Measure, print, write and draw."""
-    check_output(settings.json, ".json")
-    check_output(settings.plot, ".png")
+    check_output(settings.json, ".json", settings.overwrite)
+    check_output(settings.plot, ".png", settings.overwrite)
     name = settings.backend or default_backend()
     figures = [measure(settings, num_envs) for num_envs in settings.sweep or (settings.num_envs,)]
     title = f"{settings.task} on {name}" + (f", {settings.action}" if settings.action else "")

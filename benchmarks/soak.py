@@ -44,6 +44,8 @@ class Settings:
     """More growth of resident memory than this, from a tenth of the way to the end, is a failure."""
     json: Path | None = None
     """Write the report here."""
+    overwrite: bool = False
+    """Replace files of those names that are there already."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ class Soak:
 def main(settings: Settings) -> int:
     """Run each task, print a table and write the report; the exit code."""
     torch.set_num_threads(1)
-    check_output(settings.json, ".json")
+    check_output(settings.json, ".json", settings.overwrite)
     backend = settings.backend or default_backend()
     reports: list[Report] = []
     with progress_bar() as bar:

@@ -71,8 +71,8 @@ def bench(
         OrbitError: of many kinds; each names the setting.
     """
     check_positive("steps", settings.steps)
-    check_output(settings.json, ".json")
-    check_output(settings.plot, ".png")
+    check_output(settings.json, ".json", settings.overwrite)
+    check_output(settings.plot, ".png", settings.overwrite)
     if not settings.num_envs:
         raise ConfigurationError("num_envs must name at least one number of environments")
     figures: list[Throughput] = []

@@ -8,8 +8,8 @@ from pathlib import Path
 from orbit_core.interfaces.errors import ConfigurationError
 
 
-def check_output(path: Path | None, suffix: str) -> None:
-    """Refuse a file that could not be written, before the work whose result it is to hold."""
+def check_output(path: Path | None, suffix: str, overwrite: bool) -> None:
+    """Refuse a file that could not be written, or is there already, before the work whose result it is to hold."""
     if path is None:
         return
     if path.suffix != suffix:
@@ -20,6 +20,8 @@ def check_output(path: Path | None, suffix: str) -> None:
         raise ConfigurationError(f"cannot write {path}: folder {path.parent} is read-only for this user")
     if path.is_dir():
         raise ConfigurationError(f"cannot write {path}: it is a folder")
+    if path.exists() and not overwrite:
+        raise ConfigurationError(f"{path} is there already: give another name, or --overwrite")
 
 
 def check_positive(name: str, value: int) -> None:

@@ -126,5 +126,12 @@ def _converted(value: Any, hint: Any) -> Any:
 
 def _words(hint: Any) -> str:
     """How a message calls a type."""
-    names = {str: "text", Path: "text", int: "a whole number", tuple: "a list of whole numbers", Mapping: "a table"}
+    names = {
+        str: "text",
+        Path: "text",
+        int: "a whole number",
+        bool: "true or false",
+        tuple: "a list of whole numbers",
+        Mapping: "a table",
+    }
     return " or ".join(names[get_origin(m) or m] for m in _members(hint) if m is not types.NoneType)

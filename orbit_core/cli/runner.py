@@ -134,8 +134,8 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
     """
     check_actor(settings.agent)
     check_positive("episodes", settings.episodes)
-    check_output(settings.json, ".json")
-    check_output(settings.video, ".mp4")
+    check_output(settings.json, ".json", settings.overwrite)
+    check_output(settings.video, ".mp4", settings.overwrite)
     check_size("video_size", settings.video_size)
     start = time.perf_counter()
     environment = make_environment(settings, settings.num_envs)

@@ -67,6 +67,8 @@ class RunSettings(EnvironmentSettings):
     """Write an mp4 of the first episode of up to four environments here."""
     video_size: tuple[int, int] = (400, 304)
     """Width and height of an environment's picture in the video, multiples of 16."""
+    overwrite: bool = False
+    """Replace files of those names that are there already."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,3 +112,5 @@ class BenchSettings(EnvironmentSettings):
     """Write the figures here."""
     plot: File = None
     """Draw the figures here, as PNG."""
+    overwrite: bool = False
+    """Replace files of those names that are there already."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import statistics
+from pathlib import Path
 
 import pytest
 import torch
@@ -11,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orbit_core.backends import default_backend
+from orbit_core.cli.bench import bench
 from orbit_core.cli.runner import Tally, run, statistic
-from orbit_core.cli.settings import RunSettings
-from orbit_core.interfaces import UnknownNameError
+from orbit_core.cli.settings import BenchSettings, RunSettings
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.tasks.environment import EpisodeEnd
 
 BACKEND = default_backend()
@@ -122,3 +125,31 @@ def test_random_actions_do_not_depend_on_the_number_of_environments():
 def test_an_unknown_agent_is_refused_before_anything_is_built():
     with pytest.raises(UnknownNameError, match="did you mean 'expert'"):
         run(lift(1, 1, agent="exprt"))
+
+
+@pytest.mark.parametrize(("option", "name"), [("json", "kept.json"), ("video", "kept.mp4")])
+def test_a_file_that_is_there_is_kept_unless_it_may_be_replaced(
+    option: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Told before anything is built."""
+    path = tmp_path / name
+    path.write_text("kept")
+
+    def build(*arguments: object) -> None:
+        raise RuntimeError("it builds")
+
+    monkeypatch.setattr("orbit_core.cli.runner.make_environment", build)
+    settings = dataclasses.replace(lift(1, 1), **{option: path})
+    with pytest.raises(ConfigurationError, match=rf"{name} is there already: give another name, or --overwrite"):
+        run(settings)
+    assert path.read_text() == "kept"
+    with pytest.raises(RuntimeError, match="it builds"):
+        run(dataclasses.replace(settings, overwrite=True))
+
+
+@pytest.mark.parametrize(("option", "name"), [("json", "kept.json"), ("plot", "kept.png")])
+def test_a_benchmark_keeps_files_too(option: str, name: str, tmp_path: Path):
+    path = tmp_path / name
+    path.write_text("kept")
+    with pytest.raises(ConfigurationError, match=rf"{name} is there already"):
+        bench(dataclasses.replace(BenchSettings(task="Lift", backend=BACKEND), **{option: path}))

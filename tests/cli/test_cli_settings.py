@@ -92,6 +92,7 @@ def test_a_video_has_a_width_and_a_height(tmp_path: Path):
         ('num_envs = "many"', ["num_envs", "whole number"]),
         ("num_envs = true", ["num_envs", "whole number"]),
         ("seed = 1.5", ["seed", "whole number"]),
+        ('overwrite = "yes"', ["overwrite", "true or false"]),
         ("task = 3", ["task", "text"]),
         ("fields = 3", ["fields", "table"]),
         ("num_envs =", ["not TOML"]),
