@@ -50,7 +50,10 @@ CAPABILITIES = Capabilities(
         Capability.STATIC_FRICTION: approximate(
             "PhysX's TGS solver lets faces slip below static friction; its PGS, temporal_gauss_seidel=False, holds them"
         ),
-        Capability.TORSIONAL_FRICTION: unsupported("PhysX 5.3 through SAPIEN has no torsional friction at points"),
+        Capability.TORSIONAL_FRICTION: approximate(
+            "the torque is the coefficient times the normal force where bodies touch at one point; where they touch at "
+            "more, friction at those points alone resists the spin. PhysX's PGS, temporal_gauss_seidel=False, has none"
+        ),
         Capability.ROLLING_FRICTION: unsupported("PhysX has no rolling friction"),
         Capability.RESTITUTION: approximate(
             "a pair's coefficients are averaged, as friction's are, and slow impacts do not rebound"

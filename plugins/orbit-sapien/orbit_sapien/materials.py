@@ -3,10 +3,17 @@
 Shapes with the same coefficients on the same link form a group. With ``m`` the groups' values, ``A`` a row of two
 halves for each pair of groups that may meet, and ``t`` the larger value of each pair, each group is given
 ``m + pinv(A) (t - A m)``: the values nearest to those asked for whose averages are nearest to the larger ones.
+
+Torsional friction is PhysX's patch friction: a single point of contact under the normal force N resists spin about
+the normal with up to ``mu r N``, with ``mu`` the pair's sliding coefficient and ``r`` the larger patch radius of its
+shapes. A pair is to have the torque ``c N`` with the larger torsional coefficient ``c``, so it wants the radius
+``c / mu``. Each group is given the least that one of its pairs wants: no pair then has more than it wants, and each has
+just that wherever any choice of radii gives it to all.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -28,10 +35,13 @@ class Group:
     static: float
     dynamic: float
     restitution: float
+    torsional: float
 
     @staticmethod
     def of(link: int, material: PhysicsMaterial) -> Group:
-        return Group(link, material.static_friction, material.dynamic_friction, material.restitution)
+        return Group(
+            link, material.static_friction, material.dynamic_friction, material.restitution, material.torsional_friction
+        )
 
 
 class PairRule:
@@ -61,20 +71,37 @@ class PairRule:
         correction = self._larger(asked) - asked @ self._averages.T
         return np.maximum(asked + correction @ self._inverse.T, 0.0)
 
+    def patch_radii(self, friction: FloatArray) -> FloatArray:
+        """Radii (..., groups) in metres to give PhysX beside dynamic friction (..., groups) as asked."""
+        wanted = self._larger(self.asked("torsional"))
+        sliding = self.given(friction) @ self._averages.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            wanted = np.where(sliding > 0, wanted / sliding, np.inf)
+        radii = np.full((len(self.groups), *friction.shape[:-1]), np.inf)
+        for end in self._pairs.T:
+            np.minimum.at(radii, end, np.moveaxis(wanted, -1, 0))
+        return np.moveaxis(np.where(np.isfinite(radii), radii, 0.0), 0, -1)
+
     def approximations(self, layout: SceneLayout) -> list[Approximation]:
-        """Pairs whose average is not the larger value."""
+        """Pairs that do not have the larger value."""
         found: list[Approximation] = []
         for name in ("static", "dynamic", "restitution"):
             asked = self.asked(name)
-            wanted, got = self._larger(asked), self.given(asked) @ self._averages.T
             quantity = "restitution" if name == "restitution" else f"{name} friction"
-            for pair in np.flatnonzero(np.abs(wanted - got) > _TOLERATED):
-                one, other = (_called(layout, self.groups[group].link) for group in self._pairs[pair])
-                why = "PhysX averages coefficients, and no values meet every pair of this scene"
-                found.append(
-                    Approximation(f"{one} on {other}", f"{quantity} {wanted[pair]:.3g}", f"{got[pair]:.3g}", why)
-                )
+            why = "PhysX averages coefficients, and no values meet every pair of this scene"
+            found += self._misses(layout, quantity, self._larger(asked), self.given(asked) @ self._averages.T, why)
+        dynamic = self.asked("dynamic")
+        got = self._larger(self.patch_radii(dynamic)) * (self.given(dynamic) @ self._averages.T)
+        why = "it is a radius times the sliding coefficient, and no radii meet every pair of this scene"
+        found += self._misses(layout, "torsional friction", self._larger(self.asked("torsional")), got, why)
         return found
+
+    def _misses(
+        self, layout: SceneLayout, quantity: str, wanted: FloatArray, got: FloatArray, why: str
+    ) -> Iterator[Approximation]:
+        for pair in np.flatnonzero(np.abs(wanted - got) > _TOLERATED):
+            one, other = (_called(layout, self.groups[group].link) for group in self._pairs[pair])
+            yield Approximation(f"{one} on {other}", f"{quantity} {wanted[pair]:.3g}", f"{got[pair]:.3g}", why)
 
     def _larger(self, asked: FloatArray) -> FloatArray:
         return np.maximum(asked[..., self._pairs[:, 0]], asked[..., self._pairs[:, 1]])

@@ -36,6 +36,7 @@ _FREE_CELLS = 2.5
 _SHARED_SPREAD = 4.0
 """Environments on a shared ground stand so many times farther apart."""
 _SLIPS = "PhysX's TGS solver slips before the whole normal force is there; temporal_gauss_seidel=False holds"
+_UNTWISTED = "PhysX's PGS solver has none; temporal_gauss_seidel=True has it"
 _NO_REBOUND = "PhysX takes slower contacts for resting, by the setting 'bounce_threshold'"
 
 
@@ -111,6 +112,7 @@ class _Builder:
         self.rule = PairRule(layout)
         given = (self.rule.given(self.rule.asked(name)) for name in ("static", "dynamic", "restitution"))
         self.materials = [physx.PhysxMaterial(*map(float, values)) for values in zip(*given, strict=True)]
+        self.patch_radii = self.rule.patch_radii(self.rule.asked("dynamic"))
         self.level = [shape for shape in layout.scene.terrain if _is_level(shape)]
         tilted = any(isinstance(s.geometry, Plane) and not _is_level(s) for s in layout.scene.terrain)
         self.shared_ground = num_envs > config.shared_ground_above and bool(self.level) and not tilted
@@ -177,6 +179,7 @@ class _Builder:
     ) -> physx.PhysxCollisionShape:
         group = self.rule.index(link, shape.material)
         made = collision_shape(shape, self.materials[group], subject, report)
+        made.set_min_patch_radius(float(self.patch_radii[group]))
         body.attach(made)
         environment.shapes.setdefault(link, []).append((group, made))
         if report is not None:
@@ -191,6 +194,11 @@ class _Builder:
         if material.static_friction > material.dynamic_friction and self.config.temporal_gauss_seidel:
             asked = f"static friction {material.static_friction:g}, dynamic {material.dynamic_friction:g}"
             found.append(Approximation(subject, asked, "faces may slip below static friction", _SLIPS))
+        if material.torsional_friction > PhysicsMaterial().torsional_friction and not self.config.temporal_gauss_seidel:
+            asked = f"torsional friction {material.torsional_friction:g}"
+            found.append(
+                Approximation(subject, asked, "none", "PhysX's PGS solver has none: set temporal_gauss_seidel")
+            )
         return found
 
     # Bodies ----------------------------------------------------------------------------------------------------------

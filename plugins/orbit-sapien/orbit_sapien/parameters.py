@@ -140,10 +140,11 @@ class Parameters:
     def _apply_friction(self, rows: list[int]) -> None:
         rule = self._world.rule
         static, dynamic = rule.given(self.static), rule.given(self.dynamic)
-        restitution = rule.given(rule.asked("restitution"))
+        restitution, radii = rule.given(rule.asked("restitution")), rule.patch_radii(self.dynamic)
         for row in rows:
             values = zip(static[row], dynamic[row], restitution, strict=True)
             materials = [physx.PhysxMaterial(*map(float, group)) for group in values]
             for shapes in self._world.environments[row].shapes.values():
                 for group, shape in shapes:
                     shape.set_physical_material(materials[group])
+                    shape.set_min_patch_radius(float(radii[row, group]))
