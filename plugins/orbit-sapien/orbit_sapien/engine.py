@@ -206,11 +206,8 @@ class SapienEngine(Engine):
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
     def save_state(self) -> Snapshot:
-        packed = self._system.pack()
-        # Unpacking drops what PhysX remembers of contacts, so that this run and a loaded one go on alike.
-        self._system.unpack(packed)
         return Snapshot(
-            packed,
+            self._system.pack(),
             self._state.fixed_poses.clone(),
             self._parameters.save(),
             (self._drives.stiffness.copy(), self._drives.damping.copy()),
