@@ -17,7 +17,7 @@ COMMANDS = {
     "view": ("view", "Watch a task live in the browser"),
     "train": ("train", "Learn a task with a reinforcement learning library"),
     "play": ("play", "Run a learned policy on any backend, and report how it went"),
-    "export": ("export", "Write a learned policy as TorchScript and ONNX, with its description"),
+    "export": ("export", "Write a learned policy as safetensors and ONNX, with its description"),
     "bench": ("bench", "Measure throughput over numbers of environments"),
     "conformance": ("conformance", "Hold backends against known answers and whole tasks, and report"),
 }

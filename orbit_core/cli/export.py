@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,13 +17,13 @@ from orbit_core.policies import policy_path
 
 @dataclass(frozen=True, kw_only=True)
 class ExportSettings:
-    """Write a learned policy as TorchScript and ONNX, with the description of observation and action beside them."""
+    """Write a learned policy as safetensors and ONNX, with the description of observation and action beside them."""
 
     policy: Annotated[Positional[Path], arg(metavar="POLICY")]
-    """File policy_<iteration>.pt, the folder of a training, which stands for its last, or a kept policy's name ('orbit
-    list policies')."""
+    """File policy_<iteration>.safetensors, the folder of a training, which stands for its last, or a kept policy's name
+    ('orbit list policies')."""
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("out/policy")
-    """Takes policy.pt, policy.onnx and policy.json."""
+    """Takes policy.safetensors, policy.onnx and policy.json."""
 
 
 def main(words: Sequence[str]) -> None:
@@ -32,7 +33,7 @@ def main(words: Sequence[str]) -> None:
     settings = parse_words(ExportSettings, words, "orbit export")
     policy = load_policy(policy_path(settings.policy))
     settings.output.mkdir(parents=True, exist_ok=True)
-    policy.save(settings.output / "policy.pt")
-    (settings.output / "policy.json").write_text(policy.description.as_json() + "\n")
+    policy.save(settings.output / "policy.safetensors")
+    (settings.output / "policy.json").write_text(json.dumps(policy.description.document()["policy"], indent=2) + "\n")
     policy.export_onnx(settings.output / "policy.onnx")
-    console().print(f"policy.pt, policy.onnx and policy.json are in {settings.output}")
+    console().print(f"policy.safetensors, policy.onnx and policy.json are in {settings.output}")

@@ -25,6 +25,7 @@ from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from orbit_core.learning.trainer import Progress
+    from orbit_core.learning.training import Training
     from orbit_core.tasks.ppo import PpoSettings
 
 
@@ -78,20 +79,31 @@ def train(settings: TrainSettings) -> Path:
         record = {"settings": asdict(settings), "versions": versions_of(environment.world.backend)}
         trainer = make_trainer(environment, algorithm, folder, settings.seed)
         training = Training(trainer, settings.task or "", record, leader)
-        with progress_bar() as bar:
-            line = bar.add_task(f"{settings.task}", total=algorithm.iterations, visible=leader)
-            last: list[Progress] = []
-
-            def show(progress: Progress) -> None:
-                last[:] = [progress]
-                bar.update(line, completed=progress.iteration + 1, description=_words(settings, progress))
-
-            training.run(algorithm.iterations, settings.save_every, show, settings.resume is not None)
+        last = _run(training, algorithm.iterations, settings)
     finally:
         environment.close()
-    if leader:
-        console().print(_table(settings, last[0], folder))
+    if last is not None:
+        console().print(_table(settings, last, folder))
     return folder
+
+
+def _run(training: Training, iterations: int, settings: TrainSettings) -> Progress | None:
+    """Under a progress bar; returns how far it came in the end, for the process that leads."""
+    last: list[Progress] = []
+    with progress_bar() as bar:
+        line = bar.add_task(f"{settings.task}", total=iterations, visible=training.leader)
+
+        def show(progress: Progress) -> None:
+            last[:] = [progress]
+            bar.update(line, completed=progress.iteration + 1, description=_words(settings, progress))
+
+        try:
+            training.run(iterations, settings.save_every, show, settings.resume is not None)
+        except KeyboardInterrupt:
+            if training.leader:
+                console().print(_left(training), soft_wrap=True)
+            raise
+    return last[0] if last else None
 
 
 def _ranked(settings: TrainSettings) -> tuple[TrainSettings, bool]:
@@ -127,6 +139,14 @@ def _words(settings: TrainSettings, progress: Progress) -> str:
     rate = progress.env_steps / progress.seconds
     success = "" if math.isnan(progress.success_rate) else f", success {100.0 * progress.success_rate:.0f} %"
     return f"{settings.task}: {rate:,.0f} steps/s, return {progress.episode_return:.2f}{success}"
+
+
+def _left(training: Training) -> str:
+    """What an interrupted training has left behind."""
+    if training.saved is None:
+        return "interrupted before the first iteration ended: there is no checkpoint"
+    folder = training.trainer.folder
+    return f"interrupted: {training.saved} is written; --resume {folder} goes on, with the same task and settings"
 
 
 def _table(settings: TrainSettings, last: Progress, folder: Path) -> Table:

@@ -1,4 +1,4 @@
-"""The loop around libraries that leave it to others: collect and learn, save, report."""
+"""The loop around libraries that leave it to others: collect and learn, report."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch.utils.tensorboard import SummaryWriter
@@ -33,37 +34,21 @@ class LoopTrainer(Trainer):
         """Collect ``settings.steps_per_iteration`` steps of every environment, and learn from them."""
 
     @abstractmethod
-    def save(self, path: Path) -> None:
-        """Write all that learning goes on with."""
+    def load(self, state: Any) -> None:
+        """Take over what :meth:`state` gave."""
 
-    @abstractmethod
-    def load(self, path: Path) -> None:
-        """Read what :meth:`save` wrote."""
-
-    def learn(
-        self, iterations: int, save_every: int, saved: Callable[[int], None], report: Callable[[Progress], None]
-    ) -> None:
+    def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
         begin, first, last = time.perf_counter(), self._iteration, self._iteration + iterations - 1
         with SummaryWriter(str(self.folder / "tensorboard")) as board:
             for iteration in range(first, last + 1):
                 self.iterate(iteration)
                 self._iteration = iteration + 1
-                if iteration % save_every == 0 or iteration == last:
-                    self._save_whole(iteration)
-                    saved(iteration)
                 done = (iteration - first + 1) * self.batch
                 progress = Progress(iteration, done, time.perf_counter() - begin, *self.tally.read())
                 board.add_scalar("episode/return", progress.episode_return, iteration)
                 board.add_scalar("episode/success_rate", progress.success_rate, iteration)
                 report(progress)
 
-    def resume(self, checkpoint: Path) -> int:
-        self.load(checkpoint)
-        self._iteration = int(checkpoint.stem.removeprefix("model_")) + 1
-        return self._iteration
-
-    def _save_whole(self, iteration: int) -> None:
-        path = self.checkpoint(iteration)
-        written = path.with_name(path.name + ".writing")
-        self.save(written)
-        written.replace(path)
+    def restore(self, state: Any, iteration: int) -> None:
+        self.load(state)
+        self._iteration = iteration + 1

@@ -1,41 +1,169 @@
-"""What policies are made of where a library leaves that to its users."""
+"""Networks that a policy's file may name. Packages add theirs through the entry-point group ``orbit.networks``.
+
+A network is a frozen dataclass of plain settings that builds a module; the module's weights stand beside the settings
+in the file. The entry point is called as the network is, and its value is the dataclass::
+
+    [project.entry-points."orbit.networks"]
+    my_network = "my_package.networks:MyNetwork"
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, Protocol
 
+import torch
+from importlib_metadata import entry_points
 from torch import Tensor, nn
 
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
 
-def perceptron(inputs: int, hidden: Sequence[int], outputs: int) -> nn.Sequential:
-    """Linear layers with exponential linear units between them."""
-    sizes = [inputs, *hidden]
-    layers: list[nn.Module] = []
-    for taken, given in itertools.pairwise(sizes):
-        layers += [nn.Linear(taken, given), nn.ELU()]
-    return nn.Sequential(*layers, nn.Linear(sizes[-1], outputs))
+GROUP = "orbit.networks"
+_ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
+_MOST_LAYERS, _MOST_UNITS = 64, 2**16
+
+
+class Network(Protocol):
+    """Settings of a network: a frozen dataclass of what :func:`~orbit_core.learning.plain.from_plain` reads."""
+
+    name: ClassVar[str]
+    """As files call it."""
+
+    def build(self, observation_size: int, action_size: int) -> nn.Module:
+        """The module that maps an observation (N, O) to an action (N, A) in [-1, 1], for any N.
+
+        All that it knows stands in its ``state_dict``, in float32. Whoever builds it loads that; building must not
+        depend on values of tensors, for it also runs on torch's ``meta`` device.
+        """
+        ...
+
+
+class Actor(NamedTuple):
+    """A network with the module that it built."""
+
+    network: Network
+    module: nn.Module
+
+
+@dataclass(frozen=True)
+class Perceptron:
+    """Linear layers that see the observation in standard deviations from its mean."""
+
+    name: ClassVar[str] = "perceptron"
+    hidden_sizes: tuple[int, ...]
+    """Units of the hidden layers."""
+    activation: str = "elu"
+    """Between layers: elu, relu or tanh."""
+    observation_limit: float | None = None
+    """Standard deviations from the mean at which the observation is cut off; none if None."""
+
+    def __post_init__(self) -> None:
+        if self.activation not in _ACTIVATIONS:
+            raise UnknownNameError("activation", self.activation, _ACTIVATIONS)
+        if len(self.hidden_sizes) > _MOST_LAYERS or not all(0 < size <= _MOST_UNITS for size in self.hidden_sizes):
+            raise ValueError(f"it has up to {_MOST_LAYERS} hidden layers of 1 to {_MOST_UNITS} units each")
+        if self.observation_limit is not None and self.observation_limit <= 0.0:
+            raise ValueError(f"observation_limit is positive, not {self.observation_limit}")
+
+    def build(self, observation_size: int, action_size: int) -> nn.Module:
+        layers = perceptron(observation_size, self.hidden_sizes, action_size, _ACTIVATIONS[self.activation])
+        return NormalizedActor(layers, observation_size, self.observation_limit)
 
 
 class NormalizedActor(nn.Module):
-    """Layers that see the observation in standard deviations from its mean, at most ``limit`` of them.
+    """What :class:`Perceptron` builds: observation (N, O) -> action (N, A), clipped to [-1, 1].
 
     Args:
-        mean: (O,) of observations seen in training.
-        std: (O,) theirs.
-        limit: of what the layers see.
         layers: normalised observation (N, O) -> action (N, A).
+        observation_size: O.
+        limit: of the normalised observation's components; none if None.
     """
 
     mean: Tensor
+    """(O,) of observations seen in training."""
     std: Tensor
+    """(O,) theirs."""
 
-    def __init__(self, mean: Tensor, std: Tensor, limit: float, layers: nn.Module) -> None:
+    def __init__(self, layers: nn.Module, observation_size: int, limit: float | None) -> None:
         super().__init__()
-        self.register_buffer("mean", mean.float().cpu())
-        self.register_buffer("std", std.float().cpu())
+        self.register_buffer("mean", torch.zeros(observation_size))
+        self.register_buffer("std", torch.ones(observation_size))
         self.limit = limit
         self.layers = layers
 
     def forward(self, observation: Tensor) -> Tensor:
-        return self.layers(((observation - self.mean) / self.std).clamp(-self.limit, self.limit))
+        seen = (observation - self.mean) / self.std
+        if self.limit is not None:
+            seen = seen.clamp(-self.limit, self.limit)
+        return self.layers(seen).clamp(-1.0, 1.0)
+
+
+def perceptron(inputs: int, hidden: Sequence[int], outputs: int, activation: type[nn.Module] = nn.ELU) -> nn.Sequential:
+    """Linear layers with activations between them."""
+    sizes = [inputs, *hidden]
+    layers: list[nn.Module] = []
+    for taken, given in itertools.pairwise(sizes):
+        layers += [nn.Linear(taken, given), activation()]
+    return nn.Sequential(*layers, nn.Linear(sizes[-1], outputs))
+
+
+def perceptron_actor(
+    layers: nn.Module, mean: Tensor | None = None, std: Tensor | None = None, limit: float | None = None
+) -> Actor:
+    """A copy on the CPU of a library's actor that is a perceptron with exponential linear units.
+
+    Args:
+        layers: holds the linear layers, in the order in which they act.
+        mean: (O,) of the observation; zero if None.
+        std: (O,) of the observation; one if None.
+        limit: as :attr:`Perceptron.observation_limit`.
+    """
+    linear = [layer for layer in layers.modules() if isinstance(layer, nn.Linear)]
+    network = Perceptron(tuple(layer.out_features for layer in linear[:-1]), observation_limit=limit)
+    module = network.build(linear[0].in_features, linear[-1].out_features)
+    assert isinstance(module, NormalizedActor)
+    with torch.no_grad():
+        for copy, layer in zip((m for m in module.layers if isinstance(m, nn.Linear)), linear, strict=True):
+            copy.load_state_dict(layer.state_dict())
+        if mean is not None and std is not None:
+            module.mean.copy_(mean.reshape(-1))
+            module.std.copy_(std.reshape(-1))
+    return Actor(network, module.eval())
+
+
+_NETWORKS: dict[str, type[Network]] = {Perceptron.name: Perceptron}
+
+
+def register_network(kind: type[Network]) -> None:
+    """Let files of this process name a network; installed packages use an entry point instead.
+
+    Raises:
+        ConfigurationError: the name is taken, or ``kind`` is no dataclass with a name.
+    """
+    if not dataclasses.is_dataclass(kind) or not isinstance(getattr(kind, "name", None), str):
+        raise ConfigurationError(f"network {kind!r} is no dataclass with a class variable 'name'")
+    if _NETWORKS.setdefault(kind.name, kind) is not kind:
+        raise ConfigurationError(f"network '{kind.name}' is there twice, {_NETWORKS[kind.name]} and {kind}: rename one")
+
+
+def network_type(name: str) -> type[Network]:
+    """The network of that name.
+
+    Raises:
+        UnknownNameError: there is none; names the nearest.
+        ConfigurationError: the package that brings it fails to load, or calls it otherwise.
+    """
+    if name not in _NETWORKS:
+        points = {point.name: point for point in entry_points(group=GROUP)}
+        if name not in points:
+            raise UnknownNameError("network", name[:60], {*_NETWORKS, *points})
+        try:
+            register_network(points[name].load())
+        except Exception as error:  # a package's own fault may be of any class
+            raise ConfigurationError(f"network '{name}' ({points[name].value}) fails to load: {error}") from error
+        if name not in _NETWORKS:
+            raise ConfigurationError(f"entry point '{name}' ({points[name].value}) is a network of another name")
+    return _NETWORKS[name]

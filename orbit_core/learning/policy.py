@@ -1,101 +1,26 @@
-"""A learned policy as one file that needs no learning library, and none of ORBIT, to run again."""
+"""A learned policy: its file, its fit to an environment, and as a node of an agent."""
 
 from __future__ import annotations
 
-import json
-import warnings
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 
 from orbit_core.interfaces import ConfigurationError, Node, Port
+from orbit_core.learning import onnx_file
+from orbit_core.learning.description import Part, PolicyDescription
+from orbit_core.learning.networks import Actor, Network
+from orbit_core.learning.policy_file import SUFFIX, newest_file, read_policy, write_policy
 
 if TYPE_CHECKING:
     from orbit_core.agent import AgentGraph
     from orbit_core.tasks.environment import Environment
 
-SUFFIX = ".pt"
-_DESCRIPTION = "orbit.json"
-
-
-@dataclass(frozen=True)
-class Part:
-    """A stretch of the observation or of the action."""
-
-    name: str
-    size: int
-
-
-@dataclass(frozen=True)
-class PolicyDescription:
-    """What a policy was learned for: what it must be given and what its output means."""
-
-    task: str
-    robot: str
-    action: str
-    """Name of the action space."""
-    observation_parts: tuple[Part, ...]
-    """The task's observation terms, side by side."""
-    action_parts: tuple[Part, ...]
-    """The motion generators' commands, side by side, each component in [-1, 1]."""
-    step_dt: float
-    """Seconds between two actions."""
-    backend: str
-    """Where it was learned."""
-    library: str
-    """Which learned it."""
-    iteration: int
-
-    @staticmethod
-    def of(environment: Environment, task: str, library: str, iteration: int) -> PolicyDescription:
-        """Of a policy for this environment."""
-        terms, world = environment.observer.terms, environment.world
-        return PolicyDescription(
-            task=task,
-            robot=environment.task.robot,
-            action=environment.task.action,
-            observation_parts=tuple(
-                Part(name, term.function(world, environment.task).shape[1]) for name, term in terms.items()
-            ),
-            action_parts=tuple(Part(g.name, g.command_size) for g in environment.task.generators),
-            step_dt=environment.step_dt,
-            backend=environment.world.backend,
-            library=library,
-            iteration=iteration,
-        )
-
-    @property
-    def observation_size(self) -> int:
-        return sum(part.size for part in self.observation_parts)
-
-    @property
-    def action_size(self) -> int:
-        return sum(part.size for part in self.action_parts)
-
-    def as_json(self) -> str:
-        return json.dumps(asdict(self), indent=2)
-
-    @staticmethod
-    def from_json(text: str) -> PolicyDescription:
-        values: dict[str, Any] = json.loads(text)
-        for key in ("observation_parts", "action_parts"):
-            values[key] = tuple(Part(**part) for part in values[key])
-        return PolicyDescription(**values)
-
-
-class ClippedPolicy(nn.Module):
-    """Observation (N, O) -> action (N, A) in [-1, 1], without exploration."""
-
-    def __init__(self, actor: nn.Module) -> None:
-        super().__init__()
-        self.actor = actor
-
-    def forward(self, observation: Tensor) -> Tensor:
-        return self.actor(observation).clamp(-1.0, 1.0)
+__all__ = ["Part", "Policy", "PolicyAgent", "PolicyDescription", "PolicyNode", "load_policy", "whole_agent"]
 
 
 @dataclass(frozen=True)
@@ -103,83 +28,53 @@ class Policy:
     """A policy with its description."""
 
     module: nn.Module
-    """Observation (N, O) -> action (N, A)."""
+    """Observation (N, O) -> action (N, A) in [-1, 1], without exploration."""
+    network: Network | None
+    """What built the module; None if it was read from ONNX, where a graph stands for it."""
     description: PolicyDescription
 
     def save(self, path: Path) -> None:
-        """Write TorchScript, the description inside. The file appears whole or not at all."""
-        module = self.module.cpu().eval()
-        example = torch.zeros(2, self.description.observation_size)
-        with torch.no_grad():
-            traced = module if isinstance(module, torch.jit.ScriptModule) else torch.jit.trace(module, example)
-        assert isinstance(traced, torch.jit.ScriptModule)
-        written = path.with_name(path.name + ".writing")
-        torch.jit.save(traced, str(written), _extra_files={_DESCRIPTION: self.description.as_json()})
-        written.replace(path)
+        """Write weights, network and description into one safetensors file, which appears whole or not at all.
+
+        Raises:
+            ConfigurationError: the policy was read from ONNX, or its network is not registered.
+        """
+        if self.network is None:
+            raise ConfigurationError(f"a policy that was read from ONNX has no network that {path.name} could name")
+        write_policy(path, Actor(self.network, self.module), self.description)
 
     def export_onnx(self, path: Path) -> None:
-        """Write ONNX: input ``observation`` (N, O), output ``action`` (N, A).
+        """Write ONNX, the description in its metadata: input ``observation`` (N, O), output ``action`` (N, A).
 
         Raises:
-            ConfigurationError: the exporter is not installed.
+            ConfigurationError: the exporter is not installed, or the policy was read from ONNX.
         """
-        try:
-            import onnx  # noqa: F401 - the exporter's own need, asked for here to be told in one line
-        except ImportError as error:
-            raise ConfigurationError(f"ONNX needs {error.name}: pip install 'orbit-core[onnx]'") from None
-        example = torch.zeros(2, self.description.observation_size)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of an older exporter's age; the newer one takes no TorchScript
-            torch.onnx.export(
-                self.module.cpu().eval(),
-                (example,),
-                str(path),
-                input_names=["observation"],
-                output_names=["action"],
-                dynamic_axes={"observation": {0: "environments"}, "action": {0: "environments"}},
-                dynamo=False,
-            )
-
-    def check(self, environment: Environment) -> None:
-        """Refuse an environment that the policy was not learned for.
-
-        Raises:
-            ConfigurationError: names what differs.
-        """
-        other = PolicyDescription.of(environment, self.description.task, "", 0)
-        for field in ("robot", "action", "observation_parts", "action_parts"):
-            learned, given = getattr(self.description, field), getattr(other, field)
-            if learned != given:
-                raise ConfigurationError(f"the policy was learned with {field} {learned}, not with {given}")
-        if abs(self.description.step_dt - other.step_dt) > 1e-9:
-            raise ConfigurationError(
-                f"the policy acts every {self.description.step_dt:g} s, the environment every {other.step_dt:g} s"
-            )
+        if self.network is None:
+            raise ConfigurationError(f"the policy was read from ONNX: copy its file to {path}")
+        onnx_file.write_onnx(path, self.module, self.description)
 
 
 def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
-    """A policy from its file, or the latest of a training's folder.
+    """A policy from its file, safetensors or ONNX, or the latest of a training's folder. Nothing in it is executed.
 
     Raises:
-        ConfigurationError: there is no such file, or it is no policy.
+        OrbitError: there is no such file, or it is no policy; names the file and what is wrong.
     """
     if path.is_dir():
-        found = sorted(path.glob(f"policy_*{SUFFIX}"), key=lambda file: int(file.stem.removeprefix("policy_")))
-        if not found:
+        newest = newest_file(path, "policy")
+        if newest is None:
             raise ConfigurationError(f"folder {path} holds no policy_<iteration>{SUFFIX}: is it a training's folder?")
-        path = found[-1]
-    if not path.is_file():
-        raise ConfigurationError(f"there is no policy {path}")
-    files = {_DESCRIPTION: ""}
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # what is to follow TorchScript needs more than a file
-            module = torch.jit.load(str(path), map_location=device, _extra_files=files)
-        description = PolicyDescription.from_json(files[_DESCRIPTION])
-    except (RuntimeError, ValueError, TypeError, KeyError) as error:
-        raise ConfigurationError(f"{path} is no policy of ORBIT: {str(error).splitlines()[0]}") from error
-    module.eval()
-    return Policy(module, description)
+        path = newest
+    if path.suffix == onnx_file.SUFFIX:
+        description, module = onnx_file.read_onnx(path)
+        return Policy(module.to(device), None, description)
+    if path.suffix != SUFFIX:
+        raise ConfigurationError(
+            f"{path} is no policy: policies are {SUFFIX} and {onnx_file.SUFFIX} files, for others, such as pickles and "
+            "TorchScript, may run code when they are read"
+        )
+    description, actor = read_policy(path)
+    return Policy(actor.module.to(device), actor.network, description)
 
 
 class PolicyNode(Node):
@@ -206,7 +101,7 @@ def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
     Raises:
         ConfigurationError: the policy was learned for another environment.
     """
-    policy.check(environment)
+    policy.description.check(environment)
     return environment.cut.graph.replace(environment.cut.node.name, PolicyNode(policy))
 
 
@@ -215,7 +110,7 @@ class PolicyAgent:
 
     def __init__(self, environment: Environment, path: Path) -> None:
         policy = load_policy(path, environment.device)
-        policy.check(environment)
+        policy.description.check(environment)
         self._module = policy.module
         self._environment = environment
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 import io
 import math
 from pathlib import Path
@@ -19,7 +18,7 @@ from torch import Tensor, nn
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.gymnasium import action_space, observation_space
 from orbit_core.learning.loop import LoopTrainer
-from orbit_core.learning.networks import NormalizedActor
+from orbit_core.learning.networks import Actor, perceptron_actor
 from orbit_core.tasks.environment import Environment
 from orbit_core.tasks.ppo import PpoSettings
 
@@ -83,22 +82,21 @@ class RlGamesTrainer(LoopTrainer):
                 agent.frame, total_time, play_time, agent.curr_frames,
             )  # fmt: skip
 
-    def save(self, path: Path) -> None:
-        torch.save(self._agent.get_full_state_weights(), path)
+    def state(self) -> Any:
+        return self._agent.get_full_state_weights()
 
-    def load(self, path: Path) -> None:
-        state = torch.load(path, weights_only=False, map_location=self.environment.device)
+    def load(self, state: Any) -> None:
         self._agent.set_full_state_weights(state)
         self._agent.last_lr = state["optimizer"]["param_groups"][0]["lr"]
 
-    def actor(self) -> nn.Module:
+    def actor(self) -> Actor:
         model = self._agent.model
-        layers = copy.deepcopy(nn.Sequential(model.a2c_network.actor_mlp, model.a2c_network.mu)).cpu()
+        layers = nn.Sequential(model.a2c_network.actor_mlp, model.a2c_network.mu)
         if not self.settings.normalize_observations:
-            return layers
+            return perceptron_actor(layers)
         seen = model.running_mean_std
         std = (seen.running_var.float() + seen.epsilon).sqrt()
-        return NormalizedActor(seen.running_mean, std, 5.0, layers)  # the limit stands in its code
+        return perceptron_actor(layers, seen.running_mean, std, 5.0)  # the limit stands in its code
 
     def _parameters(self, environment: RlGamesEnvironment) -> dict[str, Any]:
         settings = self.settings

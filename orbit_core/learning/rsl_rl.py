@@ -17,8 +17,9 @@ import torch
 from rsl_rl.env import VecEnv
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
-from torch import Tensor, nn
+from torch import Tensor
 
+from orbit_core.learning.networks import Actor, perceptron_actor
 from orbit_core.learning.trainer import Progress, Trainer
 from orbit_core.tasks.environment import Environment, Observation
 from orbit_core.tasks.ppo import PpoSettings
@@ -76,21 +77,23 @@ class RslRlTrainer(Trainer):
             self._runner = _Runner(adapted, _configuration(settings), str(folder), str(environment.device))
         self._runner.logger.git_status_repos = []
 
-    def learn(
-        self, iterations: int, save_every: int, saved: Callable[[int], None], report: Callable[[Progress], None]
-    ) -> None:
-        self._runner.cfg["save_interval"] = save_every
-        self._runner.saved = saved
+    def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
         with self._reporting(report), contextlib.redirect_stdout(io.StringIO()):
             self._runner.learn(iterations, init_at_random_ep_len=True)
 
-    def resume(self, checkpoint: Path) -> int:
-        self._runner.load(str(checkpoint), map_location=str(self.environment.device))
-        self._runner.current_learning_iteration += 1
-        return self._runner.current_learning_iteration
+    def state(self) -> Any:
+        return self._runner.alg.save()
 
-    def actor(self) -> nn.Module:
-        return self._runner.alg.get_policy().as_jit().cpu()
+    def restore(self, state: Any, iteration: int) -> None:
+        self._runner.alg.load(state, None, strict=True)
+        self._runner.current_learning_iteration = iteration + 1
+
+    def actor(self) -> Actor:
+        policy = self._runner.alg.get_policy()
+        if not self.settings.normalize_observations:
+            return perceptron_actor(policy.mlp)
+        seen: Any = policy.obs_normalizer
+        return perceptron_actor(policy.mlp, seen.mean, seen.std + seen.eps)
 
     @contextlib.contextmanager
     def _reporting(self, report: Callable[[Progress], None]) -> Iterator[None]:
@@ -119,15 +122,10 @@ class RslRlTrainer(Trainer):
 
 
 class _Runner(OnPolicyRunner):
-    """Tells when it has saved."""
-
-    saved: Callable[[int], None]
+    """Leaves checkpoints to the training."""
 
     def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
-        written = path + ".writing"
-        super().save(written, infos)
-        os.replace(written, path)
-        self.saved(self.current_learning_iteration)
+        """Nothing."""
 
 
 def _configuration(settings: PpoSettings) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -18,7 +17,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import Tensor, nn
 
-from orbit_core.learning.networks import NormalizedActor
+from orbit_core.learning.networks import Actor, perceptron_actor
 from orbit_core.learning.trainer import Progress, Trainer
 from orbit_core.tasks.environment import Environment
 from orbit_core.tasks.ppo import PpoSettings
@@ -120,61 +119,48 @@ class Sb3Trainer(Trainer):
             seed=seed,
             device=environment.device,
         )
+        self._batch = batch
 
-    def learn(
-        self, iterations: int, save_every: int, saved: Callable[[int], None], report: Callable[[Progress], None]
-    ) -> None:
-        batch = self.environment.num_envs * self.settings.steps_per_iteration
-        begin = self._model.num_timesteps // batch
-        callback = _Callback(self, batch, begin + iterations, save_every, saved, report)
+    def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
+        callback = _Callback(self._batch, report)
         self._model.learn(
-            iterations * batch, callback=callback, reset_num_timesteps=begin == 0, tb_log_name="tensorboard"
+            iterations * self._batch,
+            callback=callback,
+            reset_num_timesteps=self._model.num_timesteps == 0,
+            tb_log_name="tensorboard",
         )
         callback.finish_iteration()
 
-    def save(self, iteration: int) -> None:
-        """Write the checkpoint: weights, optimiser and the observations' statistics."""
-        path = self.checkpoint(iteration)
-        written = path.with_name(path.name + ".writing")
-        statistics = self._environment.obs_rms if self.settings.normalize_observations else None
-        state = {"parameters": self._model.get_parameters(), "observations": statistics}
-        torch.save({**state, "timesteps": self._model.num_timesteps}, written)
-        written.replace(path)
+    def state(self) -> Any:
+        """Weights, optimiser and the observations' statistics."""
+        seen: Any = self._environment.obs_rms if self.settings.normalize_observations else None
+        statistics = {"mean": seen.mean, "var": seen.var, "count": seen.count} if seen else None
+        return {"parameters": self._model.get_parameters(), "observations": statistics}
 
-    def resume(self, checkpoint: Path) -> int:
-        state = torch.load(checkpoint, weights_only=False, map_location=self.environment.device)
+    def restore(self, state: Any, iteration: int) -> None:
         self._model.set_parameters(state["parameters"], device=self.environment.device)
-        self._model.num_timesteps = state["timesteps"]
-        if state["observations"] is not None:
-            self._environment.obs_rms = state["observations"]
-        return state["timesteps"] // (self.environment.num_envs * self.settings.steps_per_iteration)
+        self._model.num_timesteps = (iteration + 1) * self._batch
+        if self.settings.normalize_observations:
+            seen: Any = self._environment.obs_rms
+            seen.mean, seen.var = (state["observations"][name].numpy() for name in ("mean", "var"))
+            seen.count = state["observations"]["count"]
 
-    def actor(self) -> nn.Module:
+    def actor(self) -> Actor:
         policy = self._model.policy
-        hidden, head = (copy.deepcopy(part).cpu() for part in (policy.mlp_extractor.policy_net, policy.action_net))
-        layers = nn.Sequential(hidden, head)
+        layers = nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
         if not self.settings.normalize_observations:
-            return layers
+            return perceptron_actor(layers)
         seen: Any = self._environment.obs_rms
         std = (torch.as_tensor(seen.var) + self._environment.epsilon).sqrt()
-        return NormalizedActor(torch.as_tensor(seen.mean), std, self._environment.clip_obs, layers)
+        return perceptron_actor(layers, torch.as_tensor(seen.mean), std, self._environment.clip_obs)
 
 
 class _Callback(BaseCallback):
-    """Saves and reports after each iteration."""
+    """Reports after each iteration."""
 
-    def __init__(
-        self,
-        trainer: Sb3Trainer,
-        batch: int,
-        last: int,
-        save_every: int,
-        saved: Callable[[int], None],
-        report: Callable[[Progress], None],
-    ) -> None:
+    def __init__(self, batch: int, report: Callable[[Progress], None]) -> None:
         super().__init__()
-        self._trainer, self._batch, self._last, self._save_every = trainer, batch, last, save_every
-        self._saved, self._report = saved, report
+        self._batch, self._report = batch, report
         self._begin = time.perf_counter()
         self._first_step = -1
         self._successes: list[bool] = []
@@ -192,14 +178,10 @@ class _Callback(BaseCallback):
 
     def finish_iteration(self) -> None:
         """Collected and learned."""
-        iteration = self.model.num_timesteps // self._batch - 1
-        if iteration % self._save_every == 0 or iteration == self._last - 1:
-            self._trainer.save(iteration)
-            self._saved(iteration)
         episodes: Any = self.model.ep_info_buffer
         self._report(
             Progress(
-                iteration=iteration,
+                iteration=self.model.num_timesteps // self._batch - 1,
                 env_steps=self.model.num_timesteps - self._first_step,
                 seconds=time.perf_counter() - self._begin,
                 episode_return=float(np.mean([episode["r"] for episode in episodes])) if episodes else math.nan,

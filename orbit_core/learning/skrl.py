@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from pathlib import Path
 from typing import Any, ClassVar
@@ -21,7 +20,7 @@ from torch import Tensor, nn
 from orbit_core.learning.episodes import true_next
 from orbit_core.learning.gymnasium import action_space, observation_space
 from orbit_core.learning.loop import LoopTrainer
-from orbit_core.learning.networks import NormalizedActor, perceptron
+from orbit_core.learning.networks import Actor, perceptron, perceptron_actor
 from orbit_core.tasks.environment import Environment
 from orbit_core.tasks.ppo import PpoSettings
 
@@ -115,19 +114,20 @@ class SkrlTrainer(LoopTrainer):
             self._agent.post_interaction(**time)
             seen = following
 
-    def save(self, path: Path) -> None:
-        self._agent.save(str(path))
+    def state(self) -> Any:
+        return {name: module.state_dict() for name, module in self._agent.checkpoint_modules.items()}
 
-    def load(self, path: Path) -> None:
-        self._agent.load(str(path))
+    def load(self, state: Any) -> None:
+        for name, module in self._agent.checkpoint_modules.items():
+            module.load_state_dict(state[name])
 
-    def actor(self) -> nn.Module:
-        layers = copy.deepcopy(self._actor.layers).cpu()
+    def actor(self) -> Actor:
+        layers = self._actor.layers
         if not self.settings.normalize_observations:
-            return layers
+            return perceptron_actor(layers)
         scaler: Any = self._agent._observation_preprocessor
         std = scaler.running_variance.sqrt() + scaler.epsilon
-        return NormalizedActor(scaler.running_mean, std, scaler.clip_threshold, layers)
+        return perceptron_actor(layers, scaler.running_mean, std, scaler.clip_threshold)
 
 
 class _Actor(GaussianMixin, Model):

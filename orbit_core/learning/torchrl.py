@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from pathlib import Path
 from typing import Any, ClassVar
@@ -20,7 +19,7 @@ from torchrl.objectives.value import GAE
 
 from orbit_core.learning.episodes import EpisodeTally, true_next
 from orbit_core.learning.loop import LoopTrainer
-from orbit_core.learning.networks import NormalizedActor, perceptron
+from orbit_core.learning.networks import Actor, perceptron, perceptron_actor
 from orbit_core.tasks.environment import Environment
 from orbit_core.tasks.ppo import PpoSettings
 
@@ -136,20 +135,18 @@ class TorchRlTrainer(LoopTrainer):
         nn.utils.clip_grad_norm_(self._loss.parameters(), 1.0)
         self._optimizer.step()
 
-    def save(self, path: Path) -> None:
-        torch.save({name: module.state_dict() for name, module in self._saved().items()}, path)
+    def state(self) -> Any:
+        return {name: module.state_dict() for name, module in self._saved().items()}
 
-    def load(self, path: Path) -> None:
-        state = torch.load(path, map_location=self.environment.device)
+    def load(self, state: Any) -> None:
         for name, module in self._saved().items():
             module.load_state_dict(state[name])
 
-    def actor(self) -> nn.Module:
-        layers = copy.deepcopy(self._layers).cpu()
+    def actor(self) -> Actor:
         mean, variance = self._norm.running_mean, self._norm.running_var
         if not self.settings.normalize_observations or mean is None or variance is None:
-            return layers
-        return NormalizedActor(mean, (variance + self._norm.eps).sqrt(), math.inf, layers)
+            return perceptron_actor(self._layers)
+        return perceptron_actor(self._layers, mean, (variance + self._norm.eps).sqrt())
 
     def _saved(self) -> dict[str, Any]:
         return {"policy": self.policy, "critic": self.critic, "optimizer": self._optimizer}

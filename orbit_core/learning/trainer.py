@@ -7,11 +7,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
-
-from torch import nn
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.learning.networks import Actor
 from orbit_core.tasks.ppo import PpoSettings
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ class Trainer(ABC):
     Args:
         environment: stepped by this trainer alone.
         settings: of the algorithm.
-        folder: takes checkpoints and TensorBoard's files.
+        folder: takes TensorBoard's files.
         seed: of exploration and of the networks' weights.
     """
 
@@ -56,22 +55,20 @@ class Trainer(ABC):
         self.seed = seed
 
     @abstractmethod
-    def learn(
-        self, iterations: int, save_every: int, saved: Callable[[int], None], report: Callable[[Progress], None]
-    ) -> None:
-        """Collect and learn. Every ``save_every`` iterations, and at the end, a checkpoint is written and announced."""
+    def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
+        """Collect and learn; tells after each iteration, and :meth:`state` and :meth:`actor` are then of its end."""
 
     @abstractmethod
-    def resume(self, checkpoint: Path) -> int:
-        """Go on from a checkpoint; returns the iteration to go on with."""
+    def state(self) -> Any:
+        """All that learning goes on with, as :mod:`~orbit_core.learning.checkpoint` writes it."""
 
     @abstractmethod
-    def actor(self) -> nn.Module:
-        """A copy of the policy on the CPU, observation (N, O) -> mean action (N, A), normalisation included."""
+    def restore(self, state: Any, iteration: int) -> None:
+        """Go on from the state at the end of an iteration."""
 
-    def checkpoint(self, iteration: int) -> Path:
-        """Where the library's own checkpoint of an iteration lies."""
-        return self.folder / f"model_{iteration}.pt"
+    @abstractmethod
+    def actor(self) -> Actor:
+        """A copy of the policy on the CPU, without exploration, normalisation included."""
 
 
 _LIBRARIES = {

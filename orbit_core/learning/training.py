@@ -11,22 +11,26 @@ from pathlib import Path
 from typing import Any
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.learning.policy import SUFFIX, ClippedPolicy, Policy, PolicyDescription
+from orbit_core.learning.checkpoint import read_checkpoint, write_checkpoint
+from orbit_core.learning.policy import Policy, PolicyDescription
+from orbit_core.learning.policy_file import SUFFIX, newest_file
 from orbit_core.learning.trainer import Progress, Trainer
 
 RECORD = "training.json"
 CURVE = "curve.jsonl"
+CHECKPOINT = "checkpoint"
 
 
 @dataclass
 class Training:
-    """Runs a trainer and writes, beside the library's own checkpoints, ``policy_<iteration>.pt`` that anyone can load,
-    ``training.json`` with all settings, and ``curve.jsonl`` with a line an iteration.
+    """Runs a trainer and writes ``policy_<iteration>.safetensors`` that anyone can load,
+    ``checkpoint_<iteration>.safetensors`` to go on from, ``training.json`` with all settings, and ``curve.jsonl`` with
+    a line an iteration.
 
     Args:
         trainer: does the learning.
         task: name of the task.
-        record: what to write into ``training.json``.
+        record: what to write into ``training.json``; its ``versions``, if any, go into the policies too.
         leader: whether this process writes files; of several GPUs, one does.
     """  # fmt: skip
 
@@ -37,16 +41,55 @@ class Training:
 
     def __post_init__(self) -> None:
         self._steps_before, self._seconds_before = 0, 0.0
+        self._done = -1
+        """The last iteration that was completed."""
+        self.saved: Path | None = None
+        """The newest checkpoint that was written."""
 
     def run(self, iterations: int, save_every: int, report: Callable[[Progress], None], resume: bool = False) -> Policy:
-        """Learn until so many iterations are done in all; returns the last policy."""
-        begin = self.trainer.resume(_latest(self.trainer.folder)) if resume else 0
+        """Learn until so many iterations are done in all; returns the last policy.
+
+        A checkpoint is written every ``save_every`` iterations, at the end, and when KeyboardInterrupt ends the
+        training. What an interrupted iteration has learned stays in that checkpoint's weights; it is done again.
+        """
+        begin = self._resume() if resume else 0
         if begin >= iterations:
             raise ConfigurationError(f"{self.trainer.folder} has {begin} iterations already: ask for more")
         if self.leader:
             self._start(begin)
-        self.trainer.learn(iterations - begin, save_every, self._save, lambda progress: self._report(progress, report))
+
+        def done(progress: Progress) -> None:
+            self._done = progress.iteration
+            if self._done % save_every == 0 or self._done == iterations - 1:
+                self._save(self._done)
+            self._report(progress, report)
+
+        try:
+            self.trainer.learn(iterations - begin, done)
+        except KeyboardInterrupt:
+            if self._done >= 0 and self.saved != self._checkpoint(self._done):
+                self._save(self._done)
+            raise
         return self._policy(iterations - 1)
+
+    def _resume(self) -> int:
+        """Take over the newest checkpoint; returns the iteration to go on with."""
+        folder = self.trainer.folder
+        newest = newest_file(folder, CHECKPOINT) if folder.is_dir() else None
+        if newest is None:
+            raise ConfigurationError(
+                f"folder {folder} holds no {CHECKPOINT}_<iteration>{SUFFIX} to resume from; what libraries write by "
+                "themselves is not read, for it may run code"
+            )
+        state, iteration = read_checkpoint(newest, self.trainer.name), int(newest.stem.removeprefix(f"{CHECKPOINT}_"))
+        try:
+            self.trainer.restore(state, iteration)
+        except (RuntimeError, ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
+            raise ConfigurationError(
+                f"{newest} does not fit this training ({str(error).splitlines()[0]}): give the task and settings that "
+                "it was written with"
+            ) from error
+        return iteration + 1
 
     def _start(self, begin: int) -> None:
         folder = self.trainer.folder
@@ -71,12 +114,21 @@ class Training:
             self._steps_before, self._seconds_before = last["env_steps"], last["seconds"]
 
     def _save(self, iteration: int) -> None:
-        if self.leader:
-            self._policy(iteration).save(self.trainer.folder / f"policy_{iteration}{SUFFIX}")
+        if not self.leader:
+            return
+        self._policy(iteration).save(self.trainer.folder / f"policy_{iteration}{SUFFIX}")
+        checkpoint = self._checkpoint(iteration)
+        write_checkpoint(checkpoint, self.trainer.name, self.trainer.state())
+        self.saved = checkpoint
+
+    def _checkpoint(self, iteration: int) -> Path:
+        return self.trainer.folder / f"{CHECKPOINT}_{iteration}{SUFFIX}"
 
     def _policy(self, iteration: int) -> Policy:
-        description = PolicyDescription.of(self.trainer.environment, self.task, self.trainer.name, iteration)
-        return Policy(ClippedPolicy(self.trainer.actor()), description)
+        trainer, actor = self.trainer, self.trainer.actor()
+        versions = self.record.get("versions")
+        description = PolicyDescription.of(trainer.environment, self.task, trainer.name, iteration, versions)
+        return Policy(actor.module, actor.network, description)
 
     def _report(self, progress: Progress, report: Callable[[Progress], None]) -> None:
         if not self.leader:  # its library counts nothing
@@ -94,11 +146,3 @@ class Training:
         with (self.trainer.folder / CURVE).open("a") as file:
             file.write(json.dumps(numbers) + "\n")
         report(progress)
-
-
-def _latest(folder: Path) -> Path:
-    """The newest of the library's own checkpoints."""
-    found = sorted(folder.glob("model_*"), key=lambda file: int(file.stem.removeprefix("model_")))
-    if not found:
-        raise ConfigurationError(f"folder {folder} holds no checkpoint to resume from")
-    return found[-1]

@@ -1,6 +1,6 @@
 """One of the processes that learn a policy together, as torchrun starts them; on CPUs, which the library refuses.
 
-python one_of_several.py FOLDER: trains, and writes the policy it ended with to FOLDER/rank_<rank>.pt.
+python one_of_several.py FOLDER: trains, and writes the policy it ended with to FOLDER/rank_<rank>.safetensors.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def main() -> None:
         trainer = RslRlTrainer(environment, settings, folder / "training", 1000 * rank)
     training = Training(trainer, "Reach", {}, leader=rank == 0)
     reports: list[int] = []
-    training.run(3, 1, lambda progress: reports.append(progress.env_steps)).save(folder / f"rank_{rank}.pt")
+    training.run(3, 1, lambda progress: reports.append(progress.env_steps)).save(folder / f"rank_{rank}.safetensors")
     # Steps of both; whoever does not lead is silent.
     assert reports == ([96, 192, 288] if rank == 0 else []), reports
     torch.distributed.destroy_process_group()

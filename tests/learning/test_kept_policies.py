@@ -1,14 +1,31 @@
-"""The policies that come with the tasks still fit them, and still do them."""
+"""The policies that come with the tasks still fit them, still do them, and still act as on the day they were kept."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
+import torch
+from safetensors.torch import load_file
 
 from orbit_core.backends import default_backend
 from orbit_core.cli.runner import run
 from orbit_core.cli.settings import RunSettings
 from orbit_core.learning.policy import load_policy
 from orbit_core.policies import kept_policies, policy_path
+
+KEPT_ACTIONS = sorted(Path(__file__).with_name("kept_actions").iterdir())
+"""``<policy>_<iteration>.safetensors``: an observation (16, O) and the action (16, A) that the file in which the policy
+was first kept made of it. A policy that is learned anew leaves its file without a purpose: delete it."""
+
+
+@pytest.mark.parametrize("path", KEPT_ACTIONS, ids=lambda path: path.stem)
+def test_a_kept_policy_acts_as_when_it_was_kept(path: Path) -> None:
+    name, _, iteration = path.stem.rpartition("_")
+    policy, kept = load_policy(policy_path(name)), load_file(path)
+    assert policy.description.iteration == int(iteration)
+    assert (kept["action"].abs() < 1.0).sum() > 8, "clipped components alone would say little"
+    torch.testing.assert_close(policy.module(kept["observation"]), kept["action"], atol=1e-6, rtol=0.0)
 
 
 @pytest.mark.parametrize("name", kept_policies())

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import onnxruntime
 import pytest
+import safetensors
 import torch
-from torch import nn
 
 from orbit_core.backends import default_backend
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.learning.networks import NormalizedActor, perceptron
-from orbit_core.learning.policy import ClippedPolicy, Policy, PolicyAgent, PolicyDescription, load_policy, whole_agent
+from orbit_core.learning.networks import Perceptron, perceptron, perceptron_actor
+from orbit_core.learning.policy import Policy, PolicyAgent, PolicyDescription, load_policy, whole_agent
 from orbit_core.tasks import Environment, make
 
 BACKEND = default_backend()
@@ -23,30 +24,52 @@ def untrained(environment: Environment) -> Policy:
     """Strong enough to move the robot, and clipped at times."""
     torch.manual_seed(0)
     size = environment.observation_size
-    layers = nn.Sequential(perceptron(size, (32,), environment.action_size), nn.Hardtanh(-3.0, 3.0))
-    actor = NormalizedActor(torch.randn(size), 0.1 + torch.rand(size), 5.0, layers)
-    return Policy(ClippedPolicy(actor), PolicyDescription.of(environment, "Reach", "rsl-rl", 7))
+    layers = perceptron(size, (32,), environment.action_size)
+    actor = perceptron_actor(layers, torch.randn(size), 0.1 + torch.rand(size), 5.0)
+    description = PolicyDescription.of(environment, "Reach", "rsl-rl", 7, {"torch": "2.0"})
+    return Policy(actor.module, actor.network, description)
 
 
-def test_a_file_needs_no_orbit_and_says_what_it_is_for(tmp_path: Path) -> None:
-    """TorchScript, ONNX and the policy itself do the same, for any number of environments."""
+def test_a_policy_its_file_and_its_onnx_act_alike(tmp_path: Path) -> None:
+    """Read by ORBIT, or by ONNX's own runtime, for any number of environments."""
     environment = make("Reach", 2, BACKEND)
     policy = untrained(environment)
-    policy.save(tmp_path / "policy_7.pt")
-    policy.export_onnx(tmp_path / "policy.onnx")
-    assert load_policy(tmp_path).description == policy.description
-    assert policy.description.observation_size == environment.observation_size
     environment.close()
+    policy.save(tmp_path / "policy_7.safetensors")
+    policy.export_onnx(tmp_path / "policy.onnx")
+    read, converted = load_policy(tmp_path), load_policy(tmp_path / "policy.onnx")
+    assert read.description == converted.description == policy.description
+    assert read.network == Perceptron((32,), observation_limit=5.0)
 
-    script = torch.jit.load(tmp_path / "policy_7.pt")
     session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
     for count in (1, 7):
         observation = torch.randn(count, policy.description.observation_size)
         expected = policy.module(observation)
-        assert expected.abs().max() == 1.0
-        torch.testing.assert_close(script(observation), expected)
+        assert 1.0 == expected.abs().max() > expected.abs().min() + 0.5
+        assert torch.equal(read.module(observation), expected)
+        torch.testing.assert_close(converted.module(observation), expected, atol=1e-6, rtol=0.0)
         (action,) = session.run(["action"], {"observation": observation.numpy()})
         np.testing.assert_allclose(action, expected.detach().numpy(), atol=1e-5)
+    with pytest.raises(ConfigurationError, match="read from ONNX"):
+        converted.save(tmp_path / "policy_8.safetensors")
+    assert {path.name for path in tmp_path.iterdir()} == {"policy_7.safetensors", "policy.onnx"}
+
+
+def test_a_file_can_be_read_without_orbit(tmp_path: Path) -> None:
+    """As the documentation says: the weights by safetensors alone, and the description as JSON beside them."""
+    environment = make("Reach", 1, BACKEND)
+    policy = untrained(environment)
+    environment.close()
+    policy.save(tmp_path / "policy_7.safetensors")
+    with safetensors.safe_open(tmp_path / "policy_7.safetensors", framework="pt") as file:
+        document = json.loads(file.metadata()["orbit"])
+        weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - it is no dictionary
+    assert document["policy"]["versions"] == {"torch": "2.0"}
+    assert document["network"] == {
+        "name": "perceptron",
+        "settings": {"hidden_sizes": [32], "activation": "elu", "observation_limit": 5.0},
+    }
+    assert {*weights} == {*policy.module.state_dict()}
 
 
 @pytest.mark.parametrize("task", ["Lift", "Velocity-Flat"])
@@ -70,7 +93,7 @@ def test_the_whole_agent_moves_the_robot_as_the_environments_step_does(task: str
 
 def test_a_policy_refuses_what_it_was_not_learned_for(tmp_path: Path) -> None:
     environment = make("Reach", 1, BACKEND, action="ik_relative")
-    untrained(environment).save(tmp_path / "policy_0.pt")
+    untrained(environment).save(tmp_path / "policy_0.safetensors")
     environment.close()
     other = make("Reach", 1, BACKEND)
     with pytest.raises(ConfigurationError, match="ik_relative"):
@@ -78,13 +101,3 @@ def test_a_policy_refuses_what_it_was_not_learned_for(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="ik_relative"):
         whole_agent(other, load_policy(tmp_path))
     other.close()
-
-
-def test_bad_files_are_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="no policy_<iteration>"):
-        load_policy(tmp_path)
-    with pytest.raises(ConfigurationError, match="there is no policy"):
-        load_policy(tmp_path / "policy_1.pt")
-    (tmp_path / "policy_1.pt").write_bytes(b"no archive")
-    with pytest.raises(ConfigurationError, match="is no policy of ORBIT"):
-        load_policy(tmp_path)

@@ -19,6 +19,7 @@ from torch import Tensor
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.learning.checkpoint import read_checkpoint
 from orbit_core.learning.policy import PolicyAgent, load_policy
 from orbit_core.learning.trainer import Progress, Trainer, library_names, trainer_type
 from orbit_core.learning.training import Training
@@ -149,9 +150,9 @@ def test_a_training_resumes_where_it_ended(library: str, tmp_path: Path) -> None
     with (tmp_path / "curve.jsonl").open("a") as file:  # as if it had been killed after the checkpoint
         file.write('{"iteration": 2, "env_steps": 7, "seconds": 7.0}\n')
     again = trainer(library, environment, tmp_path)
-    again.resume(again.checkpoint(1))
+    again.restore(read_checkpoint(tmp_path / "checkpoint_1.safetensors", library), 1)
     observation = environment.observe()["policy"]
-    torch.testing.assert_close(again.actor()(observation).clamp(-1.0, 1.0), first.module(observation))
+    assert torch.equal(again.actor().module(observation), first.module(observation))
 
     curve = learn(trainer(library, environment, tmp_path), 3, resume=True)
     assert [progress.iteration for progress in curve] == [2]
@@ -172,7 +173,7 @@ def test_the_command_line_trains_plays_and_exports(tmp_path: Path, capsys: pytes
     learning = ["train", "Reach", *chosen, "--library", "sb3", "--ppo", "steps_per_iteration=8", "--save-every", "1"]
     assert main([*learning, "--iterations", "2", "--output", str(training)]) == 0
     assert main([*learning, "--iterations", "3", "--resume", str(training)]) == 0
-    assert sorted(path.name for path in training.glob("policy_*")) == [f"policy_{i}.pt" for i in range(3)]
+    assert sorted(path.name for path in training.glob("policy_*")) == [f"policy_{i}.safetensors" for i in range(3)]
     record = json.loads((training / "training.json").read_text())
     assert (record["library"], record["ppo"]["steps_per_iteration"], record["settings"]["num_envs"]) == ("sb3", 8, 4)
 
@@ -180,7 +181,8 @@ def test_the_command_line_trains_plays_and_exports(tmp_path: Path, capsys: pytes
     assert main(["play", str(training), *chosen, "--episodes", "4", "--json", str(result)]) == 0
     assert json.loads(result.read_text())["episodes"] == 4
     assert main(["export", str(training), "--output", str(exported)]) == 0
-    assert sorted(path.name for path in exported.iterdir()) == ["policy.json", "policy.onnx", "policy.pt"]
+    assert main(["play", str(exported / "policy.onnx"), *chosen, "--episodes", "4"]) == 0
+    assert sorted(path.name for path in exported.iterdir()) == ["policy.json", "policy.onnx", "policy.safetensors"]
     capsys.readouterr()
 
 
@@ -202,7 +204,7 @@ def test_of_several_processes_one_writes_and_reports(tmp_path: Path) -> None:
     made.folder.mkdir()
     training = Training(made, "Reach", {}, leader=False)
     training.run(2, 100, lambda progress: pytest.fail("it reported"))
-    assert {path.name for path in made.folder.iterdir()} == {"model_0.pt", "model_1.pt", "tensorboard_1"}
+    assert {path.name for path in made.folder.iterdir()} == {"tensorboard_1"}
     environment.close()
 
 
@@ -217,7 +219,7 @@ def test_several_processes_learn_one_policy(tmp_path: Path) -> None:
     for process in started:
         _, complaint = process.communicate(timeout=120)
         assert process.returncode == 0, complaint.decode()
-    first, second = (load_policy(tmp_path / f"rank_{rank}.pt").module.state_dict() for rank in range(2))
+    first, second = (load_policy(tmp_path / f"rank_{rank}.safetensors").module.state_dict() for rank in range(2))
     layers = [name for name in first if "weight" in name or "bias" in name]
     assert len(layers) == 4
     for name in layers:

@@ -1,0 +1,82 @@
+"""Policies as ONNX files: written for use without ORBIT, and read as data.
+
+The graph is run by torch wherever the environments live, and no file beside it is read. The description stands in the
+model's metadata, under the key ``orbit``, as in :mod:`orbit_core.learning.policy_file`.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from orbit_core.interfaces import ConfigurationError, OrbitError
+from orbit_core.learning.description import PolicyDescription
+from orbit_core.learning.onnx_graph import OnnxGraph
+from orbit_core.learning.policy_file import check_action
+from orbit_core.learning.tensor_file import parse_json, read_bytes, written_whole
+
+SUFFIX = ".onnx"
+_KEY = "orbit"
+
+
+def write_onnx(path: Path, module: nn.Module, description: PolicyDescription) -> None:
+    """Write input ``observation`` (N, O) and output ``action`` (N, A). The file appears whole or not at all.
+
+    Raises:
+        ConfigurationError: the exporter is not installed.
+    """
+    onnx = _onnx()
+    example = torch.zeros(2, description.observation_size)
+    with written_whole(path) as written:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of this exporter's age; the newer one needs one more package
+            torch.onnx.export(
+                copy.deepcopy(module).cpu().eval(),
+                (example,),
+                str(written),
+                input_names=["observation"],
+                output_names=["action"],
+                dynamic_axes={"observation": {0: "environments"}, "action": {0: "environments"}},
+                dynamo=False,
+            )
+        model = onnx.load(str(written))
+        onnx.helper.set_model_props(model, {_KEY: json.dumps(description.document())})
+        onnx.save(model, str(written))
+
+
+def read_onnx(path: Path) -> tuple[PolicyDescription, nn.Module]:
+    """A policy on the CPU from a file such as :func:`write_onnx` writes.
+
+    Raises:
+        OrbitError: the file is malformed, has an operator that is not known, weights elsewhere or that are not finite,
+            or its parts do not fit each other; names which.
+    """
+    onnx = _onnx()
+    from google.protobuf.message import DecodeError  # what onnx is made of
+
+    data = read_bytes(path)
+    try:
+        model = onnx.load_model_from_string(data)
+        document = parse_json({entry.key: entry.value for entry in model.metadata_props}.get(_KEY, "{}"))
+        graph = OnnxGraph(model.graph, onnx).requires_grad_(False).eval()
+    except (DecodeError, ValueError, TypeError, OrbitError) as error:
+        raise ConfigurationError(f"{path} is no policy: {str(error).strip() or 'it is no ONNX'}") from None
+    description = PolicyDescription.of_document(document, str(path))
+    # Shapes alone first, so that a graph that would fill the memory is refused before it does.
+    check_action(copy.deepcopy(graph).to("meta"), description, path, "meta")
+    check_action(graph, description, path)
+    return description, graph
+
+
+def _onnx() -> Any:
+    try:
+        import onnx
+    except ImportError as error:
+        raise ConfigurationError(f"ONNX needs {error.name}: pip install 'orbit-core[onnx]'") from None
+    return onnx

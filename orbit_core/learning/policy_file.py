@@ -1,0 +1,112 @@
+"""Policies as safetensors files: the weights, what they were learned for, and the network that they belong to.
+
+The document of such a file (see :mod:`orbit_core.learning.tensor_file`) is
+``{"format": 1, "policy": {...}, "network": {"name": ..., "settings": {...}}}`` with the fields of
+:class:`~orbit_core.learning.description.PolicyDescription` and of a registered network.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import torch
+from torch import Tensor, nn
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.learning.description import PolicyDescription
+from orbit_core.learning.networks import Actor, Network, network_type
+from orbit_core.learning.plain import from_plain
+from orbit_core.learning.tensor_file import read_tensors, write_tensors
+
+SUFFIX = ".safetensors"
+
+
+def newest_file(folder: Path, prefix: str) -> Path | None:
+    """The file ``<prefix>_<iteration>.safetensors`` of the highest iteration; links that lead elsewhere are refused.
+
+    Raises:
+        ConfigurationError: that file is a link to a place outside the folder.
+    """
+    pattern = re.compile(rf"{prefix}_(\d{{1,18}}){re.escape(SUFFIX)}")
+    found = {int(match[1]): path for path in folder.iterdir() if (match := pattern.fullmatch(path.name))}
+    if not found:
+        return None
+    newest = found[max(found)]
+    if newest.resolve().parent != folder.resolve():
+        raise ConfigurationError(f"{newest} is a link that leads out of its folder: name the file that it leads to")
+    return newest
+
+
+def write_policy(path: Path, actor: Actor, description: PolicyDescription) -> None:
+    """Write a policy. The file appears whole or not at all.
+
+    Raises:
+        ConfigurationError: nobody could read it: its network is registered under no name, or another's.
+    """
+    network = cast(Any, actor.network)
+    if network_type(network.name) is not type(network):
+        raise ConfigurationError(f"network {network!r} is not the one that is registered as '{network.name}'")
+    named = {"name": network.name, "settings": dataclasses.asdict(network)}
+    write_tensors(path, {**description.document(), "network": named}, actor.module.state_dict())
+
+
+def read_policy(path: Path) -> tuple[PolicyDescription, Actor]:
+    """A policy on the CPU, of which nothing was executed but the registered network that its file names.
+
+    Raises:
+        OrbitError: the file is malformed, or its parts do not fit each other; names which.
+    """
+    document, tensors = read_tensors(path)
+    description = PolicyDescription.of_document(document, str(path))
+    network = _network(document.get("network"), str(path))
+    with torch.device("meta"):  # so that settings of a huge network cost nothing before the weights agree
+        module = network.build(description.observation_size, description.action_size)
+    _check_weights(module, tensors, path)
+    module.load_state_dict(tensors, assign=True)
+    module.requires_grad_(False).eval()
+    check_action(module, description, path)
+    return description, Actor(network, module)
+
+
+def check_action(module: nn.Module, description: PolicyDescription, path: Path, device: str = "cpu") -> None:
+    """Refuse a policy that makes no actions of an observation of zeros.
+
+    Raises:
+        ConfigurationError: it fails, or they have another shape or, where they have values, are not finite.
+    """
+    try:
+        with torch.no_grad():
+            action = module(torch.zeros(2, description.observation_size, device=device))
+    except (RuntimeError, TypeError, IndexError) as error:
+        raise ConfigurationError(f"{path} cannot act: {str(error).splitlines()[0]}") from error
+    if tuple(action.shape) != (2, description.action_size):
+        raise ConfigurationError(
+            f"{path} makes actions of shape {tuple(action.shape)} of 2 observations, not (2, {description.action_size})"
+        )
+    if not action.is_meta and not bool(torch.isfinite(action).all()):
+        raise ConfigurationError(f"{path} makes actions that are not finite of an observation of zeros")
+
+
+def _network(values: Any, where: str) -> Network:
+    if not isinstance(values, dict) or not isinstance(values.get("name"), str):
+        raise ConfigurationError(f"{where} names no network")
+    kind = network_type(values["name"])
+    return from_plain(kind, values.get("settings"), f"network '{values['name']}' of {where}")
+
+
+def _check_weights(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
+    needed = module.state_dict()
+    for name in needed.keys() ^ tensors.keys():
+        verb = "lacks" if name in needed else "has no place for"
+        raise ConfigurationError(f"{path}: its network {verb} weights '{name[:60]}'")
+    for name, tensor in tensors.items():
+        asked, given = (tuple(t.shape) for t in (needed[name], tensor))
+        if asked != given or tensor.dtype != needed[name].dtype:
+            raise ConfigurationError(
+                f"{path} has '{name}' of shape {given} and {tensor.dtype}, where its network needs {asked} and "
+                f"{needed[name].dtype}"
+            )

@@ -1,0 +1,130 @@
+"""Tensors and a document in one safetensors file, read as data: nothing that such a file holds is ever executed.
+
+The document is JSON in the header's metadata, under the key ``orbit``. A file is refused if it is larger than 1 GiB or
+its header than 4 MiB, if its tensors do not fill exactly what the header says, or if one holds NaN or infinity.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NoReturn
+
+import safetensors.torch
+import torch
+from safetensors import SafetensorError
+from torch import Tensor
+
+from orbit_core.interfaces import ConfigurationError, NonFiniteError
+
+MAX_FILE = 2**30
+"""Bytes of a whole file."""
+MAX_HEADER = 2**22
+"""Bytes of a file's header, the document included."""
+_KEY = "orbit"
+
+
+def read_bytes(path: Path) -> bytes:
+    """All of a regular file.
+
+    Raises:
+        ConfigurationError: there is no such file, it is no regular file, or it is larger than 1 GiB.
+    """
+    if not path.exists():
+        raise ConfigurationError(f"there is no file {path}")
+    if not path.is_file():
+        raise ConfigurationError(f"{path} is no regular file")
+    with path.open("rb") as file:
+        data = file.read(MAX_FILE + 1)
+    if len(data) > MAX_FILE:
+        raise ConfigurationError(f"{path} is larger than {MAX_FILE:,} bytes, the most that is read")
+    return data
+
+
+def read_tensors(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """The document and the tensors, which lie on the CPU.
+
+    Raises:
+        ConfigurationError: there is no such file, or it is malformed or beyond the limits.
+        NonFiniteError: a tensor holds NaN or infinity; names it.
+    """
+    data = read_bytes(path)
+    try:
+        document = parse_json(_metadata(data)[_KEY])
+        tensors = safetensors.torch.load(data)
+    except KeyError as error:
+        raise ConfigurationError(f"{path} lacks {error}: it was not written by ORBIT") from None
+    except (ValueError, TypeError, SafetensorError) as error:
+        raise ConfigurationError(f"{path} cannot be read: {_first_line(error)}") from None
+    for name, tensor in tensors.items():
+        if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
+            raise NonFiniteError(f"{path} holds NaN or infinity in '{name}'")
+    return document, tensors
+
+
+def write_tensors(path: Path, document: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+    """Write what :func:`read_tensors` reads. The file appears whole or not at all.
+
+    Raises:
+        ConfigurationError: it would be larger than what is read.
+    """
+    text = json.dumps(document, allow_nan=False)
+    # Copies, because the format refuses tensors that share memory.
+    copies = {name: tensor.detach().cpu().clone().contiguous() for name, tensor in tensors.items()}
+    data = safetensors.torch.save(copies, {_KEY: text})
+    if len(data) > MAX_FILE or _header_size(data) > MAX_HEADER:
+        raise ConfigurationError(f"{path} would be larger than what is read again: {len(data):,} bytes")
+    with written_whole(path) as written:
+        written.write_bytes(data)
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """A file to write, which takes its place at ``path`` at the end, or is removed if something went wrong."""
+    written = path.with_name(path.name + ".writing")
+    try:
+        yield written
+        written.replace(path)
+    finally:
+        written.unlink(missing_ok=True)
+
+
+def parse_json(text: str | bytes) -> dict[str, Any]:
+    """An object of JSON, and no NaN or infinity, which JSON does not have.
+
+    Raises:
+        ValueError: it is none, or nested deeper than Python goes.
+    """
+    try:
+        values = json.loads(text, parse_constant=_refuse)
+    except RecursionError:
+        raise ValueError("its JSON is nested too deeply") from None
+    if not isinstance(values, dict):
+        raise ValueError(f"its JSON is no object but a {type(values).__name__}")
+    return values
+
+
+def _metadata(data: bytes) -> dict[str, Any]:
+    size = _header_size(data)
+    if size > min(MAX_HEADER, len(data) - 8):
+        raise ValueError(f"its header says that it has {size:,} bytes, of {len(data):,} in the file")
+    metadata = parse_json(data[8 : 8 + size])["__metadata__"]
+    if not isinstance(metadata, dict):
+        raise ValueError("its metadata is no object")
+    return metadata
+
+
+def _header_size(data: bytes) -> int:
+    if len(data) < 8:
+        raise ValueError(f"it has {len(data)} bytes, fewer than a header")
+    return int.from_bytes(data[:8], "little")
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"its JSON holds {constant}")
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
