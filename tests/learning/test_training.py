@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import socket
@@ -163,6 +164,59 @@ def test_a_training_resumes_where_it_ended(library: str, tmp_path: Path) -> None
     assert (first.description.iteration, load_policy(tmp_path).description.iteration) == (1, 2)
     with pytest.raises(ConfigurationError, match="holds a training already"):
         learn(trainer(library, environment, tmp_path), 3)
+    environment.close()
+
+
+def interrupt(monkeypatch: pytest.MonkeyPatch, step: int) -> None:
+    """As Ctrl-C does: in the midst of that step of any environment, counted from now."""
+    stepped, count = Environment.step, itertools.count()
+
+    def interrupted(environment: Environment, action: Tensor) -> Any:
+        if next(count) == step:
+            raise KeyboardInterrupt
+        return stepped(environment, action)
+
+    monkeypatch.setattr(Environment, "step", interrupted)
+
+
+@pytest.mark.parametrize("library", library_names())
+def test_an_interrupted_training_resumes(library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A checkpoint of the iterations that were completed, though none was due."""
+    environment = reach(4)
+    interrupt(monkeypatch, 2 * STEPS + 5)
+    with pytest.raises(KeyboardInterrupt):
+        learn(trainer(library, environment, tmp_path), 9)
+    assert sorted(path.stem for path in tmp_path.glob("checkpoint_*")) == ["checkpoint_0", "checkpoint_1"]
+    curve = learn(trainer(library, environment, tmp_path), 4, resume=True)
+    assert [progress.iteration for progress in curve] == [2, 3]
+    environment.close()
+
+
+def test_an_interrupted_command_says_where_it_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["train", "Reach", "--backend", BACKEND, "--num-envs", "2", "--library", "sb3", "--iterations", "9"]
+    words += ["--ppo", "steps_per_iteration=4", "--output", str(tmp_path / "training")]
+    interrupt(monkeypatch, 6)
+    assert main(words) == 130
+    assert "checkpoint_0.safetensors is written; --resume" in capsys.readouterr().out
+    interrupt(monkeypatch, 2)
+    words[-1] = str(tmp_path / "another")
+    assert main(words) == 130
+    assert "there is no checkpoint" in capsys.readouterr().out
+
+
+def test_a_checkpoint_of_another_training_is_refused(tmp_path: Path) -> None:
+    environment = reach(2)
+    (tmp_path / "model_3.pt").write_bytes(b"what a library wrote by itself")
+    with pytest.raises(ConfigurationError, match="holds no checkpoint_<iteration>.safetensors"):
+        learn(trainer("sb3", environment, tmp_path), 2, resume=True)
+    learn(trainer("sb3", environment, tmp_path), 1)
+    with pytest.raises(ConfigurationError, match="checkpoint of library 'sb3', not of 'skrl'"):
+        learn(trainer("skrl", environment, tmp_path), 2, resume=True)
+    other = replace(SHORT, hidden_sizes=(32,))
+    with pytest.raises(ConfigurationError, match="does not fit this training"):
+        learn(trainer("sb3", environment, tmp_path, other), 2, resume=True)
     environment.close()
 
 
