@@ -1,8 +1,8 @@
 """Kept policies by name. Any installed package may add its own through the entry-point group ``orbit.policies``.
 
 An entry point names a package. Each folder in it that holds a file ``policy.toml`` is a policy of that folder's name;
-beside the file lies what ``orbit train`` wrote, of which the last ``policy_<iteration>.pt`` counts. The file holds the
-fields of :class:`KeptPolicy`::
+beside the file lies what ``orbit train`` wrote, of which the last ``policy_<iteration>.safetensors`` counts. The
+file holds the fields of :class:`KeptPolicy`::
 
     description = "Opens a drawer to where it should be: Franka Panda, joint targets"
     least_success = 0.9

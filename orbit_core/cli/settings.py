@@ -76,8 +76,8 @@ class PlaySettings(RunSettings):
     """Run a learned policy's task with it, on any backend, and report success, metrics, return and speed."""
 
     policy: Annotated[Positional[Path], arg(metavar="POLICY")]
-    """File policy_<iteration>.pt, the folder of a training, which stands for its last, or a kept policy's name ('orbit
-    list policies')."""
+    """File policy_<iteration>.safetensors or .onnx, the folder of a training, which stands for its last, or a kept
+    policy's name ('orbit list policies')."""
     task: Name = None
     """Another task than the one it was learned for."""
     agent: Suppress[str] = ""

@@ -87,7 +87,7 @@ class NormalizedActor(nn.Module):
     std: Tensor
     """(O,) theirs."""
 
-    def __init__(self, layers: nn.Module, observation_size: int, limit: float | None) -> None:
+    def __init__(self, layers: nn.Sequential, observation_size: int, limit: float | None) -> None:
         super().__init__()
         self.register_buffer("mean", torch.zeros(observation_size))
         self.register_buffer("std", torch.ones(observation_size))

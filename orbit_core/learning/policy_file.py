@@ -100,13 +100,13 @@ def _network(values: Any, where: str) -> Network:
 
 def _check_weights(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
     needed = module.state_dict()
-    for name in needed.keys() ^ tensors.keys():
+    for name in sorted(needed.keys() ^ tensors.keys()):
         verb = "lacks" if name in needed else "has no place for"
         raise ConfigurationError(f"{path}: its network {verb} weights '{name[:60]}'")
-    for name, tensor in tensors.items():
-        asked, given = (tuple(t.shape) for t in (needed[name], tensor))
-        if asked != given or tensor.dtype != needed[name].dtype:
+    for name, asked in needed.items():
+        given = tensors[name]
+        if (asked.shape, asked.dtype) != (given.shape, given.dtype):
             raise ConfigurationError(
-                f"{path} has '{name}' of shape {given} and {tensor.dtype}, where its network needs {asked} and "
-                f"{needed[name].dtype}"
+                f"{path} has '{name}' of shape {tuple(given.shape)} and {given.dtype}, where its network needs "
+                f"{tuple(asked.shape)} and {asked.dtype}"
             )

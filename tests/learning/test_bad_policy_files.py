@@ -93,7 +93,7 @@ def weight(name: str, value: Tensor | None) -> Callable[[dict[str, Any], dict[st
         (put("network", "settings", "activation", value="elo"), "did you mean 'elu'"),
         (put("network", "settings", "hidden_sizes", value=[2**16] * 65), "up to 64 hidden layers"),
         (put("network", "settings", "hidden_sizes", value=[2**16] * 64), "lacks weights"),
-        (put("network", "settings", "hidden_sizes", value=[5]), r"where its network needs \(.*5"),
+        (put("network", "settings", "hidden_sizes", value=[5]), r"needs \(5, 3\)"),
         (put("network", "settings", "observation_limit", value=-1.0), "is positive"),
         (weight("layers.0.bias", torch.full((4,), float("nan"))), "NaN or infinity in 'layers.0.bias'"),
         (weight("std", torch.tensor([1.0, float("inf"), 1.0])), "NaN or infinity in 'std'"),
