@@ -21,6 +21,9 @@ from orbit_core.conformance.scenarios import (
     resting,
     rolling,
     sensing,
+    stacks,
+    turning_friction,
+    velocities,
 )
 
 SCENARIOS: tuple[Scenario, ...] = (
@@ -31,9 +34,12 @@ SCENARIOS: tuple[Scenario, ...] = (
     *drives.SCENARIOS,
     *linkages.SCENARIOS,
     *friction.SCENARIOS,
+    *turning_friction.SCENARIOS,
     *rolling.SCENARIOS,
     *impact.SCENARIOS,
     *resting.SCENARIOS,
+    *stacks.SCENARIOS,
+    *velocities.SCENARIOS,
     *grasp.SCENARIOS,
     *contact_forces.SCENARIOS,
     *sensing.SCENARIOS,

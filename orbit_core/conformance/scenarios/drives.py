@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -76,6 +77,51 @@ def _stiff(trial: Trial) -> Mapping[str, float]:
         "response": float(np.abs(measured - truth).max()),
         "overshoot": max(0.0, float(measured.max() - 1)),
         "final": float(np.abs(measured[-1] - truth[-1]).max()),
+    }
+
+
+_SHARES = (0.3, 1.0, 2.5, 5.0, 10.0)
+"""Natural frequencies times the time step."""
+_RATIOS = (0.1, 0.3, 1.0, 2.0)
+"""Damping ratios."""
+
+
+def _peak(ratio: float) -> float:
+    """Of the linear system's step, relative to the step, at a damping ratio."""
+    return 1.0 + (math.exp(-math.pi * ratio / math.sqrt(1 - ratio**2)) if ratio < 1 else 0.0)
+
+
+def _frequencies(trial: Trial) -> Mapping[str, float]:
+    """Steps of drives whose natural frequency is from well to not at all resolved by the time step."""
+    robots: list[RobotSpec] = []
+    truths: list[tuple[float, float, float]] = []
+    for share in _SHARES:
+        for ratio in _RATIOS:
+            frequency = share / trial.time_step
+            gains = (_INERTIA * frequency**2, 2 * ratio * _INERTIA * frequency)
+            drive = ImplicitPd(joints=(".*",), stiffness=gains[0], damping=gains[1])
+            robots.append(named(f"drive{len(robots)}", rotor(inertia=_INERTIA, actuators=(drive,))))
+            truths.append((*gains, _INERTIA))
+    world = trial.world(scene(*robots, gravity=WEIGHTLESS, terrain=()))
+    for robot in world.robots.values():
+        robot.set_position_targets(torch.ones(1, 1, device=world.device))
+    times, rows = [], []
+    for time in trial.advance(world, 300 * trial.time_step):
+        times.append(time)
+        rows.append(torch.cat([robot.joint_positions[0] for robot in world.robots.values()]).tolist())
+    measured = np.array(rows)
+    truth = np.stack([linear_response(*gains, times) for gains in truths], -1)
+    slow = len(_RATIOS)
+    trial.trace("lightly damped drive at 0.3 a step", "rad", times, measured[:, 0].tolist(), truth[:, 0].tolist())
+    trial.trace("lightly damped drive at 2.5 a step", "rad", times, measured[:, 8].tolist(), truth[:, 8].tolist())
+    peaks = np.maximum(
+        1.0, 1.0 + np.exp(-math.pi * np.array(_RATIOS) / np.sqrt(np.clip(1 - np.square(_RATIOS), 1e-9, 1)))
+    )
+    beyond = np.maximum(measured.max(0) - np.tile(peaks, len(_SHARES)), -measured.min(0))
+    return {
+        "response": float(np.abs(measured - truth)[:, :slow].max()),
+        "beyond": float(max(0.0, beyond.max())),
+        "final": float(np.abs(measured[-1] - 1).max()),
     }
 
 
@@ -184,6 +230,37 @@ SCENARIOS = (
                 tolerance=3e-5,
                 meaning="largest error after 1 s, relative to the step",
                 looser_because=SINGLE,
+            ),
+        ),
+    ),
+    Scenario(
+        name="drive_frequencies",
+        group="Drives",
+        question="Is a drive bounded and settled whatever its natural frequency and damping are to the time step?",
+        truth="I a = k (1 - q) - d v from rest; frequency x step of 0.3 to 10, damping ratios of 0.1 to 2",
+        source=_LINEAR,
+        run=_frequencies,
+        needs=(Capability.IMPLICIT_DRIVES,),
+        metrics=(
+            Metric(
+                name="response",
+                unit="",
+                tolerance=0.06,
+                meaning="largest error of those at 0.3 radians a step, relative to the step",
+            ),
+            Metric(
+                name="beyond",
+                unit="",
+                tolerance=1e-3,
+                looser_because="the best stay within",
+                meaning="largest excursion of any beyond the linear system's peak, or below the start",
+            ),
+            Metric(
+                name="final",
+                unit="",
+                tolerance=3e-4,
+                meaning="largest distance of any from its target after 300 steps, relative to the step",
+                looser_because="the linear system itself is 1e-4 away",
             ),
         ),
     ),

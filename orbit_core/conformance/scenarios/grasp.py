@@ -14,6 +14,7 @@ from orbit_core.conformance.scenario import Metric, Scenario, Trial
 from orbit_core.scene import (
     Articulation,
     Box,
+    Geometry,
     ImplicitPd,
     Joint,
     JointType,
@@ -33,9 +34,12 @@ LOADS = torch.arange(0.91, 1.1, 0.02)
 """Of each environment, the weight over what the fingers can hold: ``m g / (2 mu F)``."""
 
 
-def _gripper(material: PhysicsMaterial) -> RobotSpec:
-    """A hand on a vertical slide, and two fingers that close along y with the effort that they are given."""
-    pad = Shape(Box((0.02, 0.01, 0.02)), material=material)
+def gripper(material: PhysicsMaterial, tip: Geometry | None = None) -> RobotSpec:
+    """A hand on a vertical slide, and two fingers that close along y with the effort that they are given.
+
+    ``tip`` is the shape of a finger, 10 mm to its surface; a box where it is left out.
+    """
+    pad = Shape(tip or Box((0.02, 0.01, 0.02)), material=material)
     links = [Link("base", 1.0, (0.0, 0.0, 0.0), np.eye(3) * 0.01), Link("hand", 1.0, (0.0, 0.0, 0.0), np.eye(3) * 0.01)]
     joints = [Joint("lift", JointType.PRISMATIC, "base", "hand", lower_limit=-1.0, upper_limit=1.0)]
     for name, side in (("left", 1.0), ("right", -1.0)):
@@ -64,17 +68,13 @@ def _offset(world: SimulatedWorld) -> Tensor:
 def _grasp(trial: Trial) -> Mapping[str, float]:
     material = smooth_material(FRICTION)
     thing = block("box", 2 * HALF, material, Pose((0.0, 0.0, HALF)), MASS)
-    world = trial.world(scene(_gripper(material), thing, terrain=SMOOTH_GROUND), len(LOADS))
-    gripper = world.robots["gripper"]
-    _squeeze(world, 0.5 * torch.ones_like(LOADS))
+    world = trial.world(scene(gripper(material), thing, terrain=SMOOTH_GROUND), len(LOADS))
+    squeeze(world, 0.5 * torch.ones_like(LOADS))
     trial.step(world, trial.steps(0.2))
     before = _offset(world).clone()
-    for time in trial.advance(world, 0.6):
-        share = time / 0.6
-        height = LIFT * share * share * (3 - 2 * share)
-        gripper.set_position_targets(torch.full((len(LOADS), 1), height), [0])
+    lift(trial, world)
     lifted = _offset(world).clone()
-    _squeeze(world, LOADS)
+    squeeze(world, LOADS)
     trial.step(world, trial.steps(0.1))
     start = _offset(world).clone()
     duration = 0.3
@@ -90,7 +90,16 @@ def _grasp(trial: Trial) -> Mapping[str, float]:
     }
 
 
-def _squeeze(world: SimulatedWorld, loads: Tensor) -> None:
+def lift(trial: Trial, world: SimulatedWorld) -> None:
+    """Raise the hand by :data:`LIFT` within 0.6 s, smoothly."""
+    for time in trial.advance(world, 0.6):
+        share = time / 0.6
+        height = LIFT * share * share * (3 - 2 * share)
+        world.robots["gripper"].set_position_targets(torch.full((world.num_envs, 1), height), [0])
+
+
+def squeeze(world: SimulatedWorld, loads: Tensor) -> None:
+    """Close the fingers with such efforts that the weight is ``loads`` (N,) times what they can hold."""
     force = MASS * G / (2 * FRICTION * loads)
     world.robots["gripper"].set_effort_targets(force[:, None].expand(-1, 2), [1, 2])
 
