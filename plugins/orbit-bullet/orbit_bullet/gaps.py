@@ -42,6 +42,7 @@ _MOTION = (
     Gap("fast_spin", "axis", math.inf, _GYROSCOPIC_FAST),
     Gap("energy_of_a_chain", "gained", 0.5, _UNDAMPED),
     Gap("energy_of_a_chain", "lost", 1.0, _UNDAMPED),
+    Gap("drive_frequencies", "response", 0.5, _BACKWARD),
     Gap("implicit_drive", "under", 0.06, _BACKWARD),
     Gap("implicit_drive", "damped", 0.03, _BACKWARD),
     Gap("implicit_drive", "final", 0.015, _BACKWARD),
@@ -55,6 +56,8 @@ _ONE_POINT = (
     "does not balance its torque, and the box turns out of the grasp"
 )
 
+_ONE_POINT_OF_A_FACE = "sequential impulses load one point of a face with most of the normal force"
+
 _CONTACT = (
     Gap("stick_and_slip", "creep", 6e-3, _CACHED),
     Gap("stick_and_slip", "friction", 0.08, _CACHED),
@@ -62,6 +65,10 @@ _CONTACT = (
     Gap("rolling_wheel", "downhill", 0.03, _CACHED),
     Gap("rolling_coin", "path", 0.8, _EDGE),
     Gap("rolling_coin", "lean", 0.1, _EDGE),
+    Gap("spin_down", "angle", 0.16, _ONE_POINT_OF_A_FACE),
+    Gap("spin_down", "way", 0.05, _ONE_POINT_OF_A_FACE),
+    Gap("loaded_tower", "lean_100", 0.02, _ONE_POINT_OF_A_FACE),
+    Gap("pivot_in_a_grip", "slip", 8e-3, "two rows of friction along fixed directions hold a turning contact unevenly"),
     Gap("bounce", "ball", 0.06, _LATE_IMPACT),
     Gap("bounce", "box", 0.06, _LATE_IMPACT),
     Gap("bouncing_on", "path", 0.2, _LATE_IMPACT),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from orbit_core.interfaces import Gap
 
 _ORIGIN = (
@@ -17,6 +19,10 @@ _DRIVEN = (
     "constraints are solved without the drives' damping, which integrator 'implicitfast' adds afterwards: when a stiff "
     "drive starts, what is coupled to its joint falls behind for a moment; integrator 'discrete' mends it, and damps "
     "the motion of soft drives three times as much"
+)
+_UNSTABLE = (
+    "a drive's spring is taken at the beginning of the step: with little damping it diverges where its frequency times "
+    "the step is more than two; integrator 'discrete', where there is, holds any"
 )
 _UNDAMPED = (
     "joint velocities are integrated in first order, which takes energy from fast chains and gives it to slow ones; "
@@ -34,6 +40,9 @@ MOTION = (
     Gap("mimic_joints", "driven", 0.3, _DRIVEN),
     Gap("four_bar_linkage", "rocker", 0.05, _DRIVEN),
     Gap("four_bar_linkage", "opening", 0.018, _DRIVEN),
+    Gap("drive_frequencies", "response", math.inf, _UNSTABLE),
+    Gap("drive_frequencies", "beyond", math.inf, _UNSTABLE),
+    Gap("drive_frequencies", "final", math.inf, _UNSTABLE),
     Gap("energy_of_a_chain", "gained", 0.5, _UNDAMPED),
     Gap("energy_of_a_chain", "lost", 1.0, _UNDAMPED),
 )
@@ -61,6 +70,15 @@ CONTACT = (
     Gap("ball_on_slope", "slipping", 0.08, _HOP),
     Gap("sliding_to_rolling", "way", 0.1, _HOP),
     Gap("ball_on_turntable", "path", 0.09, f"{CREEP}, over which the table drags the ball along"),
+    Gap("requested_torsional_friction", "ball", 0.1, _HOP),
+    Gap("requested_torsional_friction", "box", 0.35, _HOP),
+    Gap("requested_torsional_friction", "cylinder", 0.16, _HOP),
+    Gap("torsional_grip", "creep", 4.0, CREEP),
+    Gap("torsional_grip", "turning", 2.5, CREEP),
+    Gap("pivot_in_a_grip", "slip", 3e-3, CREEP),
+    Gap("loaded_tower", "sink_10", 2.5e-3, _SOFT),
+    Gap("loaded_tower", "sink_100", 0.5, f"{_SOFT}, and under a hundred times a cube's mass the tower falls"),
+    Gap("loaded_tower", "lean_100", 2.0, f"{_SOFT}, and under a hundred times a cube's mass the tower falls"),
     Gap("bounce", "ball", 0.14, _SPRING),
     Gap("bounce", "box", 0.14, _SPRING),
     Gap("bouncing_on", "path", 0.4, _SPRING),

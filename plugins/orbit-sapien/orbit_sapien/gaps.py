@@ -56,7 +56,18 @@ _SENSORS = (
     ),
 )  # fmt: skip
 
+_TOLD = (
+    "PhysX tells velocities from before the last correction of positions: what rests under load is told to move, at up "
+    "to 0.2 m/s, and does not"
+)
+_PATCH = "PhysX resists turning with the friction of a patch's points, and none of it holds at rest exactly"
+
 _CONTACT = (
+    Gap("velocity_told", "resting", 0.6, _TOLD),
+    Gap("velocity_told", "grasp", 0.3, _TOLD),
+    Gap("requested_torsional_friction", "cylinder", 0.5, _PRISM),
+    Gap("torsional_grip", "creep", 0.5, _PATCH),
+    Gap("torsional_grip", "turning", 0.4, _PATCH),
     Gap("rolling_wheel", "level", 0.7, _PRISM),
     Gap("rolling_wheel", "aside", 0.02, _PRISM),
     Gap("rolling_wheel", "downhill", 0.3, _PRISM),
