@@ -16,8 +16,10 @@ class BulletConfig:
 
     workers: int = 0
     """Processes that share the environments; 1 simulates in this process, 0 takes one per core where it pays."""
-    envs_per_client: int = 8
-    """Environments that stand apart in one Bullet world. Scenes with deformables have a world each."""
+    envs_per_client: int = 1
+    """Environments that stand apart in one Bullet world, which takes 29 MB. More of them save memory and no time, and
+    what an environment does then depends, in the last digits, on how many there are. Scenes with deformables have a
+    world each."""
     solver_iterations: int = 200
     """Of the constraint solver, per step. Fingers that hold a heavy thing need more than Bullet's usual 50."""
     contact_erp: float = 0.2

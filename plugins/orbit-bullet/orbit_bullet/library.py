@@ -8,6 +8,7 @@ import functools
 import importlib
 import os
 import sys
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -71,9 +72,19 @@ def refusals(what: str, kind: type[OrbitError]) -> Iterator[None]:
         raise kind(f"{what}: {error}") from error
 
 
+_silencing = threading.RLock()
+"""Held while the terminal is away: two threads that interleave would leave the process without it for good."""
+
+
 @contextlib.contextmanager
 def silence() -> Iterator[None]:
-    """Keep what the C++ code prints away from the terminal."""
+    """Keep what the C++ code prints away from the terminal; one thread at a time, the others wait."""
+    with _silencing, _without_terminal():
+        yield
+
+
+@contextlib.contextmanager
+def _without_terminal() -> Iterator[None]:
     sys.stdout.flush()
     sys.stderr.flush()
     flush = ctypes.CDLL(None).fflush if os.name == "posix" else lambda _: None

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import multiprocessing
 import os
 import signal
 import sys
 import tempfile
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from multiprocessing.connection import wait
@@ -15,14 +17,19 @@ from pathlib import Path
 from typing import Any
 
 from orbit_bullet.buffers import Buffers, private_buffers, shapes_of, shared_buffers
-from orbit_bullet.config import BulletConfig
+from orbit_bullet.config import MOST_PER_CLIENT, BulletConfig
+from orbit_bullet.progress import BuildProgress
 from orbit_bullet.shard import Shard
-from orbit_bullet.stage import SceneFiles, split_evenly
+from orbit_bullet.stage import SceneFiles, client_ranges, envs_per_client, split_evenly
 from orbit_bullet.worker import Assignment, Failure, work
-from orbit_core.interfaces import SceneLayout, SimulationError
+from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationError
 
 FEWEST_PER_WORKER = 8
 """Environments for which a process of its own pays."""
+CLIENT_MEMORY = 29e6
+"""Bytes of a Bullet world, whatever is in it."""
+MOST_CLIENTS = 1000
+"""Bullet worlds in a process: Bullet has room for 1,024, renderers among them."""
 _PATIENCE = 5.0
 """Seconds that a worker has to end by itself."""
 
@@ -58,10 +65,12 @@ class Pool(ABC):
 class LocalPool(Pool):
     """One shard in this process."""
 
-    def __init__(self, layout: SceneLayout, files: SceneFiles, num_envs: int, config: BulletConfig) -> None:
+    def __init__(
+        self, layout: SceneLayout, files: SceneFiles, num_envs: int, config: BulletConfig, progress: BuildProgress
+    ) -> None:
         self.buffers = private_buffers(shapes_of(layout, num_envs))
         self.ranges = [(0, num_envs)]
-        self.shard = Shard(layout, files, 0, self.buffers, config)
+        self.shard = Shard(layout, files, self.buffers, config, progress.add)
 
     def call(self, method: str, *arguments: Any, numbers: list[int] | None = None) -> list[Any]:
         return [getattr(self.shard, method)(*arguments)]
@@ -83,7 +92,13 @@ class ProcessPool(Pool):
     """A shard per worker process."""
 
     def __init__(
-        self, layout: SceneLayout, files: SceneFiles, num_envs: int, config: BulletConfig, workers: int
+        self,
+        layout: SceneLayout,
+        files: SceneFiles,
+        num_envs: int,
+        config: BulletConfig,
+        progress: BuildProgress,
+        workers: int,
     ) -> None:
         self.ranges = split_evenly(num_envs, workers)
         shapes = shapes_of(layout, num_envs)
@@ -105,8 +120,22 @@ class ProcessPool(Pool):
                     theirs.close()
                     self._processes.append(process)
                     self._connections.append(ours)
-            for number in range(workers):
-                self._receive(number)
+            self._await_build(progress)
+
+    def _await_build(self, progress: BuildProgress) -> None:
+        """Count what the workers build until all of them are done."""
+        building = set(range(len(self._processes)))
+        while building:
+            wait([self._connections[number] for number in building])
+            for number in [number for number in building if self._connections[number].poll()]:
+                built = self._receive(number)
+                if isinstance(built, Failure):
+                    self.close()
+                    raise built.error
+                if built is None:
+                    building.remove(number)
+                else:
+                    progress.add(built)
 
     @property
     def pids(self) -> list[int]:
@@ -179,13 +208,52 @@ class ProcessPool(Pool):
 
 
 def make_pool(layout: SceneLayout, files: SceneFiles, num_envs: int, config: BulletConfig) -> Pool:
-    """As many processes as the settings ask for; of themselves, one per core where each gets enough to do."""
+    """As many processes as the settings ask for; of themselves, one per core where each gets enough to do.
+
+    Raises:
+        ConfigurationError: more environments than the memory, or Bullet, has room for.
+    """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     fewest = 1 if layout.scene.deformables else FEWEST_PER_WORKER
     workers = min(config.workers or min(cores, num_envs // fewest), num_envs)
-    if workers <= 1:
-        return LocalPool(layout, files, num_envs, config)
-    return ProcessPool(layout, files, num_envs, config, workers)
+    workers = max(workers, 1)
+    clients = sum(
+        len(client_ranges(stop - start, envs_per_client(layout, config)))
+        for start, stop in split_evenly(num_envs, workers)
+    )
+    _refuse_too_many(clients, workers, num_envs, config)
+    progress = BuildProgress(num_envs, clients * CLIENT_MEMORY)
+    if workers == 1:
+        return LocalPool(layout, files, num_envs, config, progress)
+    return ProcessPool(layout, files, num_envs, config, progress, workers)
+
+
+def _refuse_too_many(clients: int, workers: int, num_envs: int, config: BulletConfig) -> None:
+    """Raise a ConfigurationError where Bullet's worlds would be more than a process or the memory holds."""
+    remedy = (
+        f"envs_per_client={MOST_PER_CLIENT} puts {MOST_PER_CLIENT} environments into a world, and then what one does "
+        "depends, in the last digits, on how many there are"
+        if config.envs_per_client < MOST_PER_CLIENT
+        else "simulate fewer environments"
+    )
+    asked = f"{num_envs} environments need {clients} Bullet worlds"
+    if clients > MOST_CLIENTS * workers:
+        raise ConfigurationError(f"{asked}, and a process holds {MOST_CLIENTS}: {remedy}; or have more workers")
+    available = _available_memory()
+    if clients * CLIENT_MEMORY > available:
+        raise ConfigurationError(
+            f"{asked} of {CLIENT_MEMORY / 1e6:.0f} MB each, {clients * CLIENT_MEMORY / 1e9:.1f} GB, and "
+            f"{available / 1e9:.1f} GB are available, enough for {int(available // CLIENT_MEMORY)} worlds: {remedy}"
+        )
+
+
+def _available_memory() -> float:
+    """Bytes that the machine can give; infinite where it does not tell."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+    except OSError:
+        return math.inf
+    return next((1024.0 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")), math.inf)
 
 
 def _cause(code: int | None) -> str:
@@ -197,13 +265,18 @@ def _cause(code: int | None) -> str:
     return f"with exit code {code}"
 
 
+_hiding = threading.Lock()
+"""Held while the user's script is hidden, so that each thread puts back what it found."""
+
+
 @contextlib.contextmanager
 def _hidden_main() -> Iterator[None]:
     """Workers need nothing of the user's script, which may lack the guard that its import would call for."""
     main = sys.modules["__main__"]
-    kept = {name: main.__dict__.pop(name) for name in ("__file__", "__spec__") if name in main.__dict__}
-    main.__dict__["__spec__"] = None
-    try:
-        yield
-    finally:
-        main.__dict__.update(kept)
+    with _hiding:
+        kept = {name: main.__dict__.pop(name) for name in ("__file__", "__spec__") if name in main.__dict__}
+        main.__dict__["__spec__"] = None
+        try:
+            yield
+        finally:
+            main.__dict__.update(kept)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy.typing as npt
 from orbit_bullet.buffers import Buffers
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.simulation import SavedSimulation, Simulation
-from orbit_bullet.stage import SceneFiles, client_ranges
+from orbit_bullet.stage import SceneFiles, client_ranges, envs_per_client
 from orbit_core.interfaces import SceneLayout
 
 Rows = npt.NDArray[np.int64]
@@ -37,15 +37,22 @@ class Written:
 
 
 class Shard:
-    """Environments ``start`` to ``start + len(buffers)``."""
+    """Environments whose rows are ``buffers``."""
 
     def __init__(
-        self, layout: SceneLayout, files: SceneFiles, start: int, buffers: Buffers, config: BulletConfig
+        self,
+        layout: SceneLayout,
+        files: SceneFiles,
+        buffers: Buffers,
+        config: BulletConfig,
+        built: Callable[[int], None],
     ) -> None:
-        count = len(buffers.link_poses)
-        most = 1 if layout.scene.deformables else config.envs_per_client
-        self._ranges = client_ranges(0, count, most)
-        self.simulations = [Simulation(layout, files, start + a, buffers.rows(a, b), config) for a, b in self._ranges]
+        """Build them; ``built`` is told, after each world, how many environments it has."""
+        self._ranges = client_ranges(len(buffers.link_poses), envs_per_client(layout, config))
+        self.simulations: list[Simulation] = []
+        for start, stop in self._ranges:
+            self.simulations.append(Simulation(layout, files, buffers.rows(start, stop), config))
+            built(stop - start)
 
     def step(self, steps: int) -> list[int]:
         """Advance; the environments that diverged come back."""

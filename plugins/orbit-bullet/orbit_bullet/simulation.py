@@ -45,11 +45,9 @@ class SavedSimulation:
 
 
 class Simulation:
-    """K environments, numbered from ``first``; ``buffers`` are their rows."""
+    """K environments; ``buffers`` are their rows."""
 
-    def __init__(
-        self, layout: SceneLayout, files: SceneFiles, first: int, buffers: Buffers, config: BulletConfig
-    ) -> None:
+    def __init__(self, layout: SceneLayout, files: SceneFiles, buffers: Buffers, config: BulletConfig) -> None:
         self.layout = layout
         self.buffers = buffers
         self.count = len(buffers.link_poses)
@@ -58,7 +56,7 @@ class Simulation:
             if layout.scene.deformables:
                 self.client.resetSimulation(self.client.RESET_USE_DEFORMABLE_WORLD)
             self._set_options(config)
-            self.stage = Stage(self.client, layout, files, first, self.count, config)
+            self.stage = Stage(self.client, layout, files, self.count, config)
             self.actuation = Actuation(self.stage, buffers)
             self.deformables = Deformables(self.stage, buffers) if layout.scene.deformables else None
         self.loads = Loads(self.stage)

@@ -40,8 +40,6 @@ _REBOUND_ERP = 0.001
 """Share of an overlap that a step removes between things that rebound."""
 _REBOUND_STIFFNESS = 1e9
 """N/m, as good as rigid: Bullet takes the share from a spring and a damper."""
-_ROW = 32
-"""Environments in a row."""
 _RAY_CELLS = 15
 """Bullet meets a height field cell by cell on shorter rays, and by chunks of 16 cells, some of which it misses, on
 longer ones."""
@@ -86,23 +84,16 @@ def write_scene(layout: SceneLayout, folder: Path) -> SceneFiles:
     return SceneFiles(folder, tuple(paths), tuple(terrain))
 
 
-def origin_of(environment: int) -> FloatArray:
-    """Where an environment stands: it depends on its number alone, and so does its rounding."""
-    return np.array([SPACING * (environment % _ROW), SPACING * (environment // _ROW), 0.0])
-
-
 class Stage:
     """K environments: which body and which link is what."""
 
-    def __init__(
-        self, client: Any, layout: SceneLayout, files: SceneFiles, first: int, count: int, config: BulletConfig
-    ) -> None:
+    def __init__(self, client: Any, layout: SceneLayout, files: SceneFiles, count: int, config: BulletConfig) -> None:
         self.client = client
         self.layout = layout
         self.files = files
         self.config = config
         self.count = count
-        self.origins = np.array([origin_of(first + slot) for slot in range(count)]).reshape(count, 3)
+        self.origins = np.outer(SPACING * np.arange(count), (1.0, 0.0, 0.0))
         self.bodies: list[list[int]] = [[] for _ in range(count)]
         """Of each slot, of each entity."""
         self.terrain: list[list[int]] = [[] for _ in range(count)]
@@ -332,10 +323,14 @@ def split_evenly(count: int, parts: int) -> list[tuple[int, int]]:
     return list(itertools.pairwise(bounds))
 
 
-def client_ranges(start: int, stop: int, most: int) -> list[tuple[int, int]]:
-    """Environments ``start`` to ``stop`` in as few worlds as may be, of nearly equal size."""
-    parts = max(1, math.ceil((stop - start) / most))
-    return [(start + a, start + b) for a, b in split_evenly(stop - start, parts)]
+def envs_per_client(layout: SceneLayout, config: BulletConfig) -> int:
+    """The most environments of a scene in one Bullet world."""
+    return 1 if layout.scene.deformables else config.envs_per_client
+
+
+def client_ranges(count: int, most: int) -> list[tuple[int, int]]:
+    """Environments in as few worlds as may be, of nearly equal size."""
+    return split_evenly(count, max(1, math.ceil(count / most)))
 
 
 def _xyzw(quaternion: Sequence[float]) -> tuple[float, float, float, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import signal
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -39,12 +40,14 @@ class Failure:
 def work(connection: Connection, assignment: Assignment) -> None:
     """Build a shard, then do what is asked until the connection closes.
 
+    While it builds, it sends how many environments each world has, and at the end None, or what went wrong.
+
     A request is a method's name, its arguments and whether a reply is awaited; an error of a call without reply comes
     with the next reply.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupted program closes the connection
     try:
-        shard, failure = _build(assignment), None
+        shard, failure = _build(assignment, connection.send), None
     except Exception as error:
         connection.send(Failure(_portable(error)))
         return
@@ -66,10 +69,10 @@ def work(connection: Connection, assignment: Assignment) -> None:
     shard.close()
 
 
-def _build(assignment: Assignment) -> Shard:
+def _build(assignment: Assignment, built: Callable[[int], None]) -> Shard:
     buffers = shared_buffers(assignment.shapes, assignment.memory)
     rows = buffers.rows(assignment.start, assignment.stop)
-    return Shard(assignment.layout, assignment.files, assignment.start, rows, assignment.config)
+    return Shard(assignment.layout, assignment.files, rows, assignment.config, built)
 
 
 def _portable(error: Exception) -> Exception:

@@ -33,7 +33,7 @@ def example_layout(file: str) -> SceneLayout:
 
 
 def stage_of(layout: SceneLayout, folder: Path, client: Client) -> Stage:
-    return Stage(client, layout, write_scene(layout, folder), 0, 1, BulletConfig())
+    return Stage(client, layout, write_scene(layout, folder), 1, BulletConfig())
 
 
 def read_limits(stage: Stage) -> npt.NDArray[np.float64]:
@@ -117,5 +117,5 @@ def test_a_model_that_bullet_refuses_is_told_by_its_name(tmp_path: Path) -> None
     files.entities[0].write_text("<robot")
     client = Client()
     with pytest.raises(AssetError, match="'broken'"):
-        Stage(client, layout, files, 0, 1, BulletConfig())
+        Stage(client, layout, files, 1, BulletConfig())
     client.close()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -12,10 +14,11 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_bullet import BulletBackend, BulletConfig
+from orbit_bullet import BulletBackend, BulletConfig, pool, progress
 from orbit_bullet.engine import BulletEngine
-from orbit_bullet.pool import ProcessPool
-from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationError
+from orbit_bullet.pool import ProcessPool, make_pool
+from orbit_bullet.stage import write_scene
+from orbit_core.interfaces import AssetError, ConfigurationError, SceneLayout, SimulationError
 from orbit_core.scene import (
     Articulation,
     Box,
@@ -75,9 +78,9 @@ def pids_of(engine: BulletEngine) -> list[int]:
     return engine.native.pids
 
 
-def test_workers_and_worlds_change_nothing() -> None:
-    """One process with one world, one process with worlds of two, and two processes: bit for bit the same."""
-    engines = [make(5, workers=1, envs_per_client=5), make(5, workers=1, envs_per_client=2), make(5, workers=2)]
+def test_workers_change_nothing() -> None:
+    """One process, and two of uneven shares: bit for bit the same."""
+    engines = [make(5, workers=1), make(5, workers=2)]
     goals = torch.linspace(0.5, 2.0, 5)[:, None]
     for engine in engines:
         engine.write_root_state(1, torch.tensor([[0.25, 0.14, 0.06, 1.0, 0, 0, 0]]), None, torch.tensor([3]))
@@ -148,6 +151,70 @@ def test_an_error_of_a_worker_while_building_is_raised_here() -> None:
     scene = Scene(objects=(ObjectSpec(name="hill", articulation=single_link("hill", field, 1.0, np.eye(3))),))
     with pytest.raises(ConfigurationError, match="HeightField of link 'hill'"):
         make(4, scene, workers=2)
+
+
+def test_environments_that_share_a_world_differ_by_rounding_alone() -> None:
+    """Free swings in one world of four and in worlds of one: 1e-5 rad after half a second."""
+    shared, alone = make(4, workers=1, envs_per_client=4), make(4, workers=1)
+    for engine in (shared, alone):
+        engine.position_targets[:] = torch.linspace(-0.5, -2.0, 4)[:, None]
+        engine.step(100)
+    torch.testing.assert_close(shared.joint_positions, alone.joint_positions, rtol=0, atol=1e-5)
+    assert shared.joint_positions.abs().min() > 0.1
+    for engine in (shared, alone):
+        engine.close()
+
+
+def test_a_model_that_a_worker_cannot_load_is_raised_here(tmp_path: Path) -> None:
+    layout, config = SceneLayout.of(busy_scene()), BulletConfig(workers=2)
+    files = write_scene(layout, tmp_path)
+    files.entities[0].write_text("<robot")
+    with pytest.raises(AssetError, match="'arm'"):
+        make_pool(layout, files, 4, config)
+
+
+def test_more_environments_than_memory_are_refused_before_any_is_built(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "_available_memory", lambda: 1e9)
+    with pytest.raises(ConfigurationError, match=r"2\.9 GB, and 1\.0 GB are available, enough for 34 worlds: envs_per"):
+        make(100, workers=1)
+    make(100, workers=2, envs_per_client=15).close()
+
+
+def test_more_worlds_than_bullet_holds_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match="a process holds 1000: envs_per_client=15"):
+        make(1001, workers=1)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_long_build_tells_how_far_it_is(
+    workers: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "_SILENT_FOR", 0.0)
+    make(4, workers=workers).close()
+    told = capsys.readouterr().err.splitlines()
+    assert [line.split(",")[0] for line in told] == [
+        f"orbit-bullet: built {count} of 4 environments" for count in (1, 2, 3)
+    ]
+    assert told[0].endswith("s to go; all of them will take 0.1 GB of memory")
+
+
+def test_threads_may_build_worlds_at_the_same_time() -> None:
+    """Each hides the terminal from Bullet for a while; afterwards the process has it again."""
+    code = (
+        "import threading, torch, orbit_bullet as b\n"
+        "from orbit_core.interfaces import SceneLayout\n"
+        "from orbit_core.scene import Scene\n"
+        "def build():\n"
+        "    for _ in range(10):\n"
+        "        config = b.BulletConfig(workers=1)\n"
+        "        b.BulletBackend().create_engine(SceneLayout.of(Scene()), 2, torch.device('cpu'), config).close()\n"
+        "threads = [threading.Thread(target=build) for _ in range(2)]\n"
+        "for each in threads: each.start()\n"
+        "for each in threads: each.join()\n"
+        "print('both built')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("both built\n", "")
 
 
 def test_a_diverged_environment_is_told_by_its_own_number() -> None:

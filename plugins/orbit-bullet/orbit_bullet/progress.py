@@ -1,0 +1,35 @@
+"""What a long build tells while it lasts, on stderr: how far it is, what remains, and the memory that it takes."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+_SILENT_FOR = 10.0
+"""Seconds between two lines, and before the first."""
+
+
+class BuildProgress:
+    """Counts environments that have been built."""
+
+    def __init__(self, total: int, memory: float) -> None:
+        """``memory`` in bytes, of all environments together."""
+        self._total = total
+        self._memory = memory
+        self._built = 0
+        self._began = self._told = time.monotonic()
+
+    def add(self, environments: int) -> None:
+        """Count some more, and tell if nothing was told for long."""
+        self._built += environments
+        now = time.monotonic()
+        if now - self._told < _SILENT_FOR or self._built == self._total:
+            return
+        self._told = now
+        rest = (now - self._began) * (self._total / self._built - 1)
+        print(
+            f"orbit-bullet: built {self._built} of {self._total} environments, {rest:.0f} s to go; "
+            f"all of them will take {self._memory / 1e9:.1f} GB of memory",
+            file=sys.stderr,
+            flush=True,
+        )
