@@ -111,6 +111,15 @@ class Actuation:
         else:
             self._derive(slots)
 
+    def armatures(self) -> FloatArray:
+        """Of each joint (J,) of the first environment: what its wheels have beyond what gains and damping make up."""
+        turning = np.zeros(len(self._own))
+        for columns, wheels in ((self._drive_columns, self._drives), (self._passive_columns, self._passive)):
+            for entity, numbers in columns.items():
+                turning[numbers] += wheels[0, entity].inertias()
+        drive = np.where(self._driven, self._dt * (self.stiffness[0] * self._dt + self.damping[0]), 0.0)
+        return turning - drive - (self._slow - self._armature)
+
     # Stepping --------------------------------------------------------------------------------------------------------
 
     def prepare(self) -> None:

@@ -57,6 +57,10 @@ class Wheels:
             force = min(limit, _UNLIMITED) if inertia > 0 else 0.0
             self._client.changeConstraint(self._gears[wheel], gearRatio=-1.0, maxForce=force)
 
+    def inertias(self) -> list[float]:
+        """Of each wheel about its axis, as Bullet has it."""
+        return [self._client.getDynamicsInfo(self.body, wheel)[2][2] for wheel in self._numbers]
+
     def spin(self, speeds: list[float]) -> None:
         """Let each wheel turn at a speed before the step."""
         self._client.resetJointStatesMultiDof(self.body, self._numbers, self._zeros, [[speed] for speed in speeds])

@@ -20,7 +20,17 @@ from orbit_bullet.pool import Pool, make_pool
 from orbit_bullet.report import build_report
 from orbit_bullet.shard import Written
 from orbit_bullet.stage import write_scene
-from orbit_core.interfaces import Approximation, ConfigurationError, Engine, RayHits, SceneLayout, SimulationError
+from orbit_core.interfaces import (
+    Approximation,
+    BuiltModel,
+    ConfigurationError,
+    Engine,
+    RayHits,
+    SceneLayout,
+    SimulationError,
+    diverged,
+    divergence_error,
+)
 
 _COMMANDS = ("position_targets", "velocity_targets", "efforts")
 
@@ -60,12 +70,17 @@ class BulletEngine(Engine):
     def step(self, steps: int) -> None:
         self._refuse_broken_commands()
         found = self._pool.call("step", steps)
-        diverged = [start + i for (start, _), own in zip(self._pool.ranges, found, strict=True) for i in own]
-        if diverged:
+        apart = [start + i for (start, _), own in zip(self._pool.ranges, found, strict=True) for i in own]
+        if apart:
             raise SimulationError(
-                f"environments {_shown(diverged)} diverged: reset them, and use a smaller physics_dt, softer drives or "
-                "larger masses"
+                f"environments {_shown(apart)} diverged, their deformables flew apart: reset them, and use a smaller "
+                "physics_dt"
             )
+        state = self._tensors
+        lost = diverged(state["link_poses"], state["link_velocities"])
+        lost |= diverged(state["joint_positions"], state["joint_velocities"])
+        if lost.any():
+            raise divergence_error(lost.nonzero()[:, 0].tolist())
 
     def _refuse_broken_commands(self) -> None:
         """A NaN would spread through Bullet to environments that share its world."""
@@ -200,6 +215,9 @@ class BulletEngine(Engine):
         self._pool.call_each("load", {number: (world,) for number, world in enumerate(state.worlds)})
         for name, values in zip(_COMMANDS, state.commands, strict=True):
             np.copyto(self._tensors[name].numpy(), values)
+
+    def built_model(self) -> tuple[BuiltModel, ...]:
+        return tuple(self._pool.call("built_model", numbers=[0]))
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:

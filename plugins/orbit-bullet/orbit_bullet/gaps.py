@@ -84,17 +84,9 @@ _IMAGES = (
     Gap("normal_images", "normal", 0.5, "normals are those of the drawn facets, from the depth of neighbouring pixels"),
 )
 
-_SUMMED = (
-    Gap(
-        "alone_and_among_seven", "difference", 1e-3,
-        "environments lie side by side in one world, and places far from its origin are rounded more coarsely",
-    ),
-)  # fmt: skip
-
 GAPS: tuple[Gap, ...] = (
     *_RAYS,
     *_IMAGES,
     *_CONTACT,
     *_MOTION,
-    *_SUMMED,
 )

@@ -13,7 +13,7 @@ from orbit_bullet.buffers import Buffers
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.simulation import SavedSimulation, Simulation
 from orbit_bullet.stage import SceneFiles, client_ranges, envs_per_client
-from orbit_core.interfaces import SceneLayout
+from orbit_core.interfaces import BuiltModel, SceneLayout
 
 Rows = npt.NDArray[np.int64]
 
@@ -55,7 +55,7 @@ class Shard:
             built(stop - start)
 
     def step(self, steps: int) -> list[int]:
-        """Advance; the environments that diverged come back."""
+        """Advance; the environments whose deformables flew apart come back."""
         diverged: list[int] = []
         for (first, _), simulation in zip(self._ranges, self.simulations, strict=True):
             diverged += [first + slot for slot in simulation.step(steps)]
@@ -73,6 +73,10 @@ class Shard:
             for number, part in call.parts(self._ranges)
         ]
         return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
+
+    def built_model(self) -> BuiltModel:
+        """What Bullet holds of the first environment."""
+        return self.simulations[0].built_model()
 
     def save(self) -> list[SavedSimulation]:
         return [simulation.save() for simulation in self.simulations]

@@ -17,11 +17,13 @@ from orbit_bullet.library import Client, refusals, silence
 from orbit_bullet.loads import Loads
 from orbit_bullet.materials import PairProducts, nominal
 from orbit_bullet.rays import cast_rays
+from orbit_bullet.readback import read_model
 from orbit_bullet.rotations import compose, cross
 from orbit_bullet.stage import SceneFiles, Stage
 from orbit_bullet.wrenches import WrenchMeter
 from orbit_core.interfaces import (
     TERRAIN,
+    BuiltModel,
     ConfigurationError,
     SceneLayout,
     SimulationError,
@@ -30,8 +32,6 @@ from orbit_core.interfaces import (
 
 FloatArray = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
-_FARTHEST = 1e5
-"""Metres from its origin at which an environment counts as diverged."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Simulation:
     # Time ------------------------------------------------------------------------------------------------------------
 
     def step(self, steps: int) -> list[int]:
-        """Advance; the environments that diverged come back."""
+        """Advance; the environments whose deformables flew apart come back."""
         contacts = self._contacts.active
         if contacts:
             self._contacts.clear()
@@ -117,18 +117,10 @@ class Simulation:
         np.copyto(self.buffers.joint_efforts, self.actuation.efforts(self._velocities), casting="same_kind")
         if self._wrenches.active:
             self._wrenches.end(self._raw, self.buffers.link_poses)
-        if self.deformables:
-            self.deformables.read()
-        return self._diverged()
-
-    def _diverged(self) -> list[int]:
-        poses = self.buffers.link_poses
-        if self.deformables and not self.deformables.sound():
-            return [0]
-        if np.abs(poses).sum() < _FARTHEST:  # false for NaN as well
+        if not self.deformables:
             return []
-        sound = (np.abs(poses) < _FARTHEST).all(axis=(1, 2))
-        return np.flatnonzero(~sound).tolist()
+        self.deformables.read()
+        return [] if self.deformables.sound() else [0]
 
     # Reading ---------------------------------------------------------------------------------------------------------
 
@@ -398,6 +390,10 @@ class Simulation:
         self.loads.derive()
         self.client.restoreState(saved.state)
         self._read(range(self.count))
+
+    def built_model(self) -> BuiltModel:
+        """What Bullet holds of the first environment."""
+        return read_model(self.stage, self.actuation)
 
     def forget(self, saved: SavedSimulation) -> None:
         """Free a snapshot that nobody holds any more."""

@@ -227,14 +227,14 @@ class Stage:
         self.joints[number] = [self.links[number][index_of[joint.child]] for joint in articulation.movable_joints]
         shaped = zip(self.links[number], articulation.links, strict=True)
         self._colliding[number] = [index for index, link in shaped if link.collisions]
-        inertials = [self._inertial(body, link) for link in self.links[number]]
+        inertials = [self.inertial(body, link) for link in self.links[number]]
         self.root_inertials[number] = (*inertials[0].position, *inertials[0].orientation)
         for offset, (inertial, place) in enumerate(zip(inertials, child_poses(entity.spec), strict=True)):
             if offset or not entity.spec.fixed_base:
                 frame = inertial.inverse() @ place
                 self.offsets[entity.links.start + offset] = (*frame.position, *frame.orientation)
 
-    def _inertial(self, body: int, link: int) -> Pose:
+    def inertial(self, body: int, link: int) -> Pose:
         """Centre of mass and principal axes, in Bullet's frame of the link."""
         position, orientation = self.client.getDynamicsInfo(body, link)[3:5]
         return Pose(position, (orientation[3], *orientation[:3]))
@@ -297,7 +297,7 @@ class Stage:
         for name, point in ((loop.first, loop.first_point), (loop.second, loop.second_point)):
             offset = names.index(name)
             links.append(self.links[entity.index][offset])
-            inertial = self._inertial(body, links[-1])
+            inertial = self.inertial(body, links[-1])
             points.append((inertial.inverse() @ child_poses(entity.spec)[offset] @ Pose(point)).position)
         ball = client.createConstraint(body, links[0], body, links[1], client.JOINT_POINT2POINT, [0] * 3, *points)
         client.changeConstraint(ball, maxForce=_GEAR_FORCE)

@@ -5,46 +5,41 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
-import torch
 
-from orbit_bullet import BulletBackend, BulletConfig
-from orbit_bullet.engine import BulletEngine
+from orbit_bullet import BulletConfig, stage, urdf
+from orbit_bullet.actuation import Actuation
+from orbit_bullet.buffers import private_buffers, shapes_of
 from orbit_bullet.library import Client
-from orbit_bullet.pool import LocalPool
+from orbit_bullet.readback import read_model
 from orbit_bullet.stage import Stage, write_scene
 from orbit_core.assets import sources
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.files import load_articulation
-from orbit_core.dynamics.kinematics import KinematicTree
-from orbit_core.interfaces import AssetError, ConfigurationError, SceneLayout
-from orbit_core.scene import Articulation, Link, RobotSpec, Scene
+from orbit_core.interfaces import AssetError, BuildError, BuiltModel, ConfigurationError, SceneLayout
+from orbit_core.scene import (
+    Articulation,
+    Entity,
+    ImplicitPd,
+    Joint,
+    JointType,
+    Link,
+    RobotSpec,
+    Scene,
+)
+from orbit_core.world import SimulatedWorld
 
 
 def robot_layout(spec: RobotSpec) -> SceneLayout:
     return SceneLayout.of(Scene(robots=(spec,), terrain=()))
 
 
-def example_layout(file: str) -> SceneLayout:
-    """A robot of the package example-robot-data."""
-    articulation = load_articulation(sources.model_folder("example-robot-data") / "robots" / file)
-    return robot_layout(RobotSpec(name="robot", articulation=articulation, fixed_base=True))
-
-
 def stage_of(layout: SceneLayout, folder: Path, client: Client) -> Stage:
     return Stage(client, layout, write_scene(layout, folder), 1, BulletConfig())
 
 
-def read_limits(stage: Stage) -> npt.NDArray[np.float64]:
-    """Lower and upper limits (J, 2) as Bullet has them."""
-    found = [stage.client.getJointInfo(stage.bodies[0][0], joint)[8:10] for joint in stage.joints[0]]
-    return np.array(found).reshape(-1, 2)
-
-
-def read_masses(stage: Stage) -> npt.NDArray[np.float64]:
-    """Masses (L,) as Bullet has them; a base that is held has none."""
-    return np.array([stage.client.getDynamicsInfo(stage.bodies[0][0], link)[0] for link in stage.links[0]])
+def read_back(stage: Stage) -> BuiltModel:
+    return read_model(stage, Actuation(stage, private_buffers(shapes_of(stage.layout, 1))))
 
 
 @pytest.mark.parametrize(
@@ -59,20 +54,55 @@ def read_masses(stage: Stage) -> npt.NDArray[np.float64]:
     ],
 )
 def test_robots_stand_as_described(file: str) -> None:
-    """Link poses within 1e-6 m of forward kinematics; masses and limits to single precision."""
-    layout = example_layout(file)
-    engine = BulletBackend().create_engine(layout, 1, torch.device("cpu"), BulletConfig(workers=1))
-    assert isinstance(engine, BulletEngine)
-    assert isinstance(engine.native, LocalPool)
-    articulation = layout.entities[0].spec.articulation
-    expected = KinematicTree(articulation).forward(engine.link_poses[:, 0], engine.joint_positions)
-    torch.testing.assert_close(engine.link_poses, expected, rtol=0, atol=1e-6)
-    stage = engine.native.shard.simulations[0].stage
-    np.testing.assert_allclose(read_masses(stage)[1:], [link.mass for link in articulation.links[1:]], rtol=1e-6)
-    limits = np.array([(joint.lower_limit, joint.upper_limit) for joint in articulation.movable_joints])
-    limited = np.isfinite(limits).all(axis=1)
-    np.testing.assert_allclose(read_limits(stage)[limited], limits[limited], rtol=1e-6)
-    engine.close()
+    """Poses, masses, centres of mass, inertias and limits: a world of another is refused when it is made."""
+    articulation = load_articulation(sources.model_folder("example-robot-data") / "robots" / file)
+    spec = RobotSpec(name="robot", articulation=articulation, fixed_base=True)
+    SimulatedWorld(Scene(robots=(spec,), terrain=()), num_envs=1, backend="bullet").close()
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "message"),
+    [
+        ('mass value="1.0"', 'mass value="1.1"', "mass of link 'rod' of 'robot' is 1.1 kg instead of 1"),
+        ('izz="0.02"', 'izz="0.021"', "inertia of link 'rod'"),
+        ('upper="2.0"', 'upper="2.5"', "upper limit of joint 'swing' of 'robot' is 2.5 instead of 2"),
+        ('origin xyz="0.3 0.0 0.0"', 'origin xyz="0.31 0.0 0.0"', "centre of mass of link 'rod'"),
+        ('axis xyz="0.0 0.0 1.0"', 'axis xyz="0.0 1.0 0.0"', "link 'rod' of 'robot' in environment 0 stands"),
+    ],
+)
+def test_a_number_that_bullet_reads_otherwise_is_found(
+    was: str, becomes: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file that says something else than the description, as one that is cut does."""
+    written = urdf.write_entity
+
+    def write(entity: Entity, path: Path, meshes: urdf.MeshFiles) -> None:
+        written(entity, path, meshes)
+        text = path.read_text()
+        assert was in text
+        path.write_text(text.replace(was, becomes))
+
+    monkeypatch.setattr(stage, "write_entity", write)
+    rod = Link("rod", 1.0, (0.3, 0.0, 0.0), np.diag([0.01, 0.02, 0.02]))
+    swing = Joint("swing", JointType.REVOLUTE, "base", "rod", lower_limit=-1.0, upper_limit=2.0, axis=(0.0, 0.0, 1.0))
+    spec = RobotSpec(name="robot", articulation=Articulation("robot", (Link("base"), rod), (swing,)), fixed_base=True)
+    with pytest.raises(BuildError, match=message):
+        SimulatedWorld(Scene(robots=(spec,), terrain=()), num_envs=1, backend="bullet")
+
+
+def test_armatures_are_read_back_from_the_wheels(tmp_path: Path) -> None:
+    """Beside drives with and without effort limits, and beside damping."""
+    drives = (
+        ImplicitPd(joints=("panda_joint[1-4]",), stiffness=400.0, damping=40.0, armature=0.3),
+        ImplicitPd(joints=("panda_joint[5-7]",), stiffness=1e5, damping=10.0, armature=0.01, effort_limit=None),
+    )
+    layout = robot_layout(robot("franka_panda", actuators=drives))
+    client = Client()
+    armatures = read_back(stage_of(layout, tmp_path, client)).armatures
+    assert armatures is not None
+    np.testing.assert_allclose(armatures, layout.joint_parameters.armature, rtol=1e-6, atol=1e-9)
+    assert armatures[:7] == pytest.approx([0.3] * 4 + [0.01] * 3)
+    client.close()
 
 
 def test_the_length_of_the_folders_name_changes_nothing(tmp_path: Path) -> None:
@@ -83,8 +113,8 @@ def test_the_length_of_the_folders_name_changes_nothing(tmp_path: Path) -> None:
     for length in range(1, 41):
         folder = tmp_path / ("f" * length)
         folder.mkdir()
-        stage = stage_of(layout, folder, client)
-        found.append((read_limits(stage), read_masses(stage), stage.offsets))
+        model = read_back(stage_of(layout, folder, client))
+        found.append((model.lower_limits, model.upper_limits, model.masses, model.centers_of_mass, model.inertias))
         client.resetSimulation()
     client.close()
     for other in found[1:]:
@@ -98,8 +128,8 @@ def test_a_long_name_and_odd_characters_are_read(tmp_path: Path) -> None:
     folder = tmp_path / "a & b" / ("é" * 100)
     folder.mkdir(parents=True)
     client = Client()
-    stage = stage_of(robot_layout(spec), folder, client)
-    assert np.count_nonzero(read_masses(stage)) == len(spec.articulation.links) - 1
+    masses = read_back(stage_of(robot_layout(spec), folder, client)).masses
+    np.testing.assert_allclose(masses[1:], [link.mass for link in spec.articulation.links[1:]])
     client.close()
 
 

@@ -153,6 +153,14 @@ def test_an_error_of_a_worker_while_building_is_raised_here() -> None:
         make(4, scene, workers=2)
 
 
+def test_a_body_that_moves_too_fast_has_diverged() -> None:
+    engine = make(4, workers=2)
+    engine.write_root_state(1, None, torch.tensor([[0.0, 0.0, 2e4, 0.0, 0.0, 0.0]]), torch.tensor([3]))
+    with pytest.raises(SimulationError, match="environments 3 diverged: something moved faster"):
+        engine.step(1)
+    engine.close()
+
+
 def test_environments_that_share_a_world_differ_by_rounding_alone() -> None:
     """Free swings in one world of four and in worlds of one: 1e-5 rad after half a second."""
     shared, alone = make(4, workers=1, envs_per_client=4), make(4, workers=1)
