@@ -69,7 +69,8 @@ class Viewer:
     Args:
         env: what to show.
         agent: gives the actions.
-        host: network address to listen at; the default is not reachable from other computers.
+        host: network address to listen at; the default is not reachable from other computers. Another one asks for the
+            token that :attr:`url` carries.
         port: if taken, the next free one is used.
         title: stands over the panel.
         information: more rows for the panel's table, given an environment's number;
@@ -95,9 +96,9 @@ class Viewer:
         self._information = information
         self._cameras = _camera_channels(env.world)
         self.controls = Controls(env.num_envs, paused)
-        self._server = _start_server(host, port, title)
-        self.url = f"http://{host}:{self._server.get_port()}"
-        """Where the page is."""
+        self._server, token = _start_server(host, port, title)
+        self.url = f"http://{host}:{self._server.get_port()}{f'/?token={token}' if token else ''}"
+        """Where the page is; with a token where other computers reach the address."""
         self._scene = SceneView(self._server, env.world.layout)
         self._panel = Panel(self._server, self.controls, env.num_envs, list(self._cameras), title)
         self._pacer = Pacer()
@@ -221,12 +222,23 @@ class Viewer:
         return rows | dict(self._information(index) if self._information else {})
 
 
-def _start_server(host: str, port: int, title: str) -> ViserServer:
+def _start_server(host: str, port: int, title: str) -> tuple[ViserServer, str]:
+    """A server that answers its own pages alone and is never shared over the internet; and its token."""
     try:
         from viser import ViserServer
+
+        from orbit_core.viewer.guard import Guard, guarded
     except ImportError:
         raise ConfigurationError('the viewer needs viser: pip install "orbit-core[viewer]"') from None
-    return ViserServer(host, port, label=title, verbose=False)
+    guard = Guard(host)
+    with guarded(guard):
+        server = ViserServer(host, port, label=title, verbose=False)
+    server.request_share_url = _share_nothing
+    return server, guard.token
+
+
+def _share_nothing(verbose: bool = True) -> None:
+    """In place of opening a public tunnel to this computer, which any page that is shown may ask for."""
 
 
 def _camera_channels(world: ViewedWorld) -> dict[str, tuple[CameraSensor, Channel]]:

@@ -1,0 +1,139 @@
+"""Who may talk to the viewer: its own pages, under this computer's own names, with the token where others reach it."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import importlib.metadata
+import tracemalloc
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator
+from types import ModuleType
+
+import pytest
+import websockets
+from websockets.exceptions import InvalidStatus
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.viewer.guard import Guard, guarded, is_loopback
+from orbit_core.viewer.viewer import Viewer
+
+PROTOCOL = f"viser-v{importlib.metadata.version('viser')}"
+
+
+@pytest.fixture(scope="module")
+def local(fakes: ModuleType) -> Iterator[Viewer]:
+    with Viewer(fakes.FakeEnvironment(num_envs=2), fakes.FakeAgent(), port=8250) as viewer:
+        yield viewer
+
+
+@pytest.fixture(scope="module")
+def reachable(fakes: ModuleType) -> Iterator[Viewer]:
+    with Viewer(fakes.FakeEnvironment(num_envs=2), fakes.FakeAgent(), host="0.0.0.0", port=8270) as viewer:
+        yield viewer
+
+
+def connect(port: int, origin: str | None = None, **headers: str) -> bool:
+    """Whether a websocket is let in; the server must send it something."""
+
+    async def attempt() -> bool:
+        try:
+            async with websockets.connect(
+                f"ws://127.0.0.1:{port}", subprotocols=[PROTOCOL], additional_headers=headers, max_size=None,
+                origin=origin,
+            ) as socket:  # fmt: skip
+                return len(await asyncio.wait_for(socket.recv(), 10)) > 0
+        except InvalidStatus:
+            return False
+
+    return asyncio.run(attempt())
+
+
+def fetch(url: str, **headers: str) -> tuple[int, str]:
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=10) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def port_of(viewer: Viewer) -> int:
+    port = urllib.parse.urlsplit(viewer.url).port
+    assert port is not None
+    return port
+
+
+def test_the_servers_own_pages_and_programs_of_this_computer_are_let_in(local: Viewer) -> None:
+    port = port_of(local)
+    assert fetch(local.url)[0] == 200
+    assert fetch(f"http://localhost:{port}")[0] == 200
+    assert connect(port, f"http://127.0.0.1:{port}")
+    assert connect(port)  # no browser
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:9", "http://localhost", "null"])
+def test_pages_of_other_origins_are_not_let_in(local: Viewer, origin: str) -> None:
+    assert not connect(port_of(local), origin)
+
+
+def test_a_foreign_name_that_points_here_is_refused(local: Viewer) -> None:
+    status, told = fetch(local.url, Host="evil.example")
+    assert status == 403
+    assert "not called 'evil.example'" in told
+
+
+def test_an_address_that_others_reach_asks_for_the_token_once(reachable: Viewer) -> None:
+    port = port_of(reachable)
+    bare = f"http://127.0.0.1:{port}/"
+    status, told = fetch(bare)
+    assert status == 403
+    assert "it holds a token" in told
+    assert fetch(f"{bare}?token=guessed")[0] == 403
+    assert not connect(port, f"http://127.0.0.1:{port}")
+    assert not connect(port, Cookie="orbit-viewer=guessed")
+
+    given = reachable.url.replace("0.0.0.0", "127.0.0.1")
+    opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+    with opener.open(given, timeout=10) as page:
+        assert page.url == bare, "the token is gone from the address"
+        assert b"<html" in page.read()
+    token = urllib.parse.parse_qs(urllib.parse.urlsplit(given).query)["token"][0]
+    assert connect(port, f"http://127.0.0.1:{port}", Cookie=f"orbit-viewer={token}")
+    assert not connect(port, "http://evil.example", Cookie=f"orbit-viewer={token}")
+
+
+def test_nothing_is_shared_over_the_internet(local: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[object] = []
+    monkeypatch.setattr("viser._viser.ViserTunnel", lambda *details: asked.append(details))
+    assert local._server.request_share_url() is None
+    assert not asked
+
+
+def test_memory_levels_off_over_connections(local: Viewer) -> None:
+    for _ in range(10):
+        assert connect(port_of(local))
+    gc.collect()
+    tracemalloc.start()
+    try:
+        for _ in range(30):
+            assert connect(port_of(local))
+        gc.collect()
+        assert tracemalloc.get_traced_memory()[0] < 1_000_000, "bytes kept of 30 connections that are closed"
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_server_that_cannot_be_guarded_is_not_started() -> None:
+    with pytest.raises(ConfigurationError, match="cannot be guarded"), guarded(Guard("127.0.0.1")):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("host", "alone"),
+    [("127.0.0.1", True), ("localhost", True), ("::1", True), ("0.0.0.0", False), ("::", False), ("robot.lab", False)],
+)
+def test_loopback_addresses_are_known(host: str, alone: bool) -> None:
+    assert is_loopback(host) is alone
+    assert (Guard(host).token == "") is alone
