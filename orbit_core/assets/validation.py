@@ -188,6 +188,9 @@ def _checked_joint(articulation: Articulation, joint: Joint) -> Joint:
             f"joint '{joint.name}' has lower limit {joint.lower_limit} above upper limit {joint.upper_limit}: "
             "exchange them",
         )
+    if joint.type is JointType.CONTINUOUS and (joint.lower_limit, joint.upper_limit) != (-math.inf, math.inf):
+        limits = f"{joint.lower_limit} to {joint.upper_limit}"
+        raise _error(articulation, f"joint '{joint.name}' is continuous and has limits, {limits}: make it revolute")
     if joint.type is JointType.FIXED:
         return joint
     length = math.hypot(*joint.axis)

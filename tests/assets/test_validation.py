@@ -68,6 +68,7 @@ def test_axes_get_unit_length() -> None:
         (with_joint(axis=(0.0, math.nan, 0.0)), "not finite"),
         (with_joint(lower_limit=1.0, upper_limit=-1.0), "lower limit 1.0 above upper limit -1.0"),
         (with_joint(lower_limit=math.nan), "limit"),
+        (with_joint(type=JointType.CONTINUOUS, upper_limit=2.0), "continuous and has limits, -inf to 2.0"),
         (with_joint(damping=-1.0), "damping -1.0"),
         (with_joint(effort_limit=math.nan), "effort_limit nan"),
         (with_joint(mimic=Mimic("nowhere")), "does not exist"),

@@ -12,7 +12,7 @@ import torch
 from orbit_core import backends
 from orbit_core.conformance.bodies import pendulum, scene
 from orbit_core.interfaces import BuildError, BuiltModel, Engine, SceneLayout
-from orbit_core.scene import Joint, RobotSpec
+from orbit_core.scene import Joint, JointType, RobotSpec
 from orbit_core.world import SimulatedWorld
 from orbit_core.world.build_check import check_build
 
@@ -34,7 +34,8 @@ def right(layout: SceneLayout) -> BuiltModel:
 
 def limited() -> RobotSpec:
     robot = pendulum()
-    joints = tuple(replace(joint, lower_limit=-1.0, upper_limit=2.0) for joint in robot.articulation.joints)
+    of_range = {"type": JointType.REVOLUTE, "lower_limit": -1.0, "upper_limit": 2.0}
+    joints = tuple(replace(joint, **of_range) for joint in robot.articulation.joints)
     return replace(robot, articulation=replace(robot.articulation, joints=joints))
 
 

@@ -34,6 +34,8 @@ class Addresses:
     """(L,) body of each link."""
     roots: Indices
     """(L,) body that carries each link's tree, whose centre of mass is the reference point of ``cvel``."""
+    joints: Indices
+    """(J,) joint number."""
     joint_positions: Indices
     """(J,) into qpos."""
     joint_velocities: Indices
@@ -61,6 +63,7 @@ class Addresses:
         return Addresses(
             bodies=bodies,
             roots=model.body_rootid[bodies].astype(np.int64),
+            joints=joints,
             joint_positions=model.jnt_qposadr[joints].astype(np.int64),
             joint_velocities=model.jnt_dofadr[joints].astype(np.int64),
             root_positions=np.where(free, model.jnt_qposadr[first_joint], -1)

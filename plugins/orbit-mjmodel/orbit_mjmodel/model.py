@@ -22,6 +22,7 @@ from orbit_core.interfaces import Approximation, AssetError, EntityLayout, Scene
 from orbit_core.scene import Joint, JointType, Link, LoopJoint, Shape
 from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
+from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, hold_drives
 from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
 from orbit_mjmodel.materials import contact_parameters, material_approximations
 from orbit_mjmodel.slots import ABSENT, Slot, slots
@@ -87,9 +88,10 @@ def _compiled(builder: _Builder) -> BuiltModel:
         raise AssetError(f"MuJoCo refuses the scene: {str(error).replace(chr(10), ' ').strip()}") from error
     addresses = Addresses.of(builder.layout, model)
     _set_home(builder.layout, model, addresses)
+    report = (*builder.report, *hold_drives(model, addresses, builder.layout))
     absent = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(ABSENT)]
     model.geom_rgba[absent, 3] = 0.0  # which rays take for not there
-    return BuiltModel(model, addresses, tuple(builder.report), np.array(absent, dtype=np.int64))
+    return BuiltModel(model, addresses, report, np.array(absent, dtype=np.int64))
 
 
 class _Builder:
@@ -316,7 +318,7 @@ class _Builder:
         if self.layout.joints[number].mimic is None:
             stiffness, damping = parameters.drive_stiffness[number], parameters.drive_damping[number]
             actuator.gainprm[0] = 1.0
-            actuator.biasprm[:3] = 0.0, -stiffness, -damping
+            actuator.biasprm[[STIFFNESS, DAMPING, ASKED_DAMPING]] = -stiffness, -damping, -damping
         else:  # it follows another joint, which carries the drive
             actuator.gainprm[0] = 0.0
         limit = float(parameters.effort_limit[number])

@@ -14,7 +14,16 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import Approximation, Engine, RayHits, SceneLayout, SimulationError
+from orbit_core.interfaces import (
+    Approximation,
+    BuiltModel,
+    Engine,
+    RayHits,
+    SceneLayout,
+    SimulationError,
+    divergence_error,
+)
+from orbit_mjmodel.readback import read_back
 from orbit_mujoco.config import MujocoConfig
 from orbit_mujoco.expressions import Expressions
 from orbit_mujoco.model import build_models
@@ -43,7 +52,7 @@ class MujocoEngine(Engine):
 
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: MujocoConfig) -> None:
         super().__init__(layout, num_envs, device)
-        kinds = build_models(layout, config)
+        self._kinds = kinds = build_models(layout, config)
         built = kinds[0]
         # Warnings come as SimulationError; MuJoCo would write them to the terminal and to a file as well.
         mujoco.set_mju_user_warning(_ignore)
@@ -94,6 +103,8 @@ class MujocoEngine(Engine):
         self._state.invalidate()
         if self._batch.warning.any():
             self._raise_warnings()
+        if not self._state.bounded:
+            raise divergence_error(self._state.diverged())
 
     @property
     def _commands(self) -> tuple[Tensor, ...]:
@@ -248,6 +259,9 @@ class MujocoEngine(Engine):
     @property
     def build_report(self) -> tuple[Approximation, ...]:
         return self._report
+
+    def built_model(self) -> tuple[BuiltModel, ...]:
+        return tuple(read_back(kind.model, kind.addresses) for kind in self._kinds)
 
     @property
     def native(self) -> tuple[mujoco.MjModel, mujoco.batch.Batch]:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from mujoco.batch import MODEL_FIELDS, Batch
 
 from orbit_mjmodel.addresses import Addresses
+from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, VELOCITY_IMPLICIT, damping_bias
 from orbit_mujoco.state import FloatArray, Rows, block
 
 Indices = npt.NDArray[np.int64]
@@ -35,16 +36,19 @@ class Parameters:
         self._constants_due = np.zeros(batch.nsim, dtype=bool)
         for name in MODEL_FIELDS if len(kinds) > 1 else ():
             self._vary(name, kinds)
-        self.stiffness: FloatArray = -self._model.actuator_biasprm[:, 1]
+        self.stiffness: FloatArray
         """(J,) or (N, J) of the drives."""
-        self.damping: FloatArray = -self._model.actuator_biasprm[:, 2]
+        self.damping: FloatArray
         """(J,) or (N, J)"""
+        self._read_gains()
 
     def settle(self) -> None:
         """Compute what follows from the masses that were set."""
         if self._constants_due.any():
             self._batch.set_const(self._constants_due)
             self._constants_due.fill(False)
+            if self._model.nu:
+                self._hold_drives()
 
     def set_masses(self, links: Indices, masses: FloatArray, rows: Rows) -> None:
         bodies = self._addresses.bodies[links]
@@ -69,9 +73,9 @@ class Parameters:
         driven = self._model.actuator_gainprm[joints, 0] > 0  # a mimic joint has no drive of its own
         index = block(rows, joints[driven])
         bias = self._field("actuator_biasprm")
-        bias[(*index, 1)] = -stiffness[:, driven]
-        bias[(*index, 2)] = -damping[:, driven]
-        self._read_gains()
+        bias[(*index, STIFFNESS)] = -stiffness[:, driven]
+        bias[(*index, DAMPING)] = bias[(*index, ASKED_DAMPING)] = -damping[:, driven]
+        self._hold_drives()
 
     def set_gravity(self, gravity: FloatArray, rows: Rows) -> None:
         self._field("opt.gravity")[rows] = gravity
@@ -86,8 +90,7 @@ class Parameters:
             self._field(name)[...] = saved.get(name, self._nominal.get(name))
         if {"body_mass", "body_ipos"} & self._fields.keys():
             self._constants_due.fill(True)
-        if "actuator_biasprm" in self._fields:
-            self._read_gains()
+        self._read_gains()
 
     def _field(self, name: str) -> npt.NDArray:
         if name not in self._fields:
@@ -104,6 +107,15 @@ class Parameters:
             field[...] = chosen[:, : field.shape[1]].reshape(field.shape)
             self._fields[name], self._nominal[name] = field, field.copy()
 
+    def _hold_drives(self) -> None:
+        """Give drives the damping that they need with the present gains and masses."""
+        if self._model.opt.integrator in VELOCITY_IMPLICIT:
+            bias = self._field("actuator_biasprm")
+            inverse_inertia = self._batch.expand("dof_invweight0")[:, self._addresses.joint_velocities]
+            bias[..., DAMPING] = damping_bias(bias, inverse_inertia, self._model.opt.timestep)
+        self._read_gains()
+
     def _read_gains(self) -> None:
-        bias = self._fields["actuator_biasprm"]
-        self.stiffness, self.damping = -bias[:, :, 1], -bias[:, :, 2]
+        varied = "actuator_biasprm" in self._fields
+        bias = self._fields["actuator_biasprm"] if varied else self._model.actuator_biasprm
+        self.stiffness, self.damping = -bias[..., STIFFNESS], -bias[..., DAMPING]

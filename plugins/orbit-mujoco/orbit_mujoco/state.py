@@ -16,6 +16,7 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
+from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED
 from orbit_mjmodel.addresses import Addresses, columns
 from orbit_mujoco.rotations import rotate, rotate_inverse
 
@@ -59,6 +60,17 @@ class State:
         """After a write: derived fields of ``rows`` are out of date too."""
         self._current.clear()
         self._written[rows] = True
+
+    @property
+    def bounded(self) -> bool:
+        """Whether every number is within the bounds of divergence; what is not a number is not."""
+        limits = ((self._qpos, MAX_DISTANCE), (self._qvel, MAX_SPEED))
+        return all(values.min(initial=0.0) >= -most and values.max(initial=0.0) <= most for values, most in limits)
+
+    def diverged(self) -> list[int]:
+        """Environments with a number beyond those bounds."""
+        beyond = ~(np.abs(self._qpos) <= MAX_DISTANCE).all(1) | ~(np.abs(self._qvel) <= MAX_SPEED).all(1)
+        return np.flatnonzero(beyond).tolist()
 
     # Reading ---------------------------------------------------------------------------------------------------------
 

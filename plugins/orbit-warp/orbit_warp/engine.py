@@ -14,14 +14,14 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from orbit_core.interfaces import Approximation, Engine, RayHits, SceneLayout
+from orbit_core.interfaces import Approximation, BuiltModel, Engine, RayHits, SceneLayout
 from orbit_warp.buffers import BufferSizes, buffer_sizes
 from orbit_warp.config import WarpConfig
 from orbit_warp.contacts import ContactMeter
 from orbit_warp.faults import Faults
 from orbit_warp.graphs import Graphs
 from orbit_warp.kernels import reset_state, reset_tensors, write_commands
-from orbit_warp.model import build_models, on_device
+from orbit_warp.model import build_models, on_device, read_back_kinds
 from orbit_warp.parameters import Parameters
 from orbit_warp.rays import RayCaster
 from orbit_warp.recording import Recording
@@ -64,6 +64,7 @@ class WarpEngine(Engine):
         wp.init()
         kinds = build_models(layout, config)
         built, addresses = kinds[0], kinds[0].addresses
+        self._addresses = addresses
         self._report = tuple(dict.fromkeys(line for kind in kinds for line in kind.report))
         self._capture = config.capture
         self._looped = any(entity.spec.articulation.loops for entity in layout.entities)
@@ -302,6 +303,9 @@ class WarpEngine(Engine):
     @property
     def build_report(self) -> tuple[Approximation, ...]:
         return self._report
+
+    def built_model(self) -> tuple[BuiltModel, ...]:
+        return read_back_kinds(self._model, self._addresses, len(self.layout.variants))
 
     @property
     def native(self) -> Native:

@@ -1,4 +1,4 @@
-"""What went wrong in a step: numbers that are not finite, and buffers that were full.
+"""What went wrong in a step: numbers beyond the bounds of divergence, and buffers that were full.
 
 A kernel notes it on the device. On a CPU the note is read after the step. On a GPU it travels to the host by itself and
 is read when the next step begins, so that no step waits for it: an error comes one step late.
@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 from mujoco_warp import OverflowType
 
-from orbit_core.interfaces import SimulationError
+from orbit_core.interfaces import SimulationError, divergence_error
 from orbit_warp.buffers import BufferSizes
 from orbit_warp.config import WarpConfig
 from orbit_warp.kernels import DIVERGED_BIT, note_faults, note_peaks
@@ -76,10 +76,7 @@ class Faults:
         self._note[:] = 0
         faults = wp.to_torch(self._faults).cpu().numpy()
         if fault & DIVERGED_BIT:
-            raise SimulationError(
-                f"environments {_shown(np.flatnonzero(faults & DIVERGED_BIT))} diverged: a position or velocity is not "
-                "finite; reset them, and use a smaller physics_dt, softer drives or larger masses"
-            )
+            raise divergence_error(np.flatnonzero(faults & DIVERGED_BIT).tolist())
         self.overflows += 1
         message = self._overflow_message(fault, np.flatnonzero(faults))
         if self._raise_overflows:

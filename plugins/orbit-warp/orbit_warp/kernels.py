@@ -14,9 +14,19 @@ from __future__ import annotations
 import warp as wp
 from mujoco_warp._src.types import vec10f
 
+from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED
+
 DIVERGED_BIT = 1 << 30
-"""Of a fault: a number is not finite. The lower bits are MuJoCo-Warp's ``OverflowType``."""
+"""Of a fault: a number is beyond the bounds of divergence, or no number. The lower bits are MuJoCo-Warp's
+``OverflowType``."""
 _DIVERGED = wp.constant(DIVERGED_BIT)
+DISTANCE_BOUND, SPEED_BOUND = wp.constant(MAX_DISTANCE), wp.constant(MAX_SPEED)
+
+
+@wp.func
+def within(value: float, bound: float) -> bool:
+    """Whether a number is no larger than the bound; what is not a number is not."""
+    return wp.abs(value) <= bound
 
 
 @wp.func
@@ -178,13 +188,12 @@ def note_faults(
     env = wp.tid()
     fault = overflow[env] & watched
     overflow[env] = 0
-    total = wp.float32(0.0)
     for i in range(qpos.shape[1]):
-        total += wp.abs(qpos[env, i])
+        if not within(qpos[env, i], DISTANCE_BOUND):
+            fault = fault | _DIVERGED
     for i in range(qvel.shape[1]):
-        total += wp.abs(qvel[env, i])
-    if not wp.isfinite(total):
-        fault = fault | _DIVERGED
+        if not within(qvel[env, i], SPEED_BOUND):
+            fault = fault | _DIVERGED
     faults[env] = fault
     if fault != 0:
         wp.atomic_or(summary, 0, fault)

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from types import SimpleNamespace
 
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from orbit_core.interfaces import AssetError, SceneLayout
+from orbit_core.interfaces import AssetError, BuiltModel, SceneLayout
 from orbit_mjmodel import model
+from orbit_mjmodel.addresses import Addresses
+from orbit_mjmodel.readback import ALIKE, VARYING, read_back
 from orbit_warp.config import WarpConfig
 
 LEAST_FRICTION = 1e-5
@@ -65,6 +68,14 @@ def on_device(built: Sequence[model.BuiltModel], config: WarpConfig) -> mjw.Mode
     target.opt.warn_overflow = 0  # faults are noted and raised, not printed
     target.opt.deterministic = int(mjw.DeterminismType.ALL if config.deterministic else mjw.DeterminismType.NONE)
     return target
+
+
+def read_back_kinds(model: mjw.Model, addresses: Addresses, kinds: int) -> tuple[BuiltModel, ...]:
+    """What the model on the device holds of each kind of environment."""
+    alike = {name: getattr(model, name).numpy() for name in ALIKE}
+    varying = {name: getattr(model, name).numpy() for name in VARYING}
+    of_kinds = [{name: rows[kind % len(rows)] for name, rows in varying.items()} for kind in range(kinds)]
+    return tuple(read_back(SimpleNamespace(**alike, **of_kind), addresses) for of_kind in of_kinds)
 
 
 def _give_rows(target: mjw.Model, kinds: Sequence[mjw.Model], built: Sequence[model.BuiltModel]) -> None:

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from orbit_core.interfaces import TERRAIN, SceneLayout
 from orbit_mjmodel.addresses import Addresses
+from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, VELOCITY_IMPLICIT, damping_bias
 from orbit_warp.graphs import Graphs
 from orbit_warp.model import LEAST_FRICTION
 from orbit_warp.rows import Rows, block
@@ -29,10 +30,13 @@ class Parameters:
     ) -> None:
         self._model, self._data, self._graphs = model, data, graphs
         device = wp.device_to_torch(data.qpos.device)
+        self._environments = torch.arange(data.nworld, device=device)
         self._bodies = torch.as_tensor(addresses.bodies, device=device)
         links = addresses.link_of_geom[:-1]
         self._link_of_geom = torch.as_tensor(np.where(links == TERRAIN, len(layout.links), links), device=device)
         self._links = len(layout.links)
+        self._velocity_columns = torch.as_tensor(addresses.joint_velocities, device=device)
+        self._time_step = layout.scene.physics_dt
         self._driven = torch.as_tensor([joint.mimic is None for joint in layout.joints], device=device)
         self._fields: dict[str, Tensor] = {}
         self._nominal: dict[str, Tensor] = {}
@@ -44,6 +48,8 @@ class Parameters:
             with self._graphs.stream():
                 mjw.set_const(self._model, self._data)
             self._constants_due = False
+            if len(self._driven):
+                self._hold_drives()
 
     def set_masses(self, links: Tensor, masses: Tensor, rows: Rows) -> None:
         self._expand_masses()
@@ -71,8 +77,9 @@ class Parameters:
         bias = self._field("actuator_biasprm")
         index = block(rows, joints)
         driven = self._driven[joints]  # a mimic joint has no drive of its own
-        for number, gains in ((1, stiffness), (2, damping)):
+        for number, gains in ((STIFFNESS, stiffness), (DAMPING, damping), (ASKED_DAMPING, damping)):
             bias[(*index, number)] = torch.where(driven, -gains, 0.0)
+        self._hold_drives()
 
     def set_gravity(self, gravity: Tensor, rows: Rows) -> None:
         self._field("opt.gravity")[rows] = gravity
@@ -88,6 +95,13 @@ class Parameters:
             own = self._field(name)
             own.copy_(saved[name] if name in saved else self._nominal[name])
         self._constants_due = False
+
+    def _hold_drives(self) -> None:
+        """Give drives the damping that they need with the present gains and masses."""
+        if self._model.opt.integrator in VELOCITY_IMPLICIT:
+            bias, weights = self._field("actuator_biasprm"), wp.to_torch(self._model.dof_invweight0)
+            inverse_inertia = weights[self._environments % len(weights)][:, self._velocity_columns]
+            bias[..., DAMPING] = damping_bias(bias, inverse_inertia, self._time_step)
 
     def _expand_masses(self) -> None:
         for name in _OF_MASS:

@@ -70,6 +70,15 @@ def test_buffers_fit_the_scene_and_tell_what_they_needed() -> None:
     assert 48 <= engine.buffer_peaks.njmax <= engine.buffer_sizes.njmax
 
 
+def test_a_speed_beyond_the_bounds_is_an_error_that_names_its_environment() -> None:
+    engine = engine_of(cubes(1))
+    engine.write_root_state(0, None, torch.tensor([[0.0, 0.0, 2e4, 0.0, 0.0, 0.0]]), torch.tensor([1]))
+    with pytest.raises(SimulationError, match="environments 1 diverged"):
+        engine.step(1)
+    engine.reset(torch.tensor([1]))
+    engine.step(1)
+
+
 def test_a_replayed_graph_does_what_its_launches_do() -> None:
     recorded, issued = engine_of(cubes(2), capture=True), engine_of(cubes(2), capture=False)
     for engine in (recorded, issued):

@@ -12,7 +12,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from orbit_core.interfaces import Approximation, Capabilities, Engine, SceneLayout, SimulationError
+from orbit_core.interfaces import Approximation, Capabilities, Engine, SceneLayout, SimulationError, divergence_error
 from orbit_warp.graphs import Graphs
 from orbit_warp.kernels import reset_tensors
 from orbit_warp.newton.builder import build_model
@@ -116,12 +116,7 @@ class NewtonEngine(Engine):
         """
         fault = int(self._summary.numpy()[0])
         if fault & _DIVERGED:
-            environments = torch.nonzero(wp.to_torch(self._diverged))[:, 0].tolist()
-            shown = ", ".join(map(str, environments[:8])) + (", ..." if len(environments) > 8 else "")
-            raise SimulationError(
-                f"environments {shown} diverged: a position or velocity is not finite; reset them, and use more "
-                "substeps, a smaller physics_dt, softer drives or larger masses"
-            )
+            raise divergence_error(torch.nonzero(wp.to_torch(self._diverged))[:, 0].tolist())
         if fault & _OVERFLOWN:
             size = -(-self._plant.finder.capacity // self.num_envs)
             raise SimulationError(

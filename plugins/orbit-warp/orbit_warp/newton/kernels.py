@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from orbit_warp.kernels import DISTANCE_BOUND, SPEED_BOUND, within
+
 
 @wp.kernel(enable_backward=False)
 def write_body_forces(
@@ -141,18 +143,18 @@ def note_divergence(
     diverged: wp.array[int],
     summary: wp.array[int],
 ):
-    """Environments in which a number is not finite."""
+    """Environments in which a number is beyond the bounds of divergence, or none."""
     env = wp.tid()
-    total = wp.float32(0.0)
-    for i in range(body_q.shape[1]):
-        total += wp.length_sq(wp.transform_get_translation(body_q[env, i])) * 0.0
-        total += wp.length_sq(wp.spatial_top(body_qd[env, i])) * 0.0
-        total += wp.length_sq(wp.spatial_bottom(body_qd[env, i])) * 0.0
-    for i in range(joint_q.shape[1]):
-        total += joint_q[env, i] * 0.0
     diverged[env] = 0
-    if not wp.isfinite(total):
-        diverged[env] = 1
+    for i in range(body_q.shape[1]):
+        near = within(wp.length(wp.transform_get_translation(body_q[env, i])), DISTANCE_BOUND)
+        slow = within(wp.length(wp.spatial_top(body_qd[env, i])), SPEED_BOUND)
+        if not (near and slow and within(wp.length(wp.spatial_bottom(body_qd[env, i])), SPEED_BOUND)):
+            diverged[env] = 1
+    for i in range(joint_q.shape[1]):
+        if not within(joint_q[env, i], DISTANCE_BOUND):
+            diverged[env] = 1
+    if diverged[env] != 0:
         wp.atomic_or(summary, 0, 1)
 
 

@@ -1,0 +1,97 @@
+"""Drives that are too stiff for the time step, on both backends that step MuJoCo's model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from orbit_core.assets.catalogue import robot
+from orbit_core.backends import backend_names
+from orbit_core.conformance.bodies import WEIGHTLESS, rotor, scene
+from orbit_core.scene import ImplicitPd, Scene
+from orbit_core.world import SimulatedWorld
+
+STEP, INERTIA = 0.005, 0.5
+BACKENDS = [name for name in ("mujoco", "warp") if name in backend_names()]
+
+
+def gains(frequency: float, ratio: float) -> tuple[float, float]:
+    """Stiffness and damping, of a natural frequency in radians per step and a damping ratio."""
+    return INERTIA * (frequency / STEP) ** 2, 2 * ratio * INERTIA * frequency / STEP
+
+
+def world_of(stiffness: float, damping: float, backend: str, num_envs: int = 1, **settings: object) -> SimulatedWorld:
+    drive = ImplicitPd(joints=(".*",), stiffness=stiffness, damping=damping)
+    spec = rotor(inertia=INERTIA, actuators=(drive,))
+    return SimulatedWorld(scene(spec, gravity=WEIGHTLESS, terrain=()), num_envs, backend, settings=settings)
+
+
+def positions_of(world: SimulatedWorld, steps: int) -> torch.Tensor:
+    """(steps, N) of the joint on its way to one."""
+    (rotor,) = world.robots.values()
+    rotor.set_position_targets(torch.ones(world.num_envs, 1))
+    positions = []
+    for _ in range(steps):
+        world.step(1)
+        positions.append(rotor.joint_positions[:, 0].clone())
+    return torch.stack(positions)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize(("frequency", "ratio"), [(2.5, 0.1), (10.0, 0.1), (10.0, 1.0), (40.0, 2.0)])
+def test_a_drive_too_stiff_for_the_step_rests_at_its_target(backend: str, frequency: float, ratio: float) -> None:
+    positions = positions_of(world_of(*gains(frequency, ratio), backend), 60)
+    assert positions.max() < 1.2
+    assert (positions[-20:] - 1).abs().max() < 1e-5
+
+
+@pytest.mark.parametrize(("frequency", "ratio"), [(0.3, 0.0), (0.99, 0.1), (5.0, 3.0)])
+def test_soft_and_well_damped_drives_are_left_as_they_are(frequency: float, ratio: float) -> None:
+    stiffness, damping = gains(frequency, ratio)
+    world = world_of(stiffness, damping, "mujoco")
+    np.testing.assert_allclose(world.native[0].actuator_biasprm[0, :3], (0.0, -stiffness, -damping))
+    assert not world.build_report
+
+
+def test_the_build_report_names_a_drive_that_is_damped_more_than_asked() -> None:
+    (line,) = world_of(*gains(10.0, 0.1), "mujoco").build_report
+    assert line.subject == "joint 'spin' of 'rotor'"
+    assert line.asked == "a drive of stiffness 2e+06 and damping 200"
+    assert line.got == "damping 9900"  # h k - m / h
+
+
+@pytest.mark.parametrize(("integrator", "lines"), [("euler", 1), ("rk4", 1), ("discrete", 0)])
+def test_integrators_that_cannot_hold_a_stiff_drive_say_so(integrator: str, lines: int) -> None:
+    report = world_of(*gains(3.0, 0.1), "mujoco", integrator=integrator).build_report
+    assert ["not stable in steps of 0.005 s" in line.got for line in report] == [True] * lines
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_gains_and_masses_set_per_environment_keep_drives_stable(backend: str) -> None:
+    world = world_of(10.0, 1.0, backend, num_envs=3)
+    (rotor,) = world.robots.values()
+    stiffness, damping = gains(torch.tensor([0.3, 0.9, 10.0]), 0.2)  # pyright: ignore[reportArgumentType]
+    rotor.set_gains(stiffness[:, None], damping[:, None])
+    link = rotor.link_names.index("rotor")
+    lighter = world.layout.links[link].mass * torch.tensor([[1.0], [0.05], [1.0]])  # 0.9 becomes 4 radians per step
+    rotor.set_masses(lighter, [link])
+    positions = positions_of(world, 300)
+    assert (positions[-1] - 1).abs().max() < 1e-4
+    assert positions[:, 0].max() > 1.5  # the soft drive is underdamped as it was asked to be
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_stiff_arm_comes_to_rest(backend: str) -> None:
+    """Seven drives of 3 to 30 radians per step that share one mass matrix, without effort limits."""
+    arm = robot("franka_panda")
+    drive = ImplicitPd(joints=("panda_joint[1-7]",), stiffness=1e5, damping=50.0, effort_limit=1e9)
+    world = SimulatedWorld(Scene(robots=(replace(arm, actuators=(drive,)),), terrain=()), 1, backend)
+    (panda,) = world.robots.values()
+    targets = panda.joint_positions.clone()
+    targets[:, :7] += torch.tensor([0.3, -0.2, 0.25, 0.3, -0.3, 0.2, 0.4])
+    panda.set_position_targets(targets)
+    world.step(150)
+    assert (panda.joint_positions - targets)[:, :7].abs().max() < 1e-3
