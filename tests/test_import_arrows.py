@@ -17,6 +17,7 @@ CORE = ROOT / "orbit_core"
 RANKS = {
     "scene": 0,
     "interfaces": 1,
+    "files": 1.5,
     "registry": 1.5,
     "backends": 2,
     "policies": 2,

@@ -10,13 +10,12 @@ import functools
 import hashlib
 import json
 import os
-import tempfile
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,8 @@ from orbit_core import scene
 from orbit_core.assets import sources
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.validation import validate
-from orbit_core.interfaces.errors import AssetError
+from orbit_core.files import written_whole
+from orbit_core.interfaces.errors import AssetError, StorageError
 from orbit_core.scene import Articulation, Mesh, MeshCollision
 
 _READERS = (
@@ -90,7 +90,7 @@ def cached_articulation(model: Model) -> Articulation:
         if missing or (current and manifest["packages"] == versions):
             articulation = _decode(manifest["articulation"], cache_folder())
             return articulation if current else _with_note(articulation, missing[0])
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError) as error:
         if missing:
             raise AssetError(
                 f"the cached model '{path}' is damaged ({error}) and package '{missing[0]}' is not there to rebuild "
@@ -110,8 +110,8 @@ def _store(path: Path, articulation: Articulation, manifest: dict[str, Any]) -> 
     try:
         # Meshes first: whoever finds the description finds all that it names.
         manifest["articulation"] = _encode(articulation, cache_folder())
-        _write(path, lambda file: file.write(json.dumps(manifest).encode()))
-    except OSError as error:
+        _write(path, lambda file: file.write_text(json.dumps(manifest), encoding="utf-8"))
+    except (StorageError, OSError) as error:
         warnings.warn(
             f"the model '{articulation.name}' could not be cached ({error}); set ORBIT_CACHE_DIR to a folder that can "
             "be written, or every start reads its source files again",
@@ -119,17 +119,11 @@ def _store(path: Path, articulation: Articulation, manifest: dict[str, Any]) -> 
         )
 
 
-def _write(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
+def _write(path: Path, write: Callable[[Path], Any]) -> None:
     """Write the whole file or nothing; other processes may be writing the same one."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            write(file)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    with written_whole(path) as written:
+        write(written)
 
 
 def _encode(value: Any, folder: Path) -> Any:
@@ -173,11 +167,7 @@ def _decode(value: Any, folder: Path) -> Any:
 
 def _store_mesh(mesh: Mesh, folder: Path) -> dict[str, Any]:
     arrays = {"vertices": np.ascontiguousarray(mesh.vertices), "faces": np.ascontiguousarray(mesh.faces)}
-    digest = hashlib.sha256()
-    for array in arrays.values():
-        digest.update(f"{array.dtype.str}{array.shape}".encode())
-        digest.update(array.data)
-    key = digest.hexdigest()[:32]
+    key = _digest_arrays(*arrays.values())
     for name, array in arrays.items():
         _write(_mesh_path(folder, key, name), functools.partial(np.save, arr=array, allow_pickle=False))
     return {
@@ -194,7 +184,17 @@ def _load_mesh(folder: Path, key: str, collision: str, shapes: list[list[int]]) 
     )
     if [list(vertices.shape), list(faces.shape)] != shapes:
         raise ValueError(f"mesh {key} has another size than its model says")
+    if _digest_arrays(vertices, faces) != key:
+        raise ValueError(f"mesh {key} has other contents than when it was stored")
     return Mesh(vertices, faces, MeshCollision(collision))
+
+
+def _digest_arrays(*arrays: np.ndarray) -> str:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(f"{array.dtype.str}{array.shape}".encode())
+        digest.update(array.data)
+    return digest.hexdigest()[:32]
 
 
 def _mesh_path(folder: Path, key: str, name: str) -> Path:

@@ -11,6 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from orbit_core.files import written_whole
+
 _WIDTH = 140
 """Characters of a line where the output is no terminal, so that pipes and files get whole names."""
 
@@ -40,6 +42,5 @@ def write_json(path: Path | None, values: Any) -> None:
     """Write the values to a file, if there is one to write; the file is whole or not there."""
     if path is None:
         return
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(json.dumps(values, indent=2) + "\n")
-    partial.replace(path)
+    with written_whole(path) as written:
+        written.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")

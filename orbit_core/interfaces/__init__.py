@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         OrbitError,
         ShapeError,
         SimulationError,
+        StorageError,
         UnknownNameError,
         UnsupportedCapabilityError,
     )
@@ -58,7 +59,7 @@ _MODULES = {
     "engine": ("Approximation", "Engine", "RayHits"),
     "errors": (
         "AssetError", "BackendNotInstalledError", "BuildError", "ConfigurationError", "NonFiniteError", "OrbitError",
-        "ShapeError", "SimulationError", "UnknownNameError", "UnsupportedCapabilityError",
+        "ShapeError", "SimulationError", "StorageError", "UnknownNameError", "UnsupportedCapabilityError",
     ),
     "gaps": ("Gap",),
     "layout": ("BACKGROUND", "TERRAIN", "ContactQuery", "EntityLayout", "JointParameters", "SceneLayout"),
@@ -76,8 +77,8 @@ __all__ = [
     "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities", "Capability", "ConfigurationError",
     "ContactQuery", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "Level", "Marker", "Node",
     "NonFiniteError", "Object", "OrbitError", "Port", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor",
-    "ShapeError", "SimulationError", "Support", "UnknownNameError", "UnsupportedCapabilityError", "World",
-    "albedo_table", "approximate", "diverged", "divergence_error", "drawn_shapes", "find_name", "match_names",
+    "ShapeError", "SimulationError", "StorageError", "Support", "UnknownNameError", "UnsupportedCapabilityError",
+    "World", "albedo_table", "approximate", "diverged", "divergence_error", "drawn_shapes", "find_name", "match_names",
     "match_values", "required_capabilities", "unsupported",
 ]  # fmt: skip
 

@@ -52,5 +52,9 @@ class NonFiniteError(OrbitError, ValueError):
     """A NaN or infinite number where none may be."""
 
 
+class StorageError(OrbitError):
+    """A file that cannot be written: the disk is full, or the folder is not writable."""
+
+
 class SimulationError(OrbitError):
     """The engine failed or diverged while stepping."""

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from orbit_core.files import storage_faults
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.viewer.pictures import OverviewCamera
 
@@ -60,13 +61,15 @@ class VideoFile:
             raise ConfigurationError(f"video {self._path} is closed: frames come before close()")
         if frame.shape != self._size:
             raise ConfigurationError(f"a frame of video {self._path} must be {self._size}, not {frame.shape}")
-        self._stream.send(np.ascontiguousarray(frame))
+        with storage_faults(self._path):
+            self._stream.send(np.ascontiguousarray(frame))
 
     def close(self) -> None:
         """Finish the file and give it its name; idempotent."""
         if self._stream is not None:
-            self._end_stream()
-            self._partial.replace(self._path)
+            with storage_faults(self._path):
+                self._end_stream()
+                self._partial.replace(self._path)
 
     def discard(self) -> None:
         """Give the video up; what was written of it is deleted."""

@@ -135,6 +135,17 @@ def _truncate_mesh() -> None:
     path.write_bytes(path.read_bytes()[:-8])
 
 
+def _empty_mesh() -> None:
+    next((cache_folder() / "meshes").glob("*.vertices.npy")).write_bytes(b"")
+
+
+def _change_mesh() -> None:
+    path = next((cache_folder() / "meshes").glob("*.vertices.npy"))
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+
+
 @pytest.mark.parametrize(
     "damage",
     [
@@ -144,6 +155,8 @@ def _truncate_mesh() -> None:
         lambda: entry().write_text(entry().read_text().replace('"parent"', '"father"')),
         lambda: [path.unlink() for path in (cache_folder() / "meshes").iterdir()],
         _truncate_mesh,
+        _empty_mesh,
+        _change_mesh,
     ],
 )
 def test_damage_is_mended_or_reported(

@@ -1,0 +1,56 @@
+"""Files that are whole or not there: whatever ends a program in the midst of writing, what was there before stays."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from orbit_core.interfaces.errors import StorageError
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """A new file beside ``path`` to write, which takes its place at the end, flushed to the disk.
+
+    Each writer has its own, so that several processes may write the same file. It is removed where anything goes wrong.
+
+    Raises:
+        StorageError: the disk is full, or the folder cannot be written; names the file.
+    """
+    written = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
+    with storage_faults(path):
+        try:
+            yield written
+            _to_disk(written)
+            written.replace(path)
+        except BaseException:
+            with suppress(OSError):
+                written.unlink(missing_ok=True)
+            raise
+        _to_disk(path.parent)
+
+
+@contextmanager
+def storage_faults(path: Path) -> Iterator[None]:
+    """What the file system refuses within, as one sentence that names the file and the reason.
+
+    Raises:
+        StorageError: an operation on files failed.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error).strip().partition("\n")[0]
+        raise StorageError(f"cannot write {path}: {reason}") from error
+
+
+def _to_disk(path: Path) -> None:
+    """Make what was written outlast a loss of power."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
