@@ -17,6 +17,7 @@ from orbit_core.scene import (
     ImplicitPd,
     Mesh,
     MeshCollision,
+    PhysicsMaterial,
     RayCasterSpec,
     Scene,
     SensorSpec,
@@ -42,7 +43,8 @@ _CHANNEL_NEEDS = {
 
 
 _CONTACT = {
-    Capability.FRICTION, Capability.STATIC_FRICTION, Capability.RESTITUTION, Capability.COMPLIANT_CONTACT,
+    Capability.FRICTION, Capability.STATIC_FRICTION, Capability.TORSIONAL_FRICTION, Capability.ROLLING_FRICTION,
+    Capability.RESTITUTION, Capability.COMPLIANT_CONTACT,
 }  # fmt: skip
 
 
@@ -132,6 +134,10 @@ def _shape_needs(shape: Shape, culprit: str, moving: bool) -> Iterator[tuple[Cap
         yield Capability.RESTITUTION, culprit
     if material.static_friction != material.dynamic_friction:
         yield Capability.STATIC_FRICTION, culprit
+    if material.torsional_friction > PhysicsMaterial.torsional_friction:
+        yield Capability.TORSIONAL_FRICTION, culprit
+    if material.rolling_friction > PhysicsMaterial.rolling_friction:
+        yield Capability.ROLLING_FRICTION, culprit
     if material.compliance:
         yield Capability.COMPLIANT_CONTACT, culprit
 

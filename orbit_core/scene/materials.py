@@ -21,7 +21,8 @@ class PhysicsMaterial:
     """Contact properties of a shape.
 
     Where two shapes meet, the pair takes the larger of the two values of each coefficient (the contract's one combine
-    rule). Torsional and rolling friction are lengths in metres; the other coefficients have no unit.
+    rule). Torsional and rolling friction are lengths in metres; the other coefficients have no unit. Where an engine
+    lacks them, a scene that asks for more than these defaults is refused; the defaults are left out there.
     """
 
     static_friction: float = 1.0

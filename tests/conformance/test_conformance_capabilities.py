@@ -48,6 +48,8 @@ SCENES: dict[Capability, Callable[[], Scene]] = {
     Capability.HEIGHT_FIELDS: lambda: scene(cube(), terrain=(Shape(HeightField(np.zeros((3, 3)), (1.0, 1.0))),)),
     Capability.RESTITUTION: lambda: scene(cube(material=PhysicsMaterial(restitution=0.5))),
     Capability.STATIC_FRICTION: lambda: scene(cube(material=PhysicsMaterial(1.0, 0.5))),
+    Capability.TORSIONAL_FRICTION: lambda: scene(cube(material=PhysicsMaterial(torsional_friction=0.02))),
+    Capability.ROLLING_FRICTION: lambda: scene(cube(material=PhysicsMaterial(rolling_friction=0.001))),
     Capability.COMPLIANT_CONTACT: lambda: scene(cube(material=PhysicsMaterial(compliance=Compliance(1e3, 10.0)))),
     Capability.MIMIC_JOINTS: lambda: scene(geared(1.0, 0.0)),
     Capability.ARMATURE: lambda: scene(rotor(armature=0.1)),
@@ -133,6 +135,13 @@ def test_what_is_not_honoured_exactly_is_reported(backend: Backend, make_engine:
             report = make_engine(SCENES[capability]()).build_report
             assert any("cube" in line.subject for line in report), capability
             assert all(line.asked and line.got and line.why for line in report)
+
+
+def test_a_material_that_asks_for_no_more_than_the_default_needs_neither_torsional_nor_rolling_friction() -> None:
+    """So that any scene may be made without a word of them, and simulates on every backend."""
+    for material in (PhysicsMaterial(), PhysicsMaterial(torsional_friction=0.0, rolling_friction=0.0)):
+        needs = required_capabilities(scene(cube(material=material)))
+        assert not {Capability.TORSIONAL_FRICTION, Capability.ROLLING_FRICTION} & needs.keys()
 
 
 def test_an_unlimited_velocity_is_reported(backend: Backend, make_engine: MakeEngine) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.scenarios import (
     contact_forces,
+    dominoes,
     drives,
     free_motion,
     friction,
@@ -37,6 +38,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     *turning_friction.SCENARIOS,
     *rolling.SCENARIOS,
     *impact.SCENARIOS,
+    *dominoes.SCENARIOS,
     *resting.SCENARIOS,
     *stacks.SCENARIOS,
     *velocities.SCENARIOS,
