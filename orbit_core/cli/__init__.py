@@ -8,6 +8,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 
+from orbit_core.cli.signals import Terminated, termination_interrupts
 from orbit_core.interfaces.errors import OrbitError, UnknownNameError
 
 COMMANDS = {
@@ -24,7 +25,10 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 2 for a user's mistake, told in one line; 130 when interrupted.
+    """Run one command and return its exit code.
+
+    It is 2 for a user's mistake, told in one line, 130 when interrupted, and 143 when ended by SIGTERM, which closes
+    everything as an interrupt does.
 
     ``--debug``, or ORBIT_DEBUG=1 in the process's environment, shows the traceback of such a mistake.
     """
@@ -32,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     debug = "--debug" in words or os.environ.get("ORBIT_DEBUG", "") not in ("", "0")
     words = [word for word in words if word != "--debug"]
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), termination_interrupts():
             if not debug:
                 warnings.showwarning = _show_warning
             return _dispatch(words)
@@ -41,6 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
+    except Terminated:
+        return 143
     except KeyboardInterrupt:
         return 130
 

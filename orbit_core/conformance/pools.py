@@ -141,6 +141,7 @@ def _begin_worker(log: str) -> None:
     # Engines may have workers of their own, which a daemon may not; nothing public takes the mark off again.
     multiprocessing.current_process()._config["daemon"] = False  # pyright: ignore[reportAttributeAccessIssue]
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends the workers
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # this way, and not the way it would be ended itself
 
 
 def _overdue(job: Job, limit: float) -> Outcome:
