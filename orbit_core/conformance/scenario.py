@@ -55,6 +55,9 @@ class Scenario:
     metrics: tuple[Metric, ...]
     run: Callable[[Trial], Mapping[str, float]]
     needs: tuple[Capability, ...] = ()
+    judges: tuple[Capability, ...] = ()
+    """What it measures: a backend that misses one of its metrics does not do these exactly. How an engine integrates
+    free motion, and whether things stay at rest, is no capability: the declared gap alone tells of it."""
     time_step: float = 0.005
     """Seconds, where the tolerances hold."""
     time_steps: tuple[float, ...] = (0.01, 0.005, 0.0025, 0.00125)

@@ -118,6 +118,7 @@ SCENARIOS = (
         truth="a plate of 2 kg on a table under 1 kg and 3 kg: 6 g, -1 g, -3 g, nothing else; their sum 2 g",
         source=_NEWTON,
         needs=(Capability.CONTACT_FORCES,),
+        judges=(Capability.CONTACT_FORCES,),
         run=_sandwich,
         metrics=(
             Metric(
@@ -143,6 +144,7 @@ SCENARIOS = (
         truth="what a slope exerts on a thing that it holds is m g upwards, normal force and friction together",
         source=_NEWTON,
         needs=(Capability.CONTACT_FORCES,),
+        judges=(Capability.CONTACT_FORCES,),
         run=_held_on_slope,
         metrics=(
             Metric(
@@ -161,6 +163,7 @@ SCENARIOS = (
         truth="sum of F dt = change of momentum; equal and opposite on the other; e of 0 and 0.7",
         source=_NEWTON,
         needs=(Capability.CONTACT_FORCES, Capability.RESTITUTION),
+        judges=(Capability.CONTACT_FORCES,),
         run=_impulses,
         metrics=(
             Metric(
@@ -193,6 +196,7 @@ SCENARIOS = (
         truth="m (dv / T + g) in every period T",
         source=_NEWTON,
         needs=(Capability.CONTACT_FORCES,),
+        judges=(Capability.CONTACT_FORCES,),
         run=_landing,
         metrics=(
             Metric(

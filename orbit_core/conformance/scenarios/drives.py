@@ -155,6 +155,7 @@ SCENARIOS = (
         question="Does the engine's PD drive answer a step as a linear second-order system does?",
         truth="I a = k (1 - q) - d v from rest, at damping ratios 0.2, 1, 3 (10 rad/s) and 0.5 (slider)",
         source=_LINEAR,
+        judges=(Capability.IMPLICIT_DRIVES,),
         run=_implicit,
         needs=(Capability.IMPLICIT_DRIVES,),
         metrics=(
@@ -207,6 +208,7 @@ SCENARIOS = (
         question="Is a drive much stiffer than the time step resolves stable, and as fast as its slow mode?",
         truth="I a = k (1 - q) - d v from rest, with d / I from 8,000 to 200,000 per second",
         source=_LINEAR,
+        judges=(Capability.IMPLICIT_DRIVES,),
         run=_stiff,
         needs=(Capability.IMPLICIT_DRIVES,),
         metrics=(
@@ -270,6 +272,7 @@ SCENARIOS = (
         question="Does a drive hold a speed against a load, and follow a ramp without lag?",
         truth="v = v* + tau / d; q = v* t with both targets moving",
         source=_LINEAR,
+        judges=(Capability.IMPLICIT_DRIVES,),
         run=_tracking,
         needs=(Capability.IMPLICIT_DRIVES,),
         metrics=(

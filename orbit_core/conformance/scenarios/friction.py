@@ -181,6 +181,7 @@ SCENARIOS = (
         question="Do things of every shape hold on a slope up to the angle of friction, and slide beyond it?",
         truth="at rest at tan(angle) = 0.95 mu; acceleration g (sin - mu cos) at 1.2 mu; mu of 0.3 and 0.8",
         source=_COULOMB,
+        judges=(Capability.FRICTION,),
         run=_stick_and_slip,
         metrics=(
             Metric(name="creep", unit="m/s", tolerance=1e-3, meaning="largest speed of a thing that should hold"),
@@ -199,6 +200,7 @@ SCENARIOS = (
         question="How far do things of every shape slide that were pushed off, in three directions?",
         truth="v^2 / (2 mu g), v = 2 m/s, mu of 0.3 and 0.8",
         source=_COULOMB,
+        judges=(Capability.FRICTION,),
         run=_stopping_distance,
         metrics=(
             Metric(
@@ -217,6 +219,7 @@ SCENARIOS = (
         truth="at rest, and g (sin - mu cos): tan(angle) = 0.45 between 0.6 (static) and 0.3 (dynamic)",
         source=_COULOMB,
         needs=(Capability.STATIC_FRICTION,),
+        judges=(Capability.STATIC_FRICTION,),
         run=_static_above_dynamic,
         metrics=(
             Metric(name="slip", unit="m", tolerance=1e-3, meaning="largest way, in 0.5 s, of a thing left at rest"),
@@ -235,6 +238,7 @@ SCENARIOS = (
         question="Does a ball roll down a slope below tan(angle) = 7/2 mu, and slip beyond?",
         truth="rolling a = r alpha = 5/7 g sin; slipping a = g (sin - mu cos), r alpha = 5/2 mu g cos; mu = 0.3",
         source=_ROLLING,
+        judges=(Capability.FRICTION,),
         run=_ball_on_slope,
         metrics=(
             Metric(
@@ -259,6 +263,7 @@ SCENARIOS = (
         question="Does a ball that is set sliding come to roll at 5/7 of its speed?",
         truth="v = v0 - mu g t until it is 5/7 v0, then constant; v0 = 2 m/s, mu = 0.3",
         source=_ROLLING,
+        judges=(Capability.FRICTION,),
         run=_sliding_to_rolling,
         metrics=(
             Metric(
@@ -284,6 +289,7 @@ SCENARIOS = (
         truth="d(omega)/dt = -mu m g / I, mu = 5 mm",
         source="Johnson, Contact Mechanics, section 8.4 (spin), with the law of PhysicsMaterial",
         needs=(Capability.TORSIONAL_FRICTION,),
+        judges=(Capability.TORSIONAL_FRICTION,),
         run=_torsional,
         metrics=(Metric(name="deceleration", unit="", tolerance=1.5e-3, meaning="relative error"),),
     ),
@@ -294,6 +300,7 @@ SCENARIOS = (
         truth="dv/dt = -5/7 mu g / r, mu = 1 mm",
         source="Johnson, Contact Mechanics, section 8.3 (rolling), with the law of PhysicsMaterial",
         needs=(Capability.ROLLING_FRICTION,),
+        judges=(Capability.ROLLING_FRICTION,),
         run=_rolling_resistance,
         metrics=(Metric(name="deceleration", unit="", tolerance=0.01, meaning="relative error"),),
     ),

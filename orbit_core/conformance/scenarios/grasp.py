@@ -11,6 +11,7 @@ from torch import Tensor
 from orbit_core.conformance.bodies import G, scene
 from orbit_core.conformance.contact import SMOOTH_GROUND, block, smooth_material
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
+from orbit_core.interfaces import Capability
 from orbit_core.scene import (
     Articulation,
     Box,
@@ -111,6 +112,7 @@ SCENARIOS = (
         question="Do two fingers hold a box by friction up to the weight that Coulomb's law allows, and no further?",
         truth="it holds while m g < 2 mu F; mu = 0.5, m = 1 kg",
         source="Murray, Li and Sastry, A Mathematical Introduction to Robotic Manipulation, section 5.2",
+        judges=(Capability.FRICTION,),
         run=_grasp,
         metrics=(
             Metric(

@@ -163,6 +163,7 @@ def _scenario(
         "Geometry, 2nd ed., section 6.1",
         run=run,
         needs=needs,
+        judges=needs,
         time_steps=(),
         metrics=metrics,
     )

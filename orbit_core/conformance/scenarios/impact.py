@@ -121,6 +121,7 @@ SCENARIOS = (
         truth="h' = e^2 h",
         source="Goldsmith, Impact, 1960, section 1.2 (Newton's coefficient of restitution)",
         needs=(Capability.RESTITUTION,),
+        judges=(Capability.RESTITUTION,),
         run=_bounce,
         metrics=(
             Metric(name="ball", unit="", tolerance=0.03, meaning="largest |h'/h - e^2| over drops and e, of a ball"),
@@ -134,6 +135,7 @@ SCENARIOS = (
         truth="parabolas, each starting at e times the speed of the impact before",
         source="Stronge, Impact Mechanics, 2nd ed., section 1.4",
         needs=(Capability.RESTITUTION,),
+        judges=(Capability.RESTITUTION,),
         run=_bouncing_on,
         metrics=(
             Metric(
@@ -151,6 +153,7 @@ SCENARIOS = (
         truth="momentum and energy are kept; all rest but the last",
         source="Goldstein, Classical Mechanics, 3rd ed., section 3.11, for each pair in turn",
         needs=(Capability.RESTITUTION,),
+        judges=(Capability.RESTITUTION,),
         run=_chain,
         metrics=(
             Metric(
@@ -190,6 +193,7 @@ SCENARIOS = (
         truth="v1 = (m1 - e m2) v / (m1 + m2), v2 = (1 + e) m1 v / (m1 + m2), e = 0.5, m2 / m1 of 0.1, 3 and 30",
         source="Stronge, Impact Mechanics, 2nd ed., section 1.4",
         needs=(Capability.RESTITUTION,),
+        judges=(Capability.RESTITUTION,),
         run=_unequal,
         metrics=(
             Metric(

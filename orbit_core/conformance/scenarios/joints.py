@@ -234,6 +234,7 @@ SCENARIOS = (
         question="Does the inertia of a geared motor act on its joint, and on it alone?",
         truth="omega = tau t / (I + armature); in a chain, armature on the diagonal of the joint-space inertia",
         source="Featherstone, Rigid Body Dynamics Algorithms, 2008, section 9.6",
+        judges=(Capability.ARMATURE,),
         run=_reflected_inertia,
         metrics=(
             Metric(
@@ -254,6 +255,7 @@ SCENARIOS = (
         question="Does a damped joint lose its speed exponentially, however strong the damper?",
         truth="v = v0 exp(-d t / I)",
         source="Landau and Lifshitz, Mechanics, 3rd ed., section 25",
+        judges=(Capability.JOINT_DAMPING,),
         run=_damping,
         metrics=(
             Metric(
@@ -278,6 +280,7 @@ SCENARIOS = (
         question="Does Coulomb friction in a joint slow it evenly, hold it, and let a stronger push through?",
         truth="v = v0 - f t / I until rest; rest below f; v = (tau - f) t / I above; v = v* - f / d under a drive",
         source="Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30(7), 1994, section 2.1",
+        judges=(Capability.JOINT_FRICTION,),
         run=_friction,
         needs=(Capability.JOINT_FRICTION,),
         metrics=(
@@ -317,6 +320,7 @@ SCENARIOS = (
         question="Does a joint's effort limit bound the sum of command and drive?",
         truth="omega = limit t / I, whatever is asked",
         source=_HAND,
+        judges=(Capability.EFFORT_LIMITS,),
         run=_effort_limits,
         needs=(Capability.EFFORT_LIMITS,),
         metrics=(
@@ -342,6 +346,7 @@ SCENARIOS = (
         question="Does a joint stop gaining speed at its velocity limit?",
         truth="omega = min(limit, tau t / I)",
         source=_HAND,
+        judges=(Capability.VELOCITY_LIMITS,),
         run=_velocity_limits,
         needs=(Capability.VELOCITY_LIMITS,),
         metrics=(

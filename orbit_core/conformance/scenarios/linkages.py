@@ -188,6 +188,7 @@ SCENARIOS = (
         question="Does a mimic joint follow its leader and load it with its inertia?",
         truth="q2 = m q1 + c; (I1 + m^2 I2) a1 = tau, with m + 1 for m where the follower hangs on its leader",
         source="Landau and Lifshitz, Mechanics, 3rd ed., sections 2 and 38 (holonomic constraints)",
+        judges=(Capability.MIMIC_JOINTS,),
         run=_mimic,
         metrics=(
             Metric(
@@ -213,6 +214,7 @@ SCENARIOS = (
         question="Does a loop stay closed, and move as its geometry and its inertia say?",
         truth="Freudenstein's equation for a crank and rocker; a parallelogram swings as a pendulum",
         source="Freudenstein, Transactions of the ASME 77, 1955, p. 853; Norton, Design of Machinery, section 4.5",
+        judges=(Capability.LOOP_JOINTS,),
         run=_four_bar_linkage,
         needs=(Capability.LOOP_JOINTS,),
         metrics=(

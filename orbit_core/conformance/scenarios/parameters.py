@@ -122,6 +122,7 @@ SCENARIOS = (
         question="Does a heavier body accelerate less?",
         truth="v = F t / m, and as much of its spin, its inertia growing with its mass",
         source=_NEWTON,
+        judges=(Capability.RANDOMIZE_MASS,),
         run=_mass,
         needs=(Capability.RANDOMIZE_MASS, Capability.EXTERNAL_WRENCHES),
         metrics=(
@@ -147,6 +148,7 @@ SCENARIOS = (
         question="Does a rougher body slide less far?",
         truth="v^2 / (2 mu g)",
         source="Beer and Johnston, Vector Mechanics for Engineers: Statics, 12th ed., section 8.1",
+        judges=(Capability.RANDOMIZE_FRICTION,),
         run=_friction,
         needs=(Capability.RANDOMIZE_FRICTION,),
         metrics=(
@@ -161,6 +163,7 @@ SCENARIOS = (
         question="Does a stiffer drive give way less?",
         truth="q = tau / k",
         source="Ogata, Modern Control Engineering, 5th ed., section 5.3",
+        judges=(Capability.RANDOMIZE_GAINS,),
         run=_gains,
         needs=(Capability.RANDOMIZE_GAINS, Capability.IMPLICIT_DRIVES),
         metrics=(
@@ -179,6 +182,7 @@ SCENARIOS = (
         question="Do things fall faster under more gravity, and where it points?",
         truth="v = g t",
         source=_NEWTON,
+        judges=(Capability.RANDOMIZE_GRAVITY,),
         run=_gravity,
         needs=(Capability.RANDOMIZE_GRAVITY,),
         metrics=(
@@ -197,6 +201,7 @@ SCENARIOS = (
         question="Does a shifted centre of mass turn a wheel and tip a box?",
         truth="k q = m g r cos(q) for the wheel; a box tips once its centre is beyond its edge",
         source="Beer and Johnston, Vector Mechanics for Engineers: Statics, 12th ed., chapter 4",
+        judges=(Capability.RANDOMIZE_CENTER_OF_MASS,),
         run=_center_of_mass,
         needs=(Capability.RANDOMIZE_CENTER_OF_MASS, Capability.IMPLICIT_DRIVES),
         metrics=(

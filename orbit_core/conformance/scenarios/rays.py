@@ -133,6 +133,7 @@ def _on_height_fields(trial: Trial) -> Mapping[str, float]:
 def _scenario(
     name: str, question: str, run: Callable[[Trial], Mapping[str, float]], need: Capability | None
 ) -> Scenario:
+    judged = (Capability.RAY_CASTS, *((need,) if need else ()))
     return Scenario(
         name=name,
         group="Sensors",
@@ -141,7 +142,8 @@ def _scenario(
         source="Ericson, Real-Time Collision Detection (2005), section 5.3; Moeller and Trumbore, Fast, minimum "
         "storage ray/triangle intersection, J. Graphics Tools 2 (1997)",
         run=run,
-        needs=(Capability.RAY_CASTS, *((need,) if need else ())),
+        needs=judged,
+        judges=judged,
         time_steps=(),
         metrics=(
             Metric(

@@ -123,6 +123,7 @@ def _scenario(
         truth=truth,
         source="equality",
         run=run,
+        judges=(need,),
         needs=(need, Capability.IMPLICIT_DRIVES, *contacts),
         time_steps=(),
         metrics=(
