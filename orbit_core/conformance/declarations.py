@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from orbit_core.conformance.scenarios import SCENARIOS
-from orbit_core.interfaces import Backend, ConfigurationError, Gap, UnknownNameError
+from orbit_core.interfaces import Backend, ConfigurationError, Gap, Level, UnknownNameError
 
 
-def check_gaps(backend: Backend) -> None:
-    """Refuse declared gaps that nothing would ever be held against.
+def check_declarations(backend: Backend) -> None:
+    """Refuse declared gaps that nothing would ever be held against, and capabilities that they contradict.
 
     Raises:
         UnknownNameError: a gap names no scenario, or no metric of its scenario; tells the nearest.
-        ConfigurationError: two gaps are of one metric, one has no reason, or a limit is no more than the tolerance.
+        ConfigurationError: two gaps are of one metric, one has no reason, a limit is no more than the tolerance, or
+            what a gap's scenario measures is declared exact.
     """
     scenarios = {scenario.name: scenario for scenario in SCENARIOS}
     seen: set[tuple[str, str]] = set()
@@ -26,6 +27,12 @@ def check_gaps(backend: Backend) -> None:
             raise ConfigurationError(f"{where} name metric '{gap.metric}' of '{gap.scenario}' twice: keep one")
         seen.add((gap.scenario, gap.metric))
         _check_limit(gap, metrics[gap.metric].tolerance, where)
+        for capability in scenarios[gap.scenario].judges:
+            if backend.capabilities()[capability].level is Level.EXACT:
+                raise ConfigurationError(
+                    f"backend '{backend.name}' declares {capability.value} exact, and metric '{gap.metric}' of "
+                    f"'{gap.scenario}', which measures that, a gap: declare it approximate, with how it differs"
+                )
 
 
 def _check_limit(gap: Gap, tolerance: float, where: str) -> None:

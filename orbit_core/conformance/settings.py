@@ -9,7 +9,7 @@ from typing import Any
 
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_config, backend_names
-from orbit_core.conformance.declarations import check_gaps
+from orbit_core.conformance.declarations import check_declarations
 from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.conformance.transfer import learned
@@ -114,7 +114,7 @@ def choose(
     chosen = tuple(Part(name) for name in _known("part", parts, [part.value for part in Part])) if parts else implied
     backends = _known("backend", backends, installed)
     for name in backends:
-        check_gaps(find_backend(name))
+        check_declarations(find_backend(name))
     for name, values in (backend_settings or {}).items():
         backend_config(find_backend(*_known("backend", (name,), backends)), values)
     return Settings(

@@ -12,10 +12,20 @@ import pytest
 from orbit_core import backends
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
-from orbit_core.conformance.declarations import check_gaps
+from orbit_core.conformance.declarations import check_declarations
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
 from orbit_core.conformance.verdict import Status, judge, run_scenario
-from orbit_core.interfaces import Backend, Capabilities, Engine, Gap, OrbitError
+from orbit_core.interfaces import (
+    EXACT,
+    Backend,
+    Capabilities,
+    Capability,
+    ConfigurationError,
+    Engine,
+    Gap,
+    OrbitError,
+    Support,
+)
 
 
 class Declaring(Backend):
@@ -26,9 +36,10 @@ class Declaring(Backend):
 
     def __init__(self, *gaps: Gap) -> None:
         self._gaps = gaps
+        self.declared: dict[Capability, Support] = {}
 
     def capabilities(self) -> Capabilities:
-        return Capabilities({})
+        return Capabilities(self.declared)
 
     def gaps(self) -> tuple[Gap, ...]:
         return self._gaps
@@ -37,8 +48,8 @@ class Declaring(Backend):
         raise NotImplementedError
 
 
-def test_every_installed_backends_gaps_can_be_held(backend: Backend) -> None:
-    check_gaps(backend)
+def test_every_installed_backends_declarations_can_be_true(backend: Backend) -> None:
+    check_declarations(backend)
 
 
 def of_energy(limit: float = 9.0, reason: str = "why", scenario: str = "pendulum", metric: str = "energy") -> Gap:
@@ -58,7 +69,16 @@ def of_energy(limit: float = 9.0, reason: str = "why", scenario: str = "pendulum
 )
 def test_a_gap_that_nothing_is_held_against_is_an_error(gaps: tuple[Gap, ...], complaint: str) -> None:
     with pytest.raises(OrbitError, match=complaint):
-        check_gaps(Declaring(*gaps))
+        check_declarations(Declaring(*gaps))
+
+
+def test_what_is_declared_exact_is_measured_without_a_gap() -> None:
+    gap = Gap("joint_damping", "decay", 9.0, "why")
+    check_declarations(Declaring(gap))
+    monkeyed = Declaring(gap)
+    monkeyed.declared = {Capability.JOINT_DAMPING: EXACT}
+    with pytest.raises(ConfigurationError, match="declares joint damping exact, and metric 'decay' of 'joint_damping'"):
+        check_declarations(monkeyed)
 
 
 def test_a_run_tells_of_it_before_it_begins(

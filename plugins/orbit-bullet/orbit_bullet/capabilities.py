@@ -6,7 +6,10 @@ CAPABILITIES = Capabilities(
     {
         Capability.ARTICULATIONS: EXACT,
         Capability.FLOATING_BASE: EXACT,
-        Capability.IMPLICIT_DRIVES: EXACT,
+        Capability.IMPLICIT_DRIVES: approximate(
+            "drives take both spring and damper at the end of the step (backward Euler), which is stable at any gain "
+            "and damps in first order"
+        ),
         Capability.EFFORT_LIMITS: EXACT,
         Capability.VELOCITY_LIMITS: unsupported("Bullet does not limit the velocity of single joints"),
         Capability.JOINT_DAMPING: EXACT,
@@ -27,7 +30,7 @@ CAPABILITIES = Capabilities(
             "Bullet multiplies the values of a pair, as with friction; impacts below a threshold do not rebound"
         ),
         Capability.COMPLIANT_CONTACT: approximate("stiffness and damping act at each contact point"),
-        Capability.CONVEX_MESHES: EXACT,
+        Capability.CONVEX_MESHES: approximate("a hull's edges are rounded by its margin of 1 mm"),
         Capability.TRIANGLE_MESHES: EXACT,
         Capability.DYNAMIC_TRIANGLE_MESHES: unsupported(
             "Bullet collides triangle meshes that stand still: split the mesh into convex pieces"
@@ -36,7 +39,9 @@ CAPABILITIES = Capabilities(
         Capability.CONTACT_FORCES: EXACT,
         Capability.JOINT_WRENCHES: EXACT,
         Capability.EXTERNAL_WRENCHES: EXACT,
-        Capability.RAY_CASTS: EXACT,
+        Capability.RAY_CASTS: approximate(
+            "Bullet's search for where a ray meets a convex shape ends some millimetres off the surface"
+        ),
         Capability.RANDOMIZE_MASS: EXACT,
         Capability.RANDOMIZE_CENTER_OF_MASS: unsupported("Bullet fixes a link's centre of mass when it loads it"),
         Capability.RANDOMIZE_FRICTION: approximate("Bullet multiplies the coefficients of a pair, as said of friction"),

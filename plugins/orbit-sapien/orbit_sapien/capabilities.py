@@ -66,9 +66,11 @@ CAPABILITIES = Capabilities(
         ),
         Capability.HEIGHT_FIELDS: EXACT,
         Capability.CONTACT_FORCES: approximate("normal forces alone: PhysX does not tell those of friction"),
-        Capability.JOINT_WRENCHES: EXACT,
+        Capability.JOINT_WRENCHES: approximate(
+            "PhysX's joint force is of the beginning of a step, in axes that have turned by omega dt at its end"
+        ),
         Capability.EXTERNAL_WRENCHES: EXACT,
-        Capability.RAY_CASTS: EXACT,
+        Capability.RAY_CASTS: approximate("PhysX has no cylinders: SAPIEN's are prisms of 32 sides"),
         Capability.RANDOMIZE_MASS: EXACT,
         Capability.RANDOMIZE_CENTER_OF_MASS: EXACT,
         Capability.RANDOMIZE_FRICTION: approximate("averages of a pair's coefficients, as for friction"),

@@ -7,6 +7,11 @@ from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, 
 _NO_IMAGES = "Newton's ray tracer is not connected to this backend: choose another renderer"
 _NO_RAYS = "Newton's ray casts are not connected to this backend"
 _NO_DEFORMABLES = "Newton's deformables are not connected to this backend"
+_ROUNDED = "rounding in single precision adds up over the solver's steps in each physics step: 3e-5 of a force"
+_FOUND = (
+    "contacts are found once in a physics step and stay in place within it: rolling balls gain or lose by per cents"
+)
+_SHARES = "each sweep applies its share of a drive, and the shares do not add up to the whole: responses are 1 % off"
 _ORDER = "bit for bit on a CPU; on a GPU contacts are found in any order, and sums run in any"
 
 _COMMON = {
@@ -22,11 +27,8 @@ _COMMON = {
     Capability.HEIGHT_FIELDS: EXACT,
     Capability.EXTERNAL_WRENCHES: EXACT,
     Capability.RAY_CASTS: unsupported(_NO_RAYS),
-    Capability.RANDOMIZE_MASS: EXACT,
-    Capability.RANDOMIZE_CENTER_OF_MASS: EXACT,
     Capability.RANDOMIZE_FRICTION: EXACT,
     Capability.RANDOMIZE_GAINS: EXACT,
-    Capability.RANDOMIZE_GRAVITY: EXACT,
     Capability.SNAPSHOTS: EXACT,
     Capability.DETERMINISTIC: approximate(_ORDER),
     Capability.RGB: unsupported(_NO_IMAGES),
@@ -46,33 +48,36 @@ FEATHERSTONE = Capabilities(
     _COMMON
     | {
         Capability.IMPLICIT_DRIVES: EXACT,
-        Capability.EFFORT_LIMITS: EXACT,
+        Capability.EFFORT_LIMITS: approximate(_ROUNDED),
         Capability.JOINT_DAMPING: EXACT,
         Capability.JOINT_FRICTION: approximate(
             "friction is viscous below 0.005 rad/s (m/s): a held joint creeps so fast"
         ),
-        Capability.ARMATURE: EXACT,
+        Capability.ARMATURE: approximate(_ROUNDED),
         Capability.MIMIC_JOINTS: EXACT,
         Capability.FRICTION: approximate(
             "friction grows with the speed of slip: a held contact creeps, by up to 2 cm/s near the limit"
         ),
         Capability.TORSIONAL_FRICTION: EXACT,
-        Capability.ROLLING_FRICTION: EXACT,
+        Capability.ROLLING_FRICTION: approximate(_FOUND),
         Capability.RESTITUTION: approximate("contacts are spring-dampers tuned to the rebound"),
         Capability.COMPLIANT_CONTACT: approximate(
             "the stiffness is shared evenly by the contacts of a body, and no larger than the step resolves"
         ),
-        Capability.CONTACT_FORCES: EXACT,
+        Capability.CONTACT_FORCES: approximate(
+            "friction grows with the speed of slip, so that the forces on what is held are half a per cent off"
+        ),
         Capability.JOINT_WRENCHES: approximate("of statics: what accelerates the links is left out"),
+        Capability.RANDOMIZE_MASS: approximate(_ROUNDED),
+        Capability.RANDOMIZE_CENTER_OF_MASS: EXACT,
+        Capability.RANDOMIZE_GRAVITY: approximate(_ROUNDED),
     }
 )
 
 XPBD = Capabilities(
     _COMMON
     | {
-        Capability.IMPLICIT_DRIVES: approximate(
-            "each sweep applies its share of a drive, and the shares do not add up to the whole: responses are 1 % off"
-        ),
+        Capability.IMPLICIT_DRIVES: approximate(_SHARES),
         Capability.EFFORT_LIMITS: approximate("judged where a physics step begins"),
         Capability.JOINT_DAMPING: EXACT,
         Capability.JOINT_FRICTION: approximate(
@@ -82,10 +87,12 @@ XPBD = Capabilities(
             "inertia of the driven link, about every axis and against the world; none of sliding joints"
         ),
         Capability.MIMIC_JOINTS: EXACT,
-        Capability.FRICTION: EXACT,
+        Capability.FRICTION: approximate(
+            f"{_FOUND}; sweeps pass on too little of light fingers' force to hold a heavy box"
+        ),
         Capability.TORSIONAL_FRICTION: EXACT,
         Capability.ROLLING_FRICTION: EXACT,
-        Capability.RESTITUTION: EXACT,
+        Capability.RESTITUTION: approximate("velocities are differences of positions in single precision: 5e-6 off"),
         Capability.COMPLIANT_CONTACT: unsupported("XPBD's contacts are rigid"),
         Capability.CONTACT_FORCES: approximate(
             "what the sweeps applied: up to a quarter off between things that lie on each other, and without rebounds"
@@ -93,5 +100,8 @@ XPBD = Capabilities(
         Capability.JOINT_WRENCHES: unsupported(
             "what the sweeps applied is 0.7 % off a hanging link's weight at steps of 5 ms"
         ),
+        Capability.RANDOMIZE_MASS: EXACT,
+        Capability.RANDOMIZE_CENTER_OF_MASS: approximate(_SHARES),
+        Capability.RANDOMIZE_GRAVITY: EXACT,
     }
 )
