@@ -1,8 +1,9 @@
-"""Fills in the parts of the documentation that come from the code: the capability table, and quoted files.
+"""Fills in the parts of the documentation that come from the code and the committed report: tables and quoted files.
 
     python tools/readme_tables.py          rewrite the README and the pages of docs/
 
-A part stands between ``<!-- capabilities -->``, ``<!-- reasons -->`` or ``<!-- file: PATH -->`` and ``<!-- end -->``.
+A part stands between ``<!-- capabilities -->``, ``<!-- declarations -->`` or ``<!-- file: PATH -->``, and
+``<!-- end -->``.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ import tomllib
 from pathlib import Path
 
 from orbit_core.backends import backend
+from orbit_core.conformance.report.declared import declarations_of
 from orbit_core.interfaces import Capability, Level
 
 ROOT = Path(__file__).parents[1]
 _PART = re.compile(
-    r"(?P<start><!-- (?P<kind>capabilities|reasons|file: (?P<path>\S+)) -->\n).*?(?P<end><!-- end -->)", re.DOTALL
+    r"(?P<start><!-- (?P<kind>capabilities|declarations|file: (?P<path>\S+)) -->\n).*?(?P<end><!-- end -->)", re.DOTALL
 )
 
 
@@ -32,7 +34,7 @@ def updated(text: str) -> str:
         if match["path"]:
             content = quoted_file(match["path"])
         else:
-            content = capability_table() if match["kind"] == "capabilities" else capability_reasons()
+            content = capability_table() if match["kind"] == "capabilities" else declarations()
         return match["start"] + content + match["end"]
 
     return _PART.sub(part, text)
@@ -59,24 +61,18 @@ def capability_table() -> str:
     return "\n".join(rows) + "\n"
 
 
-def quoted_file(path: str) -> str:
-    """A Python file of the repository as a block of code."""
-    return f"```python\n{(ROOT / path).read_text(encoding='utf-8')}```\n"
-
-
-def capability_reasons() -> str:
-    """For each offered backend, what it does only approximately or not at all, and why.
+def declarations() -> str:
+    """What each offered backend declares, with what the committed report measured.
 
     Raises:
         BackendNotInstalledError: one is not installed.
     """
-    sections: list[str] = []
-    for name in offered_backends():
-        capabilities = backend(name).capabilities()
-        short = [c for c in Capability if capabilities[c].level is not Level.EXACT]
-        lines = [f"| {c.value} | {_WORDS[capabilities[c].level]} | {capabilities[c].reason} |" for c in short]
-        sections.append("\n".join((f"## {name}\n", "| capability | | why |", "|---|---|---|", *lines)))
-    return "\n\n".join(sections) + "\n"
+    return declarations_of(offered_backends(), ROOT / "docs" / "conformance")
+
+
+def quoted_file(path: str) -> str:
+    """A Python file of the repository as a block of code."""
+    return f"```python\n{(ROOT / path).read_text(encoding='utf-8')}```\n"
 
 
 _WORDS = {Level.EXACT: "yes", Level.APPROXIMATE: "approximate", Level.UNSUPPORTED: "**no**"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from orbit_core.conformance.scenarios import SCENARIOS
+from orbit_core.conformance.verdict import lacking
 from orbit_core.interfaces import Backend, ConfigurationError, Gap, Level, UnknownNameError
 
 
@@ -11,8 +12,8 @@ def check_declarations(backend: Backend) -> None:
 
     Raises:
         UnknownNameError: a gap names no scenario, or no metric of its scenario; tells the nearest.
-        ConfigurationError: two gaps are of one metric, one has no reason, a limit is no more than the tolerance, or
-            what a gap's scenario measures is declared exact.
+        ConfigurationError: two gaps are of one metric, one has no reason, a limit is no more than the tolerance, the
+            backend lacks what a gap's scenario needs, or what that scenario measures is declared exact.
     """
     scenarios = {scenario.name: scenario for scenario in SCENARIOS}
     seen: set[tuple[str, str]] = set()
@@ -27,10 +28,12 @@ def check_declarations(backend: Backend) -> None:
             raise ConfigurationError(f"{where} name metric '{gap.metric}' of '{gap.scenario}' twice: keep one")
         seen.add((gap.scenario, gap.metric))
         _check_limit(gap, metrics[gap.metric].tolerance, where)
+        if reason := lacking(backend, scenarios[gap.scenario]):
+            raise ConfigurationError(f"{where} name scenario '{gap.scenario}', which does not run on it: {reason}")
         for capability in scenarios[gap.scenario].judges:
             if backend.capabilities()[capability].level is Level.EXACT:
                 raise ConfigurationError(
-                    f"backend '{backend.name}' declares {capability.value} exact, and metric '{gap.metric}' of "
+                    f"backend '{backend.name}' declares '{capability.value}' exact, and metric '{gap.metric}' of "
                     f"'{gap.scenario}', which measures that, a gap: declare it approximate, with how it differs"
                 )
 

@@ -13,6 +13,8 @@ from orbit_core import backends
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
 from orbit_core.conformance.declarations import check_declarations
+from orbit_core.conformance.report.declared import declarations_of
+from orbit_core.conformance.results import load
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
 from orbit_core.conformance.verdict import Status, judge, run_scenario
 from orbit_core.interfaces import (
@@ -25,7 +27,10 @@ from orbit_core.interfaces import (
     Gap,
     OrbitError,
     Support,
+    approximate,
 )
+
+REPORT = Path(__file__).parents[2] / "docs" / "conformance"
 
 
 class Declaring(Backend):
@@ -73,12 +78,47 @@ def test_a_gap_that_nothing_is_held_against_is_an_error(gaps: tuple[Gap, ...], c
 
 
 def test_what_is_declared_exact_is_measured_without_a_gap() -> None:
-    gap = Gap("joint_damping", "decay", 9.0, "why")
-    check_declarations(Declaring(gap))
-    monkeyed = Declaring(gap)
-    monkeyed.declared = {Capability.JOINT_DAMPING: EXACT}
-    with pytest.raises(ConfigurationError, match="declares joint damping exact, and metric 'decay' of 'joint_damping'"):
-        check_declarations(monkeyed)
+    backend = Declaring(Gap("joint_friction", "creep", 9.0, "why"))
+    backend.declared = {Capability.JOINT_FRICTION: approximate("it creeps")}
+    check_declarations(backend)
+    backend.declared = {Capability.JOINT_FRICTION: EXACT}
+    complaint = (
+        "declares joint Coulomb friction exact, and metric 'creep' of 'joint_friction', which measures that, a gap"
+    )
+    with pytest.raises(ConfigurationError, match=complaint):
+        check_declarations(backend)
+
+
+def test_a_gap_of_a_scenario_that_does_not_run_is_an_error() -> None:
+    backend = Declaring(Gap("joint_friction", "creep", 9.0, "why"))
+    with pytest.raises(
+        ConfigurationError, match="'joint_friction', which does not run on it: no joint Coulomb friction"
+    ):
+        check_declarations(backend)
+
+
+def test_the_page_of_backends_tells_measures_and_what_is_no_longer_declared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside each declared gap stands what the committed report has; without the gap, that measure is told apart."""
+    result = load(REPORT)
+    name, gap = next(
+        (info.name, gap)
+        for info in result.header.backends
+        for gap in backends.backend(info.name).gaps()
+        if {(old.scenario, old.metric) for old in info.gaps} >= {(gap.scenario, gap.metric)}
+    )
+    plugin = backends.backend(name)
+    record = next(r for r in result.scenario_records(gap.scenario, name) if r.status is Status.GAP)
+    assert record.scenario is not None
+    measured = f"{record.scenario.errors[gap.metric]:.2g}"
+    page = declarations_of([name], REPORT)
+    (row,) = (line for line in page.splitlines() if line.startswith(f"| {gap.scenario} | {gap.metric} |"))
+    assert row.split(" | ")[3] == measured
+    assert gap.reason in row
+    apart = f"{name} {gap.scenario} {gap.metric} ({measured})"
+    assert apart not in page
+    kept = tuple(other for other in plugin.gaps() if other != gap)
+    monkeypatch.setattr(type(plugin), "gaps", lambda self: kept)
+    assert apart in declarations_of([name], REPORT)
 
 
 def test_a_run_tells_of_it_before_it_begins(
