@@ -82,18 +82,14 @@ def test_what_is_declared_exact_is_measured_without_a_gap() -> None:
     backend.declared = {Capability.JOINT_FRICTION: approximate("it creeps")}
     check_declarations(backend)
     backend.declared = {Capability.JOINT_FRICTION: EXACT}
-    complaint = (
-        "declares joint Coulomb friction exact, and metric 'creep' of 'joint_friction', which measures that, a gap"
-    )
+    complaint = "declares 'joint Coulomb friction' exact, and metric 'creep' of 'joint_friction', which measures that"
     with pytest.raises(ConfigurationError, match=complaint):
         check_declarations(backend)
 
 
 def test_a_gap_of_a_scenario_that_does_not_run_is_an_error() -> None:
     backend = Declaring(Gap("joint_friction", "creep", 9.0, "why"))
-    with pytest.raises(
-        ConfigurationError, match="'joint_friction', which does not run on it: no joint Coulomb friction"
-    ):
+    with pytest.raises(ConfigurationError, match="'joint_friction', which does not run on it: no joint"):
         check_declarations(backend)
 
 

@@ -241,6 +241,7 @@ SCENARIOS = (
         question="Is a drive bounded and settled whatever its natural frequency and damping are to the time step?",
         truth="I a = k (1 - q) - d v from rest; frequency x step of 0.3 to 10, damping ratios of 0.1 to 2",
         source=_LINEAR,
+        judges=(Capability.IMPLICIT_DRIVES,),
         run=_frequencies,
         needs=(Capability.IMPLICIT_DRIVES,),
         metrics=(

@@ -192,6 +192,7 @@ SCENARIOS = (
         truth="I d(omega)/dt = -mu m g on the top of a dome, mu = 20 mm",
         source=_LAW,
         needs=(Capability.TORSIONAL_FRICTION,),
+        judges=(Capability.TORSIONAL_FRICTION,),
         run=_spinning_on_domes,
         metrics=tuple(
             Metric(
@@ -211,6 +212,7 @@ SCENARIOS = (
         truth="a = mu g r / (r^2 + I / m), mu = 5 mm",
         source=_LAW,
         needs=(Capability.ROLLING_FRICTION,),
+        judges=(Capability.ROLLING_FRICTION,),
         run=_rolling_out,
         metrics=tuple(
             Metric(
@@ -230,6 +232,7 @@ SCENARIOS = (
         truth="it holds while m g l < 2 mu F, mu = 5 mm, and turns as I a = m g l cos - 2 mu F beyond",
         source=_LAW,
         needs=(Capability.TORSIONAL_FRICTION, Capability.IMPLICIT_DRIVES),
+        judges=(Capability.TORSIONAL_FRICTION,),
         run=_torsional_grip,
         metrics=(
             Metric(
@@ -265,6 +268,7 @@ SCENARIOS = (
         question="Does a box that turns flat on the ground, on the spot or sliding, come as far whatever its heading?",
         truth="five headings, from along an axis of the world to across it, turn and slide alike",
         source="Goyal, Ruina and Papadopoulos, Wear 143, 1991, p. 307: planar sliding with dry friction is isotropic",
+        judges=(Capability.FRICTION,),
         run=_spin_down,
         metrics=(
             Metric(
