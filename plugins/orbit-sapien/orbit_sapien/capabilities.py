@@ -78,8 +78,8 @@ CAPABILITIES = Capabilities(
         Capability.RANDOMIZE_GRAVITY: EXACT,
         Capability.SHAPES_PER_ENVIRONMENT: unsupported("this backend builds every environment alike"),
         Capability.SNAPSHOTS: approximate(
-            "loading drops what PhysX remembers of contacts: a loaded run repeats every other load bit for bit, and parts "
-            "from the one that was saved by some 1e-6 m where bodies touch, and by what chaos makes of it"
+            "loading drops what PhysX remembers of contacts: all loads of a state go on alike bit for bit, and part "
+            "from the run that was saved by some 1e-6 m where bodies touch, and by what chaos makes of it"
         ),
         Capability.DETERMINISTIC: approximate(
             "a run repeats bit for bit with the same number of environments; with another, PhysX's TGS solver sums "

@@ -51,8 +51,8 @@ _SENSORS = (
     ),
     Gap(
         "snapshot", "difference", 0.5,
-        "loading drops what PhysX remembers of contacts, which it does not give away: the first difference is of 1e-6 m, "
-        "and a strike later of 0.05 m/s",
+        "loading drops what PhysX remembers of contacts, which it does not give away: the first difference is of 1e-6 "
+        "m, and a strike later of 0.05 m/s",
     ),
 )  # fmt: skip
 
