@@ -37,6 +37,9 @@ class Snapshot:
 
     packed: bytes
     fixed_poses: Tensor
+    before: Tensor
+    moved: Tensor
+    """What :class:`State` tells velocities by, beside ``packed``."""
     parameters: dict[str, npt.NDArray]
     gains: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
     tensors: tuple[Tensor, ...]
@@ -72,7 +75,9 @@ class SapienEngine(Engine):
         self._drives.send(commands)
         if self._contacts.active:
             self._contacts.clear()
-        for _ in range(steps):
+        for step in range(steps):
+            if step == steps - 1:
+                self._state.mark()
             self._step_once(commands)
         if self._contacts.active:
             self._contacts.average(steps)
@@ -209,6 +214,8 @@ class SapienEngine(Engine):
         return Snapshot(
             self._system.pack(),
             self._state.fixed_poses.clone(),
+            self._state.before,
+            self._state.moved.clone(),
             self._parameters.save(),
             (self._drives.stiffness.copy(), self._drives.damping.copy()),
             tuple(tensor.clone() for tensor in (*self._commands, *self._measurements)),
@@ -221,6 +228,7 @@ class SapienEngine(Engine):
         for entity in self.layout.entities:
             if entity.spec.fixed_base:
                 self._state.write_root(entity.index, state.fixed_poses[:, entity.index], None, self._rows(None))
+        self._state.before, self._state.moved[...] = state.before, state.moved
         for own, saved in zip((*self._commands, *self._measurements), state.tensors, strict=True):
             own.copy_(saved)
         self._state.invalidate()

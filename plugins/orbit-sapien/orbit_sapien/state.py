@@ -2,7 +2,8 @@
 
 PhysX packs, body by body in order of creation, 13 numbers for each free body (quaternion, position, linear and angular
 velocity), then for each articulation the same of its root, positions and velocities of its degrees of freedom, and a
-target position and velocity each. Velocities are of centres of mass; the contract's are of link frames.
+target position and velocity each. Velocities are of centres of mass; the contract's are of link frames. Those of free
+bodies are the motion's (:mod:`orbit_sapien.motion`).
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -17,6 +18,7 @@ from torch import Tensor
 from orbit_core.interfaces import SceneLayout, diverged
 from orbit_sapien.kinematics import Kinematics, rotate
 from orbit_sapien.model import BuiltWorld, NativeEntity
+from orbit_sapien.motion import moved_velocities
 from orbit_sapien.native import NativePose, physx
 
 _ROOT = 13
@@ -27,7 +29,7 @@ class State:
 
     def __init__(self, layout: SceneLayout, world: BuiltWorld, system: physx.PhysxCpuSystem) -> None:
         self._layout, self._world, self._system = layout, world, system
-        self._num_envs = len(world.environments)
+        self._num_envs, self._dt = len(world.environments), layout.scene.physics_dt
         self._kinematics = Kinematics(layout)
         self._offsets = torch.from_numpy(np.stack([e.offset for e in world.environments]))
         self._locate(world.environments[0].entities)
@@ -38,6 +40,12 @@ class State:
         initial = [[*entity.spec.pose.position, *entity.spec.pose.orientation] for entity in layout.entities]
         self.fixed_poses = torch.tensor(initial, dtype=torch.float64).reshape(-1, 7).repeat(self._num_envs, 1, 1)
         """(N, E, 7) of fixed bases; PhysX has free ones."""
+        free = [entity.free for entity in world.environments[0].entities]
+        self._free = torch.tensor(free, dtype=torch.bool)
+        self.before = torch.zeros(0)
+        """What :attr:`packed` was ahead of the last step."""
+        self.moved = torch.zeros(self._num_envs, len(free), dtype=torch.bool)
+        """(N, E) free bodies to which nothing was written since."""
         self._values: dict[str, Tensor] = {}
 
     def _locate(self, entities: list[NativeEntity]) -> None:
@@ -70,6 +78,11 @@ class State:
     def invalidate(self) -> None:
         """After a step or a write."""
         self._values.clear()
+
+    def mark(self) -> None:
+        """Ahead of a step after which velocities may be read."""
+        self.before = self.packed
+        self.moved[:] = self._free
 
     @property
     def packed(self) -> Tensor:
@@ -115,19 +128,26 @@ class State:
     def _roots(self) -> Tensor:
         """(N, E, 13) in double precision, in each environment's own frame; of the centre of mass."""
         if "roots" not in self._values:
-            roots = self.packed[:, self._root_index].double() if self.packed.shape[1] else self._nothing()
-            poses = torch.cat((roots[..., 4:7] - self._offsets[:, None], _unit(roots[..., :4])), -1)
+            roots = self._unpacked(self.packed)
+            poses = torch.cat((roots[..., 4:7] - self._offsets[:, None], roots[..., :4]), -1)
             velocities = roots[..., 7:]
+            if self.moved.any():
+                moved = moved_velocities(self._unpacked(self.before), roots, self.root_centers, self._dt)
+                velocities = torch.where(self.moved[..., None], moved, velocities)
             if self._any_fixed:
                 poses = torch.where(self._fixed, self.fixed_poses, poses)
                 velocities = torch.where(self._fixed, 0.0, velocities)
             self._values["roots"] = torch.cat((poses, velocities), -1)
         return self._values["roots"]
 
-    def _nothing(self) -> Tensor:
-        nothing = torch.zeros(self._num_envs, len(self._layout.entities), _ROOT, dtype=torch.float64)
-        nothing[..., 0] = 1.0
-        return nothing
+    def _unpacked(self, packed: Tensor) -> Tensor:
+        """(N, E, 13) of roots, in double precision, with unit quaternions."""
+        if not packed.shape[1]:
+            nothing = torch.zeros(self._num_envs, len(self._layout.entities), _ROOT, dtype=torch.float64)
+            nothing[..., 0] = 1.0
+            return nothing
+        roots = packed[:, self._root_index].double()
+        return torch.cat((_unit(roots[..., :4]), roots[..., 4:]), -1)
 
     @property
     def _poses(self) -> Tensor:
@@ -198,6 +218,7 @@ class State:
             arms = rotate(target[:, 3:], self.root_centers[rows, entity])
             linear = speeds[:, :3] + torch.linalg.cross(speeds[:, 3:], arms)
             self._push(entity, linear.float().numpy(), speeds[:, 3:].float().numpy(), rows)
+        self.moved[rows, entity] = False
         self.invalidate()
 
     def _place(self, entity: int, poses: Tensor, rows: list[int]) -> None:
