@@ -123,15 +123,18 @@ def perceptron_actor(
     """
     linear = [layer for layer in layers.modules() if isinstance(layer, nn.Linear)]
     network = Perceptron(tuple(layer.out_features for layer in linear[:-1]), observation_limit=limit)
-    module = network.build(linear[0].in_features, linear[-1].out_features)
-    assert isinstance(module, NormalizedActor)
-    with torch.no_grad():
-        for copy, layer in zip((m for m in module.layers if isinstance(m, nn.Linear)), linear, strict=True):
-            copy.load_state_dict(layer.state_dict())
-        if mean is not None and std is not None:
-            module.mean.copy_(mean.reshape(-1))
-            module.std.copy_(std.reshape(-1))
-    return Actor(network, module.eval())
+    size = linear[0].in_features
+    with torch.device("meta"):  # without drawing starting weights, which would move the training's random stream
+        module = network.build(size, linear[-1].out_features)
+    # The activations lie between, at the odd places.
+    weights = {
+        f"layers.{2 * i}.{name}": value for i, layer in enumerate(linear) for name, value in layer.state_dict().items()
+    }
+    weights["mean"] = torch.zeros(size) if mean is None else mean.reshape(-1)
+    weights["std"] = torch.ones(size) if std is None else std.reshape(-1)
+    copies = {name: value.detach().float().cpu().clone() for name, value in weights.items()}
+    module.load_state_dict(copies, assign=True)
+    return Actor(network, module.requires_grad_(False).eval())
 
 
 _NETWORKS: dict[str, type[Network]] = {Perceptron.name: Perceptron}

@@ -105,7 +105,12 @@ class Training:
         """Drop what was done after the checkpoint, for it is done again, and count on from there."""
         curve = self.trainer.folder / CURVE
         lines = curve.read_text().splitlines() if curve.exists() else []
-        kept = [line for line in lines if json.loads(line)["iteration"] < begin]
+        try:
+            kept = [line for line in lines if json.loads(line)["iteration"] < begin]
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            raise ConfigurationError(
+                f"{curve} is no curve of a training ({error}): remove it to begin another"
+            ) from None
         shortened = curve.with_suffix(".writing")
         shortened.write_text("".join(f"{line}\n" for line in kept))
         os.replace(shortened, curve)

@@ -101,3 +101,15 @@ def test_a_policy_refuses_what_it_was_not_learned_for(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="ik_relative"):
         whole_agent(other, load_policy(tmp_path))
     other.close()
+
+
+def test_a_copy_of_an_actor_draws_no_random_numbers() -> None:
+    """Else how often a training is saved would change what it learns."""
+    layers, before = perceptron(3, (4,), 2), torch.get_rng_state()
+    actor = perceptron_actor(layers)
+    assert torch.equal(torch.get_rng_state(), before)
+    observation = torch.full((1, 3), 0.1)
+    assert torch.equal(actor.module(observation), layers(observation).clamp(-1.0, 1.0))
+    with torch.no_grad():
+        layers[0].weight.zero_()
+    assert not torch.equal(actor.module(observation), layers(observation).clamp(-1.0, 1.0)), "a copy"
