@@ -1,7 +1,7 @@
 """Networks that a policy's file may name. Packages add theirs through the entry-point group ``orbit.networks``.
 
 A network is a frozen dataclass of plain settings that builds a module; the module's weights stand beside the settings
-in the file. The entry point is called as the network is, and its value is the dataclass::
+in the file. An entry point's value is the dataclass::
 
     [project.entry-points."orbit.networks"]
     my_network = "my_package.networks:MyNetwork"
@@ -13,13 +13,14 @@ import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import ClassVar, NamedTuple, Protocol
 
 import torch
-from importlib_metadata import entry_points
 from torch import Tensor, nn
 
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.registry import Registry
 
 GROUP = "orbit.networks"
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
@@ -137,36 +138,33 @@ def perceptron_actor(
     return Actor(network, module.requires_grad_(False).eval())
 
 
-_NETWORKS: dict[str, type[Network]] = {Perceptron.name: Perceptron}
+@cache
+def _networks() -> Registry[type[Network]]:
+    def read(kind: type[Network]) -> None:
+        if not dataclasses.is_dataclass(kind) or not isinstance(getattr(kind, "name", None), str):
+            raise ConfigurationError(f"network {kind!r} is no dataclass with a class variable 'name'")
+        registry.add(kind.name, kind)
+
+    registry = Registry[type[Network]]("network", GROUP, read)
+    read(Perceptron)
+    registry.add_installed()
+    return registry
 
 
 def register_network(kind: type[Network]) -> None:
     """Let files of this process name a network; installed packages use an entry point instead.
 
     Raises:
-        ConfigurationError: the name is taken, or ``kind`` is no dataclass with a name.
+        ConfigurationError: the name is taken.
     """
-    if not dataclasses.is_dataclass(kind) or not isinstance(getattr(kind, "name", None), str):
-        raise ConfigurationError(f"network {kind!r} is no dataclass with a class variable 'name'")
-    if _NETWORKS.setdefault(kind.name, kind) is not kind:
-        raise ConfigurationError(f"network '{kind.name}' is there twice, {_NETWORKS[kind.name]} and {kind}: rename one")
+    _networks().add(kind.name, kind)
 
 
 def network_type(name: str) -> type[Network]:
     """The network of that name.
 
     Raises:
-        UnknownNameError: there is none; names the nearest.
-        ConfigurationError: the package that brings it fails to load, or calls it otherwise.
+        UnknownNameError: there is none; names the nearest, and the packages that were left out.
+        ConfigurationError: two packages bring it.
     """
-    if name not in _NETWORKS:
-        points = {point.name: point for point in entry_points(group=GROUP)}
-        if name not in points:
-            raise UnknownNameError("network", name[:60], {*_NETWORKS, *points})
-        try:
-            register_network(points[name].load())
-        except Exception as error:  # a package's own fault may be of any class
-            raise ConfigurationError(f"network '{name}' ({points[name].value}) fails to load: {error}") from error
-        if name not in _NETWORKS:
-            raise ConfigurationError(f"entry point '{name}' ({points[name].value}) is a network of another name")
-    return _NETWORKS[name]
+    return _networks().get(name)

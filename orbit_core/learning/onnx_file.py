@@ -15,11 +15,12 @@ from typing import Any
 import torch
 from torch import nn
 
+from orbit_core.files import written_whole
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_core.learning.description import PolicyDescription
 from orbit_core.learning.onnx_graph import OnnxGraph
 from orbit_core.learning.policy_file import check_action
-from orbit_core.learning.tensor_file import parse_json, read_bytes, written_whole
+from orbit_core.learning.tensor_file import parse_json, read_bytes
 
 SUFFIX = ".onnx"
 _KEY = "orbit"

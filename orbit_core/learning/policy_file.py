@@ -94,8 +94,8 @@ def check_action(module: nn.Module, description: PolicyDescription, path: Path, 
 def _network(values: Any, where: str) -> Network:
     if not isinstance(values, dict) or not isinstance(values.get("name"), str):
         raise ConfigurationError(f"{where} names no network")
-    kind = network_type(values["name"])
-    return from_plain(kind, values.get("settings"), f"network '{values['name']}' of {where}")
+    name = values["name"][:60]  # for messages
+    return from_plain(network_type(name), values.get("settings"), f"network '{name}' of {where}")
 
 
 def _check_weights(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:

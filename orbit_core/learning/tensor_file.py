@@ -7,8 +7,7 @@ its header than 4 MiB, if its tensors do not fill exactly what the header says, 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -17,6 +16,7 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor
 
+from orbit_core.files import written_whole
 from orbit_core.interfaces import ConfigurationError, NonFiniteError
 
 MAX_FILE = 2**30
@@ -30,14 +30,17 @@ def read_bytes(path: Path) -> bytes:
     """All of a regular file.
 
     Raises:
-        ConfigurationError: there is no such file, it is no regular file, or it is larger than 1 GiB.
+        ConfigurationError: there is no such file, it cannot be read, is no regular file, or larger than 1 GiB.
     """
     if not path.exists():
         raise ConfigurationError(f"there is no file {path}")
     if not path.is_file():
         raise ConfigurationError(f"{path} is no regular file")
-    with path.open("rb") as file:
-        data = file.read(MAX_FILE + 1)
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE + 1)
+    except OSError as error:
+        raise ConfigurationError(f"{path} cannot be read: {error.strerror}") from error
     if len(data) > MAX_FILE:
         raise ConfigurationError(f"{path} is larger than {MAX_FILE:,} bytes, the most that is read")
     return data
@@ -69,6 +72,7 @@ def write_tensors(path: Path, document: Mapping[str, Any], tensors: Mapping[str,
 
     Raises:
         ConfigurationError: it would be larger than what is read.
+        StorageError: the disk is full, or the folder cannot be written.
     """
     text = json.dumps(document, allow_nan=False)
     # Copies, because the format refuses tensors that share memory.
@@ -78,17 +82,6 @@ def write_tensors(path: Path, document: Mapping[str, Any], tensors: Mapping[str,
         raise ConfigurationError(f"{path} would be larger than what is read again: {len(data):,} bytes")
     with written_whole(path) as written:
         written.write_bytes(data)
-
-
-@contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
-    """A file to write, which takes its place at ``path`` at the end, or is removed if something went wrong."""
-    written = path.with_name(path.name + ".writing")
-    try:
-        yield written
-        written.replace(path)
-    finally:
-        written.unlink(missing_ok=True)
 
 
 def parse_json(text: str | bytes) -> dict[str, Any]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from orbit_core.files import written_whole
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.checkpoint import read_checkpoint, write_checkpoint
 from orbit_core.learning.policy import Policy, PolicyDescription
@@ -97,7 +97,8 @@ class Training:
         if not begin and (folder / RECORD).exists():
             raise ConfigurationError(f"folder {folder} holds a training already: resume it, or name another")
         settings = {"task": self.task, "library": self.trainer.name, "ppo": asdict(self.trainer.settings)}
-        (folder / RECORD).write_text(json.dumps({**settings, **self.record}, indent=2, default=str))
+        with written_whole(folder / RECORD) as record:
+            record.write_text(json.dumps({**settings, **self.record}, indent=2, default=str))
         if begin:
             self._continue_curve(begin)
 
@@ -111,9 +112,8 @@ class Training:
             raise ConfigurationError(
                 f"{curve} is no curve of a training ({error}): remove it to begin another"
             ) from None
-        shortened = curve.with_suffix(".writing")
-        shortened.write_text("".join(f"{line}\n" for line in kept))
-        os.replace(shortened, curve)
+        with written_whole(curve) as shortened:
+            shortened.write_text("".join(f"{line}\n" for line in kept))
         if kept:
             last = json.loads(kept[-1])
             self._steps_before, self._seconds_before = last["env_steps"], last["seconds"]

@@ -90,6 +90,9 @@ def weight(name: str, value: Tensor | None) -> Callable[[dict[str, Any], dict[st
         (put("network", value=None), "names no network"),
         (put("network", "name", value="perceptrom"), "did you mean 'perceptron'"),
         (put("network", "name", value="os:system"), "unknown network 'os:system'"),
+        (put("network", "name", value="x" * 100_000), "unknown network 'xxx"),
+        (put("policy", "x" * 100_000, value=1), "unknown field 'xxx"),
+        (put("policy", "task", value=["x" * 100_000]), "task is"),
         (put("network", "settings", "activation", value="elo"), "did you mean 'elu'"),
         (put("network", "settings", "hidden_sizes", value=[2**16] * 65), "up to 64 hidden layers"),
         (put("network", "settings", "hidden_sizes", value=[2**16] * 64), "lacks weights"),
@@ -258,7 +261,7 @@ def test_other_packages_bring_networks(tmp_path: Path) -> None:
     observation = torch.randn(5, 3)
     assert read.network == network
     assert torch.equal(read.module(observation), theirs.module(observation))
-    with pytest.raises(OrbitError, match="is there twice"):
+    with pytest.raises(OrbitError, match="is registered twice"):
         register_network(type("Other", (Linear,), {}))
 
 
