@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.scenarios import (
+    as_described,
     contact_forces,
     dominoes,
     drives,
@@ -34,6 +35,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     *joints.SCENARIOS,
     *drives.SCENARIOS,
     *linkages.SCENARIOS,
+    *as_described.SCENARIOS,
     *friction.SCENARIOS,
     *turning_friction.SCENARIOS,
     *rolling.SCENARIOS,
