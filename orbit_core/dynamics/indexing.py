@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TypeGuard
 
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.arguments import (
+    POSITIONS,
+    Bounds,
+    as_floats,
+    check_index_tensor,
+    check_indices,
+    check_numbers,
+    check_quaternions,
+    check_shape,
+)
 from orbit_core.interfaces import ConfigurationError
 
 Columns = slice | Tensor
@@ -52,15 +63,60 @@ def write_block(target: Tensor, columns: Columns, values: Tensor, env_ids: Tenso
         target[env_ids if isinstance(columns, slice) else env_ids[:, None], columns] = values
 
 
-class Masking:
-    """While a mask is set, what is written or drawn for all environments counts for those of the mask alone.
+@dataclass(slots=True)
+class Choice:
+    """The environments that a call is for, and what values for them must be."""
 
-    So that code which takes indices runs without knowing how many there are: it is given all of them.
+    rows: Tensor | None
+    """Indices (n,), a mask (N,) bool within a traced step, None for all: what an engine is given."""
+    count: int
+    """Rows that are given of each value."""
+    device: torch.device
+    taken: bool = False
+    """Whether values are given for all environments, and those of ``rows`` are to be taken."""
+    seen: bool = True
+    """Whether numbers may be looked at."""
+
+    def values(self, value: Tensor, shape: tuple[int, ...], what: str, bounds: Bounds) -> Tensor:
+        """Numbers (n, *shape) as an engine takes them: float32, on the device, without gradient.
+
+        Raises:
+            ArgumentError: another type, dtype or device, or out of bounds.
+            ShapeError: another shape.
+            NonFiniteError: NaN or infinite.
+        """
+        value = as_floats(value, self.device, what)
+        check_shape(value, (self.count, *shape), what)
+        if self.taken:
+            value = value[self.rows]
+        if self.seen:
+            check_numbers(value, bounds, what, self.rows)
+        return value
+
+    def poses(self, pose: Tensor, what: str) -> Tensor:
+        """Poses (n, 7); errors as of :meth:`values`, and for quaternions that are not of length 1."""
+        pose = self.values(pose, (7,), what, POSITIONS)
+        if self.seen:
+            check_quaternions(pose, what, self.rows)
+        return pose
+
+
+class Masking:
+    """Which environments a call is for, checked; and while a mask is set, those of the mask alone.
+
+    Under a mask, what is written or drawn for all environments counts for those of the mask: code which takes indices
+    runs without knowing how many there are, for it is given all of them.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, num_envs: int, device: torch.device) -> None:
         self.mask: Tensor | None = None
         """(N,) bool"""
+        self.traced = False
+        """Whether a step is being traced: nothing may look at what tensors hold."""
+        self._num_envs = num_envs
+        self._device = device
+        self._known: tuple[Tensor, int] | None = None
+        """Indices that were found good, and their version, for one choice goes through many calls."""
 
     @contextmanager
     def only(self, mask: Tensor) -> Iterator[None]:
@@ -71,16 +127,44 @@ class Masking:
         finally:
             self.mask = None
 
-    def rows(self, env_ids: Tensor | None) -> Tensor | None:
-        """What a call for ``env_ids`` is meant for: they themselves, or the mask.
+    def choose(self, env_ids: Tensor | None) -> Choice:
+        """What a call for ``env_ids`` is meant for: they themselves, or the mask that is set.
+
+        A mask that a caller gives comes with values of all environments; outside of a traced step it stands for
+        its environments' indices.
 
         Raises:
+            ArgumentError: no environments: of another type, dtype or device, out of range, or one twice.
+            ShapeError: no vector, or a mask of another length.
             ConfigurationError: the call is for a choice of its own, under a mask.
         """
-        if self.mask is None:
-            return env_ids
-        if env_ids is not None and len(env_ids) != len(self.mask):
+        mask = self.mask
+        if mask is None:
+            if env_ids is None:
+                return Choice(None, self._num_envs, self._device, seen=not self.traced)
+            return self._checked(env_ids)
+        if env_ids is not None and len(env_ids) != len(mask):
             raise ConfigurationError(
-                f"{len(env_ids)} of {len(self.mask)} environments are written under a mask: give env_ids as they came"
+                f"{len(env_ids)} of {len(mask)} environments are written under a mask: give env_ids as they came"
             )
-        return self.mask
+        return Choice(mask, self._num_envs, self._device, seen=False)
+
+    def rows(self, env_ids: Tensor | None) -> Tensor | None:
+        """As :meth:`choose`, where no values come with the call."""
+        if env_ids is None:
+            return self.mask
+        return self.choose(env_ids).rows
+
+    def _checked(self, env_ids: Tensor) -> Choice:
+        known = self._known
+        if known is not None and known[0] is env_ids and known[1] == env_ids._version:
+            return Choice(env_ids, len(env_ids), self._device)
+        check_index_tensor(env_ids, self._num_envs, self._device)
+        if self.traced:
+            return Choice(env_ids, len(env_ids), self._device, seen=False)
+        if env_ids.dtype == torch.bool:
+            return Choice(env_ids.nonzero().squeeze(-1), len(env_ids), self._device, taken=True)
+        check_indices(env_ids, self._num_envs)
+        if not env_ids.is_inference():  # those have no version
+            self._known = env_ids, env_ids._version
+        return Choice(env_ids, len(env_ids), self._device)

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.arguments import seed_number
 from orbit_core.dynamics.indexing import Masking, is_mask, write_rows
 
 _INCREMENT = -7046029254386353131  # 0x9E3779B97F4A7C15, as a signed 64-bit integer
@@ -29,9 +30,7 @@ class RandomStreams:
 
     def __init__(self, num_envs: int, seed: int, device: torch.device, masking: Masking | None = None) -> None:
         self.device = device
-        self._masking = masking or Masking()
-        self.traceable = False
-        """Whether resets and draws are operations of torch, also where NumPy is quicker: these can be traced."""
+        self._masking = masking or Masking(num_envs, device)
         self._envs: _Array = _array(torch.arange(num_envs, dtype=torch.int64, device=device))
         self._key: _Array = self._envs * 0
         self._episode: _Array = self._envs * 0
@@ -40,13 +39,19 @@ class RandomStreams:
         self.seed(seed)
 
     def seed(self, seed: int, env_ids: Tensor | None = None) -> None:
-        """Start the streams of some environments anew from a seed, before their first episode."""
-        ids = self._rows(env_ids)
+        """Start the streams of some environments anew from a seed, before their first episode.
+
+        Raises:
+            ArgumentError: the seed is not 0 to 2^63 - 1, or ``env_ids`` are no environments.
+        """
+        seed = seed_number(seed)
+        ids = self._rows(self._masking.rows(env_ids))
         self._key[ids] = _mix(_mix(ids * 0 + seed + _INCREMENT) + ids * _INCREMENT)
         self._begin_stream(ids, ids * 0 - 1)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Begin the next episode's stream; what the last episode drew does not matter to it."""
+        env_ids = self._masking.rows(env_ids)
         if is_mask(env_ids):
             key, episode, counter = self._tensors
             following = episode + 1
@@ -100,7 +105,7 @@ class RandomStreams:
 
     def _bits(self, draws: int, env_ids: Tensor | None) -> _Array:
         env_ids = self._masking.rows(env_ids)
-        if self.traceable or is_mask(env_ids):
+        if self._masking.traced or is_mask(env_ids):
             counter = self._tensors[2]
             chosen = counter if env_ids is None or is_mask(env_ids) else counter[env_ids]
             counters = chosen[:, None] + torch.as_tensor(_increments(draws, self.device))

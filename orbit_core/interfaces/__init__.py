@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     from orbit_core.interfaces.divergence import MAX_DISTANCE, MAX_SPEED, diverged, divergence_error
     from orbit_core.interfaces.engine import Approximation, Engine, RayHits
     from orbit_core.interfaces.errors import (
+        ArgumentError,
         AssetError,
         BackendNotInstalledError,
         BuildError,
+        ClosedError,
         ConfigurationError,
         NonFiniteError,
         OrbitError,
@@ -58,8 +60,9 @@ _MODULES = {
     "divergence": ("MAX_DISTANCE", "MAX_SPEED", "diverged", "divergence_error"),
     "engine": ("Approximation", "Engine", "RayHits"),
     "errors": (
-        "AssetError", "BackendNotInstalledError", "BuildError", "ConfigurationError", "NonFiniteError", "OrbitError",
-        "ShapeError", "SimulationError", "StorageError", "UnknownNameError", "UnsupportedCapabilityError",
+        "ArgumentError", "AssetError", "BackendNotInstalledError", "BuildError", "ClosedError", "ConfigurationError",
+        "NonFiniteError", "OrbitError", "ShapeError", "SimulationError", "StorageError", "UnknownNameError",
+        "UnsupportedCapabilityError",
     ),
     "gaps": ("Gap",),
     "layout": ("BACKGROUND", "TERRAIN", "ContactQuery", "EntityLayout", "JointParameters", "SceneLayout"),
@@ -73,13 +76,13 @@ _MODULES = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "BACKGROUND", "EXACT", "IMAGES", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation", "AssetError", "Backend",
-    "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities", "Capability", "ConfigurationError",
-    "ContactQuery", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "Level", "Marker", "Node",
-    "NonFiniteError", "Object", "OrbitError", "Port", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor",
-    "ShapeError", "SimulationError", "StorageError", "Support", "UnknownNameError", "UnsupportedCapabilityError",
-    "World", "albedo_table", "approximate", "diverged", "divergence_error", "drawn_shapes", "find_name", "match_names",
-    "match_values", "required_capabilities", "unsupported",
+    "BACKGROUND", "EXACT", "IMAGES", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation", "ArgumentError",
+    "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities", "Capability",
+    "ClosedError", "ConfigurationError", "ContactQuery", "Engine", "EntityLayout", "Gap", "Image", "JointParameters",
+    "Level", "Marker", "Node", "NonFiniteError", "Object", "OrbitError", "Port", "RayHits", "Renderer", "Robot",
+    "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError", "Support", "UnknownNameError",
+    "UnsupportedCapabilityError", "World", "albedo_table", "approximate", "diverged", "divergence_error",
+    "drawn_shapes", "find_name", "match_names", "match_values", "required_capabilities", "unsupported",
 ]  # fmt: skip
 
 

@@ -19,7 +19,7 @@ class UnknownNameError(OrbitError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "", note: str = "") -> None:
         known = sorted(known)
-        near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+        near = difflib.get_close_matches(str(name), known, n=3, cutoff=0.5)
         place = f" in {where}" if where else ""
         hint = f"did you mean {' or '.join(repr(n) for n in near)}? " if near else ""
         known_names = f"known: {', '.join(known) or 'none'}"
@@ -44,16 +44,24 @@ class BuildError(OrbitError):
     """An engine built something else than the description says."""
 
 
-class ShapeError(OrbitError, ValueError):
+class ArgumentError(OrbitError, ValueError):
+    """An argument of a call that cannot be: of another type, out of range, or one environment twice."""
+
+
+class ShapeError(ArgumentError):
     """A tensor of the wrong shape."""
 
 
-class NonFiniteError(OrbitError, ValueError):
+class NonFiniteError(ArgumentError):
     """A NaN or infinite number where none may be."""
 
 
 class StorageError(OrbitError):
     """A file that cannot be written: the disk is full, or the folder is not writable."""
+
+
+class ClosedError(OrbitError):
+    """What was closed is used again."""
 
 
 class SimulationError(OrbitError):

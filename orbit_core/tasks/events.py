@@ -59,7 +59,7 @@ class Events:
         """At the beginning of a step: what is due."""
         for timer in self._timers:
             due = timer.left == 0
-            if self._world.random.traceable:
+            if self._world.masking.traced:
                 self._run_where(due, [timer.term])
                 timer.draw(due)
             elif bool(due.any()):

@@ -56,12 +56,12 @@ class Closed:
     def _traced(self) -> tuple[Tensor, ...]:
         world, tracer, before = self._world, Tracer(), self._memory()
         world.clock.touch()  # what was derived before must not be taken for part of the step
-        world.random.traceable = True
+        world.masking.traced = True
         try:
             with torch.no_grad(), tracer.tracing(world.engine):
                 outputs = self._operations()
         finally:
-            world.random.traceable = False
+            world.masking.traced = False
         self.refusal = tracer.refusal or _rebound(before, self._memory())
         if not self.refusal:
             try:

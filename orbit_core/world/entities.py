@@ -1,8 +1,7 @@
-"""Robots and objects as views of the engine's flat state tensors."""
+"""Objects as views of the engine's flat state tensors."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,20 +10,20 @@ import torch
 from torch import Tensor
 
 from orbit_core.actuators import Actuators
-from orbit_core.dynamics.indexing import Masking, columns_of, is_mask, write_block
+from orbit_core.dynamics.arguments import (
+    EFFORTS,
+    FRICTIONS,
+    GAINS,
+    MASSES,
+    POSITIONS,
+    VELOCITIES,
+    columns_chosen,
+)
+from orbit_core.dynamics.indexing import Masking, write_block
 from orbit_core.dynamics.kinematics import FixedFrame, PointJacobian
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.interfaces import (
-    Engine,
-    EntityLayout,
-    NonFiniteError,
-    Object,
-    Robot,
-    ShapeError,
-    UnknownNameError,
-    match_names,
-)
-from orbit_core.scene import Entity, Frame, Joint, Pose, RobotSpec
+from orbit_core.interfaces import Engine, EntityLayout, Object, UnknownNameError, match_names
+from orbit_core.scene import Entity, Frame, Joint, Pose
 from orbit_core.world.clock import Clock
 
 
@@ -73,6 +72,7 @@ class SimulatedObject(Object):
         self._root_pose, self._root_velocity = _Columns(layout.root_link), _Columns(layout.root_link)
         self._link_poses, self._link_velocities = _Columns(links), _Columns(links)
         self._positions, self._velocities, self._efforts = _Columns(joints), _Columns(joints), _Columns(joints)
+        self._all_columns = tuple(range(len(self.joint_names)))
         self._all_joints = torch.arange(joints.start, joints.stop, device=engine.device)
         parameters = engine.layout.joint_parameters
         limits = torch.stack(
@@ -165,15 +165,15 @@ class SimulatedObject(Object):
     # Writing state
 
     def set_root_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
-        env_ids = self._masking.rows(env_ids)
-        self._check(pose, (7,), env_ids, "root pose")
-        self._engine.write_root_state(self.layout.index, pose, None, env_ids)
+        chosen = self._masking.choose(env_ids)
+        pose = chosen.poses(pose, f"root pose of '{self.name}'")
+        self._engine.write_root_state(self.layout.index, pose, None, chosen.rows)
         self._clock.touch()
 
     def set_root_velocity(self, velocity: Tensor, env_ids: Tensor | None = None) -> None:
-        env_ids = self._masking.rows(env_ids)
-        self._check(velocity, (6,), env_ids, "root velocity")
-        self._engine.write_root_state(self.layout.index, None, velocity, env_ids)
+        chosen = self._masking.choose(env_ids)
+        velocity = chosen.values(velocity, (6,), f"root velocity of '{self.name}'", VELOCITIES)
+        self._engine.write_root_state(self.layout.index, None, velocity, chosen.rows)
         self._clock.touch()
 
     def set_joint_state(
@@ -183,18 +183,19 @@ class SimulatedObject(Object):
         joints: Sequence[int] | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        env_ids = self._masking.rows(env_ids)
-        count = len(self.joint_names) if joints is None else len(joints)
-        for value, what in ((positions, "joint positions"), (velocities, "joint velocities")):
-            if value is not None:
-                self._check(value, (count,), env_ids, what)
+        written = self._all_columns if joints is None else self._joint_columns(joints)
+        chosen, shape = self._masking.choose(env_ids), (len(written),)
+        if positions is not None:
+            positions = chosen.values(positions, shape, f"joint positions of '{self.name}'", POSITIONS)
+        if velocities is not None:
+            velocities = chosen.values(velocities, shape, f"joint velocities of '{self.name}'", VELOCITIES)
         indices, columns = self._all_joints, self.layout.joints
         if joints is not None:
-            chosen, positions, velocities = self._with_followers(list(joints), positions, velocities)
-            indices = columns = indices[chosen]
-        self._engine.write_joint_state(indices, positions, velocities, env_ids)
+            moved, positions, velocities = self._with_followers(list(written), positions, velocities)
+            indices = columns = indices[moved]
+        self._engine.write_joint_state(indices, positions, velocities, chosen.rows)
         if positions is not None:
-            write_block(self._actuators.position_targets, columns, positions, env_ids)
+            write_block(self._actuators.position_targets, columns, positions, chosen.rows)
         self._clock.touch()
 
     # Parameters per environment; they outlast resets
@@ -221,10 +222,9 @@ class SimulatedObject(Object):
         Raises:
             UnsupportedCapabilityError: the engine cannot.
         """
-        indices = self._link_indices(links)
-        env_ids = self._masking.rows(env_ids)
-        self._check(masses, (len(indices),), env_ids, "masses")
-        self._engine.set_masses(indices, masses, env_ids)
+        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        masses = chosen.values(masses, (len(indices),), f"masses of '{self.name}'", MASSES)
+        self._engine.set_masses(indices, masses, chosen.rows)
 
     def set_centers_of_mass(
         self, centers: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None
@@ -234,10 +234,9 @@ class SimulatedObject(Object):
         Raises:
             UnsupportedCapabilityError: the engine cannot.
         """
-        indices = self._link_indices(links)
-        env_ids = self._masking.rows(env_ids)
-        self._check(centers, (len(indices), 3), env_ids, "centres of mass")
-        self._engine.set_centers_of_mass(indices, centers, env_ids)
+        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        centers = chosen.values(centers, (len(indices), 3), f"centres of mass of '{self.name}'", POSITIONS)
+        self._engine.set_centers_of_mass(indices, centers, chosen.rows)
 
     def set_friction(
         self, coefficients: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None
@@ -247,10 +246,9 @@ class SimulatedObject(Object):
         Raises:
             UnsupportedCapabilityError: the engine cannot.
         """
-        indices = self._link_indices(links)
-        env_ids = self._masking.rows(env_ids)
-        self._check(coefficients, (len(indices),), env_ids, "friction")
-        self._engine.set_friction(indices, coefficients, env_ids)
+        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        coefficients = chosen.values(coefficients, (len(indices),), f"friction of '{self.name}'", FRICTIONS)
+        self._engine.set_friction(indices, coefficients, chosen.rows)
 
     def set_wrenches(self, wrenches: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
         """Force at the centre of mass and torque, (n, k, 6), world axes, on some links until set again or reset.
@@ -258,10 +256,9 @@ class SimulatedObject(Object):
         Raises:
             UnsupportedCapabilityError: the engine cannot.
         """
-        indices = self._link_indices(links)
-        env_ids = self._masking.rows(env_ids)
-        self._check(wrenches, (len(indices), 6), env_ids, "wrenches")
-        self._engine.set_wrenches(indices, wrenches, env_ids)
+        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        wrenches = chosen.values(wrenches, (len(indices), 6), f"wrenches of '{self.name}'", EFFORTS)
+        self._engine.set_wrenches(indices, wrenches, chosen.rows)
         self._clock.touch()
 
     def set_gains(
@@ -277,16 +274,20 @@ class SimulatedObject(Object):
             UnsupportedCapabilityError: the engine cannot.
             ConfigurationError: a joint has no actuator.
         """
-        chosen = list(range(len(self.joint_names))) if joints is None else list(joints)
-        env_ids = self._masking.rows(env_ids)
-        self._check(stiffness, (len(chosen),), env_ids, "stiffness")
-        self._check(damping, (len(chosen),), env_ids, "damping")
+        columns = self._all_columns if joints is None else self._joint_columns(joints)
+        chosen, shape = self._masking.choose(env_ids), (len(columns),)
+        stiffness = chosen.values(stiffness, shape, f"stiffness of '{self.name}'", GAINS)
+        damping = chosen.values(damping, shape, f"damping of '{self.name}'", GAINS)
         start = self.layout.joints.start
-        self._actuators.set_gains([start + joint for joint in chosen], stiffness, damping, env_ids)
+        self._actuators.set_gains([start + joint for joint in columns], stiffness, damping, chosen.rows)
+
+    def _joint_columns(self, joints: Sequence[int]) -> tuple[int, ...]:
+        return columns_chosen(joints, len(self.joint_names), f"joints of '{self.name}'")
 
     def _link_indices(self, links: Sequence[int] | None) -> Tensor:
-        chosen = list(range(len(self.link_names))) if links is None else list(links)
-        return torch.tensor(chosen, device=self._engine.device) + self.layout.root_link
+        count = len(self.link_names)
+        chosen = range(count) if links is None else columns_chosen(links, count, f"links of '{self.name}'")
+        return torch.tensor(chosen, dtype=torch.int64, device=self._engine.device) + self.layout.root_link
 
     def _with_followers(
         self, chosen: list[int], positions: Tensor | None, velocities: Tensor | None
@@ -328,69 +329,3 @@ class SimulatedObject(Object):
         offset = torch.tensor(frame.pose.position, dtype=torch.float32, device=device)
         pose_of = FixedFrame((*frame.pose.position, *frame.pose.orientation), device)
         return _FrameHandle(link, link_pose, offset, pose_of)
-
-    def _check(self, value: Tensor, shape: tuple[int, ...], env_ids: Tensor | None, what: str) -> None:
-        expected = (self._engine.num_envs if env_ids is None else len(env_ids), *shape)
-        if tuple(value.shape) != expected:
-            raise ShapeError(f"{what} of '{self.name}' must have shape {expected}, not {tuple(value.shape)}")
-        if value.device.type != "cpu" or is_mask(env_ids):
-            return  # to look would be to wait for the device: its engine tells which environments diverged
-        # One sum finds any NaN or infinity; where it is, is worth a search only then.
-        if not math.isfinite(float(value.sum())) and not bool(torch.isfinite(value).all()):
-            row = int((~torch.isfinite(value)).flatten(1).any(1).nonzero()[0])
-            environment = row if env_ids is None else int(env_ids[row])
-            raise NonFiniteError(
-                f"{what} of '{self.name}' holds a NaN or infinite number for environment {environment}"
-            )
-
-
-class SimulatedRobot(SimulatedObject, Robot):
-    """An articulation whose actuators take commands.
-
-    Targets are trusted to be finite: they come from nodes, which check what enters the agent.
-    """
-
-    @property
-    def spec(self) -> RobotSpec:
-        spec = self.layout.spec
-        assert isinstance(spec, RobotSpec)  # the world makes robots of robots' layouts alone
-        return spec
-
-    def __init__(
-        self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, masking: Masking
-    ) -> None:
-        super().__init__(layout, engine, actuators, clock, masking)
-        self._position_targets = _Targets(actuators.position_targets[:, layout.joints])
-        self._velocity_targets = _Targets(actuators.velocity_targets[:, layout.joints])
-        self._effort_targets = _Targets(actuators.effort_targets[:, layout.joints])
-
-    def set_position_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
-        self._position_targets.write(targets, joints)
-
-    def set_velocity_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
-        self._velocity_targets.write(targets, joints)
-
-    def set_effort_targets(self, efforts: Tensor, joints: Sequence[int] | None = None) -> None:
-        self._effort_targets.write(efforts, joints)
-
-
-class _Targets:
-    """A robot's columns of one of the actuators' buffers; columns that stand in a row are written through a view."""
-
-    def __init__(self, buffer: Tensor) -> None:
-        self._buffer = buffer
-        self._views: dict[tuple[int, ...], Tensor] = {}
-
-    def write(self, values: Tensor, joints: Sequence[int] | None) -> None:
-        if joints is None:
-            self._buffer.copy_(values)
-            return
-        chosen = tuple(joints)
-        view = self._views.get(chosen)
-        if view is not None:
-            view.copy_(values)
-            return
-        columns = columns_of(chosen, self._buffer.device)
-        self._buffer[:, columns] = values
-        if isinstance(columns, slice):
-            self._views[chosen] = self._buffer[:, columns]

@@ -23,7 +23,8 @@ class SimulatedMarker(Marker):
         return self._poses
 
     def set_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
-        write_rows(self._poses, pose, self._masking.rows(env_ids))
+        chosen = self._masking.choose(env_ids)
+        write_rows(self._poses, chosen.poses(pose, f"pose of marker '{self.spec.name}'"), chosen.rows)
 
 
 def identity_poses(num_envs: int, markers: int, device: torch.device) -> Tensor:
