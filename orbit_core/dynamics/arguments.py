@@ -15,8 +15,11 @@ from typing import NoReturn
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, ArgumentError, NonFiniteError, ShapeError
+from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, ArgumentError, ConfigurationError, NonFiniteError, ShapeError
 
+MOST_ENVIRONMENTS = 2**31 - 1  # engines count in 32 bits
+MOST_STEPS = 1_000_000
+"""Physics steps in one call, which nothing interrupts before its end."""
 _LARGEST_SEED = 2**63 - 1  # seeds are hashed as signed 64-bit integers
 _UNIT = 2e-3
 """By how much the square of a quaternion's length may differ from 1: engines take care of what is rounded."""
@@ -42,6 +45,7 @@ VELOCITIES = Bounds.either_way(MAX_SPEED, "m/s or rad/s")
 ACCELERATIONS = Bounds.either_way(MAX_SPEED, "m/s^2")
 EFFORTS = Bounds.either_way(1e9, "N or N m")
 MASSES = Bounds(0.0, 1e9, "kg")
+MOVING_MASSES = Bounds(1e-9, 1e9, "kg")
 FRICTIONS = Bounds(0.0, 1e6)
 GAINS = Bounds(0.0, 1e12)
 
@@ -56,9 +60,12 @@ def whole_number(value: object, what: str, least: int, most: int) -> int:
         return value
     if isinstance(value, bool) or not isinstance(value, numbers.Integral):
         raise ArgumentError(f"{what} must be a whole number, not {_described(value)}")
-    if not least <= int(value) <= most:
-        raise ArgumentError(f"{what} must be {least} to {most}, not {value}")
-    return int(value)
+    number = int(value)
+    if number < least:
+        raise ArgumentError(f"{what} must be at least {least}, not {number}")
+    if number > most:
+        raise ArgumentError(f"{what} must be at most {most}, not {number}")
+    return number
 
 
 def seed_number(seed: object) -> int:
@@ -68,6 +75,19 @@ def seed_number(seed: object) -> int:
         ArgumentError: it is none.
     """
     return whole_number(seed, "a seed", 0, _LARGEST_SEED)
+
+
+def usable_device(device: object) -> torch.device:
+    """A device of torch's that is there, with its index.
+
+    Raises:
+        ConfigurationError: it is none, or not there.
+    """
+    try:
+        return torch.empty(0, device=device).device  # pyright: ignore[reportCallIssue, reportArgumentType]
+    except (RuntimeError, TypeError, AssertionError) as error:
+        reason = str(error).partition("\n")[0]
+        raise ConfigurationError(f"device {device!r} cannot be used: {reason}; 'cpu' always can") from None
 
 
 def columns_chosen(chosen: Iterable[int], count: int, what: str) -> tuple[int, ...]:
@@ -118,11 +138,13 @@ def check_indices(env_ids: Tensor, num_envs: int) -> None:
     times = torch.zeros(num_envs, dtype=torch.int64, device=env_ids.device).scatter_add_(
         0, inside, torch.ones_like(env_ids)
     )
-    wrong = (inside != env_ids) | (times[inside] > 1)
-    if bool(wrong.any()):
-        index = int(env_ids[wrong][0])
-        fault = "twice" if 0 <= index < num_envs else f"and there are {num_envs} environments"
-        raise ArgumentError(f"env_ids name environment {index} {fault}: give each index from 0 to {num_envs - 1} once")
+    outside, twice = inside != env_ids, times[inside] > 1
+    if bool((outside | twice).any()):
+        wrong = env_ids[outside] if bool(outside.any()) else env_ids[twice]
+        fault = f"and there are {num_envs} environments" if bool(outside.any()) else "twice"
+        raise ArgumentError(
+            f"env_ids name environment {int(wrong[0])} {fault}: give each index from 0 to {num_envs - 1} once"
+        )
 
 
 def as_floats(value: object, device: torch.device, what: str) -> Tensor:

@@ -13,12 +13,13 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.interfaces import ArgumentError, ConfigurationError
 from orbit_core.learning.episodes import all_ends
 from orbit_core.tasks.environment import Environment, make
 from orbit_core.tasks.episode import EpisodeEnd, Observation
 from orbit_core.tasks.task import Task
 from orbit_core.viewer.pictures import OverviewCamera
+from orbit_core.world.closing import close_for_good
 
 
 def observation_space(environment: Environment) -> spaces.Space[Any]:
@@ -62,12 +63,21 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
     def reset(  # pyright: ignore[reportIncompatibleMethodOverride] - Gymnasium types infos loosely
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        return self.environment.reset(seed)
+        """Begin new episodes, in all environments or where ``options["reset_mask"]`` (N,) bool is true.
+
+        Raises:
+            ConfigurationError: another option.
+        """
+        given = dict(options or {})
+        mask = given.pop("reset_mask", None)
+        refuse_options(given, "'reset_mask'")
+        env_ids = None if mask is None else as_tensor(mask, None, self.device, "reset_mask")
+        return self.environment.reset(seed, env_ids)
 
     def step(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, actions: Tensor | npt.ArrayLike
     ) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Any]]:
-        action = torch.as_tensor(actions, dtype=torch.float32, device=self.device)
+        action = as_tensor(actions, torch.float32, self.device, "action")
         observation, reward, terminated, truncated, info = self.environment.step(action)
         found = all_ends(info, self.num_envs)
         final = {} if found is None else _final(*found)
@@ -80,6 +90,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
     def close_extras(self, **kwargs: Any) -> None:
         self._spectator.close()
         self.environment.close()
+        close_for_good(self, "the environment")
 
 
 class SingleEnvironment(gymnasium.Env[dict[str, npt.NDArray[np.float32]], npt.NDArray[np.float32]]):
@@ -98,14 +109,15 @@ class SingleEnvironment(gymnasium.Env[dict[str, npt.NDArray[np.float32]], npt.ND
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, npt.NDArray[np.float32]], dict[str, Any]]:
-        super().reset(seed=seed)
+        refuse_options(options, "none")
         observation, info = self.environment.reset(seed)
+        super().reset(seed=seed)
         return _arrays(observation), info
 
     def step(
         self, action: npt.NDArray[np.float32]
     ) -> tuple[dict[str, npt.NDArray[np.float32]], float, bool, bool, dict[str, Any]]:
-        batch = torch.as_tensor(np.asarray(action, dtype=np.float32), device=self.environment.device)[None]
+        batch = as_tensor(action, torch.float32, self.environment.device, "action")[None]
         observation, reward, terminated, truncated, info = self.environment.step(batch)
         end: EpisodeEnd | None = info.get("final")
         if end is not None:  # the batch has begun the next episode already: show the end of this one
@@ -119,6 +131,7 @@ class SingleEnvironment(gymnasium.Env[dict[str, npt.NDArray[np.float32]], npt.ND
     def close(self) -> None:
         self._spectator.close()
         self.environment.close()
+        close_for_good(self, "the environment")
 
 
 class Spectator:
@@ -140,6 +153,29 @@ class Spectator:
         """Free what draws; the environment stays."""
         if self._camera is not None:
             self._camera.close()
+
+
+def refuse_options(options: Mapping[str, Any] | None, known: str) -> None:
+    """Refuse what ``reset`` would not use.
+
+    Raises:
+        ConfigurationError: names the options.
+    """
+    if options:
+        names = ", ".join(repr(name) for name in options)
+        raise ConfigurationError(f"reset has no option {names}, but {known}: set the task's fields when making it")
+
+
+def as_tensor(values: object, dtype: torch.dtype | None, device: torch.device, what: str) -> Tensor:
+    """Numbers as users of Gymnasium give them: a tensor anywhere, an array or nested lists.
+
+    Raises:
+        ArgumentError: they are no numbers.
+    """
+    try:
+        return torch.as_tensor(values, dtype=dtype, device=device)
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        raise ArgumentError(f"{what} must be a tensor or an array of numbers: {error}") from None
 
 
 def _metadata(environment: Environment, mode: AutoresetMode) -> dict[str, Any]:

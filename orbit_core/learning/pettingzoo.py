@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,12 @@ import torch
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from orbit_core.interfaces import ConfigurationError
-from orbit_core.learning.gymnasium import Spectator, checked_mode, outcome
+from orbit_core.interfaces import ArgumentError, ConfigurationError
+from orbit_core.learning.gymnasium import Spectator, as_tensor, checked_mode, outcome, refuse_options
 from orbit_core.tasks.environment import make
 from orbit_core.tasks.episode import EpisodeEnd
 from orbit_core.tasks.task import Task
+from orbit_core.world.closing import close_for_good
 
 Array = npt.NDArray[np.float32]
 
@@ -67,6 +69,7 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
+        refuse_options(options, "none")
         observation, _ = self.environment.reset(seed)
         self.agents = list(self.possible_agents)
         return self._observed(observation["policy"]), {agent: {} for agent in self.agents}
@@ -74,11 +77,13 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
     def step(
         self, actions: dict[str, Array]
     ) -> tuple[dict[str, Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        if not isinstance(actions, Mapping):
+            raise ArgumentError(f"actions must be a dictionary by agent, not a {type(actions).__name__}")
         if not self.agents:
             raise ConfigurationError("the episode is over: reset the environment, then step")
         device = self.environment.device
         batch = {
-            agent: torch.as_tensor(np.asarray(action, dtype=np.float32), device=device)[None]
+            agent: as_tensor(action, torch.float32, device, f"action of '{agent}'")[None]
             for agent, action in actions.items()
         }
         observation, _, terminated, truncated, info = self.environment.step(self._shares.action(batch))
@@ -103,6 +108,7 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
     def close(self) -> None:
         self._spectator.close()
         self.environment.close()
+        close_for_good(self, "the environment")
 
     def _observed(self, observation: torch.Tensor) -> dict[str, Array]:
         self._state = observation[0].cpu().numpy()

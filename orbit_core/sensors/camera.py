@@ -83,8 +83,9 @@ class CameraSensor(TimedSensor):
         return point_cloud(self._read(Channel.DEPTH.value), self.intrinsics, self.pose)
 
     def _lacks(self, channel: Channel) -> ConfigurationError:
+        name = getattr(channel, "value", channel)
         return ConfigurationError(
-            f"camera '{self.spec.name}' has no {channel.value} channel: add it to the channels of its CameraSpec"
+            f"camera '{self.spec.name}' has no {name} channel: add it to the channels of its CameraSpec"
         )
 
     def _measure(self, env_ids: Tensor | None) -> Values:

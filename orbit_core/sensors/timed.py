@@ -78,6 +78,7 @@ class TimedSensor(Sensor):
             self._update()
 
     def reset(self, env_ids: Tensor | None = None) -> None:
+        env_ids = self._random.masking.rows(env_ids)
         if env_ids is None:
             self._history.clear()
             self._waiting = None

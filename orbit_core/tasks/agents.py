@@ -39,7 +39,7 @@ class RandomAgent:
     def __init__(self, environment: Environment, seed: int) -> None:
         from orbit_core.dynamics.random import RandomStreams
 
-        self._streams = RandomStreams(environment.num_envs, seed + _OTHER_STREAM, environment.device)
+        self._streams = RandomStreams(environment.num_envs, (seed + _OTHER_STREAM) % 2**63, environment.device)
         self._shape = (environment.action_size,)
 
     def act(self) -> Tensor:

@@ -14,8 +14,17 @@ from torch import Tensor
 
 from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
 from orbit_core.backends import default_backend
+from orbit_core.dynamics.arguments import (
+    FINITE,
+    MOST_ENVIRONMENTS,
+    MOST_STEPS,
+    as_floats,
+    check_numbers,
+    seed_number,
+    whole_number,
+)
 from orbit_core.dynamics.indexing import write_rows
-from orbit_core.interfaces import ConfigurationError, Node, NonFiniteError, Port, ShapeError
+from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 from orbit_core.motion import Actuate
 from orbit_core.tasks.acting import action_parts, driven_scene, generators_of
 from orbit_core.tasks.closed import ClosedStep, StepResult
@@ -29,6 +38,7 @@ from orbit_core.tasks.shares import Shares, check_owners
 from orbit_core.tasks.task import Task
 from orbit_core.tasks.terms import CurriculumTerm, RewardTerm, TerminationTerm, terms_of
 from orbit_core.world import SimulatedWorld
+from orbit_core.world.closing import close_for_good
 from orbit_core.world.threads import SingleThreaded
 
 
@@ -65,6 +75,9 @@ class Environment:
         renderer_settings: Mapping[str, Any] | None = None,
         compile: bool = False,
     ) -> None:
+        if not isinstance(task, Task):
+            raise ConfigurationError(f"an environment needs a Task, not a {type(task).__name__}: orbit_core.tasks.make")
+        num_envs, seed = whole_number(num_envs, "num_envs", 1, MOST_ENVIRONMENTS), seed_number(seed)
         self.task = task = copy.deepcopy(task)
         if task.randomized:
             task.randomize()
@@ -113,7 +126,16 @@ class Environment:
     # Gymnasium's way ------------------------------------------------------------------------------------------------
 
     def reset(self, seed: int | None = None, env_ids: Tensor | None = None) -> tuple[Observation, dict[str, Any]]:
-        """Begin new episodes in some environments; with a seed, start their random streams anew."""
+        """Begin new episodes in some environments; with a seed, start their random streams anew.
+
+        Args:
+            seed: 0 to 2^63 - 1.
+            env_ids: indices (n,) int64 or a mask (N,) bool; all environments if None.
+
+        Raises:
+            ArgumentError, ShapeError: the seed or ``env_ids`` cannot be; nothing has changed then.
+        """
+        env_ids = self.world.masking.rows(env_ids)
         if seed is not None:
             self.world.random.seed(seed, env_ids)
         with SingleThreaded():
@@ -132,6 +154,8 @@ class Environment:
 
         Raises:
             ShapeError: the action is not (N, A).
+            ArgumentError: it is no dense tensor of real numbers on the environment's device. Float64 and integers are
+                converted, and gradients do not go through a step.
             NonFiniteError: the action holds a NaN or infinite number; names environment and component. On a GPU the
                 engine's SimulationError of the next step names the environment.
         """
@@ -139,8 +163,7 @@ class Environment:
             return self._step(action)
 
     def _step(self, action: Tensor) -> StepResult:
-        self._check(action)
-        torch.clamp(action, -1.0, 1.0, out=self._action)
+        torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
         if self._closed is not None and self._started:
             return self._step_closed(self._closed)
         self._started = True
@@ -163,8 +186,9 @@ class Environment:
         return self.task.expert(self.world)
 
     def close(self) -> None:
-        """Free what the world holds; idempotent."""
+        """Free what the world holds; idempotent. Every later use raises a ClosedError."""
         self.world.close()
+        close_for_good(self, "the environment")
 
     # The agent ------------------------------------------------------------------------------------------------------
 
@@ -232,17 +256,13 @@ class Environment:
         torch.logical_or(late, terminated, out=self.done)
         return reward, terminated, late & ~terminated
 
-    def _check(self, action: Tensor) -> None:
+    def _checked(self, action: Tensor) -> Tensor:
+        action = as_floats(action, self.device, "action")
         expected = (self.num_envs, self.action_size)
-        if tuple(action.shape) != expected:
+        if action.shape != expected:
             raise ShapeError(f"the action must have shape {expected} (num_envs, components), not {tuple(action.shape)}")
-        if action.device.type != "cpu":
-            return  # to look would be to wait for the device: its engine tells which environments diverged
-        # One sum finds any NaN or infinity; which one it was is worth a search only then.
-        if not math.isfinite(float(action.sum())) and not bool(torch.isfinite(action).all()):
-            environment, component = (int(index) for index in (~torch.isfinite(action)).nonzero()[0])
-            value = float(action[environment, component])
-            raise NonFiniteError(f"action component {component} of environment {environment} is {value}")
+        check_numbers(action, FINITE, "action")
+        return action
 
     def _observe(self) -> Observation:
         return {"policy": self.cut.observe()["observation"]}
@@ -322,10 +342,11 @@ def _curriculum(task: Task) -> dict[str, CurriculumTerm]:
 
 def _whole_steps(task: Task) -> int:
     """Steps of the environment in an episode."""
-    if not task.physics_dt > 0.0:
-        raise ConfigurationError(f"physics_dt must be above zero seconds, not {task.physics_dt:g}")
-    if task.decimation < 1:
-        raise ConfigurationError(f"decimation must be at least 1 physics step, not {task.decimation}")
+    for name in ("physics_dt", "episode_length"):
+        seconds = getattr(task, name)
+        if not 0.0 < seconds < math.inf:
+            raise ConfigurationError(f"{name} must be above zero seconds and finite, not {seconds:g}")
+    whole_number(task.decimation, "decimation", 1, MOST_STEPS)
     step_dt = task.physics_dt * task.decimation
     steps = round(task.episode_length / step_dt)
     if steps < 1 or abs(steps * step_dt - task.episode_length) > 1e-6 * task.episode_length:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.arguments import check_shape
 from orbit_core.interfaces import UnknownNameError
 from orbit_core.tasks.task import Task
 from orbit_core.tasks.terms import ObservationTerm, RewardTerm, terms_of
@@ -60,9 +61,12 @@ class Shares:
 
         Raises:
             UnknownNameError: an action is for nobody, or an agent has none.
+            ShapeError: an agent's action is not (N, A_agent).
         """
         for name in {*actions} ^ {*self.agents}:
             raise UnknownNameError("agent", name, self.agents, "the task; each needs an action")
+        for agent, size in self.action_sizes.items():
+            check_shape(actions[agent], (len(self._rewards[0]), size), f"action of '{agent}'")
         return torch.cat([actions[agent] for agent in self.agents], dim=1)
 
     def rewards(self) -> dict[str, Tensor]:

@@ -15,8 +15,10 @@ from orbit_core.dynamics.arguments import (
     FRICTIONS,
     GAINS,
     MASSES,
+    MOVING_MASSES,
     POSITIONS,
     VELOCITIES,
+    check_numbers,
     columns_chosen,
 )
 from orbit_core.dynamics.indexing import Masking, write_block
@@ -134,7 +136,7 @@ class SimulatedObject(Object):
         return torch.cat((velocity[:, :3] + torch.linalg.cross(velocity[:, 3:], arm), velocity[:, 3:]), -1)
 
     def jacobian(self, frame: str, joints: Sequence[int] | None = None) -> Tensor:
-        columns = tuple(range(len(self.joint_names))) if joints is None else tuple(joints)
+        columns = self._all_columns if joints is None else self._joint_columns(joints)
         jacobian = self._jacobians.get((frame, columns))
         if jacobian is None:
             link = self._frame(frame).link
@@ -208,6 +210,12 @@ class SimulatedObject(Object):
         return masses[torch.arange(self._engine.num_envs, device=self._engine.device) % len(kinds)]
 
     @cached_property
+    def _massive(self) -> Tensor:
+        """(links,) bool: which have mass in the scene; the root of a fixed base may have none."""
+        links = self.spec.articulation.links
+        return torch.tensor([link.mass > 0.0 for link in links], device=self._engine.device)
+
+    @cached_property
     def nominal_gains(self) -> dict[int, tuple[float, float]]:
         """Stiffness and damping in the scene, by joint, of those that have an actuator."""
         gains: dict[int, tuple[float, float]] = {}
@@ -220,10 +228,14 @@ class SimulatedObject(Object):
         """Masses (n, k) in kg of some links; inertias scale with them.
 
         Raises:
+            ArgumentError: among others, a link that has mass in the scene is given none.
             UnsupportedCapabilityError: the engine cannot.
         """
         indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
-        masses = chosen.values(masses, (len(indices),), f"masses of '{self.name}'", MASSES)
+        what = f"masses of '{self.name}'"
+        masses = chosen.values(masses, (len(indices),), what, MASSES)
+        if chosen.seen:
+            check_numbers(masses[:, self._massive[indices - self.layout.root_link]], MOVING_MASSES, what, chosen.rows)
         self._engine.set_masses(indices, masses, chosen.rows)
 
     def set_centers_of_mass(

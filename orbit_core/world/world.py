@@ -16,13 +16,22 @@ from orbit_core.assets.validation import validate_entity
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_config, check_scene
 from orbit_core.backends import renderer as find_renderer
+from orbit_core.dynamics.arguments import (
+    ACCELERATIONS,
+    FRICTIONS,
+    MOST_ENVIRONMENTS,
+    MOST_STEPS,
+    seed_number,
+    usable_device,
+    whole_number,
+)
 from orbit_core.dynamics.indexing import Masking, write_rows
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import (
     TERRAIN,
     Approximation,
+    ArgumentError,
     BuildError,
-    ConfigurationError,
     Renderer,
     SceneLayout,
     Sensor,
@@ -31,9 +40,12 @@ from orbit_core.interfaces import (
 from orbit_core.scene import CameraSpec, Entity, Scene
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.build_check import check_build
+from orbit_core.world.capacity import check_capacity
 from orbit_core.world.clock import Clock
-from orbit_core.world.entities import SimulatedObject, SimulatedRobot
+from orbit_core.world.closing import close_for_good
+from orbit_core.world.entities import SimulatedObject
 from orbit_core.world.markers import SimulatedMarker, identity_poses
+from orbit_core.world.robots import SimulatedRobot
 
 _EntityType = TypeVar("_EntityType", bound=Entity)
 
@@ -48,6 +60,8 @@ class WorldState:
     random: Any
     markers: Tensor
     steps: int
+    made_by: tuple[str, int, tuple[str, ...]]
+    """Backend, number of environments and names of all things of the world that it is of."""
 
 
 class SimulatedWorld(World):
@@ -81,8 +95,7 @@ class SimulatedWorld(World):
         renderer: str | None = None,
         renderer_settings: Mapping[str, Any] | None = None,
     ) -> None:
-        if num_envs < 1:
-            raise ConfigurationError(f"num_envs must be at least 1, not {num_envs}")
+        num_envs, seed = whole_number(num_envs, "num_envs", 1, MOST_ENVIRONMENTS), seed_number(seed)
         plugin = find_backend(backend)
         self._renderer_plugin = find_renderer(renderer or backend)
         scene = _prepared(scene)
@@ -90,21 +103,21 @@ class SimulatedWorld(World):
         self.scene = scene
         self.layout = SceneLayout.of(scene)
         self.num_envs = num_envs
-        # Through a tensor, so that a device without an index gets the one in use.
-        self.device = torch.empty(0, device=device).device
+        self.device = usable_device(device)
         self.physics_dt = scene.physics_dt
         self.backend = backend
         config = backend_config(plugin, settings)
         shared = (settings or {}) if self._renderer_plugin.name == backend else {}
         self._renderer_config = backend_config(self._renderer_plugin, {**shared, **(renderer_settings or {})})
+        check_capacity(self.layout, num_envs, self.device)
         self.engine = plugin.create_engine(self.layout, num_envs, self.device, config)
         try:
             check_build(self.engine, backend)
         except BuildError:
             self.engine.close()
             raise
-        self.masking = Masking()
-        """Set a mask, and what is written for all environments reaches those of the mask alone."""
+        self.masking = Masking(num_envs, self.device)
+        """Which environments a call is for."""
         self.random = RandomStreams(num_envs, seed, self.device, self.masking)
         self.random.reset()
         self.actuators = Actuators(self.engine, self.layout, self.random)
@@ -168,6 +181,7 @@ class SimulatedWorld(World):
         return self.engine.native
 
     def step(self, steps: int = 1) -> None:
+        steps = whole_number(steps, "steps", 1, MOST_STEPS)
         for sensor in self._timed.values():
             sensor.begin_step()
         while steps > 0:
@@ -204,9 +218,10 @@ class SimulatedWorld(World):
         Raises:
             UnsupportedCapabilityError: the engine cannot.
         """
-        env_ids = self.masking.rows(env_ids)
-        self.engine.set_gravity(gravity, env_ids)
-        write_rows(self._sensing.gravity, gravity, env_ids)
+        chosen = self.masking.choose(env_ids)
+        gravity = chosen.values(gravity, (3,), "gravity", ACCELERATIONS)
+        self.engine.set_gravity(gravity, chosen.rows)
+        write_rows(self._sensing.gravity, gravity, chosen.rows)
 
     def set_terrain_friction(self, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
         """Friction (n,), static and dynamic alike, of all terrain shapes.
@@ -214,11 +229,17 @@ class SimulatedWorld(World):
         Raises:
             UnsupportedCapabilityError: the engine cannot.
         """
-        rows = self.masking.rows(env_ids)
-        self.engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], rows)
+        chosen = self.masking.choose(env_ids)
+        coefficients = chosen.values(coefficients, (), "friction of the terrain", FRICTIONS)
+        self.engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], chosen.rows)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        """Begin anew in some environments, by index, or by mask (N,) bool where the step is traced."""
+        """Begin anew in some environments, by index or by mask (N,) bool.
+
+        Raises:
+            ArgumentError, ShapeError: ``env_ids`` are no environments; nothing was reset.
+        """
+        env_ids = self.masking.rows(env_ids)
         self.random.reset(env_ids)
         self.engine.reset(env_ids)
         self.actuators.reset(env_ids)
@@ -235,9 +256,20 @@ class SimulatedWorld(World):
             self.random.save_state(),
             self.marker_poses.clone(),
             self.clock.steps,
+            self._identity,
         )
 
     def load_state(self, state: WorldState) -> None:
+        """Return to a saved state.
+
+        Raises:
+            ArgumentError: it is none, or that of a world of another backend, size or scene.
+        """
+        if not isinstance(state, WorldState) or state.made_by != self._identity:
+            raise ArgumentError(
+                "the state is not one that save_state() of such a world gave: the backend, the number of environments "
+                "and the names of all things in the scene must be the same"
+            )
         self.engine.load_state(state.engine)
         self.actuators.load_state(state.actuators)
         for name, sensor in self._timed.items():
@@ -248,10 +280,19 @@ class SimulatedWorld(World):
         self.clock.touch()
 
     def close(self) -> None:
+        """Free what the world holds; idempotent. Every later use raises a ClosedError."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
         self.engine.close()
+        things = (*self.robots.values(), *self.objects.values(), *self.sensors.values(), *self.markers.values())
+        for thing in (self, self.engine, self.random, *things):
+            close_for_good(thing, "the world")
+
+    @property
+    def _identity(self) -> tuple[str, int, tuple[str, ...]]:
+        specs = (*self.scene.entities, *self.scene.sensors, *self.scene.markers)
+        return self.backend, self.num_envs, tuple(spec.name for spec in specs)
 
 
 def _prepared(scene: Scene) -> Scene:

@@ -9,6 +9,7 @@ import torch
 
 from orbit_core.backends import default_backend
 from orbit_core.interfaces import (
+    ArgumentError,
     BackendNotInstalledError,
     ConfigurationError,
     NonFiniteError,
@@ -181,7 +182,7 @@ def test_a_snapshot_of_the_world_repeats() -> None:
         ({"decimation": 0}, ConfigurationError, "decimation must be at least 1 physics step, not 0"),
         ({"robot": "anymal_c"}, ConfigurationError, "robot 'anymal_c' has no end effector, which this task needs"),
         ({"task": "Velocity-Flat", "robot": "franka_panda"}, ConfigurationError, "'franka_panda' has no feet"),
-        ({"num_envs": 0}, ConfigurationError, "num_envs must be at least 1"),
+        ({"num_envs": 0}, ArgumentError, "num_envs must be at least 1"),
         ({"settings": {"nonsense": 1}}, ConfigurationError, "nonsense"),
     ],
 )
