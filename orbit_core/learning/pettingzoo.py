@@ -12,7 +12,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from orbit_core.interfaces import ArgumentError, ConfigurationError
-from orbit_core.learning.gymnasium import Spectator, as_tensor, checked_mode, outcome, refuse_options
+from orbit_core.learning.gymnasium import Spectator, as_tensor, checked_mode, outcome
 from orbit_core.tasks.environment import make
 from orbit_core.tasks.episode import EpisodeEnd
 from orbit_core.tasks.task import Task
@@ -69,7 +69,7 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
-        refuse_options(options, "none")
+        """Begin an episode. Options are not used: PettingZoo's own test gives some to every environment."""
         observation, _ = self.environment.reset(seed)
         self.agents = list(self.possible_agents)
         return self._observed(observation["policy"]), {agent: {} for agent in self.agents}

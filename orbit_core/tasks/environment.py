@@ -345,7 +345,7 @@ def _whole_steps(task: Task) -> int:
     for name in ("physics_dt", "episode_length"):
         seconds = getattr(task, name)
         if not 0.0 < seconds < math.inf:
-            raise ConfigurationError(f"{name} must be above zero seconds and finite, not {seconds:g}")
+            raise ConfigurationError(f"{name} must be above zero seconds, not {seconds:g}")
     whole_number(task.decimation, "decimation", 1, MOST_STEPS)
     step_dt = task.physics_dt * task.decimation
     steps = round(task.episode_length / step_dt)

@@ -179,7 +179,7 @@ def test_a_snapshot_of_the_world_repeats() -> None:
         ({"episode_length": 0.05}, ConfigurationError, r"no whole number of steps of 0\.02 s.*use 0\.0[46]"),
         ({"physics_dt": 0.0}, ConfigurationError, "physics_dt must be above zero seconds, not 0"),
         ({"physics_dt": -0.005}, ConfigurationError, "physics_dt must be above zero seconds, not -0.005"),
-        ({"decimation": 0}, ConfigurationError, "decimation must be at least 1 physics step, not 0"),
+        ({"decimation": 0}, ArgumentError, "decimation must be at least 1, not 0"),
         ({"robot": "anymal_c"}, ConfigurationError, "robot 'anymal_c' has no end effector, which this task needs"),
         ({"task": "Velocity-Flat", "robot": "franka_panda"}, ConfigurationError, "'franka_panda' has no feet"),
         ({"num_envs": 0}, ArgumentError, "num_envs must be at least 1"),

@@ -182,7 +182,7 @@ def test_joints_and_links_are_indices(world: SimulatedWorld, joints: Any) -> Non
         lambda: arm.jacobian("panda_hand", joints),
     ]
     for call in calls:
-        with pytest.raises(ArgumentError, match="joints of 'arm'|links of 'arm'"):
+        with pytest.raises(ArgumentError, match=r"joints of 'arm'|links of 'arm'"):
             call()
 
 
@@ -250,5 +250,5 @@ def test_worlds_beyond_memory_say_how_many_fit() -> None:
 
 @pytest.mark.parametrize("device", ["quantum", "cuda:99", 3.5])
 def test_devices_that_are_not_there_are_refused(device: Any) -> None:
-    with pytest.raises(ConfigurationError, match="device .* cannot be used"):
+    with pytest.raises(ConfigurationError, match=r"device .* cannot be used"):
         SimulatedWorld(SCENE, 1, default_backend(), device=device)
