@@ -27,6 +27,7 @@ from orbit_core.interfaces.errors import (
     UnknownNameError,
     UnsupportedCapabilityError,
 )
+from orbit_core.interfaces.fields import check_kind
 from orbit_core.interfaces.requirements import IMAGES, required_capabilities
 from orbit_core.registry import described, faults_named
 from orbit_core.scene import Scene
@@ -70,7 +71,6 @@ def renderer_names() -> list[str]:
     return sorted(_entry_points(RENDERERS))
 
 
-@functools.cache
 def backend(name: str) -> Backend:
     """The backend of that name, made once and kept.
 
@@ -80,6 +80,8 @@ def backend(name: str) -> Backend:
         ConfigurationError: its plugin fails to import, or is no backend, or only draws, or two distributions bring it;
             names the plugin and the cause.
     """
+    if not isinstance(name, str):
+        raise UnknownNameError("backend", name, backend_names())
     entry_point = _entry_points().get(name)
     if entry_point is None:
         installable = installable_backends()
@@ -91,13 +93,14 @@ def backend(name: str) -> Backend:
     return _made(entry_point, GROUP)
 
 
-@functools.cache
 def renderer(name: str) -> Backend:
     """What draws under that name: a renderer alone, made once and kept, or a backend.
 
     Raises:
         BackendNotInstalledError, UnknownNameError, ConfigurationError: as :func:`backend`.
     """
+    if not isinstance(name, str):
+        raise UnknownNameError("renderer", name, {*backend_names(), *renderer_names()})
     entry_point = _entry_points(RENDERERS).get(name)
     if entry_point is not None:
         return _made(entry_point, RENDERERS)
@@ -147,20 +150,26 @@ def backend_config(backend: Backend, values: Mapping[str, Any] | None = None) ->
         ConfigurationError: a field that the backend does not have, or a value that it refuses.
     """
     fields = [field.name for field in dataclasses.fields(backend.config_type)]
+    if values is not None and not isinstance(values, Mapping):
+        raise ConfigurationError(f"settings of '{backend.name}' are a dictionary by field, not {values!r}")
     for name in values or {}:
         if name not in fields:
-            near = difflib.get_close_matches(name, fields, n=3, cutoff=0.5)
+            near = difflib.get_close_matches(str(name), fields, n=3, cutoff=0.5)
             hint = f"did you mean {' or '.join(repr(field) for field in near)}? " if near else ""
             raise ConfigurationError(
                 f"'{backend.name}' has no setting '{name}': {hint}it has {', '.join(fields) or 'none'}"
             )
     arguments = {name: tuple(value) if isinstance(value, list) else value for name, value in (values or {}).items()}
+    defaults = {field.name: field.default for field in dataclasses.fields(backend.config_type)}
+    for name, value in arguments.items():
+        check_kind(f"setting '{name}' of '{backend.name}'", value, defaults[name])
     try:
         return backend.config_type(**arguments)
     except (TypeError, ValueError) as error:
         raise ConfigurationError(f"settings of '{backend.name}': {error}") from error
 
 
+@functools.cache
 def _made(entry_point: importlib_metadata.EntryPoint, group: str) -> Backend:
     if fault := _twice(group).get(entry_point.name):
         raise ConfigurationError(fault)

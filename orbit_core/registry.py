@@ -84,10 +84,10 @@ class Registry(Generic[Value]):
             UnknownNameError: there is none; tells the nearest, and which packages were left out.
             ConfigurationError: two packages bring it.
         """
+        if not isinstance(name, str) or name not in self._values:
+            raise UnknownNameError(self.kind, name, self.values, note="; ".join(self.faults))
         if name in self._twice:
             raise ConfigurationError(self._twice[name])
-        if name not in self._values:
-            raise UnknownNameError(self.kind, name, self.values, note="; ".join(self.faults))
         return self._values[name]
 
     def _merge(self, origin: str, values: dict[str, Value]) -> None:

@@ -80,8 +80,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
 
     def forget() -> None:
         for cached in (
-            backends.backend,
-            backends.renderer,
+            backends._made,
             backends._entry_points,
             backends._declared,
             backends._twice,

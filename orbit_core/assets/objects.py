@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+import math
+from collections.abc import Sequence
+from numbers import Real
 from pathlib import Path
 from typing import TypedDict, Unpack
 
+import numpy as np
+
 from orbit_core.assets.inertia import MassProperties, mass_properties, shapes_mass_properties
+from orbit_core.assets.scene_data import check_data
+from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import (
     Articulation,
     Box,
@@ -48,8 +55,7 @@ class SolidOptions(TypedDict, total=False):
 
 def box(name: str, size: Vector3, **options: Unpack[SolidOptions]) -> ObjectSpec:
     """A solid box of full ``size`` in metres, its frame at the middle."""
-    half = (size[0] / 2, size[1] / 2, size[2] / 2)
-    return _solid(name, Box(half), options)
+    return _solid(name, Box(_halves(name, size)), options)
 
 
 def sphere(name: str, radius: float, **options: Unpack[SolidOptions]) -> ObjectSpec:
@@ -59,12 +65,12 @@ def sphere(name: str, radius: float, **options: Unpack[SolidOptions]) -> ObjectS
 
 def cylinder(name: str, radius: float, length: float, **options: Unpack[SolidOptions]) -> ObjectSpec:
     """A solid cylinder along z of full ``length``, its frame at the middle."""
-    return _solid(name, Cylinder(radius, length / 2), options)
+    return _solid(name, Cylinder(radius, _half(name, length)), options)
 
 
 def capsule(name: str, radius: float, length: float, **options: Unpack[SolidOptions]) -> ObjectSpec:
     """A solid capsule along z, its frame at the middle; ``length`` leaves out the round caps."""
-    return _solid(name, Capsule(radius, length / 2), options)
+    return _solid(name, Capsule(radius, _half(name, length)), options)
 
 
 def mesh_object(name: str, mesh: Mesh | str | Path, scale: float = 1.0, **options: Unpack[SolidOptions]) -> ObjectSpec:
@@ -96,10 +102,11 @@ def table(
     ``size`` is depth (x), width (y) and height in metres; the legs reach down to ``z = -height``. With ``pose`` at
     height ``size[2]`` the table stands on the ground z = 0.
     """
-    thickness, leg = min(0.04, size[2] / 2), 0.06
+    half = _halves(name, size)
+    thickness, leg = min(0.04, half[2]), 0.06
     surface = material or PhysicsMaterial()
     parts = [
-        Shape(Box((size[0] / 2, size[1] / 2, thickness / 2)), Pose((0.0, 0.0, -thickness / 2)), surface, color, "top")
+        Shape(Box((half[0], half[1], thickness / 2)), Pose((0.0, 0.0, -thickness / 2)), surface, color, "top")
     ]
     length = size[2] - thickness
     for index, (x, y) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1))):
@@ -145,6 +152,10 @@ def _own_asset(file_name: str) -> Articulation:
 
 
 def _solid(name: str, geometry: Geometry, options: SolidOptions) -> ObjectSpec:
+    check_data(geometry, f"'{name}'")
+    for what in ("mass", "density"):
+        if options.get(what) is not None:
+            _positive(name, options[what], what)
     mass = options.get("mass")
     density = options.get("density", DENSITY) if mass is None else None
     shape = Shape(
@@ -158,6 +169,22 @@ def _solid(name: str, geometry: Geometry, options: SolidOptions) -> ObjectSpec:
         options.get("fixed_base", False),
         options.get("label", ""),
     )
+
+
+def _halves(name: str, size: Vector3) -> Vector3:
+    if not isinstance(size, Sequence | np.ndarray) or len(size) != 3:
+        raise AssetError(f"the size of '{name}' is {size!r}: give three lengths in metres")
+    return (_half(name, size[0]), _half(name, size[1]), _half(name, size[2]))
+
+
+def _half(name: str, length: float) -> float:
+    return _positive(name, length, "length") / 2
+
+
+def _positive(name: str, value: float, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0.0 < value < math.inf:
+        raise AssetError(f"a {what} of '{name}' is {value!r}: give a number above zero")
+    return value
 
 
 def _object(

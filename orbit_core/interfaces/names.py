@@ -49,6 +49,8 @@ def match_values(values: Mapping[str, float], names: Sequence[str], kind: str, w
 
 
 def _full_matches(pattern: str, names: Sequence[str], kind: str) -> list[int]:
+    if not isinstance(pattern, str):
+        raise ConfigurationError(f"a {kind} pattern must be a string, not {pattern!r}: give several one by one")
     try:
         expression = re.compile(pattern)
     except re.error as error:

@@ -45,8 +45,8 @@ class AveragingSensor(TimedSensor):
         self._window_over = not self._announced if self.period is None else self._elapsed + steps >= self.period
         super().advance(steps)
 
-    def reset(self, env_ids: Tensor | None = None) -> None:
-        super().reset(env_ids)
+    def _forget(self, env_ids: Tensor | None) -> None:
+        super()._forget(env_ids)
         # Zero sums make the next chunk's replacement and its addition the same.
         write_rows(self._sum, 0.0, env_ids)
         write_rows(self._count, 0.0, env_ids)

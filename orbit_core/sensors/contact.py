@@ -58,8 +58,8 @@ class ContactSensor(AveragingSensor):
             self._timers[threshold] = ContactTimer(self.num_envs, len(self.link_names), threshold, self.device)
         return self._timers[threshold]
 
-    def reset(self, env_ids: Tensor | None = None) -> None:
-        super().reset(env_ids)
+    def _forget(self, env_ids: Tensor | None) -> None:
+        super()._forget(env_ids)
         for timer in self._timers.values():
             timer.reset(env_ids)
 

@@ -46,8 +46,8 @@ class ImuSensor(AveragingSensor):
         super().begin_step()
         self._before = self._mount.velocity()[:, :3]
 
-    def reset(self, env_ids: Tensor | None = None) -> None:
-        super().reset(env_ids)
+    def _forget(self, env_ids: Tensor | None) -> None:
+        super()._forget(env_ids)
         self._before = None if env_ids is None or self._before is None else self._restarted(self._before, env_ids)
 
     def save_state(self) -> dict[str, Any]:

@@ -78,7 +78,10 @@ class TimedSensor(Sensor):
             self._update()
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        env_ids = self._random.masking.rows(env_ids)
+        self._forget(self._random.masking.rows(env_ids))
+
+    def _forget(self, env_ids: Tensor | None) -> None:
+        """Drop what is remembered of some environments: indices, or a mask in a traced step."""
         if env_ids is None:
             self._history.clear()
             self._waiting = None

@@ -118,6 +118,8 @@ class SimulatedObject(Object):
         return self._efforts.of(self._engine.joint_efforts)
 
     def frame_pose(self, name: str) -> Tensor:
+        if not isinstance(name, str):
+            self._frame(name)  # which refuses it
         version, pose = self._frame_poses.get(name, (-1, None))
         if pose is None or version != self._clock.version:
             frame = self._frame(name)
@@ -137,9 +139,9 @@ class SimulatedObject(Object):
 
     def jacobian(self, frame: str, joints: Sequence[int] | None = None) -> Tensor:
         columns = self._all_columns if joints is None else self._joint_columns(joints)
+        link = self._frame(frame).link
         jacobian = self._jacobians.get((frame, columns))
         if jacobian is None:
-            link = self._frame(frame).link
             jacobian = PointJacobian(self.spec.articulation, link, columns, self._engine.device)
             self._jacobians[frame, columns] = jacobian
         return jacobian(self.link_poses, self.frame_pose(frame)[:, :3])
@@ -322,7 +324,7 @@ class SimulatedObject(Object):
         return joints, positions, velocities
 
     def _frame(self, name: str) -> _FrameHandle:
-        handle = self._frames.get(name)
+        handle = self._frames.get(name) if isinstance(name, str) else None
         if handle is None:
             articulation = self.spec.articulation
             try:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from orbit_core.actuators import Actuators
 from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.scene_data import check_data
 from orbit_core.assets.validation import validate_entity
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_config, check_scene
@@ -32,6 +33,7 @@ from orbit_core.interfaces import (
     Approximation,
     ArgumentError,
     BuildError,
+    ConfigurationError,
     Renderer,
     SceneLayout,
     Sensor,
@@ -98,6 +100,9 @@ class SimulatedWorld(World):
         num_envs, seed = whole_number(num_envs, "num_envs", 1, MOST_ENVIRONMENTS), seed_number(seed)
         plugin = find_backend(backend)
         self._renderer_plugin = find_renderer(renderer or backend)
+        if not isinstance(scene, Scene):
+            raise ConfigurationError(f"a world needs a Scene, not a {type(scene).__name__}")
+        check_data(scene, "scene")
         scene = _prepared(scene)
         check_scene(plugin, scene, self._renderer_plugin)
         self.scene = scene
