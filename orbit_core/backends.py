@@ -82,6 +82,11 @@ def backend(name: str) -> Backend:
     """
     if not isinstance(name, str):
         raise UnknownNameError("backend", name, backend_names())
+    return _backend(name)
+
+
+@functools.cache
+def _backend(name: str) -> Backend:
     entry_point = _entry_points().get(name)
     if entry_point is None:
         installable = installable_backends()
@@ -101,6 +106,11 @@ def renderer(name: str) -> Backend:
     """
     if not isinstance(name, str):
         raise UnknownNameError("renderer", name, {*backend_names(), *renderer_names()})
+    return _renderer(name)
+
+
+@functools.cache
+def _renderer(name: str) -> Backend:
     entry_point = _entry_points(RENDERERS).get(name)
     if entry_point is not None:
         return _made(entry_point, RENDERERS)
@@ -169,7 +179,6 @@ def backend_config(backend: Backend, values: Mapping[str, Any] | None = None) ->
         raise ConfigurationError(f"settings of '{backend.name}': {error}") from error
 
 
-@functools.cache
 def _made(entry_point: importlib_metadata.EntryPoint, group: str) -> Backend:
     if fault := _twice(group).get(entry_point.name):
         raise ConfigurationError(fault)

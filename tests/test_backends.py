@@ -80,7 +80,8 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
 
     def forget() -> None:
         for cached in (
-            backends._made,
+            backends._backend,
+            backends._renderer,
             backends._entry_points,
             backends._declared,
             backends._twice,
