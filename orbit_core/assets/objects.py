@@ -105,9 +105,7 @@ def table(
     half = _halves(name, size)
     thickness, leg = min(0.04, half[2]), 0.06
     surface = material or PhysicsMaterial()
-    parts = [
-        Shape(Box((half[0], half[1], thickness / 2)), Pose((0.0, 0.0, -thickness / 2)), surface, color, "top")
-    ]
+    parts = [Shape(Box((half[0], half[1], thickness / 2)), Pose((0.0, 0.0, -thickness / 2)), surface, color, "top")]
     length = size[2] - thickness
     for index, (x, y) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1))):
         center = (x * (size[0] - leg) / 2, y * (size[1] - leg) / 2, -thickness - length / 2)
@@ -153,11 +151,9 @@ def _own_asset(file_name: str) -> Articulation:
 
 def _solid(name: str, geometry: Geometry, options: SolidOptions) -> ObjectSpec:
     check_data(geometry, f"'{name}'")
-    for what in ("mass", "density"):
-        if options.get(what) is not None:
-            _positive(name, options[what], what)
     mass = options.get("mass")
     density = options.get("density", DENSITY) if mass is None else None
+    _positive(name, density if mass is None else mass, "density" if mass is None else "mass")
     shape = Shape(
         geometry, material=options.get("material", PhysicsMaterial()), color=options.get("color", GRAY), name=name
     )
@@ -181,10 +177,10 @@ def _half(name: str, length: float) -> float:
     return _positive(name, length, "length") / 2
 
 
-def _positive(name: str, value: float, what: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, Real) or not 0.0 < value < math.inf:
+def _positive(name: str, value: object, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0.0 < float(value) < math.inf:
         raise AssetError(f"a {what} of '{name}' is {value!r}: give a number above zero")
-    return value
+    return float(value)
 
 
 def _object(
