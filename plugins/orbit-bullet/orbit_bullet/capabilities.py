@@ -2,6 +2,11 @@
 
 from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
 
+_LENGTHS = (
+    "Bullet adds up the lengths of a pair, each times the other's sliding friction: exact where lengths give every "
+    "pair its larger one, and the nearest sums elsewhere"
+)
+
 CAPABILITIES = Capabilities(
     {
         Capability.ARTICULATIONS: EXACT,
@@ -24,8 +29,8 @@ CAPABILITIES = Capabilities(
             "nearest products elsewhere"
         ),
         Capability.STATIC_FRICTION: approximate("one coefficient of sliding friction, the dynamic one"),
-        Capability.TORSIONAL_FRICTION: unsupported("not connected: contacts at several points resist turning"),
-        Capability.ROLLING_FRICTION: unsupported("not connected"),
+        Capability.TORSIONAL_FRICTION: approximate(_LENGTHS),
+        Capability.ROLLING_FRICTION: approximate(_LENGTHS),
         Capability.RESTITUTION: approximate(
             "Bullet multiplies the values of a pair, as with friction; impacts below a threshold do not rebound"
         ),

@@ -19,8 +19,10 @@ _RAYS = (
     ),
 )
 
-_GYROSCOPIC = "gyroscopic torques are taken at the beginning of the step, so that free bodies gain energy"
-_GYROSCOPIC_FAST = f"{_GYROSCOPIC}; at 300 rad/s they diverge"
+_TURNS = (
+    "Bullet turns a body by little more than 45 degrees a step, at 5 ms some 157 rad/s; beyond, the axis wanders at "
+    "constant angular momentum, as it does where a step turns a body far"
+)
 _UNDAMPED = "joint velocities are integrated in first order, which takes energy from fast chains, or gives it"
 _REDUCED = (
     "joint velocities are integrated in first order, and the momenta that they add up to are then conserved in first "
@@ -32,14 +34,12 @@ _BACKWARD = (
 )
 
 _MOTION = (
-    Gap("spinning_bodies", "energy", 0.025, _GYROSCOPIC),
     Gap("floating_chain", "linear_momentum", 0.012, _REDUCED),
     Gap("floating_chain", "angular_momentum", 0.025, _REDUCED),
     Gap("floating_chain", "path", 6e-3, _REDUCED),
     Gap("floating_chain", "energy", 0.03, _REDUCED),
-    Gap("fast_spin", "angular_momentum", math.inf, _GYROSCOPIC_FAST),
-    Gap("fast_spin", "energy", math.inf, _GYROSCOPIC_FAST),
-    Gap("fast_spin", "axis", math.inf, _GYROSCOPIC_FAST),
+    Gap("fast_spin", "energy", 2.0, _TURNS),
+    Gap("fast_spin", "axis", math.pi, _TURNS),
     Gap("energy_of_a_chain", "gained", 0.5, _UNDAMPED),
     Gap("energy_of_a_chain", "lost", 1.0, _UNDAMPED),
     Gap("drive_frequencies", "response", 0.5, _BACKWARD),
@@ -49,7 +49,6 @@ _MOTION = (
 )
 
 _CACHED = "cylinders and hulls stand on contact points that come and go from step to step, and tremble between them"
-_EDGE = "the edge of a cylinder is rounded by its margin and its contact is found a step late: the coin spirals"
 _LATE_IMPACT = "an impact is seen in the step after the two have met, with the speed that gravity has added by then"
 _ONE_POINT = (
     "sequential impulses load one point of a face with most of the normal force; what friction the others then have "
@@ -62,9 +61,6 @@ _CONTACT = (
     Gap("stick_and_slip", "creep", 6e-3, _CACHED),
     Gap("stick_and_slip", "friction", 0.08, _CACHED),
     Gap("static_above_dynamic", "slip", 0.5, "there is one coefficient of sliding friction, the dynamic one"),
-    Gap("rolling_wheel", "downhill", 0.03, _CACHED),
-    Gap("rolling_coin", "path", 0.8, _EDGE),
-    Gap("rolling_coin", "lean", 0.1, _EDGE),
     Gap("spin_down", "angle", 0.16, _ONE_POINT_OF_A_FACE),
     Gap("spin_down", "way", 0.05, _ONE_POINT_OF_A_FACE),
     Gap("loaded_tower", "lean_100", 0.02, _ONE_POINT_OF_A_FACE),
@@ -76,7 +72,6 @@ _CONTACT = (
     Gap("grasp", "limit", 0.12, _ONE_POINT),
     Gap("grasp", "creep", 0.2, _ONE_POINT),
     Gap("resting_weight", "force", 0.01, _CACHED),
-    Gap("resting_weight", "drift", 7e-5, _CACHED),
     Gap("heap", "penetration", 0.05, "the many contacts of a heap are not solved to the end in 200 iterations"),
 )
 

@@ -3,6 +3,10 @@
 Bullet multiplies the coefficients of the two things that touch; the contract asks for the larger. With one value
 everywhere, its root for each is exact. In general the factors solve ``log f_i + log f_j = log max(v_i, v_j)`` over all
 pairs that may touch, in the least-squares sense; what remains is reported.
+
+Torsional and rolling friction of a pair are ``r_i f_j + r_j f_i`` in Bullet (``btManifoldResult``), with the factors
+``f`` of sliding friction. With ``r_i = f_i s_i`` that is ``f_i f_j (s_i + s_j)``, so that the shares ``s`` solve
+``s_i + s_j = max(v_i, v_j) / (f_i f_j)`` over the same pairs.
 """
 
 from __future__ import annotations
@@ -13,13 +17,17 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, SceneLayout
-from orbit_core.scene import Shape
+from orbit_core.scene import Capsule, Cylinder, PhysicsMaterial, Shape, Sphere
 
 FloatArray = npt.NDArray[np.float64]
 _LEAST = 1e-6
 """Stands for zero, which has no logarithm."""
+_LEAST_SLIDING = 0.01
+"""Sliding friction of a pair below which its torsional and rolling friction fall short, rather than disturb others'."""
+_LEAST_LENGTH = 1e-4
+"""Metres below which deviations of torsional and rolling friction count as parts of this."""
 _WORTH_REPORTING = 0.02
-"""Relative deviation of a product."""
+"""Relative deviation of a pair's value."""
 
 
 class PairProducts:
@@ -42,20 +50,40 @@ class PairProducts:
         asked = np.maximum(*logarithms[self._pairs.T]) if len(self._pairs) else np.zeros(0)
         return np.exp(self._solve @ np.concatenate((asked, 0.5e-4 * logarithms)))
 
+    def lengths(self, values: FloatArray, factors: FloatArray) -> FloatArray:
+        """Torsional or rolling friction (n,) in metres that, beside ``factors`` of friction, stand for values (n,)."""
+        if not len(self._pairs) or not values.any():
+            return np.zeros_like(values)
+        sliding = np.maximum(factors[self._pairs].prod(axis=1), _LEAST_SLIDING)
+        shares = self._solve @ np.concatenate((values[self._pairs].max(axis=1) / sliding, np.zeros_like(values)))
+        return factors * np.maximum(shares, 0.0)
+
+    def report_lengths(self, what: str, values: FloatArray, factors: FloatArray) -> list[Approximation]:
+        """What sums of lengths miss: one line, about the pair that is furthest off."""
+        lengths = self.lengths(values, factors)
+        first, second = self._pairs.T
+        got = lengths[first] * factors[second] + lengths[second] * factors[first]
+        why = "Bullet adds up the two lengths of a pair, each times the other's sliding friction"
+        return self._worst(what, values, got, _LEAST_LENGTH, why)
+
     def report(self, what: str, values: FloatArray) -> list[Approximation]:
         """What the products miss: one line, about the pair that is furthest off."""
         if not len(self._pairs) or not values.any():
             return []
         factors = self.factors(values)
-        asked, got = values[self._pairs].max(axis=1), factors[self._pairs].prod(axis=1)
-        off = np.abs(got - asked) / np.maximum(asked, 0.05)
+        why = "Bullet multiplies the two coefficients of a pair; the factors given come nearest for all pairs together"
+        return self._worst(what, values, factors[self._pairs].prod(axis=1), 0.05, why)
+
+    def _worst(self, what: str, values: FloatArray, got: FloatArray, least: float, why: str) -> list[Approximation]:
+        """A line about the pair whose value got (P,) is furthest from the larger one; relative, above ``least``."""
+        asked = values[self._pairs].max(axis=1)
+        off = np.abs(got - asked) / np.maximum(asked, least)
         missed = int((off > _WORTH_REPORTING).sum())
         if not missed:
             return []
         worst = int(off.argmax())
         first, second = (self.subjects[i] for i in self._pairs[worst])
         subject = f"{what} of {missed} of {len(self._pairs)} pairs that may touch"
-        why = "Bullet multiplies the two coefficients of a pair; the factors given come nearest for all pairs together"
         return [
             Approximation(
                 subject,
@@ -72,6 +100,21 @@ def nominal(layout: SceneLayout, name: str) -> FloatArray:
     return np.array([max((getattr(s.material, name) for s in shapes), default=0.0) for shapes in groups])
 
 
+def rolling_friction(layout: SceneLayout) -> FloatArray:
+    """Rolling friction of links, then terrain shapes: where a shape is round, or a material asks for more than usual.
+
+    A flat thing does not roll, and what the smallest friction would add to its contacts is time alone.
+    """
+    groups = [link.collisions for link in layout.links] + [(shape,) for shape in layout.scene.terrain]
+    return np.array([max(map(_rolling_friction, shapes), default=0.0) for shapes in groups])
+
+
+def _rolling_friction(shape: Shape) -> float:
+    asked = shape.material.rolling_friction
+    rolls = isinstance(shape.geometry, Sphere | Capsule | Cylinder)
+    return asked if rolls or asked > PhysicsMaterial.rolling_friction else 0.0
+
+
 def material_report(layout: SceneLayout) -> list[Approximation]:
     """What of single materials Bullet does not take as it is."""
     found: list[Approximation] = []
@@ -79,7 +122,7 @@ def material_report(layout: SceneLayout) -> list[Approximation]:
     for subject, shapes in zip(_subjects(layout), groups, strict=True):
         for shape in shapes:
             found += _shape_report(shape, subject)
-        for name in ("dynamic_friction", "restitution"):
+        for name in ("dynamic_friction", "restitution", "torsional_friction", "rolling_friction"):
             values = sorted({getattr(shape.material, name) for shape in shapes})
             if len(values) > 1:
                 why = "Bullet knows one material per link"

@@ -6,7 +6,7 @@ import numpy as np
 
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.deformables import deformable_report
-from orbit_bullet.materials import PairProducts, material_report, nominal
+from orbit_bullet.materials import PairProducts, material_report, nominal, rolling_friction
 from orbit_core.interfaces import Approximation, EntityLayout, SceneLayout
 
 
@@ -14,7 +14,11 @@ def build_report(layout: SceneLayout, config: BulletConfig) -> tuple[Approximati
     """One line per difference."""
     found = material_report(layout)
     products = PairProducts(layout)
-    found += products.report("friction", nominal(layout, "dynamic_friction"))
+    friction = nominal(layout, "dynamic_friction")
+    factors = products.factors(friction)
+    found += products.report("friction", friction)
+    found += products.report_lengths("torsional friction", nominal(layout, "torsional_friction"), factors)
+    found += products.report_lengths("rolling friction", rolling_friction(layout), factors)
     found += products.report("restitution", nominal(layout, "restitution"))
     for entity in layout.entities:
         found += _joint_report(layout, entity)

@@ -13,9 +13,10 @@ from orbit_bullet.buffers import Buffers
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.contacts import ContactMeter
 from orbit_bullet.deformables import Deformables
+from orbit_bullet.gyroscopic import Gyroscopes
 from orbit_bullet.library import Client, refusals, silence
 from orbit_bullet.loads import Loads
-from orbit_bullet.materials import PairProducts, nominal
+from orbit_bullet.materials import PairProducts, nominal, rolling_friction
 from orbit_bullet.rays import cast_rays
 from orbit_bullet.readback import read_model
 from orbit_bullet.rotations import compose, cross
@@ -60,7 +61,9 @@ class Simulation:
             self.actuation = Actuation(self.stage, buffers)
             self.deformables = Deformables(self.stage, buffers) if layout.scene.deformables else None
         self.loads = Loads(self.stage)
+        self._gyroscopes = Gyroscopes(self.client, self.stage.free_bodies(), layout.scene.physics_dt)
         self._products = PairProducts(layout)
+        self._torsional, self._rolling = nominal(layout, "torsional_friction"), rolling_friction(layout)
         self._friction = np.tile(nominal(layout, "dynamic_friction"), (self.count, 1))
         self._set_restitution()
         self._apply_friction(np.arange(self.count))
@@ -108,7 +111,9 @@ class Simulation:
                 self.deformables.begin()
             self.actuation.apply(self._positions, self._velocities)
             self.loads.apply()
+            self._gyroscopes.begin()
             self.client.stepSimulation()
+            self._gyroscopes.end()
             if contacts:
                 self._contacts.add()
         if contacts:
@@ -300,6 +305,7 @@ class Simulation:
                 self.client.changeDynamics(
                     self.stage.bodies[slot][number], index, mass=mass, localInertiaDiagonal=moments.tolist()
                 )
+        self._gyroscopes.refresh()
         self.loads.derive()
 
     def set_gravity(self, rows: Rows, gravity: FloatArray) -> None:
@@ -322,25 +328,33 @@ class Simulation:
 
     def _apply_friction(self, rows: Rows) -> None:
         for slot in rows:
-            for body, link, factor in self._contact_bodies(slot, self._products.factors(self._friction[slot])):
-                self.client.changeDynamics(body, link, lateralFriction=factor)
+            factors = self._products.factors(self._friction[slot])
+            torsional = self._products.lengths(self._torsional, factors)
+            rolling = self._products.lengths(self._rolling, factors)
+            for body, link, number in self._contact_bodies(slot):
+                self.client.changeDynamics(
+                    body,
+                    link,
+                    lateralFriction=factors[number],
+                    spinningFriction=torsional[number],
+                    rollingFriction=rolling[number],
+                )
 
     def _set_restitution(self) -> None:
         factors = self._products.factors(nominal(self.layout, "restitution"))
         for slot in range(self.count):
-            for body, link, factor in self._contact_bodies(slot, factors):
-                self.client.changeDynamics(body, link, restitution=factor)
+            for body, link, number in self._contact_bodies(slot):
+                self.client.changeDynamics(body, link, restitution=factors[number])
 
-    def _contact_bodies(self, slot: int, factors: FloatArray) -> list[tuple[int, int, float]]:
-        """Body, Bullet link and factor of each link that collides, then of each terrain shape."""
+    def _contact_bodies(self, slot: int) -> list[tuple[int, int, int]]:
+        """Body, Bullet link and number among the materials of each link that collides, then of each terrain shape."""
         found = []
         for entity in self.layout.entities:
             for offset, index in enumerate(self.stage.links[entity.index]):
                 if index in self.stage.colliding[entity.index]:
-                    factor = float(factors[entity.links.start + offset])
-                    found.append((self.stage.bodies[slot][entity.index], index, factor))
-        terrain = factors[len(self.layout.links) :].tolist()
-        return found + [(body, -1, factor) for body, factor in zip(self.stage.terrain[slot], terrain, strict=True)]
+                    found.append((self.stage.bodies[slot][entity.index], index, entity.links.start + offset))
+        links = len(self.layout.links)
+        return found + [(body, -1, number) for number, body in enumerate(self.stage.terrain[slot], links)]
 
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 

@@ -118,6 +118,11 @@ class Stage:
             for entity in layout.entities:
                 self._add_entity(slot, entity)
 
+    def free_bodies(self) -> list[int]:
+        """The bodies, of all slots, that have one link and nothing that holds it."""
+        free = [e.index for e in self.layout.entities if not e.spec.fixed_base and len(self.links[e.index]) == 1]
+        return [bodies[number] for bodies in self.bodies for number in free]
+
     # Who may touch whom ----------------------------------------------------------------------------------------------
 
     def groups(self, slot: int, static: bool) -> tuple[int, int]:
