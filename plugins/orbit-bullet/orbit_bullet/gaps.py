@@ -23,7 +23,10 @@ _TURNS = (
     "Bullet turns a body by little more than 45 degrees a step, at 5 ms some 157 rad/s; beyond, the axis wanders at "
     "constant angular momentum, as it does where a step turns a body far"
 )
-_UNDAMPED = "joint velocities are integrated in first order, which takes energy from fast chains, or gives it"
+_UNDAMPED = (
+    "joint velocities are integrated in first order, and Bullet offers no other way: a whip of a chain's end takes "
+    "12 % of its energy at 5 ms, 5 % at 1.25 ms, 3 % at 0.5 ms, and the slow swings between give some"
+)
 _REDUCED = (
     "joint velocities are integrated in first order, and the momenta that they add up to are then conserved in first "
     "order only"
@@ -40,8 +43,8 @@ _MOTION = (
     Gap("floating_chain", "energy", 0.03, _REDUCED),
     Gap("fast_spin", "energy", 2.0, _TURNS),
     Gap("fast_spin", "axis", math.pi, _TURNS),
-    Gap("energy_of_a_chain", "gained", 0.5, _UNDAMPED),
-    Gap("energy_of_a_chain", "lost", 1.0, _UNDAMPED),
+    Gap("energy_of_a_chain", "gained", 0.4, _UNDAMPED),
+    Gap("energy_of_a_chain", "lost", 0.6, _UNDAMPED),
     Gap("drive_frequencies", "response", 0.5, _BACKWARD),
     Gap("implicit_drive", "under", 0.06, _BACKWARD),
     Gap("implicit_drive", "damped", 0.03, _BACKWARD),
