@@ -8,7 +8,7 @@ import types
 import typing
 from typing import Any, TypeVar
 
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.interfaces import ConfigurationError, OrbitError, UnknownNameError
 
 T = TypeVar("T")
 
@@ -42,7 +42,7 @@ def from_plain(kind: type[T], values: Any, where: str) -> T:
             raise ConfigurationError(f"{where} lacks {name}")
     try:
         return kind(**given)
-    except ValueError as error:
+    except (ValueError, OrbitError) as error:
         raise ConfigurationError(f"{where}: {error}") from None
 
 

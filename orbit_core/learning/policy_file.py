@@ -16,7 +16,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_core.learning.description import PolicyDescription
 from orbit_core.learning.networks import Actor, Network, network_type
 from orbit_core.learning.plain import from_plain
@@ -63,8 +63,11 @@ def read_policy(path: Path) -> tuple[PolicyDescription, Actor]:
     document, tensors = read_tensors(path)
     description = PolicyDescription.of_document(document, str(path))
     network = _network(document.get("network"), str(path))
-    with torch.device("meta"):  # so that settings of a huge network cost nothing before the weights agree
-        module = network.build(description.observation_size, description.action_size)
+    try:
+        with torch.device("meta"):  # so that settings of a huge network cost nothing before the weights agree
+            module = network.build(description.observation_size, description.action_size)
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise ConfigurationError(f"{path}: {network!r} cannot be built: {error}") from error
     _check_weights(module, tensors, path)
     module.load_state_dict(tensors, assign=True)
     module.requires_grad_(False).eval()
@@ -95,7 +98,11 @@ def _network(values: Any, where: str) -> Network:
     if not isinstance(values, dict) or not isinstance(values.get("name"), str):
         raise ConfigurationError(f"{where} names no network")
     name = values["name"][:60]  # for messages
-    return from_plain(network_type(name), values.get("settings"), f"network '{name}' of {where}")
+    try:
+        kind = network_type(name)
+    except OrbitError as error:
+        raise ConfigurationError(f"{where}: {error}") from None
+    return from_plain(kind, values.get("settings"), f"network '{name}' of {where}")
 
 
 def _check_weights(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:

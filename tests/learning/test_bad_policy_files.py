@@ -6,9 +6,10 @@ import json
 import os
 import pickle
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from random import Random
 from typing import Any, ClassVar
 
 import onnx
@@ -20,7 +21,7 @@ from torch import Tensor, nn
 
 import orbit_core
 from orbit_core.interfaces import OrbitError
-from orbit_core.learning import tensor_file
+from orbit_core.learning import networks, tensor_file
 from orbit_core.learning.checkpoint import read_checkpoint, write_checkpoint
 from orbit_core.learning.description import Part, PolicyDescription
 from orbit_core.learning.networks import Perceptron, register_network
@@ -115,6 +116,7 @@ def test_what_is_wrong_in_a_policy_is_named(
     changed(path, change)
     with pytest.raises(OrbitError, match=complaint) as raised:
         load_policy(path)
+    assert str(path) in str(raised.value)
     assert len(str(raised.value)) < 500
 
 
@@ -247,10 +249,39 @@ class Linear:
     gain: float
 
     def build(self, observation_size: int, action_size: int) -> nn.Module:
+        if self.gain <= 0.0:
+            raise RuntimeError("a gain is positive")
         return nn.Sequential(nn.Linear(observation_size, action_size), nn.Hardtanh(-self.gain, self.gain))
 
 
-def test_other_packages_bring_networks(tmp_path: Path) -> None:
+@pytest.fixture
+def _own_networks() -> Iterator[None]:
+    """What a test registers is forgotten after it."""
+    networks._networks.cache_clear()
+    yield
+    networks._networks.cache_clear()
+
+
+@pytest.mark.usefixtures("_own_networks")
+def test_an_installed_package_brings_networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By an entry point, as a package would; a file then names it."""
+    code = f"from {__name__} import Linear\n\nclass Theirs(Linear):\n    name = 'theirs'\n"
+    (tmp_path / "their_networks.py").write_text(code)
+    about = tmp_path / "their_networks-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: their-networks\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[orbit.networks]\nany = their_networks:Theirs\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    network = networks.network_type("theirs")(gain=0.5)  # pyright: ignore[reportCallIssue]
+    Policy(network.build(3, 2), network, DESCRIPTION).save(tmp_path / "policy_1.safetensors")
+    assert load_policy(tmp_path).network == network
+    changed(tmp_path / "policy_1.safetensors", put("network", "settings", "gain", value=-1.0))
+    with pytest.raises(OrbitError, match="cannot be built"):
+        load_policy(tmp_path)
+
+
+@pytest.mark.usefixtures("_own_networks")
+def test_a_program_brings_networks(tmp_path: Path) -> None:
     network = Linear(0.5)
     theirs = Policy(network.build(3, 2), network, DESCRIPTION)
     with pytest.raises(OrbitError, match="unknown network 'somebodys_linear'"):
@@ -345,6 +376,39 @@ def test_a_checkpoint_is_data(tmp_path: Path) -> None:
         read_checkpoint(path, "sb3")
     with pytest.raises(OrbitError, match="no checkpoint of format"):
         read_checkpoint(saved(tmp_path), "sb3")
+
+
+def damaged(good: bytes, random: Random) -> bytes:
+    """Bytes overwritten, taken out or put in near the beginning, where what is not numbers lies."""
+    data, place = bytearray(good), random.randrange(min(len(good), 1200))
+    text = bytes(random.choices(b'0123456789[]{}",:eE-.', k=random.randint(1, 6)))
+    data[place : place + random.choice([0, len(text), 20])] = random.choice([b"", text, random.randbytes(2)])
+    if random.random() < 0.5:  # let the header's size be right, so that what it says is read
+        size = int.from_bytes(good[:8], "little") + len(data) - len(good)
+        data[:8] = size.to_bytes(8, "little")
+    return bytes(data)
+
+
+def test_damaged_files_end_in_errors_of_ours(tmp_path: Path) -> None:
+    """100 of each kind; what is still whole is read."""
+    policy().save(tmp_path / "policy.safetensors")
+    policy().export_onnx(tmp_path / "policy.onnx")
+    state = {"optimizer": torch.optim.Adam(policy().module.parameters()).state_dict(), "other": [1, None, {"a": 2.0}]}
+    write_checkpoint(tmp_path / "checkpoint.safetensors", "sb3", state)
+    random, told = Random(0), []
+    for path in sorted(tmp_path.iterdir()):
+        good = path.read_bytes()
+        for _ in range(100):
+            path.write_bytes(damaged(good, random))
+            try:
+                if path.stem == "policy":
+                    load_policy(path)
+                else:
+                    read_checkpoint(path, "sb3")
+            except OrbitError as error:
+                told.append((path.name, str(error)))
+    assert len(told) > 150
+    assert all(name in error and len(error) < 700 for name, error in told)
 
 
 def test_the_core_has_no_reader_that_runs_what_it_reads() -> None:
