@@ -24,7 +24,7 @@ from orbit_core.conformance.throughput import measure_once
 from orbit_core.conformance.transfer import transfer
 from orbit_core.conformance.verdict import Status, run_scenario
 from orbit_core.conformance.videos import film
-from orbit_core.interfaces import ConfigurationError, UnsupportedCapabilityError
+from orbit_core.interfaces import StorageError, UnsupportedCapabilityError
 
 RECORDING = "recording.npz"
 TRACES = "traces.json"
@@ -55,7 +55,7 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
         The outcome; an exception becomes a record of its own.
 
     Raises:
-        ConfigurationError: the disk is full, which tells nothing of the backend.
+        StorageError: the disk is full, which tells nothing of the backend.
     """
     torch.set_num_threads(1)  # other jobs run on the other cores
     begin = time.perf_counter()
@@ -68,9 +68,11 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
             record = _DOINGS[job.kind](record, settings, folder)
         except UnsupportedCapabilityError as error:
             record = replace(record, ending=Ending.UNSUPPORTED, reason=str(error))
+        except StorageError:
+            raise
         except Exception as error:
             if isinstance(error, OSError) and error.errno in _FULL:
-                raise ConfigurationError(f"cannot write into folder {folder.parent}: {error.strerror}") from error
+                raise StorageError(f"cannot write into folder {folder.parent}: {error.strerror}") from error
             traceback.print_exc()
             record = replace(record, ending=Ending.ERROR, reason=f"{type(error).__name__}: {error}")
         made = {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.name not in inputs}

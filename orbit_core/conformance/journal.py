@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,9 +19,9 @@ from orbit_core.conformance.results import (
     decode,
     encode,
     save,
-    write_whole,
 )
 from orbit_core.conformance.sources import CORE, sources_of
+from orbit_core.files import storage_faults, written_whole
 from orbit_core.interfaces import ConfigurationError
 
 JOURNAL = "journal.jsonl"
@@ -49,7 +48,8 @@ class Journal:
 
     Raises:
         ConfigurationError: the folder holds an unfinished run of other settings, versions or another core, or the
-            journal of one is no journal; another process writes into it; or, then and later, it cannot be written.
+            journal of one is no journal; or another process writes into it.
+        StorageError: then and later, the disk is full, or the folder cannot be written.
     """
 
     def __init__(self, folder: Path, header: Header, fresh: bool = False) -> None:
@@ -59,7 +59,7 @@ class Journal:
         self.dropped = ""
         """What has changed, and how many records were dropped for it, in words; empty if none was."""
         self._path = folder / JOURNAL
-        with _told(folder):
+        with storage_faults(folder):
             folder.mkdir(parents=True, exist_ok=True)
             self._lock = FolderLock(folder)
         try:
@@ -72,10 +72,11 @@ class Journal:
         """Keep an outcome: its files first, so that a record's files are always there."""
         record = outcome.record
         own = self.folder / record.job.key
-        with _told(self.folder):
+        with storage_faults(self._path):
             for name, content in outcome.files.items():
                 own.mkdir(parents=True, exist_ok=True)
-                write_whole(own / name, content)
+                with written_whole(own / name) as path:
+                    path.write_bytes(content)
             self._append(encode(record))
         self.records[record.job.key] = record
 
@@ -83,9 +84,8 @@ class Journal:
         """Write the result; the journal has done its work."""
         records = tuple(self.records.values())
         result = Result(header=self.header, records=records, partings=tuple(partings), finished=now())
-        with _told(self.folder):
-            save(result, self.folder)
-            self._path.unlink()
+        save(result, self.folder)
+        self._path.unlink()
         return result
 
     def close(self) -> None:
@@ -94,14 +94,15 @@ class Journal:
         self._lock.release()
 
     def _begin(self, fresh: bool) -> None:
-        with _told(self.folder):
+        with storage_faults(self._path):
             if (self.folder / RESULT_FILE).exists():
                 (self.folder / RESULT_FILE).replace(self.folder / PREVIOUS)
                 self._path.unlink(missing_ok=True)
             if self._path.exists() and not fresh:
                 self._resume()
             lines = [encode(self.header), *map(encode, self.records.values())]
-            write_whole(self._path, "".join(f"{line}\n" for line in lines).encode())
+            with written_whole(self._path) as path:
+                path.write_text("".join(f"{line}\n" for line in lines))
             self._file = self._path.open("ab", buffering=0)
 
     def _append(self, line: str) -> None:
@@ -138,17 +139,6 @@ class Journal:
 
 
 _REMEDY = "--fresh begins anew, another --output keeps it"
-
-
-@contextlib.contextmanager
-def _told(folder: Path) -> Iterator[None]:
-    """Tell of a full disk, or of whatever else keeps files from being written, in a line."""
-    try:
-        yield
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot write into folder {folder}: {error.strerror}; the same command goes on once that is mended"
-        ) from error
 
 
 def _differing(old: Header, new: Header) -> str:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from orbit_core.files import written_whole
 from orbit_core.interfaces import AssetError, ConfigurationError, Object, Robot
 from orbit_core.world import SimulatedWorld
 
@@ -41,14 +42,17 @@ class Recording:
     episode's end."""
 
     def save(self, path: Path) -> None:
-        """Write an ``.npz`` file; it is whole or not there."""
+        """Write an ``.npz`` file.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
         about = {"task": self.task, "backend": self.backend, "seed": self.seed, "step_dt": self.step_dt}
         arrays: dict[str, npt.NDArray[Any]] = {_TRACK + name: track for name, track in self.tracks.items()}
         header = json.dumps({**about, "fields": dict(self.fields)})
-        partial = path.with_name(f".{path.stem}.partial.npz")
         arrays |= {"header": np.array(header), "actions": self.actions, "lengths": self.lengths}
-        np.savez_compressed(partial, **arrays)  # pyright: ignore[reportArgumentType]
-        partial.replace(path)
+        with written_whole(path) as written:
+            np.savez_compressed(written, **arrays)  # pyright: ignore[reportArgumentType]
 
     @staticmethod
     def load(path: Path) -> Recording:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -23,6 +22,7 @@ from orbit_core.conformance.settings import Settings
 from orbit_core.conformance.throughput import Throughput
 from orbit_core.conformance.transfer import TransferResult, learned
 from orbit_core.conformance.verdict import Status
+from orbit_core.files import written_whole
 from orbit_core.interfaces import AssetError, Gap
 from orbit_core.policies import TransferGap, kept_policy
 
@@ -261,22 +261,13 @@ def load(path: Path) -> Result:
 
 
 def save(result: Result, folder: Path) -> None:
-    """Write the result's file; it is whole or not there."""
-    write_whole(folder / RESULT_FILE, f"{encode(result)}\n".encode())
+    """Write the result's file.
 
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file that is whole or, on an error, as it was before."""
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        with partial.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
+    Raises:
+        StorageError: it cannot be written.
+    """
+    with written_whole(folder / RESULT_FILE) as path:
+        path.write_text(f"{encode(result)}\n")
 
 
 def _plain(value: Any) -> Any:

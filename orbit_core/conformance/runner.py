@@ -49,8 +49,9 @@ def run(
         fresh: do all anew, whatever the folder holds.
 
     Raises:
-        ConfigurationError: the folder holds an unfinished run of other settings, versions or another core, is in use,
-            or cannot be written.
+        ConfigurationError: the folder holds an unfinished run of other settings, versions or another core, or another
+            process writes into it.
+        StorageError: the disk is full, or the folder cannot be written.
     """
     phases = plan(settings)
     total = sum(len(phase.jobs) for phase in phases)

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from orbit_core.backends import backend, default_backend
+from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.interfaces import Capability
 from orbit_core.tasks import task_entries
 
@@ -76,6 +77,17 @@ def test_info_of_a_backend_shows_every_capability_with_its_reason():
         words = capability.value.split()[0]
         assert words in text
         assert all(word in text for word in capabilities[capability].reason.split())
+
+
+def test_info_of_a_backend_shows_every_declared_gap_with_its_limit_unit_and_reason():
+    text = " ".join(printed("info", BACKEND).split())
+    gaps = backend(BACKEND).gaps()
+    assert gaps
+    units = {(scenario.name, metric.name): metric.unit for scenario in SCENARIOS for metric in scenario.metrics}
+    for gap in gaps:
+        limit = f"{gap.limit:g} {units[gap.scenario, gap.metric]}".strip()
+        assert f"{gap.scenario} {gap.metric} {limit} " in text
+        assert all(word in text for word in gap.reason.split())
 
 
 def test_run_writes_its_result(tmp_path: Path):

@@ -24,5 +24,6 @@ def test_every_engine_is_in_the_report_and_its_videos_are_there() -> None:
 def test_it_is_whole_and_no_tolerance_is_loose_without_a_reason() -> None:
     result = load(FOLDER)
     assert not result.header.settings.quick
+    assert not result.header.settings.backend_settings
     assert {record.job.kind for record in result.records} == {*Kind}
     assert [str(loose) for loose in loose_tolerances(result)] == []

@@ -7,11 +7,13 @@ import errno
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from orbit_core.backends import backend_names
+from orbit_core.conformance import execution
 from orbit_core.conformance.execution import Outcome
 from orbit_core.conformance.jobs import Job, Kind, plan
 from orbit_core.conformance.journal import JOURNAL, Journal
@@ -19,7 +21,7 @@ from orbit_core.conformance.results import RESULT_FILE, Ending, Header, Record, 
 from orbit_core.conformance.runner import header_of
 from orbit_core.conformance.settings import choose
 from orbit_core.conformance.sources import CORE, backend_packages, source_digests, sources_of
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.interfaces import ConfigurationError, StorageError
 
 ONE, TWO = backend_names()[:2]
 SETTINGS = choose(backends=(ONE, TWO), tasks=("Reach",), scenarios=("free_fall",), parts=("scenarios", "tasks"))
@@ -185,9 +187,9 @@ def test_a_full_disk_is_told_in_one_line_and_leaves_the_journal_readable(
     with monkeypatch.context() as patch:
         journal = Journal(unfinished, header)
         patch.setattr(os, "fsync", _no_space)
-        with pytest.raises(ConfigurationError, match="No space left on device; the same command goes on"):
+        with pytest.raises(StorageError, match=r"cannot write .*No space left on device"):
             journal.add(Outcome(Record(Job(Kind.VIDEO, "Reach", ONE), Ending.DONE), files))
-        with pytest.raises(ConfigurationError, match="No space left on device"):
+        with pytest.raises(StorageError, match=r"cannot write .*result\.json: No space left on device"):
             journal.finish()
         journal.close()
     assert {path for path in unfinished.rglob("*") if path.is_file()} == before
@@ -197,6 +199,23 @@ def test_a_full_disk_is_told_in_one_line_and_leaves_the_journal_readable(
 
 def _no_space(file: int) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), StorageError("cannot write a")])
+def test_a_full_disk_is_no_outcome_of_a_job(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The job is done when there is room again; any other failure of files is the job's own."""
+
+    def fail(error: Exception) -> Callable[..., None]:
+        def run(*arguments: object) -> None:
+            raise error
+
+        return run
+
+    monkeypatch.setattr(execution, "run_scenario", fail(error))
+    with pytest.raises(StorageError, match="cannot write"):
+        execution.execute(FALL[ONE], SETTINGS, {})
+    monkeypatch.setattr(execution, "run_scenario", fail(FileNotFoundError("where")))
+    assert execution.execute(FALL[ONE], SETTINGS, {}).record.ending is Ending.ERROR
 
 
 def test_a_damaged_journal_is_told_with_the_remedy(unfinished: Path, header: Header) -> None:

@@ -18,6 +18,7 @@ from orbit_core.conformance.report import plots
 from orbit_core.conformance.results import PolicyInfo, Record, Result, ScenarioInfo, load
 from orbit_core.conformance.tolerances import loose_tolerances
 from orbit_core.conformance.verdict import Status
+from orbit_core.files import written_whole
 
 REPORT = "report.html"
 _SYMBOLS = {Status.PASS: "✓", Status.GAP: "≈", Status.UNSUPPORTED: "–", Status.FAIL: "✗", Status.STALE: "!"}
@@ -139,10 +140,12 @@ def write_report(folder: Path) -> Path:
 
     Raises:
         AssetError: the folder holds no result.
+        StorageError: it cannot be written.
     """
-    path = folder / REPORT
-    path.write_text(render(page_of(load(folder), folder)))
-    return path
+    page = render(page_of(load(folder), folder))
+    with written_whole(folder / REPORT) as path:
+        path.write_text(page)
+    return folder / REPORT
 
 
 def render(page: Page) -> str:
