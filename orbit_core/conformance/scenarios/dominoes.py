@@ -23,7 +23,7 @@ _PUSH = 3.0
 """rad/s of the first about its lower edge."""
 _TILTED = math.radians(10.0)
 _SPEED = 1.275
-"""m/s, from the fourth piece to the last: MuJoCo, Bullet and PhysX at 0.25 ms come to 1.268, 1.276 and 1.274."""
+"""m/s, from the fourth piece to the last: three engines at steps of 0.25 ms come to 1.268, 1.274 and 1.276."""
 
 
 def _dominoes(trial: Trial) -> Mapping[str, float]:
