@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from orbit_core.interfaces import Gap
 
-_PRISM = "PhysX has no cylinders: SAPIEN's are prisms of 32 sides"
+_PRISM = (
+    "PhysX has no cylinders: SAPIEN's are prisms of 32 sides, which lose speed at each edge that they roll over; of 1 m/s "
+    "a wheel of 0.1 m radius keeps 0.36 after 2 s in steps of 2 ms, and 0.28 in steps of 5 ms"
+)
 
 _RAYS = (
-    Gap("rays_on_primitives", "distance", 6e-3, _PRISM),
-    Gap("rays_on_primitives", "normal", 0.11, _PRISM),
-)
+    Gap(
+        "rays_on_primitives", "distance", 1e-4,
+        "PhysX casts rays in single precision: one that glances the ground meets it at 10.3 m 6e-5 m off",
+    ),
+)  # fmt: skip
 
 _LOADED_DRIVE = (
     "friction under a drive is a force that PhysX applies at the beginning of a step, at whose end the drive has not "

@@ -1,7 +1,9 @@
 """Ray casts in a world of their own that holds one environment's shapes.
 
 PhysX's rays stop at whatever they meet first, other environments' shapes included. This world is posed as each
-environment is in turn, so that rays meet that environment alone and physics is not disturbed.
+environment is in turn, so that rays meet that environment alone and physics is not disturbed. Rays on the side of a
+cylinder, which PhysX has as a prism, are carried back to the cylinder around it: what is left of the prism is the
+outline, which rays within 0.5 % of the radius miss.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -12,8 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import BACKGROUND, TERRAIN, SceneLayout
+from orbit_core.scene import Cylinder, Shape
 from orbit_sapien.geometry import collision_shape
-from orbit_sapien.native import NativePose, physx, sapien
+from orbit_sapien.native import NativePose, native_pose, physx, sapien
+
+_SIDEWAYS = 0.5
+"""Of the cosine between a cylinder's axis and a normal, below which it is the side's: ends have one."""
 
 
 class RayWorld:
@@ -22,15 +28,22 @@ class RayWorld:
     def __init__(self, layout: SceneLayout) -> None:
         self._system = physx.PhysxCpuSystem()
         self._scene = sapien.Scene([self._system])
+        self._material = physx.PhysxMaterial(0.0, 0.0, 0.0)
         self._links: dict[object, int] = {}
+        self._cylinders: dict[object, Shape] = {}
         self._placed: list[tuple[int, sapien.Entity]] = []
-        material = physx.PhysxMaterial(0.0, 0.0, 0.0)
         for shape in layout.scene.terrain:
-            self._add(TERRAIN, [collision_shape(shape, material, f"terrain shape '{shape.name}'", None)])
+            self._add(TERRAIN, [self._made(shape, f"terrain shape '{shape.name}'")])
         for number, link in enumerate(layout.links):
-            made = [collision_shape(shape, material, f"link '{link.name}'", None) for shape in link.collisions]
+            made = [self._made(shape, f"link '{link.name}'") for shape in link.collisions]
             if made:
                 self._placed.append((number, self._add(number, made)))
+
+    def _made(self, shape: Shape, subject: str) -> physx.PhysxCollisionShape:
+        made = collision_shape(shape, self._material, subject, None)
+        if isinstance(shape.geometry, Cylinder):
+            self._cylinders[made] = shape
+        return made
 
     def _add(self, link: int, shapes: list[physx.PhysxCollisionShape]) -> sapien.Entity:
         body = physx.PhysxRigidStaticComponent()
@@ -62,6 +75,24 @@ class RayWorld:
             for ray in range(rays):
                 hit = raycast(origins[row, ray], directions[row, ray], max_distance)
                 if hit is not None:
-                    distances[row, ray], normals[row, ray] = hit.distance, hit.normal
+                    distances[row, ray], normals[row, ray] = self._refined(hit, origins[row, ray], directions[row, ray])
                     links[row, ray] = self._links[hit.component]
         return distances, normals, links
+
+    def _refined(
+        self, hit: physx.PhysxRayHit, origin: npt.NDArray[np.float32], direction: npt.NDArray[np.float32]
+    ) -> tuple[float, npt.NDArray[np.float32]]:
+        """Distance and normal, where the ray comes from outside to a cylinder's side those of the cylinder."""
+        shape = self._cylinders.get(hit.shape)
+        if shape is None:
+            return hit.distance, hit.normal
+        pose = hit.component.entity.pose * native_pose(shape.pose)
+        turn = pose.to_transformation_matrix()[:3, :3].astype(np.float64)
+        begin, along = (origin - pose.p) @ turn, direction @ turn
+        across = begin[:2] @ along[:2], along[:2] @ along[:2]
+        beyond = begin[:2] @ begin[:2] - shape.geometry.radius**2
+        if abs(hit.normal @ turn[:, 2]) > _SIDEWAYS or beyond <= 0.0:
+            return hit.distance, hit.normal
+        distance = -(across[0] + np.sqrt(across[0] ** 2 - across[1] * beyond)) / across[1]
+        out = begin[:2] + distance * along[:2]
+        return distance, turn[:, :2] @ out / shape.geometry.radius
