@@ -8,6 +8,9 @@ outline, which rays within 0.5 % of the radius miss.
 
 # pyright: reportAttributeAccessIssue=false
 
+# SAPIEN's stubs give shapes to arrays that NumPy's types cannot express.
+# pyright: reportReturnType=false
+
 from __future__ import annotations
 
 import numpy as np
