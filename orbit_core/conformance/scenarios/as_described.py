@@ -189,7 +189,7 @@ SCENARIOS = (
                 name="acceleration",
                 unit="",
                 tolerance=1e-5,
-                meaning="largest relative error of the speeds gained in a step from rest, four joints in three postures",
+                meaning="largest relative error of speeds gained in a step from rest, four joints in three postures",
                 looser_because=SINGLE,
             ),
             Metric(

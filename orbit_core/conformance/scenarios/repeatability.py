@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -10,7 +10,17 @@ from torch import Tensor
 from orbit_core.conformance.bodies import cube, pendulum, scene
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
 from orbit_core.interfaces import Capability
-from orbit_core.scene import ContactSensorSpec, ImplicitPd, Pose, Scene, SensorSpec
+from orbit_core.scene import (
+    ContactSensorSpec,
+    FrameSensorSpec,
+    ImplicitPd,
+    ImuSpec,
+    JointSensorSpec,
+    Pose,
+    Scene,
+    SensorSpec,
+)
+from orbit_core.sensors import ContactSensor, FrameSensor, ImuSensor, JointSensor
 from orbit_core.world import SimulatedWorld
 
 _STATE = ("joint_positions", "joint_velocities", "joint_efforts", "link_poses", "link_velocities")
@@ -26,23 +36,30 @@ def _busy_scene(*sensors: SensorSpec) -> Scene:
     return scene(arm, *cubes, sensors=sensors)
 
 
-def _drive(trial: Trial, world: SimulatedWorld, seconds: float, begin: int = 0, first: int = 0) -> None:
-    """Commands that depend on the environment's number, counted from ``first``, and the time alone."""
-    numbers = first + torch.arange(1.0, world.num_envs + 1.0, device=world.device)[:, None]
+def _drive(
+    trial: Trial, world: SimulatedWorld, seconds: float, begin: int = 0, numbers: Sequence[int] | None = None
+) -> None:
+    """Commands that depend on the time and the environment's number alone, or on ``numbers`` in its place."""
+    given = range(world.num_envs) if numbers is None else numbers
+    factors = torch.tensor([[1.0 + number] for number in given], device=world.device)
     for turn in range(begin, begin + trial.steps(seconds) // _STEPS):
-        phase = 0.1 * numbers * (turn + 1)
+        phase = 0.1 * factors * (turn + 1)
         world.robots["pendulum"].set_position_targets(torch.cat((phase.sin(), phase.cos()), -1))
         trial.step(world, _STEPS)
 
 
 def _state(world: SimulatedWorld) -> dict[str, Tensor]:
     state = {name: getattr(world.engine, name).clone() for name in _STATE}
-    return state | {name: sensor.forces.clone() for name, sensor in world.sensors.items()}  # pyright: ignore
+    forces = {name: sensor.forces for name, sensor in world.sensors.items() if isinstance(sensor, ContactSensor)}
+    return state | {name: force.clone() for name, force in forces.items()}
 
 
-def _apart(first: Mapping[str, Tensor], second: Mapping[str, Tensor], env_ids: tuple[int, ...]) -> dict[str, float]:
-    rows = list(env_ids)
-    return {"difference": max(float((first[name][rows] - second[name][rows]).abs().max()) for name in first)}
+def _apart(
+    first: Mapping[str, Tensor], second: Mapping[str, Tensor], rows: Sequence[int], others: Sequence[int] | None = None
+) -> dict[str, float]:
+    """Largest difference of environments ``rows`` of the first from the same, or ``others``, of the second."""
+    own, other = list(rows), list(rows if others is None else others)
+    return {"difference": max(float((first[name][own] - second[name][other]).abs().max()) for name in first)}
 
 
 def _the_same_run_twice(trial: Trial) -> Mapping[str, float]:
@@ -60,9 +77,8 @@ def _alone_and_among_seven(trial: Trial) -> Mapping[str, float]:
     difference = 0.0
     for number in (0, 3, 6):
         alone = trial.world(_busy_scene())
-        _drive(trial, alone, 0.6, first=number)
-        own = {name: values[number : number + 1] for name, values in told.items()}
-        difference = max(difference, _apart(own, _state(alone), (0,))["difference"])
+        _drive(trial, alone, 0.6, numbers=(number,))
+        difference = max(difference, _apart(told, _state(alone), (number,), (0,))["difference"])
     return {"difference": difference}
 
 
@@ -102,6 +118,53 @@ def _snapshot(trial: Trial) -> Mapping[str, float]:
     return _apart(first, _state(world), (0, 1, 2))
 
 
+_SENSORS = (
+    ContactSensorSpec(name="touch", entity="one", filters=("two", "terrain")),
+    FrameSensorSpec(name="frame", entity="pendulum", frame="link1"),
+    ImuSpec(name="imu", entity="two", frame="two"),
+    JointSensorSpec(name="joints", entity="pendulum"),
+)
+
+
+def _told(world: SimulatedWorld) -> dict[str, Tensor]:
+    """The state, and all that the sensors tell."""
+    touch, frame, imu, joints = (world.sensors[spec.name] for spec in _SENSORS)
+    assert isinstance(touch, ContactSensor)
+    assert isinstance(frame, FrameSensor)
+    assert isinstance(imu, ImuSensor)
+    assert isinstance(joints, JointSensor)
+    return _state(world) | {
+        "filtered": touch.filtered_forces,
+        "pose": frame.pose,
+        "velocity": frame.velocity,
+        "rate": imu.angular_velocity,
+        "acceleration": imu.linear_acceleration,
+        "positions": joints.positions,
+        "velocities": joints.velocities,
+    }
+
+
+def _every_environment(trial: Trial) -> Mapping[str, float]:
+    """Of four environments 2 is commanded as 0 and 3 as 1; what is written in 1 and 3 alone leaves 0 and 2 alone."""
+    written, calm = (trial.world(_busy_scene(*_SENSORS), num_envs=4) for _ in range(2))
+    kinds = (0, 1, 0, 1)
+    for world in (written, calm):
+        _drive(trial, world, 0.2, numbers=kinds)
+    odd = torch.tensor([1, 3], device=written.device)
+    thing, arm = written.objects["two"], written.robots["pendulum"]
+    pose = thing.root_pose[odd].clone()
+    pose[:, 2] += 0.1
+    thing.set_root_pose(pose, odd)
+    thing.set_root_velocity(torch.tensor([[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]], device=written.device).repeat(2, 1), odd)
+    bent = torch.tensor([[0.1, -0.2]], device=written.device).repeat(2, 1)
+    arm.set_joint_state(bent, env_ids=odd)
+    for world in (written, calm):
+        _drive(trial, world, 0.2, begin=50, numbers=kinds)
+    ours, theirs = _told(written), _told(calm)
+    untouched = _apart(ours, theirs, (0, 2), (0, 0))["difference"]
+    return {"difference": max(untouched, _apart(ours, ours, (1,), (3,))["difference"])}
+
+
 def _saved_in_passing(trial: Trial) -> Mapping[str, float]:
     """One world is saved after every command, and never loaded."""
     saved, plain = (trial.world(_busy_scene(), num_envs=3) for _ in range(2))
@@ -115,7 +178,7 @@ def _saved_in_passing(trial: Trial) -> Mapping[str, float]:
 def _scenario(
     name: str, question: str, truth: str, run: Callable[[Trial], Mapping[str, float]], need: Capability
 ) -> Scenario:
-    contacts = (Capability.CONTACT_FORCES,) if need is Capability.SNAPSHOTS else ()
+    contacts = (Capability.CONTACT_FORCES,) if name in ("snapshot", "every_environment") else ()
     return Scenario(
         name=name,
         group="Repeatability",
@@ -142,6 +205,11 @@ SCENARIOS = (
     _scenario(
         "alone_and_among_seven", "Does an environment do the same however many there are?",
         "environments 0, 3 and 6 of seven do what they do alone", _alone_and_among_seven, Capability.DETERMINISTIC,
+    ),
+    _scenario(
+        "every_environment", "Are all environments alike, and told and written each for itself?",
+        "environments of the same commands have the same states and readings; writing some leaves the others alone",
+        _every_environment, Capability.DETERMINISTIC,
     ),
     _scenario(
         "beside_a_reset", "Does the reset of one environment leave the others alone?",
