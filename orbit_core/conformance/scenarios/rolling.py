@@ -196,6 +196,7 @@ SCENARIOS = (
         truth="constant v = 1 m/s in two directions; a = r alpha = 2/3 g sin at slopes of 10 and 40 %",
         source="Taylor, Classical Mechanics, section 10.4: a solid cylinder that rolls, I = m r^2 / 2",
         run=_rolling_wheel,
+        judges=(Capability.FRICTION,),
         metrics=(
             Metric(
                 name="level",
@@ -215,6 +216,7 @@ SCENARIOS = (
         truth="steady rolling: lean 0.3 rad, once round in 2 pi / 1.5 s; the speed from the balance of moments",
         source="Routh, Advanced Dynamics of a System of Rigid Bodies, 6th ed., section 244",
         run=_rolling_coin,
+        judges=(Capability.FRICTION,),
         metrics=(
             Metric(
                 name="path",
@@ -233,6 +235,7 @@ SCENARIOS = (
         source="Weltner, American Journal of Physics 47, 1979, p. 984: stable circular orbits of freely moving balls",
         needs=(Capability.IMPLICIT_DRIVES,),
         run=_ball_on_turntable,
+        judges=(Capability.FRICTION,),
         metrics=(
             Metric(
                 name="path",
