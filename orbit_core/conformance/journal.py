@@ -133,7 +133,8 @@ class Journal:
         changed = {name for name, digest in old.sources.items() if self.header.sources.get(name) != digest}
         kept = [record for record in records if not changed & sources_of(record.job)]
         if len(kept) < len(records):
-            self.dropped = f"{', '.join(sorted(changed))} changed: {len(records) - len(kept)} jobs are done again"
+            again = f"{len(records) - len(kept)} of {len(records)} jobs"
+            self.dropped = f"{', '.join(sorted(changed))} changed: to be done again are {again}"
         self.records = {record.job.key: record for record in kept}
         self.header = replace(self.header, started=old.started)
 

@@ -70,7 +70,7 @@ def test_fresh_begins_anew(unfinished: Path, header: Header) -> None:
 def test_a_backend_of_other_source_does_its_own_jobs_again(unfinished: Path, header: Header) -> None:
     kept, told = resumed(unfinished, changed(header, f"backend '{TWO}'"))
     assert kept == {FALL[ONE], REACH[ONE]}, "the replay plays what the changed backend recorded"
-    assert told == f"backend '{TWO}' changed: 3 jobs are done again"
+    assert told == f"backend '{TWO}' changed: to be done again are 3 of 5 jobs"
     assert resumed(unfinished, changed(header, f"backend '{TWO}'")) == (kept, ""), "they are told and dropped once"
 
 
