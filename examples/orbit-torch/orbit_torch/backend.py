@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     from orbit_core.interfaces import Engine, SceneLayout
 
 _EXACT = (
-    Capability.ARTICULATIONS, Capability.EFFORT_LIMITS, Capability.ARMATURE,
-    Capability.GRAVITY_COMPENSATION, Capability.EXTERNAL_WRENCHES, Capability.RANDOMIZE_MASS,
-    Capability.RANDOMIZE_CENTER_OF_MASS, Capability.RANDOMIZE_GRAVITY, Capability.SNAPSHOTS,
+    Capability.ARTICULATIONS, Capability.IMPLICIT_DRIVES, Capability.EFFORT_LIMITS, Capability.JOINT_DAMPING,
+    Capability.JOINT_FRICTION, Capability.ARMATURE, Capability.SELF_COLLISIONS, Capability.GRAVITY_COMPENSATION,
+    Capability.FRICTION, Capability.CONTACT_FORCES, Capability.EXTERNAL_WRENCHES, Capability.RAY_CASTS,
+    Capability.RANDOMIZE_MASS, Capability.RANDOMIZE_CENTER_OF_MASS, Capability.RANDOMIZE_FRICTION,
+    Capability.RANDOMIZE_GAINS, Capability.RANDOMIZE_GRAVITY, Capability.SNAPSHOTS,
 )  # fmt: skip
 _HELD = "efforts are held over a step, so that they come half a step late, and the integrator damps nothing itself"
 _ROUNDED = "a run repeats with the same number of environments; with another, sums may be rounded another way"

@@ -94,12 +94,13 @@ class Chain:
             found.append(_child(found[parent], joint, number, positions, velocities))
         return found
 
-    def acceleration(
-        self, bodies: list[Body], root: Tensor, positions: Tensor, velocities: Tensor, efforts: Tensor
-    ) -> Tensor:
-        """(N, J) by the equation of motion ``M a + bias = efforts``."""
-        mass, bias = self._armature, -efforts
-        for body, link in zip(bodies[1:], self.motions(root, positions, velocities)[1:], strict=True):
+    def equation(
+        self, bodies: list[Body], root: Tensor, positions: Tensor, velocities: Tensor
+    ) -> tuple[Tensor, Tensor, list[Motion]]:
+        """Mass (N, J, J) and bias (N, J) of the equation of motion ``M a + bias = efforts``, and every link's motion."""
+        motions = self.motions(root, positions, velocities)
+        mass, bias = self._armature.expand(len(root), -1, -1), torch.zeros_like(positions)
+        for body, link in zip(bodies[1:], motions[1:], strict=True):
             rotation = matrix(link.q)
             center = link.moved(apply(rotation, body.center))
             inertia = rotation @ body.inertia @ rotation.mT
@@ -108,7 +109,7 @@ class Chain:
             linear, angular = center.linear, center.angular
             mass = mass + body.mass[..., None] * linear @ linear.mT + angular @ inertia @ angular.mT
             bias = bias + apply(linear, force) + apply(angular, torque)
-        return torch.linalg.solve(mass, -bias)
+        return mass, bias, motions
 
     def step(
         self, bodies: list[Body], root: Tensor, positions: Tensor, velocities: Tensor, efforts: Tensor, dt: float
@@ -116,7 +117,8 @@ class Chain:
         """Next positions and velocities (N, J), by the classical Runge-Kutta method."""
 
         def slope(p: Tensor, v: Tensor) -> Tensor:
-            return torch.cat((v, self.acceleration(bodies, root, p, v, efforts)), 1)
+            mass, bias, _ = self.equation(bodies, root, p, v)
+            return torch.cat((v, torch.linalg.solve(mass, efforts - bias)), 1)
 
         state = torch.cat((positions, velocities), 1)
         first = slope(*state.chunk(2, 1))

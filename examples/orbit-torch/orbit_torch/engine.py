@@ -1,4 +1,9 @@
-"""The engine: state in double precision, handed out in single."""
+"""The engine: state in double precision, handed out in single.
+
+A step goes two ways. What is neither driven nor braked nor touched moves by integrators of higher order
+(:mod:`orbit_torch.dynamics`); the rest by one semi-implicit Euler step, in which drives and damping are implicit and
+contacts, joints' stops and joints' friction are impulses.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +13,26 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import Approximation, Engine, EntityLayout, SceneLayout, SimulationError
+from orbit_core.interfaces import (
+    TERRAIN,
+    Approximation,
+    Engine,
+    EntityLayout,
+    JointParameters,
+    RayHits,
+    SceneLayout,
+    SimulationError,
+)
+from orbit_torch.contacts import Contacts
 from orbit_torch.dynamics import Body, Chain, step_free_body
+from orbit_torch.impulses import JointRows, gather
+from orbit_torch.solver import Rows, solve
+from orbit_torch.system import Equation, System, move_free_body
 
-_STATE = ("_poses", "_velocities", "_positions", "_rates")
-_PARAMETERS = ("_masses", "_centers", "_gravity", "_wrenches")
+_STATE = ("_poses", "_velocities", "_positions", "_rates", "_impulses")
+_PARAMETERS = ("_masses", "_centers", "_gravity", "_wrenches", "_stiffness", "_drive_damping", "_friction")
 _COMMANDS = ("position_targets", "velocity_targets", "efforts")
+_READINGS = ("_applied", "_contact_forces")
 
 
 class TorchEngine(Engine):
@@ -29,57 +48,114 @@ class TorchEngine(Engine):
         self._wrenches = torch.zeros(num_envs, links, 6, dtype=torch.float64)
         self._nominal = torch.tensor([link.mass for link in layout.links], dtype=torch.float64)
         self._masses = self._nominal.repeat(num_envs, 1)
-        self._centers = torch.tensor([link.center_of_mass for link in layout.links], dtype=torch.float64).repeat(
-            num_envs, 1, 1
-        )
+        centers = torch.tensor([link.center_of_mass for link in layout.links], dtype=torch.float64)
+        self._centers = centers.repeat(num_envs, 1, 1)
         self._inertias = torch.stack([torch.as_tensor(link.inertia) for link in layout.links]).to(torch.float64)
         self._gravity = torch.tensor(layout.scene.gravity, dtype=torch.float64).repeat(num_envs, 1)
-        parameters = {name: torch.as_tensor(getattr(layout.joint_parameters, name)) for name in _JOINTS}
-        self._limits = parameters["lower_limit"], parameters["upper_limit"]
-        self._effort_limit = parameters["effort_limit"]
-        self._home = parameters["home"]
+        self._read_joints(layout.joint_parameters)
         self._chains = {
-            entity.index: Chain(entity.spec.articulation, parameters["armature"][entity.joints])
+            entity.index: Chain(entity.spec.articulation, self._armature[entity.joints])
             for entity in layout.entities
             if entity.spec.fixed_base
         }
+        self._system = System(layout, self._chains)
+        self._contacts = Contacts(layout)
+        self._friction = self._contacts.friction.repeat(num_envs, 1)
+        rows = len(self._joint_rows.least) + 3 * len(self._contacts.links)
+        self._impulses = torch.zeros(num_envs, rows, dtype=torch.float64)
+        self._contact_forces = torch.zeros(num_envs, len(layout.contact_queries), 3)
         self._applied = torch.zeros(num_envs, joints)
         self.reset()
+
+    def _read_joints(self, parameters: JointParameters) -> None:
+        """Every number of the joints (J,), gains per environment (N, J)."""
+        self._effort_limit = torch.as_tensor(parameters.effort_limit)
+        self._armature = torch.as_tensor(parameters.armature)
+        self._damping = torch.as_tensor(parameters.damping)
+        self._home = torch.as_tensor(parameters.home)
+        self._stiffness = torch.as_tensor(parameters.drive_stiffness).repeat(self.num_envs, 1)
+        self._drive_damping = torch.as_tensor(parameters.drive_damping).repeat(self.num_envs, 1)
+        self._joint_rows = JointRows(parameters, self._dt)
 
     # Time
 
     def step(self, steps: int) -> None:
-        limit = self._effort_limit
-        efforts = self.efforts.double().clamp(-limit, limit)
+        self._contact_forces.zero_()
         for _ in range(steps):
-            for entity in self.layout.entities:
-                self._step_entity(entity, efforts)
-        self._applied = efforts.float()
+            self._advance(steps)
         state = torch.cat((self._poses.flatten(1), self._velocities.flatten(1)), 1)
         if not state.isfinite().all():
             bad = (~state.isfinite().all(1)).nonzero()[:, 0].tolist()
             raise SimulationError(f"environments {bad} diverged: reset them, and use a smaller physics_dt")
 
-    def _step_entity(self, entity: EntityLayout, efforts: Tensor) -> None:
-        bodies = [self._body(link, entity) for link in range(entity.links.start, entity.links.stop)]
+    def _advance(self, steps: int) -> None:
+        bodies = [self._body(link) for link in range(len(self.layout.links))]
+        equation = self._system.equation(bodies, self._poses, self._velocities, self._positions, self._rates)
+        joints = len(self.layout.joints)
+        push, slope = self._drives(equation)
+        mass, speeds = self._implicit(equation, push, slope)
+        rows, inverse = self._rows(equation), torch.linalg.inv(mass)
+        self._impulses = solve(rows, inverse, speeds, self._impulses)
+        kicks = (rows.jacobian.mT @ self._impulses[..., None])[..., 0]
+        speeds = speeds + (inverse @ kicks[..., None])[..., 0]
+        self._applied = (push - slope * speeds[:, :joints]).float()
+        on_balls = self._impulses[:, len(self._joint_rows.least) :].unflatten(1, (-1, 3)) / (self._dt * steps)
+        self._contact_forces += (self._contacts.counted @ on_balls).float()
+        involved = kicks != 0.0
+        involved[:, :joints] |= (slope + self._damping) != 0.0
+        for entity, columns in zip(self.layout.entities, self._system.columns, strict=True):
+            alone = ~involved[:, columns].any(1, keepdim=True)
+            self._move(entity, bodies[entity.links], speeds[:, columns], alone)
+
+    def _rows(self, equation: Equation) -> Rows:
+        touch, contacts = self._contacts.find(self._poses), self._contacts
+        origins = torch.cat((self._poses[..., :3], torch.zeros_like(self._poses[:, :1, :3])), 1)
+        ball, surface = (
+            equation.point_jacobian(links, touch.points - origins[:, links]) for links in contacts.links.unbind(1)
+        )
+        friction = self._friction[:, contacts.shapes].amax(-1)
+        return gather(self._joint_rows, self._positions, equation, touch, ball - surface, friction, self._dt)
+
+    def _drives(self, equation: Equation) -> tuple[Tensor, Tensor]:
+        """What drives and commands apply is ``push - slope * rates after the step``, both (N, J), within limits."""
+        ahead = self.position_targets - self._positions
+        push = self.efforts + self._stiffness * ahead + self._drive_damping * self.velocity_targets
+        slope = self._dt * self._stiffness + self._drive_damping
+        _, speeds = self._implicit(equation, push, slope)
+        asked = push - slope * speeds[:, : push.shape[1]]
+        given = asked.clamp(-self._effort_limit, self._effort_limit)
+        within = asked == given
+        return torch.where(within, push, given), torch.where(within, slope, 0.0)
+
+    def _implicit(self, equation: Equation, push: Tensor, slope: Tensor) -> tuple[Tensor, Tensor]:
+        """The mass matrix with what drives and damping add to it, and the velocities (N, D) after a step without impulses."""
+        joints = push.shape[1]
+        mass, force = equation.mass.clone(), equation.force.clone()
+        mass[:, :joints, :joints] += torch.diag_embed(self._dt * (slope + self._damping))
+        force[:, :joints] += push
+        momentum = (equation.mass @ equation.velocity[..., None])[..., 0] + self._dt * force
+        return mass, torch.linalg.solve(mass, momentum)
+
+    def _move(self, entity: EntityLayout, bodies: list[Body], speeds: Tensor, alone: Tensor) -> None:
+        """To where the solved velocities (N, D) lead; where ``alone`` (N, 1) nothing acted on it, more exactly."""
         root, joints = entity.root_link, entity.joints
         if not entity.spec.fixed_base:
-            state = step_free_body(
-                bodies[0], self._poses[:, root], self._velocities[:, root], self.layout.scene.physics_dt
+            exact = step_free_body(bodies[0], self._poses[:, root], self._velocities[:, root], self._dt)
+            solved = move_free_body(bodies[0], self._poses[:, root], speeds, self._dt)
+            self._poses[:, root], self._velocities[:, root] = (
+                torch.where(alone, *both) for both in zip(exact, solved, strict=True)
             )
-            self._poses[:, root], self._velocities[:, root] = state
         elif joints.start < joints.stop:
-            state = self._positions[:, joints], self._rates[:, joints], efforts[:, joints]
-            positions, rates = self._chains[entity.index].step(
-                bodies, self._poses[:, root], *state, self.layout.scene.physics_dt
+            state, efforts = (self._positions[:, joints], self._rates[:, joints]), self._applied[:, joints].double()
+            exact = self._chains[entity.index].step(bodies, self._poses[:, root], *state, efforts, self._dt)
+            solved = state[0] + self._dt * speeds, speeds
+            self._positions[:, joints], self._rates[:, joints] = (
+                torch.where(alone, *both) for both in zip(exact, solved, strict=True)
             )
-            lower, upper = (limit[joints] for limit in self._limits)
-            rates = torch.where(positions < lower, rates.clamp_min(0.0), rates)
-            self._rates[:, joints] = torch.where(positions > upper, rates.clamp_max(0.0), rates)
-            self._positions[:, joints] = positions.clamp(lower, upper)
             self._place(entity)
 
-    def _body(self, link: int, entity: EntityLayout) -> Body:
+    def _body(self, link: int) -> Body:
+        entity = self.layout.entities[int(self.layout.entity_of_link[link])]
         mass, wrench = self._masses[:, link, None], self._wrenches[:, link]
         weight = 0.0 if entity.spec.gravity_compensation else mass * self._gravity
         inertia = self._inertias[link] * (mass / self._nominal[link].clamp_min(1e-12))[..., None]
@@ -95,7 +171,7 @@ class TorchEngine(Engine):
             self._poses[:, link] = torch.cat((motion.position, motion.q), -1)
             self._velocities[:, link] = torch.cat((motion.speed, motion.spin), -1)
 
-    # State
+    # State and measurements
 
     @property
     def joint_positions(self) -> Tensor:
@@ -118,13 +194,24 @@ class TorchEngine(Engine):
     def link_velocities(self) -> Tensor:
         return self._velocities.float()
 
+    @property
+    def contact_forces(self) -> Tensor:
+        return self._contact_forces
+
+    def cast_rays(
+        self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None = None
+    ) -> RayHits:
+        poses = self._poses if env_ids is None else self._poses[env_ids]
+        return self._contacts.cast(poses, origins.double(), directions.double(), max_distance)
+
+    # Writes
+
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
-        at = (slice(None), joints) if env_ids is None else (env_ids[:, None], joints)
         for state, values in ((self._positions, positions), (self._rates, velocities)):
             if values is not None:
-                state[at] = values.double()
+                self._set(state, joints, values, env_ids)
         self._place_all()
 
     def write_root_state(
@@ -150,9 +237,9 @@ class TorchEngine(Engine):
             self._poses[rows, entity.root_link] = torch.tensor(pose, dtype=torch.float64)
         self._positions[rows] = self._home
         self.position_targets[rows] = self._home.float()
-        for cleared in (self._velocities, self._rates, self._wrenches, self._applied):
+        memory = (self._velocities, self._rates, self._wrenches, self._impulses, self._applied, self._contact_forces)
+        for cleared in (*memory, self.velocity_targets, self.efforts):
             cleared[rows] = 0.0
-        self.velocity_targets[rows], self.efforts[rows] = 0.0, 0.0
         self._place_all()
 
     # Parameters per environment
@@ -166,16 +253,29 @@ class TorchEngine(Engine):
     def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
         self._set(self._centers, links, centers, env_ids)
 
+    def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
+        rows = slice(None) if env_ids is None else env_ids
+        for link, values in zip(links.tolist(), coefficients.double().unbind(1), strict=True):
+            for shape in (self._contacts.link_of_shape == (link if link != TERRAIN else len(self.layout.links))).nonzero():
+                self._friction[rows, shape.item()] = values
+
+    def set_drive_gains(
+        self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
+    ) -> None:
+        self._set(self._stiffness, joints, stiffness, env_ids)
+        self._set(self._drive_damping, joints, damping, env_ids)
+
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         self._gravity[slice(None) if env_ids is None else env_ids] = gravity.double()
 
-    def _set(self, parameter: Tensor, links: Tensor, values: Tensor, env_ids: Tensor | None) -> None:
-        parameter[(slice(None), links) if env_ids is None else (env_ids[:, None], links)] = values.double()
+    @staticmethod
+    def _set(state: Tensor, columns: Tensor, values: Tensor, env_ids: Tensor | None) -> None:
+        state[(slice(None), columns) if env_ids is None else (env_ids[:, None], columns)] = values.double()
 
     # Snapshots and the rest
 
     def save_state(self) -> Any:
-        return {name: getattr(self, name).clone() for name in (*_STATE, *_PARAMETERS, *_COMMANDS, "_applied")}
+        return {name: getattr(self, name).clone() for name in (*_STATE, *_PARAMETERS, *_COMMANDS, *_READINGS)}
 
     def load_state(self, state: Any) -> None:
         for name, values in state.items():
@@ -183,17 +283,12 @@ class TorchEngine(Engine):
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:
-        joints = self.layout.joints
-        unlimited = [joint for joint in joints if math.isfinite(joint.velocity_limit)]
-        stopped = [joint for joint in joints if math.isfinite(joint.lower_limit) or math.isfinite(joint.upper_limit)]
+        unlimited = [joint for joint in self.layout.joints if math.isfinite(joint.velocity_limit)]
         return (
             *(Approximation(j.name, "a limit of its velocity", "none", "the example has none") for j in unlimited),
-            *(Approximation(j.name, "limits", "a stop", "it passes no impact on to other joints") for j in stopped),
+            *self._contacts.report(self.layout),
         )
 
     @property
     def native(self) -> Any:
-        return self._chains
-
-
-_JOINTS = ("lower_limit", "upper_limit", "effort_limit", "armature", "home")
+        return self._system
