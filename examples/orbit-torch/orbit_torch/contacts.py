@@ -1,7 +1,7 @@
 """Which shapes may touch, where they do, and which contacts a query counts.
 
-Shapes touch as balls do: a ball, a capsule's two ends and a box's corners, each against the whole surface of the other
-shape. Two edges that cross, and two capsules side by side, meet only at their ends: the build report says so.
+Shapes touch as balls do: a ball, a capsule's two ends, a box's corners and the middles of its edges, each against the
+whole surface of the other shape. What crosses elsewhere passes: the build report says so.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from orbit_core.interfaces import (
     UnsupportedCapabilityError,
 )
 from orbit_core.scene import Box, Capsule, Shape
-from orbit_torch.geometry import SOLIDS, corners, distance, meet
+from orbit_torch.geometry import SOLIDS, balls, distance, meet
 from orbit_torch.rotations import apply, matrix, multiply
 
 
@@ -57,11 +57,13 @@ class Contacts:
             (one, other)
             for one, (first, _) in enumerate(self._shapes)
             for other, (second, _) in enumerate(self._shapes)
-            if first != ground and len(corners(self._shapes[one][1].geometry)[0]) and may_touch(layout, first, second)
+            if first != ground and may_touch(layout, first, second)
         ]
-        counts = [len(corners(self._shapes[one][1].geometry)[0]) for one, _ in self._pairs]
-        self.shapes = torch.tensor(self._pairs, dtype=torch.int64).view(-1, 2).repeat_interleave(
-            torch.tensor(counts, dtype=torch.int64), 0
+        counts = [len(self._balls(one, other)[0]) for one, other in self._pairs]
+        self.shapes = (
+            torch.tensor(self._pairs, dtype=torch.int64)
+            .view(-1, 2)
+            .repeat_interleave(torch.tensor(counts, dtype=torch.int64), 0)
         )
         """(C, 2) shape that has the ball, shape that has the surface."""
         self.links = self.link_of_shape[self.shapes] if self._shapes else torch.zeros(0, 2, dtype=torch.int64)
@@ -69,6 +71,9 @@ class Contacts:
         signs = [list(self._signs(query.link, query.others, ground)) for query in layout.contact_queries]
         self.counted = torch.tensor(signs, dtype=torch.float64).view(len(signs), len(self.links))
         """(K, C) what the force on the ball counts for in each query: 1, -1 or 0."""
+
+    def _balls(self, one: int, other: int) -> tuple[Tensor, float]:
+        return balls(self._shapes[one][1].geometry, self._shapes[other][1].geometry)
 
     def _signs(self, link: int, others: frozenset[int] | None, ground: int) -> Iterator[float]:
         numbers = None if others is None else {ground if other == TERRAIN else other for other in others}
@@ -81,9 +86,18 @@ class Contacts:
         """A line for each pair of shapes whose edges do not meet."""
         for one, other in self._pairs:
             (first, shape), (second, surface) = self._shapes[one], self._shapes[other]
-            if one < other and isinstance(shape.geometry, Box | Capsule) and isinstance(surface.geometry, Box | Capsule):
+            if (
+                one < other
+                and isinstance(shape.geometry, Box | Capsule)
+                and isinstance(surface.geometry, Box | Capsule)
+            ):
                 names = [layout.links[link].name if link < len(layout.links) else "terrain" for link in (first, second)]
-                yield Approximation(" and ".join(names), "contact", "at corners and ends", "the example has no edges")
+                yield Approximation(
+                    " and ".join(names),
+                    "contact",
+                    "at corners, ends and middles of edges",
+                    "the example knows no edges",
+                )
 
     def find(self, poses: Tensor) -> Touch:
         """The candidates, from link poses (N, L, 7)."""
@@ -91,9 +105,9 @@ class Contacts:
         points, normals, gaps = [poses.new_zeros(len(poses), 0, 3)], [poses.new_zeros(len(poses), 0, 3)], []
         gaps.append(poses.new_zeros(len(poses), 0))
         for one, other in self._pairs:
-            balls, radius = corners(self._shapes[one][1].geometry)
+            centers, radius = self._balls(one, other)
             position, rotation = placed[one]
-            centers = position[:, None] + apply(rotation[:, None], balls)
+            centers = position[:, None] + apply(rotation[:, None], centers)
             position, rotation = placed[other]
             local = apply(rotation.mT[:, None], centers - position[:, None])
             gap, normal = distance(self._shapes[other][1].geometry, local)

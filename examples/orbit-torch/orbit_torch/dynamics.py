@@ -84,14 +84,16 @@ class Chain:
         self._armature = torch.diag(armature)
         names = articulation.link_names
         numbers = {joint.name: number for number, joint in enumerate(articulation.movable_joints)}
-        self._joints = [(names.index(joint.parent), joint, numbers.get(joint.name)) for joint in articulation.joints]
+        self._joints = [
+            (names.index(joint.parent), _Hinge.of(joint, numbers.get(joint.name))) for joint in articulation.joints
+        ]
 
     def motions(self, root: Tensor, positions: Tensor, velocities: Tensor) -> list[Motion]:
         """Of every link, from the root's pose (N, 7) and the joints (N, J)."""
         zero, flat = torch.zeros_like(root[:, :3]), torch.zeros(*positions.shape, 3, dtype=root.dtype)
         found = [Motion(root[:, 3:], root[:, :3], zero, zero, zero, zero, flat, flat)]
-        for parent, joint, number in self._joints:
-            found.append(_child(found[parent], joint, number, positions, velocities))
+        for parent, hinge in self._joints:
+            found.append(_child(found[parent], hinge, positions, velocities))
         return found
 
     def equation(
@@ -129,33 +131,54 @@ class Chain:
         return positions, velocities
 
 
-def _child(parent: Motion, joint: Joint, number: int | None, positions: Tensor, velocities: Tensor) -> Motion:
-    """A link's motion from its parent's and the joint's, which is of that number among the joints (N, J)."""
-    before, after = joint.parent_pose, joint.child_pose.inverse()
-    q = multiply(parent.q, positions.new_tensor(before.orientation))
-    moved = parent.moved(apply(matrix(parent.q), positions.new_tensor(before.position)))
-    if number is not None:
-        moved, q = _jointed(moved, q, joint, number, positions[:, number, None], velocities[:, number, None])
-    moved = moved.moved(apply(matrix(q), positions.new_tensor(after.position)))
-    moved.q = multiply(q, positions.new_tensor(after.orientation))
+@dataclass(frozen=True)
+class _Hinge:
+    """A joint's numbers as tensors."""
+
+    number: int | None
+    """Among the movable joints; None of a fixed joint."""
+    slides: bool
+    axis: Tensor
+    before: tuple[Tensor, Tensor]
+    """Position (3,) and quaternion (4,) of the joint's frame in the parent."""
+    after: tuple[Tensor, Tensor]
+    """Of the child in the joint's frame."""
+
+    @staticmethod
+    def of(joint: Joint, number: int | None) -> _Hinge:
+        before, after = (
+            tuple(torch.tensor(part, dtype=torch.float64) for part in (pose.position, pose.orientation))
+            for pose in (joint.parent_pose, joint.child_pose.inverse())
+        )
+        axis = torch.tensor(joint.axis, dtype=torch.float64)
+        return _Hinge(number, joint.type is JointType.PRISMATIC, axis, before, after)
+
+
+def _child(parent: Motion, hinge: _Hinge, positions: Tensor, velocities: Tensor) -> Motion:
+    """A link's motion from its parent's and from the joints' positions and velocities (N, J)."""
+    (before, turned), (after, back) = hinge.before, hinge.after
+    q = multiply(parent.q, turned)
+    moved = parent.moved(apply(matrix(parent.q), before))
+    if hinge.number is not None:
+        at = hinge.number
+        moved, q = _jointed(moved, q, hinge, positions[:, at, None], velocities[:, at, None])
+    moved = moved.moved(apply(matrix(q), after))
+    moved.q = multiply(q, back)
     return moved
 
 
-def _jointed(
-    frame: Motion, q: Tensor, joint: Joint, number: int, position: Tensor, velocity: Tensor
-) -> tuple[Motion, Tensor]:
+def _jointed(frame: Motion, q: Tensor, hinge: _Hinge, position: Tensor, velocity: Tensor) -> tuple[Motion, Tensor]:
     """A joint's frame, turned by q, after the joint has moved it by position (N, 1)."""
-    axis = position.new_tensor(joint.axis)
-    world_axis = apply(matrix(q), axis)
+    world_axis = apply(matrix(q), hinge.axis)
     column = torch.zeros_like(frame.linear)
-    column[:, number] = world_axis
-    if joint.type is JointType.PRISMATIC:
+    column[:, hinge.number] = world_axis
+    if hinge.slides:
         moved = frame.moved(position * world_axis)
         moved.speed = moved.speed + velocity * world_axis
         moved.acceleration = moved.acceleration + 2.0 * cross(moved.spin, velocity * world_axis)
         moved.linear = moved.linear + column
     else:
-        moved, q = replace(frame), multiply(q, turn(position * axis))
+        moved, q = replace(frame), multiply(q, turn(position * hinge.axis))
         moved.turning = moved.turning + cross(moved.spin, velocity * world_axis)
         moved.spin = moved.spin + velocity * world_axis
         moved.angular = moved.angular + column

@@ -16,12 +16,14 @@ from torch import Tensor
 from orbit_core.interfaces import (
     TERRAIN,
     Approximation,
+    BuiltModel,
     Engine,
     EntityLayout,
     JointParameters,
     RayHits,
     SceneLayout,
-    SimulationError,
+    diverged,
+    divergence_error,
 )
 from orbit_torch.contacts import Contacts
 from orbit_torch.dynamics import Body, Chain, step_free_body
@@ -83,10 +85,9 @@ class TorchEngine(Engine):
         self._contact_forces.zero_()
         for _ in range(steps):
             self._advance(steps)
-        state = torch.cat((self._poses.flatten(1), self._velocities.flatten(1)), 1)
-        if not state.isfinite().all():
-            bad = (~state.isfinite().all(1)).nonzero()[:, 0].tolist()
-            raise SimulationError(f"environments {bad} diverged: reset them, and use a smaller physics_dt")
+        bad = diverged(self._poses, self._velocities) | diverged(self._positions, self._rates)
+        if bad.any():
+            raise divergence_error(bad.nonzero()[:, 0].tolist())
 
     def _advance(self, steps: int) -> None:
         bodies = [self._body(link) for link in range(len(self.layout.links))]
@@ -140,18 +141,20 @@ class TorchEngine(Engine):
         """To where the solved velocities (N, D) lead; where ``alone`` (N, 1) nothing acted on it, more exactly."""
         root, joints = entity.root_link, entity.joints
         if not entity.spec.fixed_base:
-            exact = step_free_body(bodies[0], self._poses[:, root], self._velocities[:, root], self._dt)
-            solved = move_free_body(bodies[0], self._poses[:, root], speeds, self._dt)
-            self._poses[:, root], self._velocities[:, root] = (
-                torch.where(alone, *both) for both in zip(exact, solved, strict=True)
-            )
+            pose, velocity = self._poses[:, root], self._velocities[:, root]
+            solved = move_free_body(bodies[0], pose, speeds, self._dt)
+            if alone.any():
+                exact = step_free_body(bodies[0], pose, velocity, self._dt)
+                solved = [torch.where(alone, *both) for both in zip(exact, solved, strict=True)]
+            self._poses[:, root], self._velocities[:, root] = solved
         elif joints.start < joints.stop:
-            state, efforts = (self._positions[:, joints], self._rates[:, joints]), self._applied[:, joints].double()
-            exact = self._chains[entity.index].step(bodies, self._poses[:, root], *state, efforts, self._dt)
-            solved = state[0] + self._dt * speeds, speeds
-            self._positions[:, joints], self._rates[:, joints] = (
-                torch.where(alone, *both) for both in zip(exact, solved, strict=True)
-            )
+            position, rate = self._positions[:, joints], self._rates[:, joints]
+            solved = position + self._dt * speeds, speeds
+            if alone.any():
+                efforts, chain = self._applied[:, joints].double(), self._chains[entity.index]
+                exact = chain.step(bodies, self._poses[:, root], position, rate, efforts, self._dt)
+                solved = [torch.where(alone, *both) for both in zip(exact, solved, strict=True)]
+            self._positions[:, joints], self._rates[:, joints] = solved
             self._place(entity)
 
     def _body(self, link: int) -> Body:
@@ -256,7 +259,9 @@ class TorchEngine(Engine):
     def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
         rows = slice(None) if env_ids is None else env_ids
         for link, values in zip(links.tolist(), coefficients.double().unbind(1), strict=True):
-            for shape in (self._contacts.link_of_shape == (link if link != TERRAIN else len(self.layout.links))).nonzero():
+            for shape in (
+                self._contacts.link_of_shape == (link if link != TERRAIN else len(self.layout.links))
+            ).nonzero():
                 self._friction[rows, shape.item()] = values
 
     def set_drive_gains(
@@ -287,6 +292,19 @@ class TorchEngine(Engine):
         return (
             *(Approximation(j.name, "a limit of its velocity", "none", "the example has none") for j in unlimited),
             *self._contacts.report(self.layout),
+        )
+
+    def built_model(self) -> tuple[BuiltModel, ...]:
+        return (
+            BuiltModel(
+                masses=self._masses[0].numpy(),
+                centers_of_mass=self._centers[0].numpy(),
+                inertias=self._inertias.numpy(),
+                lower_limits=self._joint_rows.lower.numpy(),
+                upper_limits=self._joint_rows.upper.numpy(),
+                armatures=self._armature.numpy(),
+                effort_limits=self._effort_limit.numpy(),
+            ),
         )
 
     @property

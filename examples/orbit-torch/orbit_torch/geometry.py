@@ -16,12 +16,16 @@ _CORNER = 0.02
 """Radius of a box's corners over its least half extent: what lies flush on a face is told from what lies beside it."""
 
 
-def corners(geometry: Geometry) -> tuple[Tensor, float]:
-    """Balls that touch for a shape: their centres (P, 3) and their radius in metres; none of a plane."""
+def balls(geometry: Geometry, against: Geometry) -> tuple[Tensor, float]:
+    """What touches another shape for a shape: balls' centres (P, 3), and their radius in metres; none of a plane.
+
+    Of a box they are its corners, and the middles of its edges where the other is a box too.
+    """
     match geometry:
         case Box(half_extents=half):
             radius = _CORNER * min(half)
-            signs = torch.cartesian_prod(*[torch.tensor([-1.0, 1.0], dtype=torch.float64)] * 3)
+            signs = torch.cartesian_prod(*[torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)] * 3)
+            signs = signs[signs.abs().sum(1) >= (2.0 if isinstance(against, Box) else 3.0)]
             return signs * (torch.tensor(half, dtype=torch.float64) - radius), radius
         case Sphere(radius=radius):
             return torch.zeros(1, 3, dtype=torch.float64), radius

@@ -25,28 +25,34 @@ class JointRows:
     """R rows: joints' lower stops, their upper stops, their friction."""
 
     def __init__(self, parameters: JointParameters, dt: float) -> None:
-        lower, upper = torch.as_tensor(parameters.lower_limit), torch.as_tensor(parameters.upper_limit)
+        self.lower, self.upper = torch.as_tensor(parameters.lower_limit), torch.as_tensor(parameters.upper_limit)
         friction = torch.as_tensor(parameters.friction)
-        self._below, self._above = (limit.isfinite().nonzero()[:, 0] for limit in (lower, upper))
-        self._rubbed = friction.nonzero()[:, 0]
-        self._lower, self._upper = lower[self._below], upper[self._above]
+        self._below, self._above, self._rubbed = (
+            found.nonzero()[:, 0] for found in (self.lower.isfinite(), self.upper.isfinite(), friction)
+        )
         self._dt = dt
-        unit = torch.eye(len(lower), dtype=torch.float64)
+        unit = torch.eye(len(friction), dtype=torch.float64)
         self.jacobian = torch.cat((unit[self._below], -unit[self._above], unit[self._rubbed]))
         """(R, J)"""
-        stops = self.jacobian.new_zeros(len(self._lower) + len(self._upper))
+        stops = unit.new_zeros(len(self._below) + len(self._above))
         rubbing = dt * friction[self._rubbed]
         self.least, self.greatest = torch.cat((stops, -rubbing)), torch.cat((stops + torch.inf, rubbing))
         """(R,) impulses."""
 
     def targets(self, positions: Tensor) -> Tensor:
         """(N, R) least rates, from the joints' positions (N, J)."""
-        stops = torch.cat((positions[:, self._below] - self._lower, self._upper - positions[:, self._above]), 1)
+        stops = torch.cat(((positions - self.lower)[:, self._below], (self.upper - positions)[:, self._above]), 1)
         return torch.cat((approach(stops, self._dt), positions.new_zeros(len(positions), len(self._rubbed))), 1)
 
 
 def gather(
-    joints: JointRows, positions: Tensor, equation: Equation, touch: Touch, jacobian: Tensor, friction: Tensor, dt: float
+    joints: JointRows,
+    positions: Tensor,
+    equation: Equation,
+    touch: Touch,
+    jacobian: Tensor,
+    friction: Tensor,
+    dt: float,
 ) -> Rows:
     """All rows of a step; contacts have a Jacobian (N, C, 3, D) and coefficients (N, C)."""
     count, size = equation.velocity.shape

@@ -60,7 +60,9 @@ class System:
         count, size = len(poses), self.size
         mass, force = poses.new_zeros(count, size, size), poses.new_zeros(count, size)
         linear, angular = poses.new_zeros(2, count, self._links + 1, size, 3)
-        found = Equation(mass, force, torch.cat((rates, poses.new_zeros(count, size - rates.shape[1])), 1), linear, angular)
+        found = Equation(
+            mass, force, torch.cat((rates, poses.new_zeros(count, size - rates.shape[1])), 1), linear, angular
+        )
         for entity, columns in zip(self._entities, self.columns, strict=True):
             own, root = bodies[entity.links], entity.root_link
             if not entity.spec.fixed_base:
