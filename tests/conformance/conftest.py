@@ -52,17 +52,17 @@ def device(request: pytest.FixtureRequest) -> torch.device:
 def make_engine(backend: Backend, device: torch.device) -> Iterator[MakeEngine]:
     """An engine of a scene: ``make_engine(scene, num_envs=1, **settings)``; closed after the test.
 
-    A scene that the backend refuses, for lack of what it declares, skips the test.
+    A scene that the backend refuses, by what it declares or when it builds, skips the test with the reason.
     """
     made: list[Engine] = []
 
     def make(scene: Scene, num_envs: int = 1, **settings: Any) -> Engine:
+        config = backends.backend_config(backend, settings)
         try:
             backends.check_scene(backend, scene)
+            engine = backend.create_engine(SceneLayout.of(scene), num_envs, device, config)
         except UnsupportedCapabilityError as error:
             pytest.skip(str(error))
-        config = backends.backend_config(backend, settings)
-        engine = backend.create_engine(SceneLayout.of(scene), num_envs, device, config)
         made.append(engine)
         return engine if device.type == "cpu" else OnHost(engine)  # pyright: ignore[reportReturnType]
 

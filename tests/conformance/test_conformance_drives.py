@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import pytest
 import torch
 
 from orbit_core.conformance.bodies import WEIGHTLESS, geared, index, pendulum, rotor, scene, slider
 from orbit_core.interfaces import Capability
-from orbit_core.scene import IdealPd, ImplicitPd, JointType
+from orbit_core.scene import IdealPd, ImplicitPd, JointType, RobotSpec
 
 from .conftest import MakeEngine, Needs
+from .truth import assert_near
 
-INERTIA = 0.5
+INERTIA, MASS = 0.5, 2.0
 
 
 def implicit(stiffness: float, damping: float) -> tuple[ImplicitPd]:
@@ -28,8 +32,8 @@ def test_effort_alone_accelerates(make_engine: MakeEngine) -> None:
     engine.efforts[:] = torch.tensor([[0.0], [1.0], [-2.0]])
     engine.step(100)
     expected = torch.tensor([[0.0], [1.0], [-2.0]]) * 0.5 / INERTIA
-    torch.testing.assert_close(engine.joint_velocities, expected, rtol=1e-4, atol=1e-6)
-    torch.testing.assert_close(engine.joint_efforts, engine.efforts)
+    assert_near(engine.joint_velocities, expected, rtol=1e-4, atol=1e-6)
+    assert_near(engine.joint_efforts, engine.efforts)
 
 
 def test_explicit_joint_ignores_targets(make_engine: MakeEngine) -> None:
@@ -40,23 +44,87 @@ def test_explicit_joint_ignores_targets(make_engine: MakeEngine) -> None:
     assert engine.joint_positions.abs().max() == 0
 
 
-def test_limits_hold(make_engine: MakeEngine) -> None:
-    """A joint pressed against its limit stays within 0.01 of it."""
-    robot = slider(actuators=explicit(), lower_limit=-0.1, upper_limit=0.2)
-    engine = make_engine(scene(robot), num_envs=2)
+def limited_rotor(**limits: float) -> RobotSpec:
+    """A rotor whose joint has limits, which a continuous one has not."""
+    robot = rotor(actuators=explicit(), **limits)
+    joints = tuple(replace(joint, type=JointType.REVOLUTE) for joint in robot.articulation.joints)
+    return replace(robot, articulation=replace(robot.articulation, joints=joints))
+
+
+JOINTS = {"revolute": limited_rotor, "prismatic": slider}
+
+
+@pytest.mark.parametrize("kind", JOINTS)
+@pytest.mark.parametrize(
+    ("lower", "upper"), [(-0.1, 0.2), (-math.inf, 0.2), (-0.1, math.inf)], ids=["both", "upper alone", "lower alone"]
+)
+def test_limits_hold(make_engine: MakeEngine, kind: str, lower: float, upper: float) -> None:
+    """In rad or m: a joint pressed against a limit stays within 0.01 of it, and where there is none it goes on."""
+    robot = JOINTS[kind](lower_limit=lower, upper_limit=upper)
+    engine = make_engine(scene(robot, terrain=()), num_envs=2)
+    inertia = INERTIA if kind == "revolute" else MASS
+    engine.efforts[:] = torch.tensor([[1.5], [-1.5]]) * inertia
+    engine.step(200)  # one second, in which a free joint goes 0.75 rad or m
+    truth = torch.tensor([[min(upper, 0.75)], [max(lower, -0.75)]])
+    assert_near(engine.joint_positions, truth, atol=0.01)
+
+
+def test_a_joint_within_its_limits_moves_freely(make_engine: MakeEngine) -> None:
+    """``tau t^2 / 2 I`` right up to 0.7 rad of a limit of 1 rad; 1 %."""
+    engine = make_engine(scene(limited_rotor(lower_limit=-1.0, upper_limit=1.0), terrain=()), num_envs=2)
+    engine.efforts[:] = torch.tensor([[0.7], [-0.7]])
+    engine.step(200)
+    assert_near(engine.joint_positions, torch.tensor([[0.7], [-0.7]]), rtol=0.01)
+
+
+def test_an_actuator_groups_armature_takes_the_joints_place(make_engine: MakeEngine, needs: Needs) -> None:
+    """``omega = tau t / (I + armature)``, the group's where it names one, else the joint's; 1e-3."""
+    needs(Capability.ARMATURE)
+    for joints, group, armature in ((0.0, 0.25, 0.25), (0.1, 0.25, 0.25), (0.1, 0.0, 0.0), (0.1, None, 0.1)):
+        motor = IdealPd(joints=(".*",), armature=group)
+        engine = make_engine(scene(rotor(inertia=INERTIA, armature=joints, actuators=(motor,)), terrain=()))
+        engine.efforts.fill_(1.0)
+        engine.step(100)
+        assert_near(engine.joint_velocities[0, 0], torch.tensor(0.5 / (INERTIA + armature)), rtol=1e-3)
+
+
+def test_an_actuator_groups_effort_limit_takes_the_joints_place(make_engine: MakeEngine, needs: Needs) -> None:
+    """Asked for 10 N m both ways: ``omega = limit t / I``, and the effort told is the limit; 1e-3."""
+    needs(Capability.EFFORT_LIMITS)
+    motor = IdealPd(joints=(".*",), effort_limit=2.0)
+    engine = make_engine(scene(rotor(inertia=INERTIA, effort_limit=5.0, actuators=(motor,)), terrain=()), num_envs=2)
     engine.efforts[:] = torch.tensor([[10.0], [-10.0]])
-    engine.step(400)
-    torch.testing.assert_close(engine.joint_positions, torch.tensor([[0.2], [-0.1]]), rtol=0, atol=0.01)
+    engine.step(100)
+    assert_near(engine.joint_velocities[:, 0], torch.tensor([2.0, -2.0]), rtol=1e-3)
+    assert_near(engine.joint_efforts[:, 0], torch.tensor([2.0, -2.0]), rtol=1e-5)
 
 
-def test_mimic_joint_follows_a_written_leader_after_a_step(make_engine: MakeEngine, needs: Needs) -> None:
-    """Within 2 % of the jump after 0.1 s, and the leader keeps its place: the drive holds it."""
-    needs(Capability.MIMIC_JOINTS, Capability.IMPLICIT_DRIVES)
-    engine = make_engine(scene(geared(1.0, 0.0, implicit(1000.0, 100.0))))
+def test_an_actuator_groups_friction_takes_the_joints_place(make_engine: MakeEngine, needs: Needs) -> None:
+    """``omega = (tau - friction) t / I`` with the group's friction; 2 %."""
+    needs(Capability.JOINT_FRICTION)
+    motor = IdealPd(joints=(".*",), friction=0.4)
+    engine = make_engine(scene(rotor(inertia=INERTIA, friction=0.1, actuators=(motor,)), terrain=()))
+    engine.efforts.fill_(1.0)
+    engine.step(100)
+    assert_near(engine.joint_velocities[0, 0], torch.tensor(0.6), rtol=0.02)
+
+
+def test_a_drive_follows_its_velocity_target(make_engine: MakeEngine, needs: Needs) -> None:
+    """Per environment, with damping alone; 1 %."""
+    needs(Capability.IMPLICIT_DRIVES)
+    engine = make_engine(scene(rotor(actuators=implicit(0.0, 20.0)), terrain=()), num_envs=2)
+    engine.velocity_targets[:] = torch.tensor([[1.5], [-0.5]])
+    engine.step(100)
+    assert_near(engine.joint_velocities[:, 0], torch.tensor([1.5, -0.5]), rtol=0.01)
+
+
+def test_a_mimic_joint_stays_with_its_written_leader(make_engine: MakeEngine, needs: Needs) -> None:
+    """Both at rest without gravity: they stay there for 0.1 s; 0.01 rad."""
+    needs(Capability.MIMIC_JOINTS)
+    engine = make_engine(scene(geared(1.0, 0.0), gravity=WEIGHTLESS))
     engine.write_joint_state(index(0, 1), torch.tensor([[0.5, 0.5]]), None)
-    engine.position_targets[:, 0] = 0.5
     engine.step(20)
-    torch.testing.assert_close(engine.joint_positions, torch.tensor([[0.5, 0.5]]), rtol=0, atol=0.01)
+    assert_near(engine.joint_positions, torch.tensor([[0.5, 0.5]]), atol=0.01)
 
 
 def test_gravity_compensation_holds_a_free_chain(make_engine: MakeEngine, needs: Needs) -> None:
@@ -66,7 +134,7 @@ def test_gravity_compensation_holds_a_free_chain(make_engine: MakeEngine, needs:
     falling = make_engine(scene(pendulum(home=0.5)))
     for engine in (held, falling):
         engine.step(200)
-    torch.testing.assert_close(held.joint_positions, torch.tensor([[0.5, 0.0]]), rtol=0, atol=1e-3)
+    assert_near(held.joint_positions, torch.tensor([[0.5, 0.0]]), rtol=0, atol=1e-3)
     assert (falling.joint_positions[0, 0] - 0.5).abs() > 0.5
 
 
@@ -79,11 +147,11 @@ def test_drive_gains_per_environment(make_engine: MakeEngine, needs: Needs) -> N
     engine.reset()
     engine.efforts.fill_(5.0)
     engine.step(1500)
-    torch.testing.assert_close(engine.joint_positions, torch.tensor([[0.1], [0.2], [0.05]]), rtol=0.01, atol=0)
+    assert_near(engine.joint_positions, torch.tensor([[0.1], [0.2], [0.05]]), rtol=0.01, atol=0)
     engine.position_targets.fill_(1.0)
     engine.efforts.fill_(0.0)
     engine.step(1500)
-    torch.testing.assert_close(engine.joint_positions, torch.ones(3, 1), rtol=0.01, atol=0)
+    assert_near(engine.joint_positions, torch.ones(3, 1), rtol=0.01, atol=0)
 
 
 def test_joint_types_move_as_they_should(make_engine: MakeEngine) -> None:

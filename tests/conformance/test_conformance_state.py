@@ -22,8 +22,10 @@ from orbit_core.conformance.bodies import (
     yaw_quaternion,
 )
 from orbit_core.scene import Articulation, Joint, JointType, Pose, RobotSpec
+from orbit_core.world.build_check import check_build
 
 from .conftest import MakeEngine
+from .truth import assert_near
 
 EXACT = {"rtol": 1e-5, "atol": 1e-5}
 
@@ -42,10 +44,10 @@ def test_shapes_and_dtypes(make_engine: MakeEngine) -> None:
 
 def test_initial_state_is_the_scenes(make_engine: MakeEngine) -> None:
     engine = make_engine(scene(pendulum(home=0.4), cube(pose=Pose((1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0)))), num_envs=2)
-    torch.testing.assert_close(engine.joint_positions, torch.tensor([[0.4, 0.0]] * 2), **EXACT)
-    torch.testing.assert_close(engine.position_targets, torch.tensor([[0.4, 0.0]] * 2), **EXACT)
+    assert_near(engine.joint_positions, torch.tensor([[0.4, 0.0]] * 2), **EXACT)
+    assert_near(engine.position_targets, torch.tensor([[0.4, 0.0]] * 2), **EXACT)
     expected = torch.tensor([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0])
-    torch.testing.assert_close(engine.link_poses[1, -1], expected, **EXACT)
+    assert_near(engine.link_poses[1, -1], expected, **EXACT)
     assert engine.link_velocities.abs().max() == 0
 
 
@@ -53,14 +55,14 @@ def test_order_is_the_descriptions_and_not_depth_first(make_engine: MakeEngine) 
     engine = make_engine(scene(tree()))
     positions = torch.tensor([[0.1, 0.2, 0.3, 0.4]])
     engine.write_joint_state(index(0, 1, 2, 3), positions, None)
-    torch.testing.assert_close(engine.joint_positions, positions, **EXACT)
+    assert_near(engine.joint_positions, positions, **EXACT)
     poses = engine.link_poses[0]
-    torch.testing.assert_close(poses[1], torch.tensor([0.0, 0.1, 1.0, *yaw_quaternion(0.1)]), **EXACT)
-    torch.testing.assert_close(poses[2], torch.tensor([0.0, -0.1, 1.0, *yaw_quaternion(0.2)]), **EXACT)
+    assert_near(poses[1], torch.tensor([0.0, 0.1, 1.0, *yaw_quaternion(0.1)]), **EXACT)
+    assert_near(poses[2], torch.tensor([0.0, -0.1, 1.0, *yaw_quaternion(0.2)]), **EXACT)
     left = torch.tensor([0.3 * math.cos(0.1), 0.1 + 0.3 * math.sin(0.1), 1.0, *yaw_quaternion(0.4)])
     right = torch.tensor([0.4 * math.cos(0.2), -0.1 + 0.4 * math.sin(0.2), 1.0, *yaw_quaternion(0.6)])
-    torch.testing.assert_close(poses[3], left, **EXACT)
-    torch.testing.assert_close(poses[4], right, **EXACT)
+    assert_near(poses[3], left, **EXACT)
+    assert_near(poses[4], right, **EXACT)
 
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -70,9 +72,9 @@ def test_kinematics_of_two_links(make_engine: MakeEngine, a: float, b: float, u:
     engine = make_engine(scene(pendulum(length=0.5)))
     engine.write_joint_state(index(0, 1), torch.tensor([[a, b]]), torch.tensor([[u, v]]))
     elbow = torch.tensor([0.5 * math.cos(a), 0.0, 2.0 - 0.5 * math.sin(a)])
-    torch.testing.assert_close(engine.link_poses[0, 2, :3], elbow, **EXACT)
+    assert_near(engine.link_poses[0, 2, :3], elbow, **EXACT)
     velocity = torch.tensor([-0.5 * math.sin(a) * u, 0.0, -0.5 * math.cos(a) * u, 0.0, u + v, 0.0])
-    torch.testing.assert_close(engine.link_velocities[0, 2], velocity, rtol=1e-5, atol=2e-5)
+    assert_near(engine.link_velocities[0, 2], velocity, rtol=1e-5, atol=2e-5)
 
 
 def test_frames_of_a_joint_with_poses_on_both_sides(make_engine: MakeEngine) -> None:
@@ -86,9 +88,7 @@ def test_frames_of_a_joint_with_poses_on_both_sides(make_engine: MakeEngine) -> 
     engine = make_engine(scene(RobotSpec(name="hand", articulation=articulation, fixed_base=True, pose=base)))
     engine.write_joint_state(index(0), torch.tensor([[0.7]]), None)
     expected = base @ parent_pose @ Pose.from_axis_angle(axis, 0.7) @ child_pose.inverse()
-    torch.testing.assert_close(
-        engine.link_poses[0, 1], torch.tensor([*expected.position, *expected.orientation]), **EXACT
-    )
+    assert_near(engine.link_poses[0, 1], torch.tensor([*expected.position, *expected.orientation]), **EXACT)
 
 
 def test_fixed_joints_carry_their_links_along(make_engine: MakeEngine) -> None:
@@ -99,8 +99,8 @@ def test_fixed_joints_carry_their_links_along(make_engine: MakeEngine) -> None:
     articulation = Articulation("arm", (body("base"), body("arm"), body("tool")), joints)
     engine = make_engine(scene(RobotSpec(name="arm", articulation=articulation, fixed_base=True)))
     engine.write_joint_state(index(0), torch.tensor([[math.pi / 2]]), torch.tensor([[2.0]]))
-    torch.testing.assert_close(engine.link_poses[0, 2, :3], torch.tensor([0.0, 0.2, 0.0]), **EXACT)
-    torch.testing.assert_close(engine.link_velocities[0, 2], torch.tensor([-0.4, 0, 0, 0, 0, 2.0]), **EXACT)
+    assert_near(engine.link_poses[0, 2, :3], torch.tensor([0.0, 0.2, 0.0]), **EXACT)
+    assert_near(engine.link_velocities[0, 2], torch.tensor([-0.4, 0, 0, 0, 0, 2.0]), **EXACT)
 
 
 def test_velocity_is_of_the_origin_in_world_axes_linear_first(make_engine: MakeEngine) -> None:
@@ -109,13 +109,13 @@ def test_velocity_is_of_the_origin_in_world_axes_linear_first(make_engine: MakeE
     pose = torch.tensor([[0.0, 0.0, 1.0, *yaw_quaternion(math.pi / 2)]])
     velocity = torch.tensor([[0.3, -0.2, 0.1, 0.5, 0.0, 2.0]])
     engine.write_root_state(0, pose, velocity)
-    torch.testing.assert_close(engine.link_velocities[:, 0], velocity, **EXACT)
+    assert_near(engine.link_velocities[:, 0], velocity, **EXACT)
     before = engine.link_poses[0, 0].clone()
     engine.step(1)
     moved = (engine.link_poses[0, 0, :3] - before[:3]) / 0.001
-    torch.testing.assert_close(moved, velocity[0, :3], rtol=0, atol=5e-3)  # one step of explicit integration
+    assert_near(moved, velocity[0, :3], rtol=0, atol=5e-3)  # one step of explicit integration
     omega = engine.link_velocities[0, 0, 3:]
-    torch.testing.assert_close(omega, velocity[0, 3:], rtol=0, atol=5e-3)
+    assert_near(omega, velocity[0, 3:], rtol=0, atol=5e-3)
 
 
 def test_a_spinning_body_circles_its_centre_of_mass(make_engine: MakeEngine) -> None:
@@ -124,7 +124,7 @@ def test_a_spinning_body_circles_its_centre_of_mass(make_engine: MakeEngine) -> 
     pose = torch.tensor([[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]])
     engine.write_root_state(0, pose, torch.tensor([[0.0, -0.1 * math.pi, 0.0, 0.0, 0.0, math.pi]]))
     engine.step(1000)
-    torch.testing.assert_close(engine.link_poses[0, 0, :3], torch.tensor([0.2, 0.0, 1.0]), rtol=0, atol=2e-3)
+    assert_near(engine.link_poses[0, 0, :3], torch.tensor([0.2, 0.0, 1.0]), rtol=0, atol=2e-3)
 
 
 def test_a_new_pose_keeps_the_velocity(make_engine: MakeEngine) -> None:
@@ -132,7 +132,7 @@ def test_a_new_pose_keeps_the_velocity(make_engine: MakeEngine) -> None:
     velocity = torch.tensor([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]])
     engine.write_root_state(0, None, velocity)
     engine.write_root_state(0, torch.tensor([[0.0, 0.0, 1.0, *yaw_quaternion(1.0)]]), None)
-    torch.testing.assert_close(engine.link_velocities[:, 0], velocity, **EXACT)
+    assert_near(engine.link_velocities[:, 0], velocity, **EXACT)
 
 
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -152,23 +152,49 @@ def test_writes_reach_only_the_environments_named(make_engine: MakeEngine) -> No
     before = engine.link_poses.clone()
     engine.write_joint_state(index(1), torch.tensor([[0.5], [0.6]]), None, index(3, 1))
     engine.write_root_state(1, torch.tensor([[0.0, 1.0, 2.0, 1.0, 0.0, 0.0, 0.0]]), None, index(2))
-    torch.testing.assert_close(engine.joint_positions[:, 1], torch.tensor([0.0, 0.6, 0.0, 0.5]), **EXACT)
+    assert_near(engine.joint_positions[:, 1], torch.tensor([0.0, 0.6, 0.0, 0.5]), **EXACT)
     assert engine.link_poses[2, -1, :3].tolist() == [0.0, 1.0, 2.0]
     assert torch.equal(engine.link_poses[0], before[0])
     assert torch.equal(engine.link_poses[[0, 1, 3], -1], before[[0, 1, 3], -1])
 
 
 def test_a_fixed_base_moves_when_told_in_its_environment_alone(make_engine: MakeEngine) -> None:
-    engine = make_engine(scene(pendulum()), num_envs=3)
+    """Its links go with it, and stay in all other environments, at once, after steps and after its reset."""
+    engine = make_engine(scene(pendulum(), terrain=(), gravity=WEIGHTLESS), num_envs=3)
+    home = engine.link_poses.clone()
     pose = torch.tensor([[1.0, 2.0, 3.0, *yaw_quaternion(math.pi / 2)]])
     engine.write_root_state(0, pose, None, index(1))
-    torch.testing.assert_close(engine.link_poses[1, 0], pose[0], **EXACT)
-    torch.testing.assert_close(engine.link_poses[1, 2, :3], torch.tensor([1.0, 2.5, 3.0]), **EXACT)
-    torch.testing.assert_close(engine.link_poses[2, 2, :3], torch.tensor([0.5, 0.0, 2.0]), **EXACT)
-    engine.step(5)
-    torch.testing.assert_close(engine.link_poses[1, 0], pose[0], **EXACT)
+    for steps in (0, 5):
+        engine.step(steps) if steps else None
+        assert_near(engine.link_poses[1, 0], pose[0], **EXACT)
+        assert_near(engine.link_poses[1, 2, :3], torch.tensor([1.0, 2.5, 3.0]), **EXACT)
+        assert_near(engine.link_poses[[0, 2]], home[[0, 2]], **EXACT)
     engine.reset(index(1))
-    torch.testing.assert_close(engine.link_poses[1, 0, :3], torch.tensor([0.0, 0.0, 2.0]), **EXACT)
+    assert_near(engine.link_poses, home, **EXACT)
+
+
+def test_bases_of_several_environments_go_each_to_its_own_place(make_engine: MakeEngine) -> None:
+    """Written for environments 2 and 0 in that order; 1 stays."""
+    engine = make_engine(scene(pendulum(), terrain=(), gravity=WEIGHTLESS), num_envs=3)
+    poses = torch.tensor([[2.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 1.5, 1.0, 0.0, 0.0, 0.0]])
+    engine.write_root_state(0, poses, None, index(2, 0))
+    roots = torch.tensor([[0.0, -1.0, 1.5], [0.0, 0.0, 2.0], [2.0, 0.0, 1.0]])
+    assert_near(engine.link_poses[:, 0, :3], roots, **EXACT)
+    engine.step(3)
+    assert_near(engine.link_poses[:, 2, :3], roots + torch.tensor([0.5, 0.0, 0.0]), **EXACT)
+
+
+def test_a_robots_pose_and_home_are_set_together(make_engine: MakeEngine) -> None:
+    """A turned base and a home position: where the tip's link stands is both; 1e-5."""
+    turned = Pose((0.1, 0.2, 1.0), tuple(yaw_quaternion(math.pi / 2)))
+    engine = make_engine(scene(pendulum(home=0.4, base=turned), terrain=()))
+    truth = torch.tensor([0.1, 0.2 + 0.5 * math.cos(0.4), 1.0 - 0.5 * math.sin(0.4)])
+    assert_near(engine.link_poses[0, 2, :3], truth, **EXACT)
+
+
+def test_a_build_is_as_described(make_engine: MakeEngine) -> None:
+    """Masses, inertias, limits, armatures and kinematics of all that the core can read back or see."""
+    check_build(make_engine(scene(tree(), pendulum(), cube(center_of_mass=(0.01, 0.0, 0.0))), num_envs=2), "this")
 
 
 def test_a_continuous_joint_counts_whole_turns(make_engine: MakeEngine) -> None:

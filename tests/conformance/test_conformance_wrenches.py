@@ -12,6 +12,7 @@ from orbit_core.interfaces import Capability
 from orbit_core.scene import ForceTorqueSpec, IdealPd, ImplicitPd, Pose
 
 from .conftest import MakeEngine, Needs
+from .truth import assert_near
 
 HELD = (ImplicitPd(joints=(".*",), stiffness=1e4, damping=1e3),)
 
@@ -27,7 +28,7 @@ def test_a_joint_wrench_is_in_the_links_axes(make_engine: MakeEngine, needs: Nee
     engine = make_engine(scene(robot, sensors=(wrench("link0"),)))
     engine.step(20)
     expected = torch.tensor([-G, 0.0, 0.0, 0.0, 0.0, 0.0])
-    torch.testing.assert_close(engine.joint_wrenches[0, 0], expected, rtol=0, atol=0.05)
+    assert_near(engine.joint_wrenches[0, 0], expected, rtol=0, atol=0.05)
 
 
 def test_an_external_force_accelerates(make_engine: MakeEngine, needs: Needs) -> None:
@@ -40,10 +41,10 @@ def test_an_external_force_accelerates(make_engine: MakeEngine, needs: Needs) ->
     engine.step(60)
     engine.step(40)
     expected = torch.tensor([[0.0, -1.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.5]])
-    torch.testing.assert_close(engine.link_velocities[:, 0, :3], expected, rtol=1e-3, atol=1e-4)
+    assert_near(engine.link_velocities[:, 0, :3], expected, rtol=1e-3, atol=1e-4)
     engine.set_wrenches(index(0), torch.zeros(3, 1, 6))
     engine.step(100)
-    torch.testing.assert_close(engine.link_velocities[:, 0, :3], expected, rtol=1e-3, atol=1e-4)
+    assert_near(engine.link_velocities[:, 0, :3], expected, rtol=1e-3, atol=1e-4)
 
 
 def test_an_external_force_acts_at_the_centre_of_mass(make_engine: MakeEngine, needs: Needs) -> None:
@@ -66,7 +67,7 @@ def test_mass_of_an_articulated_link(make_engine: MakeEngine, needs: Needs) -> N
     engine.set_masses(index(1), torch.tensor([[10.0]]), index(1))
     engine.efforts.fill_(1.0)
     engine.step(100)
-    torch.testing.assert_close(engine.joint_velocities[:, 0], torch.tensor([1.0, 0.1]), rtol=1e-3, atol=0)
+    assert_near(engine.joint_velocities[:, 0], torch.tensor([1.0, 0.1]), rtol=1e-3, atol=0)
 
 
 def test_centre_of_mass_per_environment(make_engine: MakeEngine, needs: Needs) -> None:
@@ -79,7 +80,7 @@ def test_centre_of_mass_per_environment(make_engine: MakeEngine, needs: Needs) -
     engine.write_root_state(0, None, spin)
     engine.step(1000)
     expected = torch.tensor([[0.0, 0.0, 0.05], [0.2, 0.0, 0.05]])
-    torch.testing.assert_close(engine.link_poses[:, 0, :3], expected, rtol=0, atol=2e-3)
+    assert_near(engine.link_poses[:, 0, :3], expected, rtol=0, atol=2e-3)
 
 
 def test_gravity_compensation_follows_the_gravity_of_the_environment(make_engine: MakeEngine, needs: Needs) -> None:
@@ -87,4 +88,4 @@ def test_gravity_compensation_follows_the_gravity_of_the_environment(make_engine
     engine = make_engine(scene(pendulum(gravity_compensation=True, home=0.3)), num_envs=2)
     engine.set_gravity(torch.tensor([[0.0, 0.0, -3.0]]), index(1))
     engine.step(100)
-    torch.testing.assert_close(engine.joint_positions[:, 0], torch.tensor([0.3, 0.3]), rtol=0, atol=1e-3)
+    assert_near(engine.joint_positions[:, 0], torch.tensor([0.3, 0.3]), rtol=0, atol=1e-3)

@@ -99,7 +99,7 @@ class Chain:
     def equation(
         self, bodies: list[Body], root: Tensor, positions: Tensor, velocities: Tensor
     ) -> tuple[Tensor, Tensor, list[Motion]]:
-        """Mass (N, J, J) and bias (N, J) of the equation of motion ``M a + bias = efforts``, and every link's motion."""
+        """Mass (N, J, J) and bias (N, J) of the equation of motion ``M a + bias = efforts``, and the links' motion."""
         motions = self.motions(root, positions, velocities)
         mass, bias = self._armature.expand(len(root), -1, -1), torch.zeros_like(positions)
         for body, link in zip(bodies[1:], motions[1:], strict=True):

@@ -129,7 +129,7 @@ class TorchEngine(Engine):
         return torch.where(within, push, given), torch.where(within, slope, 0.0)
 
     def _implicit(self, equation: Equation, push: Tensor, slope: Tensor) -> tuple[Tensor, Tensor]:
-        """The mass matrix with what drives and damping add to it, and the velocities (N, D) after a step without impulses."""
+        """The mass matrix with what drives and damping add to it, and velocities (N, D) after a step without impulses."""
         joints = push.shape[1]
         mass, force = equation.mass.clone(), equation.force.clone()
         mass[:, :joints, :joints] += torch.diag_embed(self._dt * (slope + self._damping))

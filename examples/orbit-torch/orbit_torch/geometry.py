@@ -53,7 +53,7 @@ def _distance_from_box(points: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:
     outside = beyond.clamp_min(0.0)
     reach = outside.norm(dim=-1, keepdim=True)
     deepest = torch.nn.functional.one_hot(beyond.argmax(-1), 3).to(points.dtype)
-    normal = torch.where(reach > 0.0, outside / reach.clamp_min(1e-12), deepest)
+    normal = torch.where(reach > 1e-9, outside / reach.clamp_min(1e-12), deepest)
     return reach[..., 0] + beyond.amax(-1).clamp_max(0.0), torch.where(points < 0.0, -normal, normal)
 
 

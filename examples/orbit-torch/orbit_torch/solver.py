@@ -48,7 +48,6 @@ def solve(rows: Rows, inverse_mass: Tensor, velocity: Tensor, impulses: Tensor) 
     return descend(response, offset * scale, scale, impulses, *bounds, _ITERATIONS)
 
 
-@torch.jit.script  # some thousand small operations a step, which Python would take most of the time to call
 def project(impulses: Tensor, least: Tensor, greatest: Tensor, normal: Tensor, friction: Tensor) -> Tensor:
     """The nearest impulses that are allowed: joints' within bounds, contacts' pushing, friction within Coulomb's."""
     joints = torch.minimum(torch.maximum(impulses[:, : len(least)], least), greatest)
@@ -61,7 +60,6 @@ def project(impulses: Tensor, least: Tensor, greatest: Tensor, normal: Tensor, f
     return torch.cat((joints, (push * normal + share * across).flatten(1)), 1)
 
 
-@torch.jit.script
 def descend(
     response: Tensor, offset: Tensor, scale: Tensor, impulses: Tensor,
     least: Tensor, greatest: Tensor, normal: Tensor, friction: Tensor, iterations: int,

@@ -27,7 +27,7 @@ class Equation:
     velocity: Tensor
     """(N, D)"""
     linear: Tensor
-    """(N, L + 1, D, 3) velocity of each link's origin per generalised velocity; the last link is the terrain, at rest."""
+    """(N, L + 1, D, 3) velocity of each link's origin per generalised velocity; the last stands for the terrain, at rest."""
     angular: Tensor
     """(N, L + 1, D, 3)"""
 
