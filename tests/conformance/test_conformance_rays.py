@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from orbit_core.conformance.bodies import WEIGHTLESS, cube, index, scene, yaw_quaternion
-from orbit_core.interfaces import BACKGROUND, Capability
+from orbit_core.interfaces import BACKGROUND, TERRAIN, Capability
 
 from .conftest import MakeEngine, Needs
 from .truth import assert_near
@@ -38,6 +38,14 @@ def test_rays_see_what_was_just_written_in_their_own_environment(make_engine: Ma
     hits = engine.cast_rays(origins, down, 10.0, index(2, 0))
     assert_near(hits.distances[:, 0], torch.tensor([1.4, 2.4]), **TOLERANCE)
     assert torch.equal(engine.link_poses, before)
+
+
+def test_rays_tell_the_terrain_from_things_and_from_nothing(make_engine: MakeEngine) -> None:
+    """One meets the cube, one the ground beside it, one goes up."""
+    engine = make_engine(scene(cube(half=0.1), gravity=WEIGHTLESS))
+    origins = torch.tensor([[[0.0, 0.0, 2.0], [0.5, 0.0, 2.0], [0.5, 0.0, 2.0]]])
+    directions = torch.tensor([[[0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
+    assert engine.cast_rays(origins, directions, 10.0).links.tolist() == [[0, TERRAIN, BACKGROUND]]
 
 
 def test_casting_rays_changes_nothing(make_engine: MakeEngine, needs: Needs) -> None:

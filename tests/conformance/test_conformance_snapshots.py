@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.conformance.bodies import cube, index, pendulum, scene
-from orbit_core.interfaces import Backend, Capability, Engine
+from orbit_core.interfaces import TERRAIN, Backend, Capability, Engine
 from orbit_core.scene import ContactSensorSpec, ForceTorqueSpec
 
 from .conftest import MakeEngine, Needs
@@ -107,7 +107,9 @@ PARAMETERS: dict[Capability, Change] = {
     Capability.RANDOMIZE_CENTER_OF_MASS: lambda engine: engine.set_centers_of_mass(
         index(2), torch.tensor([[[0.1, 0.0, 0.02]]]), index(1)
     ),
-    Capability.RANDOMIZE_FRICTION: lambda engine: engine.set_friction(index(3, 4), torch.zeros(1, 2), index(1)),
+    Capability.RANDOMIZE_FRICTION: lambda engine: engine.set_friction(
+        index(3, 4, TERRAIN), torch.zeros(1, 3), index(1)
+    ),
     Capability.RANDOMIZE_GAINS: lambda engine: engine.set_drive_gains(
         index(1), torch.tensor([[5.0]]), torch.tensor([[0.5]]), index(1)
     ),

@@ -158,6 +158,14 @@ def test_writes_reach_only_the_environments_named(make_engine: MakeEngine) -> No
     assert torch.equal(engine.link_poses[[0, 1, 3], -1], before[[0, 1, 3], -1])
 
 
+def test_joints_are_written_in_the_order_given(make_engine: MakeEngine) -> None:
+    engine = make_engine(scene(tree(), terrain=()), num_envs=2)
+    engine.write_joint_state(index(3, 1), torch.tensor([[0.3, 0.1]]), torch.tensor([[3.0, 1.0]]), index(1))
+    truth = torch.tensor([[0.0, 0.0, 0.0, 0.0], [0.0, 0.1, 0.0, 0.3]])
+    assert_near(engine.joint_positions, truth, **EXACT)
+    assert_near(engine.joint_velocities, 10.0 * truth, **EXACT)
+
+
 def test_a_fixed_base_moves_when_told_in_its_environment_alone(make_engine: MakeEngine) -> None:
     """Its links go with it, and stay in all other environments, at once, after steps and after its reset."""
     engine = make_engine(scene(pendulum(), terrain=(), gravity=WEIGHTLESS), num_envs=3)

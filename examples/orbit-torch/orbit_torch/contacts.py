@@ -37,6 +37,13 @@ class Touch:
     gaps: Tensor
     """(N, C) metres, negative where they overlap."""
 
+    def nearest(self, count: int) -> tuple[Touch, Tensor]:
+        """Of each environment that many candidates, and which they are (N, count), in order."""
+        which = self.gaps.topk(min(count, self.gaps.shape[1]), largest=False, sorted=False).indices.sort(1).values
+        vectors = which[..., None].expand(-1, -1, 3)
+        near = Touch(self.points.gather(1, vectors), self.normals.gather(1, vectors), self.gaps.gather(1, which))
+        return near, which
+
 
 class Contacts:
     """The shapes of a scene; a link of index L, the number of links, stands for the terrain."""

@@ -31,10 +31,13 @@ from orbit_torch.impulses import JointRows, gather
 from orbit_torch.solver import Rows, solve
 from orbit_torch.system import Equation, System, move_free_body
 
-_STATE = ("_poses", "_velocities", "_positions", "_rates", "_impulses")
+_STATE = ("_poses", "_velocities", "_positions", "_rates", "_stopping", "_touching")
 _PARAMETERS = ("_masses", "_centers", "_gravity", "_wrenches", "_stiffness", "_drive_damping", "_friction")
 _COMMANDS = ("position_targets", "velocity_targets", "efforts")
 _READINGS = ("_applied", "_contact_forces")
+_CLEARED = ("_velocities", "_rates", "_stopping", "_touching", "_wrenches", *_READINGS, "velocity_targets", "efforts")
+_CONTACTS = 96
+"""The nearest candidates of an environment, which are solved for; the others touch nothing."""
 
 
 class TorchEngine(Engine):
@@ -63,8 +66,8 @@ class TorchEngine(Engine):
         self._system = System(layout, self._chains)
         self._contacts = Contacts(layout)
         self._friction = self._contacts.friction.repeat(num_envs, 1)
-        rows = len(self._joint_rows.least) + 3 * len(self._contacts.links)
-        self._impulses = torch.zeros(num_envs, rows, dtype=torch.float64)
+        self._stopping = torch.zeros(num_envs, len(self._joint_rows.least), dtype=torch.float64)
+        self._touching = torch.zeros(num_envs, len(self._contacts.links), 3, dtype=torch.float64)
         self._contact_forces = torch.zeros(num_envs, len(layout.contact_queries), 3)
         self._applied = torch.zeros(num_envs, joints)
         self.reset()
@@ -95,27 +98,43 @@ class TorchEngine(Engine):
         joints = len(self.layout.joints)
         push, slope = self._drives(equation)
         mass, speeds = self._implicit(equation, push, slope)
-        rows, inverse = self._rows(equation), torch.linalg.inv(mass)
-        self._impulses = solve(rows, inverse, speeds, self._impulses)
-        kicks = (rows.jacobian.mT @ self._impulses[..., None])[..., 0]
+        rows, near = self._rows(equation)
+        inverse = torch.linalg.inv(mass)
+        impulses = solve(rows, inverse, speeds, self._warm_start(near))
+        self._keep(impulses, near, steps)
+        kicks = (rows.jacobian.mT @ impulses[..., None])[..., 0]
         speeds = speeds + (inverse @ kicks[..., None])[..., 0]
         self._applied = (push - slope * speeds[:, :joints]).float()
-        on_balls = self._impulses[:, len(self._joint_rows.least) :].unflatten(1, (-1, 3)) / (self._dt * steps)
-        self._contact_forces += (self._contacts.counted @ on_balls).float()
         involved = kicks != 0.0
         involved[:, :joints] |= (slope + self._damping) != 0.0
         for entity, columns in zip(self.layout.entities, self._system.columns, strict=True):
             alone = ~involved[:, columns].any(1, keepdim=True)
             self._move(entity, bodies[entity.links], speeds[:, columns], alone)
 
-    def _rows(self, equation: Equation) -> Rows:
-        touch, contacts = self._contacts.find(self._poses), self._contacts
+    def _rows(self, equation: Equation) -> tuple[Rows, Tensor]:
+        """What resists motion, and which of all candidates its contacts are (N, C)."""
+        touch, near = self._contacts.find(self._poses).nearest(_CONTACTS)
         origins = torch.cat((self._poses[..., :3], torch.zeros_like(self._poses[:, :1, :3])), 1)
         ball, surface = (
-            equation.point_jacobian(links, touch.points - origins[:, links]) for links in contacts.links.unbind(1)
+            equation.point_jacobian(links, touch.points - origins.gather(1, links[..., None].expand(-1, -1, 3)))
+            for links in self._contacts.links[near].unbind(-1)
         )
-        friction = self._friction[:, contacts.shapes].amax(-1)
-        return gather(self._joint_rows, self._positions, equation, touch, ball - surface, friction, self._dt)
+        pairs = self._contacts.shapes[near]
+        friction = self._friction.gather(1, pairs.flatten(1)).view(pairs.shape).amax(-1)
+        return gather(self._joint_rows, self._positions, equation, touch, ball - surface, friction, self._dt), near
+
+    def _warm_start(self, near: Tensor) -> Tensor:
+        """The impulses of the step before, of the joints' rows and of these contacts."""
+        contacts = self._touching.gather(1, near[..., None].expand(-1, -1, 3))
+        return torch.cat((self._stopping, contacts.flatten(1)), 1)
+
+    def _keep(self, impulses: Tensor, near: Tensor, steps: int) -> None:
+        """Keep the impulses for the next step, and what they come to in newtons, as a mean over ``steps``."""
+        joints = self._stopping.shape[1]
+        self._stopping = impulses[:, :joints]
+        contacts = impulses[:, joints:].unflatten(1, (-1, 3)) if near.shape[1] else self._touching
+        self._touching = torch.zeros_like(self._touching).scatter(1, near[..., None].expand(-1, -1, 3), contacts)
+        self._contact_forces += (self._contacts.counted @ self._touching / (self._dt * steps)).float()
 
     def _drives(self, equation: Equation) -> tuple[Tensor, Tensor]:
         """What drives and commands apply is ``push - slope * rates after the step``, both (N, J), within limits."""
@@ -240,9 +259,8 @@ class TorchEngine(Engine):
             self._poses[rows, entity.root_link] = torch.tensor(pose, dtype=torch.float64)
         self._positions[rows] = self._home
         self.position_targets[rows] = self._home.float()
-        memory = (self._velocities, self._rates, self._wrenches, self._impulses, self._applied, self._contact_forces)
-        for cleared in (*memory, self.velocity_targets, self.efforts):
-            cleared[rows] = 0.0
+        for name in _CLEARED:
+            getattr(self, name)[rows] = 0.0
         self._place_all()
 
     # Parameters per environment

@@ -72,6 +72,8 @@ def descend(
         slope = torch.matmul(response, ahead[..., None])[..., 0] + offset
         after = project((ahead - rate * slope) * scale, least, greatest, normal, friction) / scale
         change = after - found
+        if not change.any():
+            break  # in every environment: none would move again
         uphill = (slope * change).sum(-1, keepdim=True) > 0.0
         momentum = momentum.masked_fill(uphill, 1.0)
         grown = 0.5 * (1.0 + (1.0 + 4.0 * momentum * momentum).sqrt())

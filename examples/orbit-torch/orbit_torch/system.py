@@ -32,8 +32,9 @@ class Equation:
     """(N, L + 1, D, 3)"""
 
     def point_jacobian(self, links: Tensor, arms: Tensor) -> Tensor:
-        """(N, C, 3, D) of points of links (C,) at ``arms`` (N, C, 3), world axes, from the links' origins."""
-        return (self.linear[:, links] + cross(self.angular[:, links], arms[:, :, None])).mT
+        """(N, C, 3, D) of points of links (N, C) at ``arms`` (N, C, 3), world axes, from the links' origins."""
+        rows = torch.arange(len(links))[:, None]
+        return (self.linear[rows, links] + cross(self.angular[rows, links], arms[:, :, None])).mT
 
 
 class System:

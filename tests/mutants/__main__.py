@@ -1,0 +1,47 @@
+"""Breaks the example backend in every named way and holds each mutant to the tests that must catch it.
+
+The example, ``examples/orbit-torch``, must be installed. ``--tenth`` takes every tenth mutant, ``--only`` those named. The
+exit code is 1 if a test fails for the unbroken example, or does not fail for a mutant.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from . import catalogue
+from .judge import caught, passes
+from .mutant import Mutant
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
+    parser.add_argument("--tenth", action="store_true", help="every tenth mutant, for CI")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="mutants of these names")
+    options = parser.parse_args(arguments)
+    chosen = catalogue.chosen(options.only, tenth=options.tenth)
+    checks = tuple(dict.fromkeys(check for mutant in chosen for check in mutant.caught_by))
+    complaints = [f"{check} fails for the unbroken example" for check in _shown(checks) if not passes(check)]
+    complaints += [complaint for mutant in _shown(chosen) for complaint in _survived(mutant)]
+    print("\n".join(complaints) or f"{len(chosen)} mutants, each caught by every one of its tests")
+    return 1 if complaints else 0
+
+
+def _survived(mutant: Mutant) -> list[str]:
+    missed = [check for check in mutant.caught_by if not caught(mutant, check)]
+    return [f"{mutant.group}.{mutant.name} ({mutant.broken}) gets past {check}" for check in missed]
+
+
+def _shown(things: Sequence):
+    """With a bar on the terminal."""
+    for count, thing in enumerate(things):
+        name = thing.name if isinstance(thing, Mutant) else thing
+        done = 30 * count // len(things)
+        print(f"\r[{'#' * done:<30}] {count + 1}/{len(things)} {name:<90.90}", end="", file=sys.stderr, flush=True)
+        yield thing
+    print("\r" + " " * 132, end="\r", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,25 @@
+"""All mutants, and which of them a run takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from orbit_core.interfaces import UnknownNameError
+
+from . import commands, contacts, frames, masks, snapshots, time  # noqa: F401 - each registers its mutants
+from .mutant import MUTANTS, Mutant
+
+
+def chosen(names: Sequence[str] | None = None, *, tenth: bool = False) -> list[Mutant]:
+    """Those of these names, or every tenth, or all.
+
+    Raises:
+        UnknownNameError: no mutant has one of the names.
+    """
+    if names is None:
+        return MUTANTS[::10] if tenth else list(MUTANTS)
+    known = {mutant.name: mutant for mutant in MUTANTS}
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("mutant", name, known)
+    return [known[name] for name in names]

@@ -1,0 +1,55 @@
+"""Runs one test or scenario on the example backend, broken or not."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+
+from orbit_core import backends
+from orbit_core.conformance.scenario import Scenario, Trial
+from orbit_core.conformance.scenarios import SCENARIOS
+from orbit_core.conformance.verdict import Status, run_scenario
+
+from .mutant import Mutant
+
+_BACKEND = "torch"
+_TESTS = Path(__file__).parents[1] / "conformance"
+
+
+def passes(check: str) -> bool:
+    """Whether the example as it stands passes, and is not skipped."""
+    if "::" not in check:
+        return _verdict(_scenario(check)) in (Status.PASS, Status.GAP)
+    return _pytest(check) == pytest.ExitCode.OK
+
+
+def caught(mutant: Mutant, check: str) -> bool:
+    """Whether the test fails, or the scenario's verdict is none that its backend declares."""
+    with patch("orbit_torch.engine.TorchEngine", mutant.engine):
+        if "::" not in check:
+            return _verdict(_scenario(check)) in (Status.FAIL, Status.STALE)
+        return _pytest(check) == pytest.ExitCode.TESTS_FAILED
+
+
+def _pytest(check: str) -> int:
+    file, _, test = check.partition("::")
+    path = _TESTS / f"test_conformance_{file}.py"
+    options = ["-x", "-q", "-p", "no:cacheprovider", "--no-header", "-k", f"{_BACKEND}"]
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        return pytest.main([f"{path}::{test}", *options])
+
+
+def _scenario(name: str) -> Scenario:
+    return next(scenario for scenario in SCENARIOS if scenario.name == name)
+
+
+def _verdict(scenario: Scenario) -> Status:
+    backend = backends.backend(_BACKEND)
+    try:
+        return run_scenario(scenario, backend, Trial(_BACKEND, scenario.time_step)).status
+    except Exception:  # whatever a broken engine dies of, it is not as declared
+        return Status.FAIL
