@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         UnsupportedCapabilityError,
     )
     from orbit_core.interfaces.gaps import Gap
+    from orbit_core.interfaces.kit import contact_signs, velocity_at
     from orbit_core.interfaces.layout import (
         BACKGROUND,
         TERRAIN,
@@ -65,6 +66,7 @@ _MODULES = {
         "UnsupportedCapabilityError",
     ),
     "gaps": ("Gap",),
+    "kit": ("contact_signs", "velocity_at"),
     "layout": ("BACKGROUND", "TERRAIN", "ContactQuery", "EntityLayout", "JointParameters", "SceneLayout"),
     "names": ("find_name", "match_names", "match_values"),
     "node": ("Node", "Port"),
@@ -76,13 +78,13 @@ _MODULES = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "BACKGROUND", "EXACT", "IMAGES", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation", "ArgumentError",
-    "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities", "Capability",
-    "ClosedError", "ConfigurationError", "ContactQuery", "Engine", "EntityLayout", "Gap", "Image", "JointParameters",
-    "Level", "Marker", "Node", "NonFiniteError", "Object", "OrbitError", "Port", "RayHits", "Renderer", "Robot",
-    "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError", "Support", "UnknownNameError",
-    "UnsupportedCapabilityError", "World", "albedo_table", "approximate", "diverged", "divergence_error",
-    "drawn_shapes", "find_name", "match_names", "match_values", "required_capabilities", "unsupported",
+    "BACKGROUND", "EXACT", "IMAGES", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation", "AssetError", "Backend",
+    "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities", "Capability", "ConfigurationError",
+    "ContactQuery", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "Level", "Marker", "Node",
+    "NonFiniteError", "Object", "OrbitError", "Port", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor",
+    "ShapeError", "SimulationError", "StorageError", "Support", "UnknownNameError", "UnsupportedCapabilityError",
+    "World", "albedo_table", "approximate", "contact_signs", "diverged", "divergence_error", "drawn_shapes",
+    "find_name", "match_names", "match_values", "required_capabilities", "unsupported", "velocity_at",
 ]  # fmt: skip
 
 

@@ -14,6 +14,8 @@ from orbit_core.interfaces.built import BuiltModel
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.layout import SceneLayout
 
+_COMMANDS = ("position_targets", "velocity_targets", "efforts")
+
 
 @dataclass(frozen=True)
 class Approximation:
@@ -223,6 +225,15 @@ class Engine(ABC):
     @abstractmethod
     def load_state(self, state: Any) -> None:
         """Return to a saved state; stepping on repeats what followed it."""
+
+    def saved_commands(self) -> dict[str, Tensor]:
+        """A copy of the commands, for :meth:`save_state`."""
+        return {name: getattr(self, name).clone() for name in _COMMANDS}
+
+    def load_commands(self, saved: dict[str, Tensor]) -> None:
+        """Put saved commands back in place, for :meth:`load_state`."""
+        for name in _COMMANDS:
+            getattr(self, name).copy_(saved[name])
 
     @property
     @abstractmethod

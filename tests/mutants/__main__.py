@@ -1,7 +1,7 @@
 """Breaks the example backend in every named way and holds each mutant to the tests that must catch it.
 
-The example, ``examples/orbit-torch``, must be installed. ``--tenth`` takes every tenth mutant, ``--only`` those named. The
-exit code is 1 if a test fails for the unbroken example, or does not fail for a mutant.
+The example, ``examples/orbit-torch``, must be installed. ``--tenth`` takes every tenth mutant, ``--only`` those named.
+The exit code is 1 if a test fails for the unbroken example, or does not fail for a mutant.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ from orbit_core.interfaces import (
     RayHits,
     SceneLayout,
     UnsupportedCapabilityError,
+    contact_signs,
 )
 from orbit_core.scene import Box, Capsule, Shape
 from orbit_torch.geometry import SOLIDS, balls, distance, meet
@@ -75,19 +76,12 @@ class Contacts:
         """(C, 2) shape that has the ball, shape that has the surface."""
         self.links = self.link_of_shape[self.shapes] if self._shapes else torch.zeros(0, 2, dtype=torch.int64)
         """(C, 2) their links."""
-        signs = [list(self._signs(query.link, query.others, ground)) for query in layout.contact_queries]
-        self.counted = torch.tensor(signs, dtype=torch.float64).view(len(signs), len(self.links))
+        pairs = [(one, TERRAIN if other == ground else other) for one, other in self.links.tolist()]
+        self.counted = contact_signs(layout.contact_queries, pairs)
         """(K, C) what the force on the ball counts for in each query: 1, -1 or 0."""
 
     def _balls(self, one: int, other: int) -> tuple[Tensor, float]:
         return balls(self._shapes[one][1].geometry, self._shapes[other][1].geometry)
-
-    def _signs(self, link: int, others: frozenset[int] | None, ground: int) -> Iterator[float]:
-        numbers = None if others is None else {ground if other == TERRAIN else other for other in others}
-        for first, second in self.links.tolist():
-            on_first = first == link and (numbers is None or second in numbers)
-            on_second = second == link and (numbers is None or first in numbers)
-            yield float(on_first) - float(on_second)
 
     def report(self, layout: SceneLayout) -> Iterator[Approximation]:
         """A line for each pair of shapes whose edges do not meet."""

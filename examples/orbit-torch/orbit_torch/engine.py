@@ -33,7 +33,6 @@ from orbit_torch.system import Equation, System, move_free_body
 
 _STATE = ("_poses", "_velocities", "_positions", "_rates", "_stopping", "_touching")
 _PARAMETERS = ("_masses", "_centers", "_gravity", "_wrenches", "_stiffness", "_drive_damping", "_friction")
-_COMMANDS = ("position_targets", "velocity_targets", "efforts")
 _READINGS = ("_applied", "_contact_forces")
 _CLEARED = ("_velocities", "_rates", "_stopping", "_touching", "_wrenches", *_READINGS, "velocity_targets", "efforts")
 _CONTACTS = 96
@@ -148,7 +147,7 @@ class TorchEngine(Engine):
         return torch.where(within, push, given), torch.where(within, slope, 0.0)
 
     def _implicit(self, equation: Equation, push: Tensor, slope: Tensor) -> tuple[Tensor, Tensor]:
-        """The mass matrix with what drives and damping add to it, and velocities (N, D) after a step without impulses."""
+        """The mass matrix with what drives and damping add, and velocities (N, D) after a step without impulses."""
         joints = push.shape[1]
         mass, force = equation.mass.clone(), equation.force.clone()
         mass[:, :joints, :joints] += torch.diag_embed(self._dt * (slope + self._damping))
@@ -298,7 +297,8 @@ class TorchEngine(Engine):
     # Snapshots and the rest
 
     def save_state(self) -> Any:
-        return {name: getattr(self, name).clone() for name in (*_STATE, *_PARAMETERS, *_COMMANDS, *_READINGS)}
+        own = {name: getattr(self, name).clone() for name in (*_STATE, *_PARAMETERS, *_READINGS)}
+        return own | self.saved_commands()
 
     def load_state(self, state: Any) -> None:
         for name, values in state.items():

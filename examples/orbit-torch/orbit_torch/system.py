@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import EntityLayout, SceneLayout
+from orbit_core.interfaces import EntityLayout, SceneLayout, velocity_at
 from orbit_torch.dynamics import Body, Chain, Motion
 from orbit_torch.rotations import apply, cross, matrix, turn
 from orbit_torch.rotations import multiply as compose
@@ -27,7 +27,7 @@ class Equation:
     velocity: Tensor
     """(N, D)"""
     linear: Tensor
-    """(N, L + 1, D, 3) velocity of each link's origin per generalised velocity; the last stands for the terrain, at rest."""
+    """(N, L + 1, D, 3) velocity of each link's origin per generalised velocity; the last is the terrain's, none."""
     angular: Tensor
     """(N, L + 1, D, 3)"""
 
@@ -91,16 +91,15 @@ class System:
         found.mass[:, spin, spin] = inertia
         found.force[:, push] = body.force
         found.force[:, spin] = body.torque - cross(omega, apply(inertia, omega))
-        found.velocity[:, push], found.velocity[:, spin] = velocity[:, :3] + cross(omega, arm), omega
+        found.velocity[:, columns] = velocity_at(velocity, arm)
         found.linear[:, link, push] = found.angular[:, link, spin] = unit
         found.linear[:, link, spin] = cross(unit, -arm[:, None])
 
 
 def move_free_body(body: Body, pose: Tensor, speeds: Tensor, dt: float) -> tuple[Tensor, Tensor]:
     """Pose (N, 7) and velocity (N, 6) of a link's origin after it has gone on with generalised velocities (N, 6)."""
-    speed, spin = speeds[:, :3], speeds[:, 3:]
-    center = pose[:, :3] + apply(matrix(pose[:, 3:]), body.center) + dt * speed
-    q = compose(turn(dt * spin), pose[:, 3:])
+    center = pose[:, :3] + apply(matrix(pose[:, 3:]), body.center) + dt * speeds[:, :3]
+    q = compose(turn(dt * speeds[:, 3:]), pose[:, 3:])
     q = q / q.norm(dim=-1, keepdim=True)
     arm = apply(matrix(q), body.center)
-    return torch.cat((center - arm, q), -1), torch.cat((speed - cross(spin, arm), spin), -1)
+    return torch.cat((center - arm, q), -1), velocity_at(speeds, -arm)
