@@ -12,7 +12,7 @@ PLUGINS := mjmodel $(BACKENDS)
 SOURCES := pyproject.toml constraints.txt $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
 CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples
 
-.PHONY: demo view test lint types unit conformance example clean
+.PHONY: demo view test lint types unit conformance example mutants clean
 
 demo: $(VENV)/.ready
 	@mkdir -p out
@@ -43,6 +43,12 @@ example: $(VENV)/.ready-dev
 	$(BIN)/pip install --quiet --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
 	PYTHONPATH=out/orbit-torch $(BIN)/pytest -n auto -k torch tests/conformance/test_conformance_*.py
 	PYTHONPATH=out/orbit-torch $(BIN)/orbit conformance --quick --backend torch --part scenarios --output out/conformance-torch
+	PYTHONPATH=out/orbit-torch:. $(BIN)/python -m tests.mutants --tenth
+
+# The example backend broken in every named way; each mutant must be caught by the tests that it names. Takes minutes.
+mutants: $(VENV)/.ready-dev
+	$(BIN)/pip install --quiet --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
+	PYTHONPATH=out/orbit-torch:. $(BIN)/python -m tests.mutants
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

@@ -26,8 +26,8 @@ def velocity_at(velocity: Tensor, arm: Tensor) -> Tensor:
 def contact_signs(queries: Sequence[ContactQuery], pairs: Iterable[tuple[int, int]]) -> Tensor:
     """What the force on the first link of each pair counts for in each query: (K, C) float64 of 1, -1 or 0.
 
-    ``pairs`` are the C pairs of links that may touch, where ``TERRAIN`` stands for the terrain. With the forces (N, C, 3)
-    on the first of each pair, ``contact_signs(...) @ forces`` is ``Engine.contact_forces``.
+    ``pairs`` are the C pairs of links that may touch, where ``TERRAIN`` stands for the terrain. With the forces
+    (N, C, 3) on the first of each pair, ``contact_signs(...) @ forces`` is ``Engine.contact_forces``.
     """
     known = list(pairs)
     signs = [

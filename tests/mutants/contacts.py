@@ -17,7 +17,6 @@ from .mutant import Misread, mutant, with_articulations
 FRICTION = "contacts::test_a_pair_takes_the_larger_friction"
 TOUCH = "contacts::test_who_may_touch_within_an_articulation"
 FORCE = "contacts::test_force_is_zero_after_a_reset_until_the_next_step"
-PAIRS = "contacts::test_an_articulation_without_self_collisions_still_meets_others"
 
 
 class _Rubbing(TorchEngine):
@@ -116,7 +115,7 @@ class ForcesOfTheOther(TorchEngine):
         return -super().contact_forces
 
 
-@mutant(PAIRS)
+@mutant("contact_force_pairs")
 class QueriesReversed(TorchEngine):
     """Answers contact queries in the reverse order."""
 

@@ -26,6 +26,9 @@ from orbit_core.scene import Box, Capsule, Shape
 from orbit_torch.geometry import SOLIDS, balls, distance, meet
 from orbit_torch.rotations import apply, matrix, multiply
 
+_MOST = 512
+"""Pairs of a ball and a shape; it has nothing that finds near ones cheaply."""
+
 
 @dataclass
 class Touch:
@@ -74,6 +77,11 @@ class Contacts:
             .repeat_interleave(torch.tensor(counts, dtype=torch.int64), 0)
         )
         """(C, 2) shape that has the ball, shape that has the surface."""
+        if len(self.shapes) > _MOST:
+            raise UnsupportedCapabilityError(
+                f"backend 'torch' compares everything with everything, and {len(self.shapes)} pairs of shapes' parts "
+                f"are more than {_MOST}: take fewer bodies, or another backend"
+            )
         self.links = self.link_of_shape[self.shapes] if self._shapes else torch.zeros(0, 2, dtype=torch.int64)
         """(C, 2) their links."""
         pairs = [(one, TERRAIN if other == ground else other) for one, other in self.links.tolist()]
