@@ -78,13 +78,14 @@ _MODULES = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "BACKGROUND", "EXACT", "IMAGES", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation", "AssetError", "Backend",
-    "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities", "Capability", "ConfigurationError",
-    "ContactQuery", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "Level", "Marker", "Node",
-    "NonFiniteError", "Object", "OrbitError", "Port", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor",
-    "ShapeError", "SimulationError", "StorageError", "Support", "UnknownNameError", "UnsupportedCapabilityError",
-    "World", "albedo_table", "approximate", "contact_signs", "diverged", "divergence_error", "drawn_shapes",
-    "find_name", "match_names", "match_values", "required_capabilities", "unsupported", "velocity_at",
+    "BACKGROUND", "EXACT", "IMAGES", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation", "ArgumentError",
+    "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities", "Capability",
+    "ClosedError", "ConfigurationError", "ContactQuery", "Engine", "EntityLayout", "Gap", "Image", "JointParameters",
+    "Level", "Marker", "Node", "NonFiniteError", "Object", "OrbitError", "Port", "RayHits", "Renderer", "Robot",
+    "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError", "Support", "UnknownNameError",
+    "UnsupportedCapabilityError", "World", "albedo_table", "approximate", "contact_signs", "diverged",
+    "divergence_error", "drawn_shapes", "find_name", "match_names", "match_values", "required_capabilities",
+    "unsupported", "velocity_at",
 ]  # fmt: skip
 
 
