@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from orbit_bullet.buffers import Buffers
 from orbit_bullet.config import BulletConfig
+from orbit_bullet.readings import Readings
 from orbit_bullet.simulation import SavedSimulation, Simulation
 from orbit_bullet.stage import SceneFiles, client_ranges, envs_per_client
 from orbit_core.interfaces import BuiltModel, SceneLayout
@@ -48,17 +49,24 @@ class Shard:
         built: Callable[[int], None],
     ) -> None:
         """Build them; ``built`` is told, after each world, how many environments it has."""
-        self._ranges = client_ranges(len(buffers.link_poses), envs_per_client(layout, config))
+        count = len(buffers.link_poses)
+        self._buffers = buffers
+        self._readings = Readings.of(layout, count)
+        self._ranges = client_ranges(count, envs_per_client(layout, config))
         self.simulations: list[Simulation] = []
         for start, stop in self._ranges:
-            self.simulations.append(Simulation(layout, files, buffers.rows(start, stop), config))
+            rows = buffers.rows(start, stop), self._readings.rows(start, stop)
+            self.simulations.append(Simulation(layout, files, *rows, config))
             built(stop - start)
+        self._offsets = self.simulations[0].stage.offsets
+        self._origins = np.concatenate([simulation.stage.origins for simulation in self.simulations])
 
     def step(self, steps: int) -> list[int]:
         """Advance; the environments whose deformables flew apart come back."""
         diverged: list[int] = []
         for (first, _), simulation in zip(self._ranges, self.simulations, strict=True):
             diverged += [first + slot for slot in simulation.step(steps)]
+        self._readings.convert(self._buffers, slice(None), self._offsets, self._origins)
         return diverged
 
     def write(self, call: Written) -> None:

@@ -19,6 +19,7 @@ from orbit_bullet.loads import Loads
 from orbit_bullet.materials import PairProducts, nominal, rolling_friction
 from orbit_bullet.rays import cast_rays
 from orbit_bullet.readback import read_model
+from orbit_bullet.readings import Readings
 from orbit_bullet.rotations import compose, cross
 from orbit_bullet.stage import SceneFiles, Stage
 from orbit_bullet.wrenches import WrenchMeter
@@ -46,9 +47,11 @@ class SavedSimulation:
 
 
 class Simulation:
-    """K environments; ``buffers`` are their rows."""
+    """K environments; ``buffers`` and ``readings`` are their rows."""
 
-    def __init__(self, layout: SceneLayout, files: SceneFiles, buffers: Buffers, config: BulletConfig) -> None:
+    def __init__(
+        self, layout: SceneLayout, files: SceneFiles, buffers: Buffers, readings: Readings, config: BulletConfig
+    ) -> None:
         self.layout = layout
         self.buffers = buffers
         self.count = len(buffers.link_poses)
@@ -68,13 +71,7 @@ class Simulation:
         self._set_restitution()
         self._apply_friction(np.arange(self.count))
         self._contacts = ContactMeter(self.client, layout.contact_queries, self.stage.places, buffers.contact_forces)
-        joints, links = len(layout.joints), len(layout.links)
-        self._positions, self._velocities = np.zeros((2, self.count, joints))
-        self._raw = np.zeros((self.count, links, 13))
-        """Of each link its centre of mass, principal axes (x, y, z, w), and velocities at the centre of mass.
-
-        Bullet also tells of the link's frame, but rounds it to single precision, in coordinates of kilometres.
-        """
+        self._readings = readings
         self._nominal_inertias = self._inertias()
         self._wrenches = WrenchMeter(self.stage, self.loads, buffers.joint_wrenches)
         self.reset(np.arange(self.count))
@@ -96,7 +93,10 @@ class Simulation:
     # Time ------------------------------------------------------------------------------------------------------------
 
     def step(self, steps: int) -> list[int]:
-        """Advance; the environments whose deformables flew apart come back."""
+        """Advance; the environments whose deformables flew apart come back.
+
+        Joints and links are gathered, and the buffers of them left to :meth:`Readings.convert`.
+        """
         contacts = self._contacts.active
         if contacts:
             self._contacts.clear()
@@ -104,12 +104,12 @@ class Simulation:
         for number in range(steps):
             if self._wrenches.active and number == steps - 1:
                 self._read(range(self.count))
-                self._wrenches.begin(self._raw, self.buffers.link_poses)
+                self._wrenches.begin(self._readings.bodies, self.buffers.link_poses)
             elif number:
                 self._read_joints(range(self.count))
             if self.deformables and number == steps - 1:
                 self.deformables.begin()
-            self.actuation.apply(self._positions, self._velocities)
+            self.actuation.apply(self._readings.positions, self._readings.velocities)
             self.loads.apply()
             self._gyroscopes.begin()
             self.client.stepSimulation()
@@ -118,10 +118,11 @@ class Simulation:
                 self._contacts.add()
         if contacts:
             self._contacts.average(steps)
-        self._read(range(self.count))
-        np.copyto(self.buffers.joint_efforts, self.actuation.efforts(self._velocities), casting="same_kind")
+        self._gather(range(self.count))
+        np.copyto(self.buffers.joint_efforts, self.actuation.efforts(self._readings.velocities), casting="same_kind")
         if self._wrenches.active:
-            self._wrenches.end(self._raw, self.buffers.link_poses)
+            self._readings.convert(self.buffers, slice(None), self.stage.offsets, self.stage.origins)
+            self._wrenches.end(self._readings.bodies, self.buffers.link_poses)
         if not self.deformables:
             return []
         self.deformables.read()
@@ -132,7 +133,7 @@ class Simulation:
     @property
     def joint_state(self) -> tuple[FloatArray, FloatArray]:
         """Positions and velocities (K, J) as the last step left them."""
-        return self._positions, self._velocities
+        return self._readings.positions, self._readings.velocities
 
     def _read_joints(self, slots: range | Rows) -> None:
         client, stage = self.client, self.stage
@@ -140,27 +141,20 @@ class Simulation:
             for entity in self.layout.entities:
                 if numbers := stage.joints[entity.index]:
                     states = client.getJointStates(stage.bodies[slot][entity.index], numbers)
-                    self._positions[slot, entity.joints] = [state[0] for state in states]
-                    self._velocities[slot, entity.joints] = [state[1] for state in states]
+                    self._readings.positions[slot, entity.joints] = [state[0] for state in states]
+                    self._readings.velocities[slot, entity.joints] = [state[1] for state in states]
 
     def _read(self, slots: range | Rows) -> None:
         """Fill the buffers of joints and links."""
+        self._gather(slots)
+        rows = slice(None) if isinstance(slots, range) else slots
+        self._readings.convert(self.buffers, rows, self.stage.offsets, self.stage.origins)
+
+    def _gather(self, slots: range | Rows) -> None:
         self._read_joints(slots)
         for slot in slots:
             for entity in self.layout.entities:
                 self._read_links(slot, entity.index)
-        rows = slice(None) if isinstance(slots, range) else slots
-        raw = self._raw[rows]
-        positions, quaternions = compose(raw[..., :3], raw[..., [6, 3, 4, 5]], self.stage.offsets)
-        lever = positions - raw[..., :3]
-        positions -= self.stage.origins[rows, None]
-        quaternions *= np.copysign(1.0, quaternions[..., :1])
-        buffers = self.buffers
-        buffers.link_poses[rows] = np.concatenate((positions, quaternions), -1)
-        buffers.link_velocities[rows, :, :3] = raw[..., 7:10] + cross(raw[..., 10:], lever)
-        buffers.link_velocities[rows, :, 3:] = raw[..., 10:]
-        buffers.joint_positions[rows] = self._positions[rows]
-        buffers.joint_velocities[rows] = self._velocities[rows]
 
     def _read_links(self, slot: int, number: int) -> None:
         client, entity = self.client, self.layout.entities[number]
@@ -179,7 +173,7 @@ class Simulation:
             for state in client.getLinkStates(body, indices, 1, 1):
                 values += (*state[0], *state[1], *state[6], *state[7])
         if values:
-            self._raw[slot, start : entity.links.stop] = np.array(values).reshape(-1, 13)
+            self._readings.bodies[slot, start : entity.links.stop] = np.array(values).reshape(-1, 13)
 
     # Writing ---------------------------------------------------------------------------------------------------------
 
@@ -188,9 +182,9 @@ class Simulation:
     ) -> None:
         """State (n, k) of joints (k,)."""
         if positions is not None:
-            self._positions[np.ix_(rows, joints)] = positions
+            self._readings.positions[np.ix_(rows, joints)] = positions
         if velocities is not None:
-            self._velocities[np.ix_(rows, joints)] = velocities
+            self._readings.velocities[np.ix_(rows, joints)] = velocities
         touched = [e for e in self.layout.entities if ((joints >= e.joints.start) & (joints < e.joints.stop)).any()]
         for slot in rows:
             for entity in touched:
@@ -199,7 +193,10 @@ class Simulation:
 
     def _put_joints(self, slot: int, number: int) -> None:
         entity = self.layout.entities[number]
-        positions, velocities = self._positions[slot, entity.joints], self._velocities[slot, entity.joints]
+        positions, velocities = (
+            self._readings.positions[slot, entity.joints],
+            self._readings.velocities[slot, entity.joints],
+        )
         numbers = self.stage.joints[number]
         if numbers:
             self.client.resetJointStatesMultiDof(
@@ -221,7 +218,9 @@ class Simulation:
         center, axes = compose(origin, quaternion, inertial)
         if entity.spec.fixed_base:
             zeros = np.zeros((len(rows), 6))
-            self._raw[rows, entity.root_link] = np.concatenate((origin, quaternion[:, [1, 2, 3, 0]], zeros), -1)
+            self._readings.bodies[rows, entity.root_link] = np.concatenate(
+                (origin, quaternion[:, [1, 2, 3, 0]], zeros), -1
+            )
         linear = velocity[:, :3] + cross(velocity[:, 3:], center - origin)
         for index, slot in enumerate(rows):
             body = self.stage.bodies[slot][number]
@@ -235,8 +234,8 @@ class Simulation:
         for entity in self.layout.entities:
             pose = np.array([*entity.spec.pose.position, *entity.spec.pose.orientation], dtype=np.float64)
             self._put_root(rows, entity.index, np.tile(pose, (len(rows), 1)), np.zeros((len(rows), 6)))
-        self._positions[rows] = self.layout.joint_parameters.home
-        self._velocities[rows] = 0.0
+        self._readings.positions[rows] = self.layout.joint_parameters.home
+        self._readings.velocities[rows] = 0.0
         for slot in rows:
             for entity in self.layout.entities:
                 self._put_joints(slot, entity.index)
@@ -362,7 +361,7 @@ class Simulation:
     def _arrays(self) -> tuple[npt.NDArray[Any], ...]:
         buffers, loads = self.buffers, self.loads
         return (
-            buffers.joint_efforts, buffers.contact_forces, buffers.joint_wrenches, self._raw, self._friction,
+            buffers.joint_efforts, buffers.contact_forces, buffers.joint_wrenches, self._readings.bodies, self._friction,
             loads.gravity, loads.masses, loads.wrenches, self.actuation.stiffness, self.actuation.damping,
         )  # fmt: skip
 
