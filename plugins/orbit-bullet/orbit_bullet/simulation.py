@@ -192,11 +192,8 @@ class Simulation:
         self._read(rows)
 
     def _put_joints(self, slot: int, number: int) -> None:
-        entity = self.layout.entities[number]
-        positions, velocities = (
-            self._readings.positions[slot, entity.joints],
-            self._readings.velocities[slot, entity.joints],
-        )
+        readings, joints = self._readings, self.layout.entities[number].joints
+        positions, velocities = readings.positions[slot, joints], readings.velocities[slot, joints]
         numbers = self.stage.joints[number]
         if numbers:
             self.client.resetJointStatesMultiDof(
@@ -217,10 +214,8 @@ class Simulation:
         inertial = self.stage.root_inertials[number]
         center, axes = compose(origin, quaternion, inertial)
         if entity.spec.fixed_base:
-            zeros = np.zeros((len(rows), 6))
-            self._readings.bodies[rows, entity.root_link] = np.concatenate(
-                (origin, quaternion[:, [1, 2, 3, 0]], zeros), -1
-            )
+            still = np.concatenate((origin, quaternion[:, [1, 2, 3, 0]], np.zeros((len(rows), 6))), -1)
+            self._readings.bodies[rows, entity.root_link] = still
         linear = velocity[:, :3] + cross(velocity[:, 3:], center - origin)
         for index, slot in enumerate(rows):
             body = self.stage.bodies[slot][number]
@@ -359,9 +354,9 @@ class Simulation:
 
     @property
     def _arrays(self) -> tuple[npt.NDArray[Any], ...]:
-        buffers, loads = self.buffers, self.loads
+        buffers, loads, bodies = self.buffers, self.loads, self._readings.bodies
         return (
-            buffers.joint_efforts, buffers.contact_forces, buffers.joint_wrenches, self._readings.bodies, self._friction,
+            buffers.joint_efforts, buffers.contact_forces, buffers.joint_wrenches, bodies, self._friction,
             loads.gravity, loads.masses, loads.wrenches, self.actuation.stiffness, self.actuation.damping,
         )  # fmt: skip
 
