@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from orbit_core.conformance.bodies import WEIGHTLESS, G, scene
-from orbit_core.conformance.scenario import SINGLE, Metric, Scenario, Trial
+from orbit_core.conformance.scenario import FIRST_ORDER, SINGLE, Metric, Scenario, Trial
 from orbit_core.conformance.scenarios.free_motion import momenta
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.scene import (
@@ -134,7 +134,7 @@ SCENARIOS = (
                 tolerance=2e-4,
                 meaning="largest error of the angle gone round within 2 s, over that after 2 s",
             ),
-            Metric(name="level", unit="rad", tolerance=4e-4, meaning="largest angle of the axle to the level"),
+            Metric(name="level", unit="rad", tolerance=3.9e-4, meaning="largest angle of the axle to the level"),
             Metric(
                 name="spin",
                 unit="",
@@ -152,7 +152,13 @@ SCENARIOS = (
         source="Landau and Lifshitz, Mechanics, 3rd ed., sections 35 and 37",
         run=_fast_spin,
         metrics=(
-            Metric(name="angular_momentum", unit="", tolerance=0.006, meaning="largest change within 2 s, relative"),
+            Metric(
+                name="angular_momentum",
+                unit="",
+                tolerance=0.006,
+                meaning="largest change within 2 s, relative",
+                looser_because=FIRST_ORDER,
+            ),
             Metric(
                 name="energy", unit="", tolerance=2e-4, meaning="largest change of kinetic energy within 2 s, relative"
             ),

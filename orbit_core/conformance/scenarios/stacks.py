@@ -54,7 +54,13 @@ SCENARIOS = (
         metrics=(
             Metric(name="sink_10", unit="m", tolerance=6e-5, meaning="greatest overlap of two layers, load of 10 kg"),
             Metric(name="sink_100", unit="m", tolerance=6e-4, meaning="the same under 100 kg"),
-            Metric(name="lean_10", unit="m", tolerance=4e-4, meaning="longest way of a cube sideways, load of 10 kg"),
+            Metric(
+                name="lean_10",
+                unit="m",
+                tolerance=4e-4,
+                meaning="longest way of a cube sideways, load of 10 kg",
+                looser_because="four thousandths of a side; the best is at rounding error",
+            ),
             Metric(name="lean_100", unit="m", tolerance=4e-3, meaning="the same under 100 kg"),
         ),
     ),
