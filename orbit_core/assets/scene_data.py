@@ -16,7 +16,7 @@ import numpy as np
 
 from orbit_core.interfaces.divergence import MAX_DISTANCE, MAX_SPEED
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.scene import CameraSpec, PhysicsMaterial, Pose, Scene
+from orbit_core.scene import Box, CameraSpec, Capsule, Cylinder, PhysicsMaterial, Pose, Scene, Sphere
 
 _UNIT = 1e-3
 """By how much a quaternion's length may differ from 1; written ones have few digits."""
@@ -130,6 +130,13 @@ def _check_material(material: PhysicsMaterial, where: str) -> None:
             _within(f"{where}.{field.name}", (value,), 0.0, 1.0 if field.name == "restitution" else 1e6)
 
 
+def _check_size(solid: Box | Sphere | Capsule | Cylinder, where: str) -> None:
+    lengths = solid.half_extents if isinstance(solid, Box) else (solid.radius,)
+    _within(f"{where}.{'half_extents' if isinstance(solid, Box) else 'radius'}", lengths, 1e-9, MAX_DISTANCE, "m")
+    if isinstance(solid, Capsule | Cylinder):
+        _within(f"{where}.half_length", (solid.half_length,), 0.0, MAX_DISTANCE, "m")
+
+
 def _check_camera(camera: CameraSpec, where: str) -> None:
     _within(f"{where}.width", (camera.width,), 1, 2**15, "pixels")
     _within(f"{where}.height", (camera.height,), 1, 2**15, "pixels")
@@ -146,6 +153,10 @@ def _check_scene(scene: Scene, where: str) -> None:
 _RULES: Mapping[type, Callable[[Any, str], None]] = {
     Pose: _check_pose,
     PhysicsMaterial: _check_material,
+    Box: _check_size,
+    Sphere: _check_size,
+    Capsule: _check_size,
+    Cylinder: _check_size,
     CameraSpec: _check_camera,
     Scene: _check_scene,
 }

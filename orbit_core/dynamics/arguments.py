@@ -21,8 +21,8 @@ MOST_ENVIRONMENTS = 2**31 - 1  # engines count in 32 bits
 MOST_STEPS = 1_000_000
 """Physics steps in one call, which nothing interrupts before its end."""
 _LARGEST_SEED = 2**63 - 1  # seeds are hashed as signed 64-bit integers
-_UNIT = 2e-3
-"""By how much the square of a quaternion's length may differ from 1: engines take care of what is rounded."""
+_UNIT = 1e-3
+"""By how much a quaternion's length may differ from 1: engines take care of what is rounded."""
 
 
 @dataclass(frozen=True)
@@ -206,13 +206,13 @@ def check_quaternions(poses: Tensor, what: str, env_ids: Tensor | None = None) -
     """
     if poses.device.type != "cpu" or not len(poses):
         return
-    squares = poses[:, 3:].square().sum(-1)
-    least, most = torch.aminmax(squares)
+    lengths = torch.linalg.vector_norm(poses[:, 3:], dim=-1)
+    least, most = torch.aminmax(lengths)
     if float(least) < 1.0 - _UNIT or float(most) > 1.0 + _UNIT:
-        row = int((squares - 1.0).abs().argmax())
+        row = int((lengths - 1.0).abs().argmax())
         raise ArgumentError(
             f"{what} of environment {_environment(row, env_ids)} has a quaternion of length "
-            f"{float(squares[row]) ** 0.5:.4g}: give (w, x, y, z) of length 1"
+            f"{float(lengths[row]):.4g}: give (w, x, y, z) of length 1"
         )
 
 
