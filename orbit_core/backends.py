@@ -27,8 +27,9 @@ from orbit_core.interfaces.errors import (
     UnknownNameError,
     UnsupportedCapabilityError,
 )
-from orbit_core.interfaces.fields import check_kind
+from orbit_core.interfaces.fields import check_kind, settings_table
 from orbit_core.interfaces.requirements import IMAGES, required_capabilities
+from orbit_core.interfaces.typed import Typed
 from orbit_core.registry import described, faults_named
 from orbit_core.scene import Scene
 
@@ -160,23 +161,24 @@ def backend_config(backend: Backend, values: Mapping[str, Any] | None = None) ->
         ConfigurationError: a field that the backend does not have, or a value that it refuses.
     """
     fields = [field.name for field in dataclasses.fields(backend.config_type)]
-    if values is not None and not isinstance(values, Mapping):
-        raise ConfigurationError(f"settings of '{backend.name}' are a dictionary by field, not {values!r}")
-    for name in values or {}:
+    given = settings_table(values, f"'{backend.name}'")
+    for name in given:
         if name not in fields:
             near = difflib.get_close_matches(str(name), fields, n=3, cutoff=0.5)
             hint = f"did you mean {' or '.join(repr(field) for field in near)}? " if near else ""
             raise ConfigurationError(
                 f"'{backend.name}' has no setting '{name}': {hint}it has {', '.join(fields) or 'none'}"
             )
-    arguments = {name: tuple(value) if isinstance(value, list) else value for name, value in (values or {}).items()}
+    arguments = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
     defaults = {field.name: field.default for field in dataclasses.fields(backend.config_type)}
     for name, value in arguments.items():
         check_kind(f"setting '{name}' of '{backend.name}'", value, defaults[name])
     try:
-        return backend.config_type(**arguments)
+        config = backend.config_type(**arguments)
+        Typed().check(config, "settings")
     except (TypeError, ValueError) as error:
         raise ConfigurationError(f"settings of '{backend.name}': {error}") from error
+    return config
 
 
 def _made(entry_point: importlib_metadata.EntryPoint, group: str) -> Backend:

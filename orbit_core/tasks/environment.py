@@ -25,6 +25,7 @@ from orbit_core.dynamics.arguments import (
 )
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
+from orbit_core.interfaces.fields import settings_table
 from orbit_core.motion import Actuate
 from orbit_core.tasks.acting import action_parts, driven_scene, generators_of
 from orbit_core.tasks.closed import ClosedStep, StepResult
@@ -82,7 +83,8 @@ class Environment:
         if task.randomized:
             task.randomize()
         self.max_episode_steps = _whole_steps(task)
-        merged = {**task.backend_presets.get(backend, {}), **(settings or {})}
+        preset = task.backend_presets.get(backend, {}) if isinstance(backend, str) else {}
+        merged = {**preset, **settings_table(settings, f"backend '{backend}'")}
         scene = driven_scene(task)
         self.world = SimulatedWorld(scene, num_envs, backend, merged, device, seed, renderer, renderer_settings)
         self.num_envs = num_envs
@@ -378,5 +380,5 @@ def make(
         task = configure(task_entry(task).task_type(), fields)
     elif fields:
         raise ConfigurationError(f"set {', '.join(fields)} on the task itself: it is given configured")
-    chosen = backend or default_backend()
+    chosen = default_backend() if backend is None else backend
     return Environment(task, num_envs, chosen, device, seed, renderer, settings, renderer_settings, compile)

@@ -39,6 +39,7 @@ from orbit_core.interfaces import (
     Sensor,
     World,
 )
+from orbit_core.interfaces.fields import settings_table
 from orbit_core.scene import CameraSpec, Entity, Scene
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.build_check import check_build
@@ -99,7 +100,7 @@ class SimulatedWorld(World):
     ) -> None:
         num_envs, seed = whole_number(num_envs, "num_envs", 1, MOST_ENVIRONMENTS), seed_number(seed)
         plugin = find_backend(backend)
-        self._renderer_plugin = find_renderer(renderer or backend)
+        self._renderer_plugin = find_renderer(backend if renderer is None else renderer)
         if not isinstance(scene, Scene):
             raise ConfigurationError(f"a world needs a Scene, not a {type(scene).__name__}")
         check_data(scene, "scene")
@@ -112,8 +113,9 @@ class SimulatedWorld(World):
         self.physics_dt = scene.physics_dt
         self.backend = backend
         config = backend_config(plugin, settings)
-        shared = (settings or {}) if self._renderer_plugin.name == backend else {}
-        self._renderer_config = backend_config(self._renderer_plugin, {**shared, **(renderer_settings or {})})
+        shared = settings_table(settings, backend) if self._renderer_plugin.name == backend else {}
+        own = settings_table(renderer_settings, "the renderer")
+        self._renderer_config = backend_config(self._renderer_plugin, {**shared, **own})
         check_capacity(self.layout, num_envs, self.device)
         self.engine = plugin.create_engine(self.layout, num_envs, self.device, config)
         try:

@@ -10,7 +10,7 @@ import torch
 
 from orbit_core.assets.catalogue import robot, robot_info
 from orbit_core.assets.objects import box, capsule, cylinder, sphere, table
-from orbit_core.backends import backend, backend_config, renderer
+from orbit_core.backends import backend, renderer
 from orbit_core.cli import main
 from orbit_core.interfaces import OrbitError
 from orbit_core.learning.gymnasium import SingleEnvironment, VectorEnvironment
@@ -67,7 +67,8 @@ class Doors:
         self.start = self.world.save_state()
         self.vector = VectorEnvironment("Lift", 2, backend=backend_name)
         self.single = SingleEnvironment("Reach", backend=backend_name)
-        self.all = [*self._of_world(), *self._of_entities(), *self._of_environments(), *self._of_makers()]
+        parts = (self._of_world(), self._of_entities(), self._of_environments(), self._of_makers())
+        self.parts = [list(part) for part in parts]
 
     def recover(self) -> None:
         """Back to a state that may be stepped, after an engine has refused to go on."""
@@ -168,8 +169,21 @@ class Doors:
         yield Door("scene", self._world_of, lambda p: (p.random.randrange(len(SCENE_CHANGES)), p.anything()))
         yield Door("orbit", main, lambda p: (self._words(p),))
 
-    def _settings(self, name: str, value: object) -> object:
-        return backend_config(backend(self.backend), {name: value})
+    def draw(self, pool: Pool) -> Door:
+        """One of the calls; each part of the API as often as any other."""
+        return pool.random.choice(pool.random.choice(self.parts))
+
+    def _settings(self, name: str, value: object) -> None:
+        self._live(LIGHT, {name: value})
+
+    def _live(self, scene: Any, settings: Any = None) -> None:
+        """Build a world and step it twice, after which its state must be finite."""
+        world = SimulatedWorld(scene, 1, self.backend, settings)
+        try:
+            world.step(2)
+            assert bool(torch.isfinite(world.link_poses).all()), "a world with a state that is not finite"
+        finally:
+            world.close()
 
     def _setting(self, pool: Pool) -> str:
         return pool.random.choice([*backend(self.backend).config_type.__dataclass_fields__, "nonsense"])
@@ -194,10 +208,10 @@ class Doors:
             lambda: capsule("solid", length, other, mass=mass),
             lambda: table("solid", (length, other, 0.5)),
         )
-        SimulatedWorld(Scene(objects=(solids[kind](),)), 1, self.backend).close()
+        self._live(Scene(objects=(solids[kind](),)))
 
     def _world_of(self, change: int, value: Any) -> None:
-        SimulatedWorld(SCENE_CHANGES[change](value), 1, self.backend).close()
+        self._live(SCENE_CHANGES[change](value))
 
     @staticmethod
     def _words(pool: Pool) -> list[str]:

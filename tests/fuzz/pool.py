@@ -33,7 +33,8 @@ class Pool:
     def indices(self, count: int) -> Any:
         """Joints or links."""
         good = self.random.sample(range(count), self.random.randint(1, count))
-        return self.random.choice((None, good, good, [count], [-1], [0, 0], ["a"], 0, [0.5], torch.tensor([0]), []))
+        bad = ([count], [-1], [0, 0], ["a"], 0, [0.5], torch.tensor([0]), [])
+        return self.random.choice((None, None, good) if self.random.random() < 0.6 else bad)
 
     def env_ids(self, num_envs: int) -> Any:
         good = torch.tensor(self.random.sample(range(num_envs), self.random.randint(1, num_envs)))
@@ -43,11 +44,13 @@ class Pool:
             torch.tensor([2**62]), good.float(), good.to(torch.uint8), good[None], torch.ones(num_envs + 1).bool(),
             good.tolist(), 0, "all", torch.tensor(0), good.numpy(), torch.tensor([], dtype=torch.int64), slice(None),
         )  # fmt: skip
-        return self.random.choice((None, None, good, good, mask, *bad))
+        return self.random.choice((None, good, mask) if self.random.random() < 0.5 else bad)
 
     def tensor(self, *shape: int) -> Any:
         """Numbers of that shape, or nearly so."""
         good = torch.rand(shape) * self.random.choice((1.0, 1.0, 100.0))
+        if self.random.random() < 0.4:  # else few calls would come past their first argument
+            return good
         flaws: tuple[Callable[[], Any], ...] = (
             lambda: good,
             lambda: good.double(),

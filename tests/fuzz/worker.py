@@ -32,7 +32,7 @@ def main() -> int:
     failures = 0
     for number in range(options.first, options.first + options.calls):
         pool = Pool(f"{options.seed}:{number}")
-        door = pool.random.choice(doors.all)
+        door = doors.draw(pool)
         arguments = door.arguments(pool)
         print(f"call {number}: {door.name}({', '.join(map(shown, arguments))})", flush=True)
         faulthandler.dump_traceback_later(LONGEST, exit=True)
