@@ -1,7 +1,11 @@
-"""What was closed says so, at every later use, and costs nothing while it is open."""
+"""What was closed, or was made by the process that this one was forked from, says so at every later use.
+
+It costs nothing before: the object becomes one of a class of its own, whose methods and properties raise.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import inspect
 from typing import Any, NoReturn
@@ -10,32 +14,44 @@ from orbit_core.interfaces import ClosedError
 
 _STAY = frozenset({"close", "close_extras", "closed", "unwrapped"})
 """What may be used of a closed thing: closing it again, and what Gymnasium asks to find out whether it is closed."""
-
-
 _MARK = "_was_closed"
 
 
 def close_for_good(thing: object, what: str) -> None:
     """From now on every public method and property of ``thing`` raises, but ``close``; plain attributes can be read.
 
-    The object becomes one of a class of its own, so that nothing is asked at each call before.
-
     Args:
         thing: an object of a class without slots.
         what: it is, as users know it, for the message.
     """
     if not hasattr(thing, _MARK):
-        thing.__class__ = _closed_class(type(thing), what)
+        thing.__class__ = _closed_class(type(thing), f"{what} is closed: make another")
+
+
+def leave_to_parent(thing: object, what: str, parent: int) -> None:
+    """The same in a process that was forked from process ``parent``, whose thing it is; closing it does nothing here.
+
+    It is kept until the process is gone, for its destructor might wait for threads that are not here.
+    """
+    if not hasattr(thing, _MARK):
+        why = (
+            f"{what} was made by process {parent}, from which this one was forked without its threads and workers: "
+            "make worlds after forking, or start processes by multiprocessing's method 'spawn'"
+        )
+        thing.__class__ = _closed_class(type(thing), why, closes=False)
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(thing))
 
 
 @functools.cache
-def _closed_class(kind: type, what: str) -> Any:
+def _closed_class(kind: type, why: str, closes: bool = True) -> Any:
     def refuse(self: object) -> NoReturn:
-        raise ClosedError(f"{what} is closed: make another")
+        raise ClosedError(why)
 
     names = [name for name in dir(kind) if not name.startswith("_") and name not in _STAY]
-    refusals = {name: property(refuse) for name in names if _is_use(inspect.getattr_static(kind, name))}
-    return type(kind.__name__, (kind,), {**refusals, _MARK: True, "__module__": kind.__module__})
+    members: dict[str, Any] = {name: property(refuse) for name in names if _is_use(inspect.getattr_static(kind, name))}
+    if not closes and hasattr(kind, "close"):
+        members["close"] = lambda self: None
+    return type(kind.__name__, (kind,), {**members, _MARK: True, "__module__": kind.__module__})
 
 
 def _is_use(member: object) -> bool:

@@ -45,8 +45,9 @@ from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.build_check import check_build
 from orbit_core.world.capacity import check_capacity
 from orbit_core.world.clock import Clock
-from orbit_core.world.closing import close_for_good
+from orbit_core.world.closing import close_for_good, leave_to_parent
 from orbit_core.world.entities import SimulatedObject
+from orbit_core.world.forking import give_up_in_forks
 from orbit_core.world.markers import SimulatedMarker, identity_poses
 from orbit_core.world.robots import SimulatedRobot
 
@@ -132,6 +133,7 @@ class SimulatedWorld(World):
         self._renderer: Renderer | None = None
         self._add_entities()
         self._add_sensors()
+        give_up_in_forks(self)
 
     def _add_entities(self) -> None:
         parts = (self.engine, self.actuators, self.clock, self.masking)
@@ -292,9 +294,18 @@ class SimulatedWorld(World):
             self._renderer.close()
             self._renderer = None
         self.engine.close()
-        things = (*self.robots.values(), *self.objects.values(), *self.sensors.values(), *self.markers.values())
-        for thing in (self, self.engine, self.random, *things):
+        for thing in self._parts:
             close_for_good(thing, "the world")
+
+    def leave_to_parent(self, parent: int) -> None:
+        """Refuse every later use in this process, which was forked from the one that made the world."""
+        for thing in (*self._parts, *([self._renderer] if self._renderer else ())):
+            leave_to_parent(thing, "the world", parent)
+
+    @property
+    def _parts(self) -> tuple[object, ...]:
+        things = (*self.robots.values(), *self.objects.values(), *self.sensors.values(), *self.markers.values())
+        return (*things, self.random, self.engine, self)
 
     @property
     def _identity(self) -> tuple[str, int, tuple[str, ...]]:

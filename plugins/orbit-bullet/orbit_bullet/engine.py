@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import tempfile
 import weakref
 from dataclasses import dataclass
@@ -52,14 +54,14 @@ class BulletEngine(Engine):
         check_stability(layout)
         self._report = build_report(layout, config)
         self._home = self.position_targets[:1].clone()
-        self._folder = tempfile.TemporaryDirectory(prefix="orbit-bullet-")
+        folder = Path(tempfile.mkdtemp(prefix="orbit-bullet-"))
         try:
-            files = write_scene(layout, Path(self._folder.name))
+            files = write_scene(layout, folder)
             self._pool: Pool = make_pool(layout, files, num_envs, config)
         except BaseException:
-            self._folder.cleanup()
+            shutil.rmtree(folder)
             raise
-        self._finalizer = weakref.finalize(self, _release, self._pool, self._folder)
+        self._finalizer = weakref.finalize(self, _release, self._pool, folder, os.getpid())
         self._tensors = {name: torch.from_numpy(array) for name, array in vars(self._pool.buffers).items()}
         for name in _COMMANDS:
             self._tensors[name].copy_(getattr(self, name))
@@ -245,9 +247,10 @@ class BulletEngine(Engine):
         return np.arange(self.num_envs) if env_ids is None else env_ids.numpy()
 
 
-def _release(pool: Pool, folder: tempfile.TemporaryDirectory[str]) -> None:
-    pool.close()
-    folder.cleanup()
+def _release(pool: Pool, folder: Path, owner: int) -> None:
+    if os.getpid() == owner:  # a process that was forked from it ends too, and these are not its own
+        pool.close()
+        shutil.rmtree(folder)
 
 
 def _forget(engine: weakref.ref[BulletEngine], worlds: tuple[Any, ...]) -> None:

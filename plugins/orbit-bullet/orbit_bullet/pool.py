@@ -111,7 +111,7 @@ class ProcessPool(Pool):
         with tempfile.TemporaryDirectory(prefix=f"orbit-bullet-{os.getpid()}-", dir=folder) as name:
             memory = Path(name) / "state"
             self.buffers = shared_buffers(shapes, memory)
-            with _hidden_main():
+            with _hidden_main(), _interrupts_ignored():
                 for start, stop in self.ranges:
                     ours, theirs = context.Pipe()
                     assignment = Assignment(layout, files, config, start, stop, shapes, memory)
@@ -280,3 +280,16 @@ def _hidden_main() -> Iterator[None]:
             yield
         finally:
             main.__dict__.update(kept)
+
+
+@contextlib.contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Workers begin to ignore the interrupt key with their first instruction, not only once they have imported us."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
