@@ -27,8 +27,8 @@ class ModelConfig:
     impratio: float = 1.0
     """Stiffness of friction over that of the normal; larger values creep less under load."""
     contact_solref: tuple[float, float] = (0.02, 1.0)
-    """Time constant (s) and damping ratio of contacts."""
-    contact_solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)
+    """Time constant (s) and damping ratio of contacts. MuJoCo takes at least two steps for the time constant."""
+    contact_solimp: tuple[float, float, float, float, float] = (0.9, 0.99, 0.001, 0.5, 2.0)
     """Impedance of contacts: least, greatest, width (m), midpoint, power."""
 
     def __post_init__(self) -> None:

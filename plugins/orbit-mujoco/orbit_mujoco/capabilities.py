@@ -26,7 +26,7 @@ CAPABILITIES = Capabilities(
         Capability.FRICTION: approximate("friction is a soft constraint: a held contact creeps slowly under load"),
         Capability.STATIC_FRICTION: approximate("one coefficient of sliding friction, the dynamic one"),
         Capability.TORSIONAL_FRICTION: approximate(
-            "friction is a soft constraint: what is held against a torque turns slowly, and less the larger impratio is"
+            "friction is a soft constraint: what a grip should hold turns, seven times slower with impratio=10"
         ),
         Capability.ROLLING_FRICTION: approximate(
             "acts on round shapes of single bodies, and on any shape that asks for more than the default coefficient"

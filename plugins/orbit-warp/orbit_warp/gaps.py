@@ -14,8 +14,6 @@ _CONTACT = (
     *(gap for gap in CONTACT if gap.scenario != "stick_and_slip"),
     Gap("stick_and_slip", "creep", 0.2, _TURNING),
     Gap("stick_and_slip", "friction", 0.2, _TURNING),
-    Gap("static_above_dynamic", "friction", 0.06, _TURNING),
-    Gap("spin_down", "angle", 0.04, "a box's contact points come and go in single precision, as headings have it"),
 )
 
 _STIFF_NUTATION = (
