@@ -96,6 +96,5 @@ CONTACT = (
     Gap("unequal_collision", "speeds", 0.09, _SPRING),
     Gap("grasp", "limit", 0.08, f"{CREEP}; once it slips, {_HOP}"),
     Gap("stack", "penetration", 1.1e-3, _SOFT),
-    Gap("heap", "penetration", 0.1, _SOFT),
 )
 """Of contact."""
