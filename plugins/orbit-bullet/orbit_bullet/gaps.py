@@ -63,6 +63,7 @@ _ONE_POINT_OF_A_FACE = "sequential impulses load one point of a face with most o
 _CONTACT = (
     Gap("stick_and_slip", "creep", 6e-3, _CACHED),
     Gap("stick_and_slip", "friction", 0.08, _CACHED),
+    Gap("rolling_wheel", "downhill", 0.03, _CACHED),
     Gap("static_above_dynamic", "slip", 0.5, "there is one coefficient of sliding friction, the dynamic one"),
     Gap("spin_down", "angle", 0.16, _ONE_POINT_OF_A_FACE),
     Gap("spin_down", "way", 0.05, _ONE_POINT_OF_A_FACE),

@@ -21,8 +21,9 @@ from orbit_bullet.rotations import cross, rotate
 FloatArray = npt.NDArray[np.float64]
 _ROUND = 1e-9
 """Relative difference of moments below which a body has no gyroscopic torque."""
-_SLOW = 1e-4
-"""rad that a body turns in a step, below which Bullet's own way errs by less than single precision."""
+_SLOW = 1e-2
+"""rad that a body turns in a step, below which it is left to Bullet: what trembles on its contacts would be given half
+of a gyroscopic torque that no contact saw. At 5 ms and 1.9 rad/s a free body then gains 0.2 % of energy in 2 s."""
 
 _ROUNDS, _SETTLED = 40, 1e-9
 """Of the fixed-point iteration for the middle: the most, and the relative change that ends it."""
