@@ -111,7 +111,7 @@ class ProcessPool(Pool):
         with tempfile.TemporaryDirectory(prefix=f"orbit-bullet-{os.getpid()}-", dir=folder) as name:
             memory = Path(name) / "state"
             self.buffers = shared_buffers(shapes, memory)
-            with _hidden_main(), _interrupts_ignored():
+            with _hidden_main(), _interrupts_held():
                 for start, stop in self.ranges:
                     ours, theirs = context.Pipe()
                     assignment = Assignment(layout, files, config, start, stop, shapes, memory)
@@ -283,13 +283,10 @@ def _hidden_main() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Workers begin to ignore the interrupt key with their first instruction, not only once they have imported us."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _interrupts_held() -> Iterator[None]:
+    """Workers that start within never get the interrupt key, even while they import; this process does afterwards."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
