@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from types import SimpleNamespace
+from typing import cast
 
 import mujoco
 import mujoco_warp as mjw
@@ -17,7 +18,7 @@ import warp as wp
 from orbit_core.interfaces import AssetError, BuiltModel, SceneLayout
 from orbit_mjmodel import model
 from orbit_mjmodel.addresses import Addresses
-from orbit_mjmodel.readback import ALIKE, VARYING, read_back
+from orbit_mjmodel.readback import ALIKE, VARYING, Fields, read_back
 from orbit_warp.config import WarpConfig
 
 LEAST_FRICTION = 1e-5
@@ -75,7 +76,8 @@ def read_back_kinds(model: mjw.Model, addresses: Addresses, kinds: int) -> tuple
     alike = {name: getattr(model, name).numpy() for name in ALIKE}
     varying = {name: getattr(model, name).numpy() for name in VARYING}
     of_kinds = [{name: rows[kind % len(rows)] for name, rows in varying.items()} for kind in range(kinds)]
-    return tuple(read_back(SimpleNamespace(**alike, **of_kind), addresses) for of_kind in of_kinds)
+    models = (cast(Fields, SimpleNamespace(**alike, **of_kind)) for of_kind in of_kinds)
+    return tuple(read_back(one, addresses) for one in models)
 
 
 def _give_rows(target: mjw.Model, kinds: Sequence[mjw.Model], built: Sequence[model.BuiltModel]) -> None:
