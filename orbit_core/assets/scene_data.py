@@ -9,10 +9,13 @@ from collections.abc import Sequence
 from orbit_core.interfaces.divergence import MAX_DISTANCE, MAX_SPEED
 from orbit_core.interfaces.errors import ArgumentError
 from orbit_core.interfaces.typed import Typed, wrong
-from orbit_core.scene import Box, CameraSpec, Capsule, Cylinder, PhysicsMaterial, Pose, Scene, Sphere
+from orbit_core.scene import Box, CameraSpec, Capsule, Cylinder, Link, PhysicsMaterial, Pose, Scene, Sphere
 
 _UNIT = 1e-3
 """By how much a quaternion's length may differ from 1; written ones have few digits."""
+
+_HEAVIEST = 1e9
+"""Kilograms of a link; beyond, single precision holds little of what it touches."""
 
 
 def check_data(thing: object, where: str) -> None:
@@ -62,6 +65,10 @@ def _check_camera(camera: CameraSpec, where: str) -> None:
         raise ArgumentError(f"{where} sees from near {camera.near} to far {camera.far} m: give 0 < near < far")
 
 
+def _check_link(link: Link, where: str) -> None:
+    _within(f"{where}.mass", (link.mass,), 0.0, _HEAVIEST, "kg")
+
+
 def _check_scene(scene: Scene, where: str) -> None:
     _within(f"{where}.gravity", scene.gravity, -MAX_SPEED, MAX_SPEED, "m/s^2")
     _within(f"{where}.physics_dt", (scene.physics_dt,), 1e-7, 1.0, "s")
@@ -76,6 +83,7 @@ _SCENES = Typed(
         Capsule: _check_size,
         Cylinder: _check_size,
         CameraSpec: _check_camera,
+        Link: _check_link,
         Scene: _check_scene,
     }
 )

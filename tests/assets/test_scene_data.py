@@ -55,6 +55,7 @@ BAD = [
     (scene(objects=(replace(CUBE, fixed_base=3),)), r"fixed_base is 3: give true or false"),
     (scene(objects=(replace(CUBE, name=3),)), r"\.name is 3: give a str"),
     (scene(objects=(replace(CUBE, home={"a": "b"}),)), r"\.home\['a'\] is 'b': give a number"),
+    (scene(objects=(box("cube", (0.1, 0.1, 0.1), mass=10**30),)), r"links\[0\]\.mass is 1.*: give 0 to 1e\+09 kg"),
     (made_of(static_friction=-1.0), r"material\.static_friction is -1\.0: give 0 to 1e\+06"),
     (made_of(restitution=1.5), r"material\.restitution is 1\.5: give 0 to 1"),
     (scene(sensors=("eye",)), r"scene\.sensors\[0\] is 'eye': give a SensorSpec"),
