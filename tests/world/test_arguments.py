@@ -11,7 +11,7 @@ import torch
 
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import box
-from orbit_core.backends import default_backend
+from orbit_core.backends import backend_names, default_backend
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import ArgumentError, ClosedError, ConfigurationError, NonFiniteError, OrbitError, ShapeError
 from orbit_core.scene import CameraSpec, JointSensorSpec, MarkerSpec, Pose, Scene
@@ -252,3 +252,18 @@ def test_worlds_beyond_memory_say_how_many_fit() -> None:
 def test_devices_that_are_not_there_are_refused(device: Any) -> None:
     with pytest.raises(ConfigurationError, match=r"device .* cannot be used"):
         SimulatedWorld(SCENE, 1, default_backend(), device=device)
+
+
+@pytest.mark.parametrize("backend", backend_names())
+def test_no_environments_are_a_choice_too(backend: str) -> None:
+    world = SimulatedWorld(Scene(objects=(CUBE,)), 2, backend)
+    cube, none = world.objects["cube"], torch.tensor([], dtype=torch.int64)
+    world.step()
+    before = world.link_poses.clone()
+    world.reset(none)
+    cube.set_root_pose(torch.zeros(0, 7), none)
+    cube.set_masses(torch.zeros(0, 1), env_ids=none)
+    cube.set_friction(torch.zeros(0, 1), env_ids=none)
+    cube.set_wrenches(torch.zeros(0, 1, 6), env_ids=none)
+    assert torch.equal(world.link_poses, before)
+    world.close()

@@ -63,7 +63,7 @@ class Drives:
     def set_gains(self, joints: npt.NDArray[np.int64], stiffness: Tensor, damping: Tensor, rows: list[int]) -> None:
         """(n, k) of the joints (k,) that carry a drive of their own."""
         own = self._leads[joints]
-        index = np.ix_(np.asarray(rows), joints[own])
+        index = np.ix_(np.asarray(rows, np.int64), joints[own])
         self.stiffness[index], self.damping[index] = stiffness.numpy()[:, own], damping.numpy()[:, own]
         self._settle()
 

@@ -49,12 +49,12 @@ class Parameters:
     # Setting ---------------------------------------------------------------------------------------------------------
 
     def set_masses(self, links: npt.NDArray[np.int64], masses: Tensor, rows: list[int]) -> None:
-        self.masses[np.ix_(np.asarray(rows), links)] = masses.numpy()
+        self.masses[np.ix_(np.asarray(rows, np.int64), links)] = masses.numpy()
         self._apply_inertial(links, rows)
 
     def set_centers_of_mass(self, links: npt.NDArray[np.int64], centers: Tensor, rows: list[int]) -> None:
         velocities = self._state.root_velocities.float()
-        self.centers[np.ix_(np.asarray(rows), links)] = centers.numpy()
+        self.centers[np.ix_(np.asarray(rows, np.int64), links)] = centers.numpy()
         self._apply_inertial(links, rows)
         for entity in self._layout.entities:
             if entity.root_link in links and not entity.spec.fixed_base:
@@ -79,7 +79,7 @@ class Parameters:
         self._find_pushed()
 
     def set_wrenches(self, links: npt.NDArray[np.int64], wrenches: Tensor, rows: list[int]) -> None:
-        self.wrenches[np.ix_(np.asarray(rows), links)] = wrenches.numpy()
+        self.wrenches[np.ix_(np.asarray(rows, np.int64), links)] = wrenches.numpy()
         self._find_pushed()
 
     def clear_wrenches(self, rows: list[int]) -> None:
