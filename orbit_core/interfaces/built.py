@@ -23,7 +23,7 @@ class BuiltModel:
     """(L,) kg. The number of a fixed root, which no motion depends on, is not compared."""
     centers_of_mass: npt.NDArray[np.float64]
     """(L, 3) metres, in the link frame."""
-    inertias: npt.NDArray[np.float64]
+    inertias: npt.NDArray[np.float64] | None
     """(L, 3, 3) kg m^2, about the centre of mass, in the link's axes."""
     lower_limits: npt.NDArray[np.float64] | None = None
     """(J,) rad or m; minus infinity, or less than -1e8, where there is none."""

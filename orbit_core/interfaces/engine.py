@@ -240,12 +240,12 @@ class Engine(ABC):
     def build_report(self) -> tuple[Approximation, ...]:
         """What the engine could not take exactly as the scene asked."""
 
+    @abstractmethod
     def built_model(self) -> tuple[BuiltModel, ...]:
         """What each kind of environment came to, from the engine's own objects, in the order of ``layout.variants``.
 
         Called once, before the first step; the core compares it with the description.
         """
-        return ()
 
     @property
     @abstractmethod

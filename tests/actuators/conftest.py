@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import Approximation, Engine, SceneLayout
+from orbit_core.interfaces import Approximation, BuiltModel, Engine, SceneLayout
 from orbit_core.scene import ActuatorConfig, Articulation, Joint, JointType, Link, RobotSpec, Scene
 
 MASS_LENGTH = 0.5
@@ -52,6 +52,9 @@ class PendulumEngine(Engine):
     @property
     def joint_efforts(self) -> Tensor:
         return self.applied
+
+    def built_model(self) -> tuple[BuiltModel, ...]:
+        raise NotImplementedError
 
     @property
     def link_poses(self) -> Tensor:

@@ -14,6 +14,7 @@ from orbit_core.scene import ContactSensorSpec, ForceTorqueSpec
 
 from .conftest import MakeEngine, Needs
 from .test_conformance_reset import COMMANDS, STATE, assert_same, busy_scene, drive, everything
+from .truth import assert_near
 
 
 @pytest.fixture(autouse=True)
@@ -131,7 +132,10 @@ PARAMETERS: dict[Capability, Change] = {
 def test_a_snapshot_holds_what_was_set_per_environment(
     make_engine: MakeEngine, needs: Needs, backend: Backend, capability: Capability
 ) -> None:
-    """Saved before and after a change of environment 1: each continues as it did, and there the change matters."""
+    """Saved before and after a change of environment 1: each continues as it did, and there the change matters.
+
+    Within what sums in any order, which a GPU may take, come to.
+    """
     needs(capability)
     engine = make_engine(busy_scene(backend), num_envs=2)
     engine.velocity_targets[:] = torch.tensor([0.5, -0.5])
@@ -142,7 +146,8 @@ def test_a_snapshot_holds_what_was_set_per_environment(
     for saved, expected in ((plain, unchanged), (altered, changed), (plain, unchanged)):
         engine.load_state(saved)
         engine.step(30)
-        assert_same(everything(engine), expected)
+        for name, measured in everything(engine).items():
+            assert_near(measured, expected[name], rtol=1e-5, atol=1e-5)
     assert any(not torch.equal(unchanged[name][1], changed[name][1]) for name in STATE), "the change does nothing"
 
 

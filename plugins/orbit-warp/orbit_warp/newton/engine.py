@@ -12,7 +12,15 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from orbit_core.interfaces import Approximation, Capabilities, Engine, SceneLayout, SimulationError, divergence_error
+from orbit_core.interfaces import (
+    Approximation,
+    BuiltModel,
+    Capabilities,
+    Engine,
+    SceneLayout,
+    SimulationError,
+    divergence_error,
+)
 from orbit_warp.graphs import Graphs
 from orbit_warp.kernels import reset_tensors
 from orbit_warp.newton.builder import build_model
@@ -21,6 +29,7 @@ from orbit_warp.newton.contacts import ContactFinder, ContactMeter
 from orbit_warp.newton.kernels import note_divergence, note_overflow
 from orbit_warp.newton.parameters import Parameters
 from orbit_warp.newton.plant import Dynamics, Plant
+from orbit_warp.newton.readback import read_back
 from orbit_warp.newton.report import approximations
 from orbit_warp.newton.state import State
 from orbit_warp.rows import rows_of
@@ -236,6 +245,9 @@ class NewtonEngine(Engine):
     @property
     def build_report(self) -> tuple[Approximation, ...]:
         return self._report
+
+    def built_model(self) -> tuple[BuiltModel, ...]:
+        return (read_back(self._plant.built, self.num_envs, self._dynamics.maximal),)
 
     @property
     def native(self) -> Native:
