@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import pickle
 import signal
 from collections.abc import Callable
@@ -48,10 +49,11 @@ def work(connection: Connection, assignment: Assignment) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupted program closes the connection
     try:
         shard, failure = _build(assignment, connection.send), None
+        connection.send(None)
     except Exception as error:
-        connection.send(Failure(_portable(error)))
+        with contextlib.suppress(OSError):  # who asked may have ended in the meantime
+            connection.send(Failure(_portable(error)))
         return
-    connection.send(None)
     while True:
         try:
             method, arguments, reply = connection.recv()
