@@ -30,6 +30,9 @@ lint: $(VENV)/.ready-dev
 types: $(VENV)/.ready-dev
 	$(BIN)/basedpyright
 
+# Test processes share the cores, and torch's threads would only wait for each other.
+unit example mutants: export OMP_NUM_THREADS = 1
+
 unit: $(VENV)/.ready-dev
 	$(BIN)/pytest -n auto --dist worksteal --ignore tests/conformance/test_scenarios.py --cov --cov-report=term:skip-covered --cov-fail-under=90
 
@@ -38,7 +41,8 @@ unit: $(VENV)/.ready-dev
 conformance: $(VENV)/.ready-dev
 	$(BIN)/orbit conformance --quick --part scenarios tasks transfers --output out/conformance
 
-# The backend that docs/write-a-backend.md builds, installed beside the environment so that nothing else sees it.
+# The backend that docs/write-a-backend.md builds, installed beside the environment so that nothing else sees it, and a
+# tenth of its mutants.
 example: $(VENV)/.ready-dev
 	$(BIN)/pip install --quiet --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
 	PYTHONPATH=out/orbit-torch $(BIN)/pytest -n auto -k torch tests/conformance/test_conformance_*.py
