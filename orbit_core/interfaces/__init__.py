@@ -20,7 +20,7 @@ if TYPE_CHECKING:
         approximate,
         unsupported,
     )
-    from orbit_core.interfaces.divergence import MAX_DISTANCE, MAX_SPEED, diverged, divergence_error
+    from orbit_core.interfaces.divergence import MAX_DISTANCE, MAX_SPEED, diverged, divergence_error, first_few
     from orbit_core.interfaces.engine import Approximation, Engine, RayHits
     from orbit_core.interfaces.errors import (
         ArgumentError,
@@ -58,7 +58,7 @@ _MODULES = {
     "backend": ("Backend",),
     "built": ("BuiltModel",),
     "capabilities": ("EXACT", "Capabilities", "Capability", "Level", "Support", "approximate", "unsupported"),
-    "divergence": ("MAX_DISTANCE", "MAX_SPEED", "diverged", "divergence_error"),
+    "divergence": ("MAX_DISTANCE", "MAX_SPEED", "diverged", "divergence_error", "first_few"),
     "engine": ("Approximation", "Engine", "RayHits"),
     "errors": (
         "ArgumentError", "AssetError", "BackendNotInstalledError", "BuildError", "ClosedError", "ConfigurationError",
@@ -84,8 +84,8 @@ __all__ = [
     "Level", "Marker", "Node", "NonFiniteError", "Object", "OrbitError", "Port", "RayHits", "Renderer", "Robot",
     "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError", "Support", "UnknownNameError",
     "UnsupportedCapabilityError", "World", "albedo_table", "approximate", "contact_signs", "diverged",
-    "divergence_error", "drawn_shapes", "find_name", "match_names", "match_values", "required_capabilities",
-    "unsupported", "velocity_at",
+    "divergence_error", "drawn_shapes", "find_name", "first_few", "match_names", "match_values",
+    "required_capabilities", "unsupported", "velocity_at",
 ]  # fmt: skip
 
 

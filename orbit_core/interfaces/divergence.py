@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 from orbit_core.interfaces.errors import SimulationError
 
 if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
     from torch import Tensor
 
 MAX_DISTANCE = 1e6
@@ -35,8 +37,13 @@ def diverged(positions: Tensor, velocities: Tensor) -> Tensor:
 
 def divergence_error(environments: Sequence[int]) -> SimulationError:
     """The error that an engine's ``step`` raises for environments, by index."""
-    shown = ", ".join(map(str, environments[:8])) + (", ..." if len(environments) > 8 else "")
     return SimulationError(
-        f"environments {shown} diverged: something moved faster than {MAX_SPEED:g} m/s or rad/s, went further than "
-        f"{MAX_DISTANCE:g} m or rad, or is not a number; reset them, and use a smaller physics_dt or softer drives"
+        f"environments {first_few(environments)} diverged: something moved faster than {MAX_SPEED:g} m/s or rad/s, "
+        f"went further than {MAX_DISTANCE:g} m or rad, or is not a number; reset them, and use a smaller physics_dt or "
+        "softer drives"
     )
+
+
+def first_few(environments: Sequence[int] | npt.NDArray[np.integer]) -> str:
+    """The first numbers of environments, for a message."""
+    return ", ".join(map(str, environments[:8])) + (", ..." if len(environments) > 8 else "")

@@ -32,6 +32,7 @@ from orbit_core.interfaces import (
     SimulationError,
     diverged,
     divergence_error,
+    first_few,
 )
 
 _COMMANDS = ("position_targets", "velocity_targets", "efforts")
@@ -75,8 +76,8 @@ class BulletEngine(Engine):
         apart = [start + i for (start, _), own in zip(self._pool.ranges, found, strict=True) for i in own]
         if apart:
             raise SimulationError(
-                f"environments {_shown(apart)} diverged, their deformables flew apart: reset them, and use a smaller "
-                "physics_dt"
+                f"environments {first_few(apart)} diverged, their deformables flew apart: reset them, and use a "
+                "smaller physics_dt"
             )
         state = self._tensors
         lost = diverged(state["link_poses"], state["link_velocities"])
@@ -94,7 +95,7 @@ class BulletEngine(Engine):
             broken |= ~self._tensors[name].isfinite().all(dim=-1)
         if broken.any():
             numbers = broken.nonzero()[:, 0].tolist()
-            raise SimulationError(f"commands of environments {_shown(numbers)} are not finite: reset them")
+            raise SimulationError(f"commands of environments {first_few(numbers)} are not finite: reset them")
 
     # State -----------------------------------------------------------------------------------------------------------
 
@@ -259,8 +260,3 @@ def _forget(engine: weakref.ref[BulletEngine], worlds: tuple[Any, ...]) -> None:
     if alive is not None and alive._finalizer.alive:
         for number, world in enumerate(worlds):
             alive.native.post(number, "forget", world)
-
-
-def _shown(environments: list[int]) -> str:
-    """The first few numbers of a list."""
-    return ", ".join(map(str, environments[:8])) + (", ..." if len(environments) > 8 else "")

@@ -22,6 +22,7 @@ from orbit_core.interfaces import (
     SceneLayout,
     SimulationError,
     divergence_error,
+    first_few,
 )
 from orbit_mjmodel.readback import read_back
 from orbit_mujoco.config import MujocoConfig
@@ -97,7 +98,7 @@ class MujocoEngine(Engine):
                 self._batch.step(nstep=steps, stage=DERIVED_STAGE)
         except mujoco.batch.SimulationError as error:
             self._failed[error.ids] = True
-            raise SimulationError(f"MuJoCo failed in environments {_shown(error.ids)}: {error}") from error
+            raise SimulationError(f"MuJoCo failed in environments {first_few(error.ids)}: {error}") from error
         np.copyto(self._efforts_read, self._actuator_force, casting="same_kind")
         self._wrenches.read()
         self._state.invalidate()
@@ -129,8 +130,8 @@ class MujocoEngine(Engine):
         self._failed |= counts.any(axis=1)
         text = mujoco.mju_warningText(warning, int(self._batch.warning[environments[0], warning, 0]))
         raise SimulationError(
-            f"environments {_shown(environments)} diverged: {text.strip()}; reset them, and use a smaller physics_dt, "
-            "softer drives or larger masses"
+            f"environments {first_few(environments)} diverged: {text.strip()}; reset them, and use a smaller "
+            "physics_dt, softer drives or larger masses"
         )
 
     # State -----------------------------------------------------------------------------------------------------------
@@ -282,8 +283,3 @@ def _rows(env_ids: Tensor | None) -> Rows:
 
 def _array(values: Tensor | None) -> npt.NDArray[np.float32] | None:
     return None if values is None else values.numpy()
-
-
-def _shown(environments: npt.NDArray) -> str:
-    """The first few numbers of a list."""
-    return ", ".join(map(str, environments[:8])) + (", ..." if len(environments) > 8 else "")

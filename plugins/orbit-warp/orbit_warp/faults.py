@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 from mujoco_warp import OverflowType
 
-from orbit_core.interfaces import SimulationError, divergence_error
+from orbit_core.interfaces import SimulationError, divergence_error, first_few
 from orbit_warp.buffers import BufferSizes
 from orbit_warp.config import WarpConfig
 from orbit_warp.kernels import DIVERGED_BIT, note_faults, note_peaks
@@ -92,9 +92,4 @@ class Faults:
         else:
             size = self._sizes.njmax
             what, setting = f"{size} constraint rows are too few: some were lost", f"njmax={2 * size}"
-        return f"{what} in environments {_shown(environments)}; use WarpConfig({setting}), or settings {setting}"
-
-
-def _shown(environments: np.ndarray) -> str:
-    """The first few numbers of a list."""
-    return ", ".join(map(str, environments[:8])) + (", ..." if len(environments) > 8 else "")
+        return f"{what} in environments {first_few(environments)}; use WarpConfig({setting}), or settings {setting}"
