@@ -21,9 +21,9 @@ from orbit_core.backends import default_backend
 from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.runner import versions_of
+from orbit_core.envs import Environment, make, task_entries
+from orbit_core.envs.actors import RandomActor
 from orbit_core.interfaces import OrbitError
-from orbit_core.tasks import Environment, make, task_entries
-from orbit_core.tasks.agents import RandomAgent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +67,7 @@ class Soak:
 
     def __init__(self, settings: Settings, task: str, environment: Environment) -> None:
         self._settings, self._task, self._environment = settings, task, environment
-        self._agent = RandomAgent(environment, settings.seed)
+        self._agent = RandomActor(environment, settings.seed)
         self._memory = psutil.Process().memory_info
         self._actions = self._episodes = 0
 

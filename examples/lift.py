@@ -2,7 +2,7 @@
 
 import gymnasium
 
-from orbit_core.tasks import RewardTerm
+from orbit_core.envs import RewardTerm
 from orbit_tasks.lift import Lift, LiftRewards
 
 

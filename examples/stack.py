@@ -9,8 +9,9 @@ from torch import Tensor
 
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import box
+from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, make
+from orbit_core.mdp import common
 from orbit_core.scene import Scene
-from orbit_core.tasks import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, common, make
 from orbit_core.world import SimulatedWorld
 
 EDGE = 0.05

@@ -8,8 +8,8 @@ from orbit_core.assets.cache import Model, cached_articulation
 from orbit_core.assets.catalogue import RobotEntry, robots
 from orbit_core.assets.sources import model_folder
 from orbit_core.assets.urdf import read_urdf
+from orbit_core.envs import make
 from orbit_core.scene import Articulation, EndEffector, ImplicitPd, RobotSpec
-from orbit_core.tasks import make
 
 SOURCE = "example-robot-data"
 HOME = {  # the flange points down

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from orbit_core.tasks.registry import TaskRegistry
+    from orbit_core.envs.registry import TaskRegistry
 
 
 def register(registry: TaskRegistry) -> None:

@@ -10,12 +10,13 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import SolidOptions, box, cabinet
 from orbit_core.dynamics.transforms import quat_rotate
+from orbit_core.envs import EventTerm, EventTime, Expert, ObservationTerm, Phase, RewardTerm, Task
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.terms import once_per_state
+from orbit_core.interfaces import World
+from orbit_core.mdp import common, randomize
+from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
-from orbit_core.tasks import EventTerm, EventTime, Expert, ObservationTerm, Phase, RewardTerm, Task, common, randomize
-from orbit_core.tasks.ppo import PpoSettings
-from orbit_core.tasks.randomize import Range
-from orbit_core.tasks.terms import once_per_state
-from orbit_core.world import SimulatedWorld
 
 DRAWER = "drawer_joint"
 HANDLE = "drawer_handle"
@@ -24,40 +25,40 @@ PLINTH = 0.18
 
 
 @once_per_state
-def opening(world: SimulatedWorld, task: Cabinet) -> Tensor:
+def opening(world: World, task: Cabinet) -> Tensor:
     """(N,) metres that the drawer is open."""
     return world.objects["cabinet"].joint_positions[:, task.drawer]
 
 
-def drawer_position(world: SimulatedWorld, task: Cabinet) -> Tensor:
+def drawer_position(world: World, task: Cabinet) -> Tensor:
     """(N, 1)"""
     return opening(world, task)[:, None]
 
 
 @once_per_state
-def handle_pose(world: SimulatedWorld, task: Cabinet) -> Tensor:
+def handle_pose(world: World, task: Cabinet) -> Tensor:
     """(N, 7) as a hand takes it: z into the cabinet, y across the bar."""
     return world.objects["cabinet"].frame_pose(HANDLE)
 
 
 @once_per_state
-def goal_distance(world: SimulatedWorld, task: Cabinet) -> Tensor:
+def goal_distance(world: World, task: Cabinet) -> Tensor:
     """(N,) metres between the drawer and where it should be."""
     return (task.goal - opening(world, task)).abs()
 
 
-def reaching(world: SimulatedWorld, task: Cabinet) -> Tensor:
+def reaching(world: World, task: Cabinet) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the handle."""
     distance = vector_norm(handle_pose(world, task)[:, :3] - common.hand_pose(world, task)[:, :3], dim=1)
     return common.nearness(distance, 0.2)
 
 
-def opened(world: SimulatedWorld, task: Cabinet) -> Tensor:
+def opened(world: World, task: Cabinet) -> Tensor:
     """(N,) in (-inf, 1]: the part of the way that is done."""
     return 1.0 - goal_distance(world, task) / task.goal
 
 
-def place_cabinet(world: SimulatedWorld, task: Cabinet, env_ids: Tensor) -> None:
+def place_cabinet(world: World, task: Cabinet, env_ids: Tensor) -> None:
     """Up to 5 cm off its place each way, turned by up to 0.1 rad."""
     u = 2.0 * world.random.uniform((3,), env_ids=env_ids) - 1.0
     cabinet = world.objects["cabinet"]
@@ -67,25 +68,25 @@ def place_cabinet(world: SimulatedWorld, task: Cabinet, env_ids: Tensor) -> None
     cabinet.set_root_pose(torch.cat((position, common.turned(0.1 * u[:, 2])), dim=1), env_ids)
 
 
-def sample_goal(world: SimulatedWorld, task: Cabinet, env_ids: Tensor) -> None:
+def sample_goal(world: World, task: Cabinet, env_ids: Tensor) -> None:
     """15 to 30 cm."""
     task.goal[env_ids] = world.random.uniform((), 0.15, 0.3, env_ids)
     handle = handle_pose(world, task)[env_ids]
     world.markers["goal"].set_pose(_moved_in(handle, handle[:, :3], -task.goal[env_ids]), env_ids)
 
 
-def at_handle(world: SimulatedWorld, task: Cabinet) -> Tensor:
+def at_handle(world: World, task: Cabinet) -> Tensor:
     """(N, 7) the fingers around the bar."""
     return handle_pose(world, task)
 
 
-def before_handle(world: SimulatedWorld, task: Cabinet) -> Tensor:
+def before_handle(world: World, task: Cabinet) -> Tensor:
     """(N, 7) twelve centimetres in front of the handle."""
     handle = handle_pose(world, task)
     return _moved_in(handle, handle[:, :3], torch.full_like(task.goal, -0.12))
 
 
-def pulled(world: SimulatedWorld, task: Cabinet) -> Tensor:
+def pulled(world: World, task: Cabinet) -> Tensor:
     """(N, 7) the hand moved by what the drawer lacks, however the bar sits in it."""
     position = common.hand_pose(world, task)[:, :3]
     return _moved_in(handle_pose(world, task), position, opening(world, task) - task.goal)
@@ -164,7 +165,7 @@ class Cabinet(Task):
             physics_dt=self.physics_dt,
         )
 
-    def start(self, world: SimulatedWorld) -> None:
+    def start(self, world: World) -> None:
         super().start(world)
         self.goal = torch.zeros(world.num_envs, device=world.device)
         (self.drawer,) = world.objects["cabinet"].find_joints(DRAWER)
@@ -178,13 +179,13 @@ class Cabinet(Task):
         self.events.gains = EventTerm(gains, EventTime.STARTUP)
         common.add_noise(self.observations, joint_positions=0.005, joint_velocities=0.05, drawer=0.002)
 
-    def success(self, world: SimulatedWorld) -> Tensor:
+    def success(self, world: World) -> Tensor:
         return goal_distance(world, self) < self.tolerance
 
-    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+    def metrics(self, world: World) -> dict[str, Tensor]:
         return {"goal_distance_m": goal_distance(world, self)}
 
-    def expert(self, world: SimulatedWorld) -> Expert:
+    def expert(self, world: World) -> Expert:
         return Expert(
             world,
             self,

@@ -13,23 +13,13 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import box, table
 from orbit_core.dynamics.transforms import quat_rotate
+from orbit_core.envs import EventTerm, EventTime, Expert, ObservationTerm, Phase, RewardTerm, Task, TerminationTerm
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.terms import once_per_state
+from orbit_core.interfaces import World
+from orbit_core.mdp import common, randomize
+from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
-from orbit_core.tasks import (
-    EventTerm,
-    EventTime,
-    Expert,
-    ObservationTerm,
-    Phase,
-    RewardTerm,
-    Task,
-    TerminationTerm,
-    common,
-    randomize,
-)
-from orbit_core.tasks.ppo import PpoSettings
-from orbit_core.tasks.randomize import Range
-from orbit_core.tasks.terms import once_per_state
-from orbit_core.world import SimulatedWorld
 
 GIVER, RECEIVER = "giver", "receiver"
 LENGTH, WIDTH = 0.24, 0.03
@@ -41,84 +31,84 @@ HEIGHT = 0.25
 """Metres above the table at which the rod is passed on, in the middle between the arms."""
 
 
-def rod_pose(world: SimulatedWorld, task: Handover) -> Tensor:
+def rod_pose(world: World, task: Handover) -> Tensor:
     """(N, 7)"""
     return world.objects["rod"].root_pose
 
 
 @once_per_state
-def rod_position(world: SimulatedWorld, task: Handover) -> Tensor:
+def rod_position(world: World, task: Handover) -> Tensor:
     """(N, 3)"""
     return rod_pose(world, task)[:, :3]
 
 
 @once_per_state
-def rod_direction(world: SimulatedWorld, task: Handover) -> Tensor:
+def rod_direction(world: World, task: Handover) -> Tensor:
     """(N, 3) unit vector along the rod, from the giver's side to the receiver's."""
     along = quat_rotate(rod_pose(world, task)[:, 3:], task.along)
     return torch.where(along[:, :1] < 0.0, -along, along)
 
 
 @once_per_state
-def grip(world: SimulatedWorld, task: Handover, agent: str) -> Tensor:
+def grip(world: World, task: Handover, agent: str) -> Tensor:
     """(N, 3) where that agent holds the rod."""
     return rod_position(world, task) + SIDES[agent] * GRIP * rod_direction(world, task)
 
 
 @once_per_state
-def hand_to_grip(world: SimulatedWorld, task: Handover, agent: str) -> Tensor:
+def hand_to_grip(world: World, task: Handover, agent: str) -> Tensor:
     """(N, 3) from that agent's hand to where it holds the rod."""
     return grip(world, task, agent) - common.hand_pose(world, task, agent)[:, :3]
 
 
 @once_per_state
-def goal_distance(world: SimulatedWorld, task: Handover) -> Tensor:
+def goal_distance(world: World, task: Handover) -> Tensor:
     """(N,) between rod and goal."""
     return vector_norm(task.goal - rod_position(world, task), dim=1)
 
 
 @once_per_state
-def place_distance(world: SimulatedWorld, task: Handover) -> Tensor:
+def place_distance(world: World, task: Handover) -> Tensor:
     """(N,) between the rod and the place where it is passed on."""
     return vector_norm(task.place - rod_position(world, task), dim=1)
 
 
-def dropped(world: SimulatedWorld, task: Handover) -> Tensor:
+def dropped(world: World, task: Handover) -> Tensor:
     """(N,) the rod fell off the table."""
     return rod_position(world, task)[:, 2] < -0.05
 
 
 @once_per_state
-def lifted(world: SimulatedWorld, task: Handover) -> Tensor:
+def lifted(world: World, task: Handover) -> Tensor:
     """(N,) 1 where the rod is off the table, else 0."""
     return (rod_position(world, task)[:, 2] > 1.5 * WIDTH).float()
 
 
 @once_per_state
-def received(world: SimulatedWorld, task: Handover) -> Tensor:
+def received(world: World, task: Handover) -> Tensor:
     """(N,) 1 where the rod is off the table and beyond the middle, where the receiver alone can have brought it."""
     beyond = rod_position(world, task)[:, 0] > 0.5 * task.spacing + GRIP
     return lifted(world, task) * beyond.float()
 
 
-def reaching(world: SimulatedWorld, task: Handover, agent: str) -> Tensor:
+def reaching(world: World, task: Handover, agent: str) -> Tensor:
     """(N,) in [0, 1]: how near that agent's hand is to where it holds the rod; for the giver, 1 once it has given."""
     near = common.nearness(vector_norm(hand_to_grip(world, task, agent), dim=1), 0.1)
     return torch.maximum(near, received(world, task)) if agent == GIVER else near * lifted(world, task)
 
 
-def offering(world: SimulatedWorld, task: Handover, agent: str) -> Tensor:
+def offering(world: World, task: Handover, agent: str) -> Tensor:
     """(N,) in [0, 1]: how near the lifted rod is to where it is passed on; 1 once it has been."""
     near = lifted(world, task) * common.nearness(place_distance(world, task), 0.2)
     return torch.maximum(near, received(world, task))
 
 
-def tracking(world: SimulatedWorld, task: Handover, scale: float) -> Tensor:
+def tracking(world: World, task: Handover, scale: float) -> Tensor:
     """(N,) in [0, 1]: how near the lifted rod is to the goal."""
     return lifted(world, task) * common.nearness(goal_distance(world, task), scale)
 
 
-def place_rod(world: SimulatedWorld, task: Handover, env_ids: Tensor) -> None:
+def place_rod(world: World, task: Handover, env_ids: Tensor) -> None:
     """On a 10 x 40 cm patch of the table that the giver alone can reach, turned by up to half a radian."""
     height = 0.5 * WIDTH
     low, high = (0.37, -0.2, height, -0.5), (0.47, 0.2, height, 0.5)
@@ -128,7 +118,7 @@ def place_rod(world: SimulatedWorld, task: Handover, env_ids: Tensor) -> None:
     task.nearest[env_ids] = torch.inf
 
 
-def sample_goal(world: SimulatedWorld, task: Handover, env_ids: Tensor) -> None:
+def sample_goal(world: World, task: Handover, env_ids: Tensor) -> None:
     """15 to 35 cm above an 8 x 40 cm patch before the receiver."""
     low, high = (task.spacing - 0.43, -0.2, 0.15), (task.spacing - 0.35, 0.2, 0.35)
     task.goal[env_ids] = goal = world.random.uniform((3,), low, high, env_ids)
@@ -139,10 +129,10 @@ def sample_goal(world: SimulatedWorld, task: Handover, env_ids: Tensor) -> None:
 # Where the expert leads the hands
 
 
-def around_rod(agent: str, height: float = 0.0) -> Callable[[SimulatedWorld, Handover], Tensor]:
+def around_rod(agent: str, height: float = 0.0) -> Callable[[World, Handover], Tensor]:
     """(N, 7) that agent's hand around its end of the rod, pointing down, or above that by ``height``."""
 
-    def target(world: SimulatedWorld, task: Handover) -> Tensor:
+    def target(world: World, task: Handover) -> Tensor:
         direction = rod_direction(world, task)
         yaw = torch.atan2(direction[:, 1], direction[:, 0])
         above = torch.tensor([0.0, 0.0, height], device=world.device)
@@ -151,10 +141,10 @@ def around_rod(agent: str, height: float = 0.0) -> Callable[[SimulatedWorld, Han
     return target
 
 
-def beside_place(agent: str, back: float, height: float) -> Callable[[SimulatedWorld, Handover], Tensor]:
+def beside_place(agent: str, back: float, height: float) -> Callable[[World, Handover], Tensor]:
     """(N, 7) that agent's hand above its side of the place where the rod is passed on, and behind by ``back``."""
 
-    def target(world: SimulatedWorld, task: Handover) -> Tensor:
+    def target(world: World, task: Handover) -> Tensor:
         offset = torch.tensor([SIDES[agent] * (GRIP + back), 0.0, height], device=world.device)
         position = task.place + offset
         return torch.cat((position, _facing_down(agent, torch.zeros_like(position[:, 0]))), dim=1)
@@ -162,10 +152,10 @@ def beside_place(agent: str, back: float, height: float) -> Callable[[SimulatedW
     return target
 
 
-def carried(agent: str, goal: Callable[[Handover], Tensor]) -> Callable[[SimulatedWorld, Handover], Tensor]:
+def carried(agent: str, goal: Callable[[Handover], Tensor]) -> Callable[[World, Handover], Tensor]:
     """(N, 7) that agent's hand where the rod's middle comes to a goal (N, 3), as the rod sits in the hand now."""
 
-    def target(world: SimulatedWorld, task: Handover) -> Tensor:
+    def target(world: World, task: Handover) -> Tensor:
         wanted = goal(task)
         position = wanted + common.hand_pose(world, task, agent)[:, :3] - rod_position(world, task)
         return torch.cat((position, _facing_down(agent, torch.zeros_like(wanted[:, 0]))), dim=1)
@@ -275,14 +265,14 @@ class Handover(Task):
             physics_dt=self.physics_dt,
         )
 
-    def start(self, world: SimulatedWorld) -> None:
+    def start(self, world: World) -> None:
         super().start(world)
         self.goal = torch.zeros(world.num_envs, 3, device=world.device)
         self.along = torch.tensor([1.0, 0.0, 0.0], device=world.device)
         self.place = torch.tensor([0.5 * self.spacing, 0.0, HEIGHT], device=world.device).repeat(world.num_envs, 1)
         self.nearest = torch.full((world.num_envs,), torch.inf, device=world.device)
 
-    def advance(self, world: SimulatedWorld) -> None:
+    def advance(self, world: World) -> None:
         self.nearest.copy_(torch.minimum(self.nearest, place_distance(world, self)))
 
     def randomize(self) -> None:
@@ -298,13 +288,13 @@ class Handover(Task):
         velocities = {f"{agent}_joint_velocities": 0.05 for agent in self.agents}
         common.add_noise(self.observations, rod_pose=0.002, **positions, **velocities)
 
-    def success(self, world: SimulatedWorld) -> Tensor:
+    def success(self, world: World) -> Tensor:
         return goal_distance(world, self) < self.tolerance
 
-    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+    def metrics(self, world: World) -> dict[str, Tensor]:
         return {"goal_distance_m": goal_distance(world, self), "handover_distance_m": self.nearest}
 
-    def expert(self, world: SimulatedWorld) -> Expert:
+    def expert(self, world: World) -> Expert:
         ready = Phase(beside_place(RECEIVER, back=0.05, height=0.12))
         wait = Phase(ready.target, position_tolerance=math.inf, rotation_tolerance=math.inf)
         offer = Phase(carried(GIVER, lambda task: task.place), gripper_open=False, position_tolerance=0.02)

@@ -10,76 +10,66 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import box
+from orbit_core.envs import EventTerm, EventTime, Expert, ObservationTerm, Phase, RewardTerm, Task, TerminationTerm
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.terms import once_per_state
+from orbit_core.interfaces import World
+from orbit_core.mdp import common, randomize
+from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
-from orbit_core.tasks import (
-    EventTerm,
-    EventTime,
-    Expert,
-    ObservationTerm,
-    Phase,
-    RewardTerm,
-    Task,
-    TerminationTerm,
-    common,
-    randomize,
-)
-from orbit_core.tasks.ppo import PpoSettings
-from orbit_core.tasks.randomize import Range
-from orbit_core.tasks.terms import once_per_state
-from orbit_core.world import SimulatedWorld
 
 
-def cube_pose(world: SimulatedWorld, task: Lift) -> Tensor:
+def cube_pose(world: World, task: Lift) -> Tensor:
     """(N, 7)"""
     return world.objects["cube"].root_pose
 
 
 @once_per_state
-def cube_position(world: SimulatedWorld, task: Lift) -> Tensor:
+def cube_position(world: World, task: Lift) -> Tensor:
     """(N, 3)"""
     return cube_pose(world, task)[:, :3]
 
 
 @once_per_state
-def cube_height(world: SimulatedWorld, task: Lift) -> Tensor:
+def cube_height(world: World, task: Lift) -> Tensor:
     """(N,) of its centre above the table."""
     return cube_pose(world, task)[:, 2]
 
 
 @once_per_state
-def hand_to_cube(world: SimulatedWorld, task: Lift) -> Tensor:
+def hand_to_cube(world: World, task: Lift) -> Tensor:
     """(N, 3) from the hand to the cube."""
     return cube_position(world, task) - common.hand_pose(world, task)[:, :3]
 
 
 @once_per_state
-def goal_distance(world: SimulatedWorld, task: Lift) -> Tensor:
+def goal_distance(world: World, task: Lift) -> Tensor:
     """(N,) between cube and goal."""
     return vector_norm(task.goal - cube_position(world, task), dim=1)
 
 
-def dropped(world: SimulatedWorld, task: Lift) -> Tensor:
+def dropped(world: World, task: Lift) -> Tensor:
     """(N,) the cube fell off the table."""
     return cube_height(world, task) < -0.05
 
 
-def reaching(world: SimulatedWorld, task: Lift) -> Tensor:
+def reaching(world: World, task: Lift) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the cube."""
     return common.nearness(vector_norm(hand_to_cube(world, task), dim=1), 0.1)
 
 
 @once_per_state
-def lifted(world: SimulatedWorld, task: Lift) -> Tensor:
+def lifted(world: World, task: Lift) -> Tensor:
     """(N,) 1 where the cube is off the table, else 0."""
     return (cube_height(world, task) > task.cube_size).float()
 
 
-def tracking(world: SimulatedWorld, task: Lift, scale: float) -> Tensor:
+def tracking(world: World, task: Lift, scale: float) -> Tensor:
     """(N,) in [0, 1]: how near a lifted cube is to the goal."""
     return lifted(world, task) * common.nearness(goal_distance(world, task), scale)
 
 
-def place_cube(world: SimulatedWorld, task: Lift, env_ids: Tensor) -> None:
+def place_cube(world: World, task: Lift, env_ids: Tensor) -> None:
     """Somewhere on a 20 x 50 cm patch of the table, turned by any angle."""
     height = 0.5 * task.cube_size
     place = world.random.uniform((4,), (0.4, -0.25, height, -math.pi), (0.6, 0.25, height, math.pi), env_ids)
@@ -87,14 +77,14 @@ def place_cube(world: SimulatedWorld, task: Lift, env_ids: Tensor) -> None:
     world.objects["cube"].set_root_pose(pose, env_ids)
 
 
-def sample_goal(world: SimulatedWorld, task: Lift, env_ids: Tensor) -> None:
+def sample_goal(world: World, task: Lift, env_ids: Tensor) -> None:
     """25 to 50 cm above the patch."""
     task.goal[env_ids] = goal = world.random.uniform((3,), (0.4, -0.25, 0.25), (0.6, 0.25, 0.5), env_ids)
     upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=world.device).expand(len(env_ids), 4)
     world.markers["goal"].set_pose(torch.cat((goal, upright), dim=1), env_ids)
 
 
-def at_cube(world: SimulatedWorld, task: Lift) -> Tensor:
+def at_cube(world: World, task: Lift) -> Tensor:
     """(N, 7) the hand around the cube, fingers along the pair of faces that needs the least turn."""
     cube = cube_pose(world, task)
     w, _, _, z = cube[:, 3:].unbind(1)
@@ -103,12 +93,12 @@ def at_cube(world: SimulatedWorld, task: Lift) -> Tensor:
     return torch.cat((cube[:, :3], common.facing_down(yaw - quarter * torch.round(yaw / quarter))), dim=1)
 
 
-def above_cube(world: SimulatedWorld, task: Lift) -> Tensor:
+def above_cube(world: World, task: Lift) -> Tensor:
     """(N, 7) ten centimetres above the grasp."""
     return at_cube(world, task) + torch.tensor([0, 0, 0.1, 0, 0, 0, 0], device=world.device)
 
 
-def at_goal(world: SimulatedWorld, task: Lift) -> Tensor:
+def at_goal(world: World, task: Lift) -> Tensor:
     """(N, 7) the hand where the cube's centre comes to the goal, as the cube sits in the hand now."""
     hand = common.hand_pose(world, task)
     position = task.goal + hand[:, :3] - cube_pose(world, task)[:, :3]
@@ -186,7 +176,7 @@ class Lift(Task):
             physics_dt=self.physics_dt,
         )
 
-    def start(self, world: SimulatedWorld) -> None:
+    def start(self, world: World) -> None:
         super().start(world)
         self.goal = torch.zeros(world.num_envs, 3, device=world.device)
 
@@ -199,13 +189,13 @@ class Lift(Task):
         self.events.gains = EventTerm(gains, EventTime.STARTUP)
         common.add_noise(self.observations, joint_positions=0.005, joint_velocities=0.05, cube_pose=0.002)
 
-    def success(self, world: SimulatedWorld) -> Tensor:
+    def success(self, world: World) -> Tensor:
         return goal_distance(world, self) < self.tolerance
 
-    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+    def metrics(self, world: World) -> dict[str, Tensor]:
         return {"goal_distance_m": goal_distance(world, self)}
 
-    def expert(self, world: SimulatedWorld) -> Expert:
+    def expert(self, world: World) -> Expert:
         return Expert(
             world,
             self,

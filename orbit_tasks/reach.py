@@ -9,38 +9,39 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.dynamics.transforms import pose_error, quat_from_euler, quat_multiply
+from orbit_core.envs import EventTerm, EventTime, Expert, ObservationTerm, Phase, RewardTerm, Task
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.terms import once_per_state
+from orbit_core.interfaces import World
+from orbit_core.mdp import common, randomize
+from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
-from orbit_core.tasks import EventTerm, EventTime, Expert, ObservationTerm, Phase, RewardTerm, Task, common, randomize
-from orbit_core.tasks.ppo import PpoSettings
-from orbit_core.tasks.randomize import Range
-from orbit_core.tasks.terms import once_per_state
-from orbit_core.world import SimulatedWorld
 
 
 @once_per_state
-def goal_error(world: SimulatedWorld, task: Reach) -> Tensor:
+def goal_error(world: World, task: Reach) -> Tensor:
     """(N, 6) position and rotation vector from the hand to the goal."""
     return pose_error(common.hand_pose(world, task), task.goal)
 
 
 @once_per_state
-def position_error(world: SimulatedWorld, task: Reach) -> Tensor:
+def position_error(world: World, task: Reach) -> Tensor:
     """(N,) metres."""
     return vector_norm(goal_error(world, task)[:, :3], dim=1)
 
 
 @once_per_state
-def rotation_error(world: SimulatedWorld, task: Reach) -> Tensor:
+def rotation_error(world: World, task: Reach) -> Tensor:
     """(N,) radians."""
     return vector_norm(goal_error(world, task)[:, 3:], dim=1)
 
 
-def near(world: SimulatedWorld, task: Reach) -> Tensor:
+def near(world: World, task: Reach) -> Tensor:
     """(N,) in [0, 1]: 1 at the goal, falling within a decimetre."""
     return common.nearness(position_error(world, task), 0.1)
 
 
-def sample_goal(world: SimulatedWorld, task: Reach, env_ids: Tensor) -> None:
+def sample_goal(world: World, task: Reach, env_ids: Tensor) -> None:
     """A box 25 x 50 x 35 cm in front of the robot; any yaw within a radian, tilted by up to 0.3 rad."""
     low = torch.tensor([0.4, -0.25, 0.15, -0.3, -0.3, -1.0], device=world.device)
     high = torch.tensor([0.65, 0.25, 0.5, 0.3, 0.3, 1.0], device=world.device)
@@ -113,7 +114,7 @@ class Reach(Task):
             physics_dt=self.physics_dt,
         )
 
-    def start(self, world: SimulatedWorld) -> None:
+    def start(self, world: World) -> None:
         super().start(world)
         self.goal = torch.zeros(world.num_envs, 7, device=world.device)
 
@@ -125,12 +126,12 @@ class Reach(Task):
         self.events.gains = EventTerm(gains, EventTime.STARTUP)
         common.add_noise(self.observations, joint_positions=0.005, joint_velocities=0.05)
 
-    def success(self, world: SimulatedWorld) -> Tensor:
+    def success(self, world: World) -> Tensor:
         near_enough = position_error(world, self) < self.position_tolerance
         return near_enough & (rotation_error(world, self) < self.rotation_tolerance)
 
-    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+    def metrics(self, world: World) -> dict[str, Tensor]:
         return {"position_error_m": position_error(world, self), "rotation_error_rad": rotation_error(world, self)}
 
-    def expert(self, world: SimulatedWorld) -> Expert:
+    def expert(self, world: World) -> Expert:
         return Expert(world, self, (Phase(lambda world, task: task.goal),))

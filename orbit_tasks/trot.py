@@ -12,11 +12,11 @@ from torch import Tensor
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.interfaces import ConfigurationError, Node, Port
+from orbit_core.mdp import common
 from orbit_core.motion import JointPosition
-from orbit_core.tasks import common
 
 if TYPE_CHECKING:
-    from orbit_core.world import SimulatedWorld
+    from orbit_core.interfaces import World
     from orbit_tasks.velocity_flat import VelocityFlat
 
 
@@ -42,7 +42,7 @@ class TrotGenerator(Node):
     to compare policies with, no expert.
     """
 
-    def __init__(self, world: SimulatedWorld, task: VelocityFlat, gait: Gait | None = None) -> None:
+    def __init__(self, world: World, task: VelocityFlat, gait: Gait | None = None) -> None:
         self.name = "policy"
         generator = task.generators[0]
         if not isinstance(generator, JointPosition):

@@ -12,104 +12,95 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.dynamics.transforms import quat_rotate_inverse
+from orbit_core.envs import CurriculumTerm, EventTerm, EventTime, ObservationTerm, RewardTerm, Task, TerminationTerm
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.terms import once_per_state
+from orbit_core.interfaces import World
 from orbit_core.interfaces.layout import joint_limits
+from orbit_core.mdp import common, randomize
+from orbit_core.mdp.randomize import Range
 from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
 from orbit_core.sensors import ContactSensor
-from orbit_core.tasks import (
-    CurriculumTerm,
-    EventTerm,
-    EventTime,
-    ObservationTerm,
-    RewardTerm,
-    Task,
-    TerminationTerm,
-    common,
-    randomize,
-)
-from orbit_core.tasks.ppo import PpoSettings
-from orbit_core.tasks.randomize import Range
-from orbit_core.tasks.terms import once_per_state
-from orbit_core.world import SimulatedWorld
 from orbit_tasks.trot import TrotGenerator
 
 CONTACTS = "contacts"
 
 
 @once_per_state
-def linear_velocity(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def linear_velocity(world: World, task: VelocityFlat) -> Tensor:
     """(N, 3) of the trunk, in its own axes."""
     trunk = common.robot_of(world)
     return quat_rotate_inverse(trunk.root_pose[:, 3:], trunk.root_velocity[:, :3])
 
 
 @once_per_state
-def angular_velocity(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def angular_velocity(world: World, task: VelocityFlat) -> Tensor:
     """(N, 3) of the trunk, in its own axes."""
     trunk = common.robot_of(world)
     return quat_rotate_inverse(trunk.root_pose[:, 3:], trunk.root_velocity[:, 3:])
 
 
 @once_per_state
-def projected_gravity(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def projected_gravity(world: World, task: VelocityFlat) -> Tensor:
     """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
     return quat_rotate_inverse(common.robot_of(world).root_pose[:, 3:], task.down)
 
 
-def command(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def command(world: World, task: VelocityFlat) -> Tensor:
     """(N, 3) velocity forward and to the left in m/s, yaw rate in rad/s."""
     return task.command
 
 
 @once_per_state
-def linear_error(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def linear_error(world: World, task: VelocityFlat) -> Tensor:
     """(N,) m/s."""
     return vector_norm(task.command[:, :2] - linear_velocity(world, task)[:, :2], dim=1)
 
 
 @once_per_state
-def yaw_error(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def yaw_error(world: World, task: VelocityFlat) -> Tensor:
     """(N,) rad/s."""
     return (task.command[:, 2] - angular_velocity(world, task)[:, 2]).abs()
 
 
-def linear_tracking(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def linear_tracking(world: World, task: VelocityFlat) -> Tensor:
     """(N,) in (0, 1]."""
     return torch.exp(-linear_error(world, task).square() / 0.25)
 
 
-def yaw_tracking(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def yaw_tracking(world: World, task: VelocityFlat) -> Tensor:
     """(N,) in (0, 1]."""
     return torch.exp(-yaw_error(world, task).square() / 0.25)
 
 
-def bouncing(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def bouncing(world: World, task: VelocityFlat) -> Tensor:
     """(N,) squared vertical velocity."""
     return linear_velocity(world, task)[:, 2].square()
 
 
-def rolling(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def rolling(world: World, task: VelocityFlat) -> Tensor:
     """(N,) squared roll and pitch rates."""
     return common.squared_norm(angular_velocity(world, task)[:, :2])
 
 
-def tilt(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def tilt(world: World, task: VelocityFlat) -> Tensor:
     """(N,) squared sine of the tilt."""
     return common.squared_norm(projected_gravity(world, task)[:, :2])
 
 
-def effort(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def effort(world: World, task: VelocityFlat) -> Tensor:
     """(N,) sum of squared joint efforts."""
     return common.squared_norm(common.robot_of(world).joint_efforts)
 
 
-def overspeed(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def overspeed(world: World, task: VelocityFlat) -> Tensor:
     """(N,) rad/s, summed over joints: what they are beyond their velocity limits, which few engines hold."""
     speeds = common.robot_of(world).joint_velocities.abs()
     return (speeds - task.speed_limits).clamp_min(0.0).sum(1)
 
 
 @once_per_state
-def fallen(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
+def fallen(world: World, task: VelocityFlat) -> Tensor:
     """(N,) the trunk touches something, or leans by more than 60 degrees."""
     contacts = world.sensors[CONTACTS]
     assert isinstance(contacts, ContactSensor)
@@ -117,7 +108,7 @@ def fallen(world: SimulatedWorld, task: VelocityFlat) -> Tensor:
     return touching | (projected_gravity(world, task)[:, 2] > -0.5)
 
 
-def place_robot(world: SimulatedWorld, task: VelocityFlat, env_ids: Tensor) -> None:
+def place_robot(world: World, task: VelocityFlat, env_ids: Tensor) -> None:
     """At home height, facing anywhere, joints around their home."""
     trunk = common.robot_of(world)
     yaw = world.random.uniform((), -torch.pi, torch.pi, env_ids)
@@ -126,7 +117,7 @@ def place_robot(world: SimulatedWorld, task: VelocityFlat, env_ids: Tensor) -> N
     common.randomize_robot_start(0.05)(world, task, env_ids)
 
 
-def sample_command(world: SimulatedWorld, task: VelocityFlat, env_ids: Tensor) -> None:
+def sample_command(world: World, task: VelocityFlat, env_ids: Tensor) -> None:
     """Uniform within the task's limits; within a quarter of them where nothing is difficult yet."""
     high = torch.tensor([task.max_forward, task.max_sideways, task.max_yaw_rate], device=world.device)
     sample = world.random.uniform((3,), -high, high, env_ids)
@@ -226,7 +217,7 @@ class VelocityFlat(Task):
             physics_dt=self.physics_dt,
         )
 
-    def start(self, world: SimulatedWorld) -> None:
+    def start(self, world: World) -> None:
         super().start(world)
         self.command = torch.zeros(world.num_envs, 3, device=world.device)
         self.errors = torch.zeros(world.num_envs, 2, device=world.device)
@@ -238,7 +229,7 @@ class VelocityFlat(Task):
         super().reset(env_ids)
         self.errors[slice(None) if env_ids is None else env_ids] = 0.0
 
-    def advance(self, world: SimulatedWorld) -> None:
+    def advance(self, world: World) -> None:
         self.errors += torch.stack((linear_error(world, self), yaw_error(world, self)), dim=1)
 
     def mean_errors(self) -> Tensor:
@@ -263,13 +254,13 @@ class VelocityFlat(Task):
             joint_velocities=0.05,
         )
 
-    def success(self, world: SimulatedWorld) -> Tensor:
+    def success(self, world: World) -> Tensor:
         tolerances = torch.tensor([self.linear_tolerance, self.yaw_tolerance], device=self.device)
         return (self.mean_errors() < tolerances).all(1) & ~fallen(world, self)
 
-    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+    def metrics(self, world: World) -> dict[str, Tensor]:
         linear, yaw = self.mean_errors().unbind(1)
         return {"linear_error_m_s": linear, "yaw_rate_error_rad_s": yaw, "falls": fallen(world, self).float()}
 
-    def expert(self, world: SimulatedWorld) -> TrotGenerator:
+    def expert(self, world: World) -> TrotGenerator:
         return TrotGenerator(world, self)

@@ -20,15 +20,17 @@ RANKS = {
     "files": 1.5,
     "registry": 1.5,
     "backends": 2,
-    "policies": 2,
+    "pretrained": 2,
     "dynamics": 2,
     "assets": 2,
     "actuators": 3,
     "sensors": 3,
     "agent": 3,
     "motion": 3,
+    "capture": 3,
     "world": 4,
-    "tasks": 5,
+    "envs": 5,
+    "mdp": 5.5,
     "viewer": 6,
     "learning": 7,
     "conformance": 8,
@@ -110,7 +112,7 @@ def test_neither_core_nor_tasks_name_an_engine() -> None:
     assert not named
 
 
-@pytest.mark.parametrize("module", ["orbit_core", "orbit_core.scene", "orbit_core.backends", "orbit_core.tasks"])
+@pytest.mark.parametrize("module", ["orbit_core", "orbit_core.scene", "orbit_core.backends", "orbit_core.envs"])
 def test_importing_is_light(module: str) -> None:
     heavy = ["torch", "mujoco", "pxr", "trimesh", "viser", "tyro", "gymnasium", "imageio", "matplotlib"]
     code = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"

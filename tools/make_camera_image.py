@@ -13,8 +13,8 @@ import imageio.v3 as iio
 import numpy as np
 import torch
 
+from orbit_core.envs import make
 from orbit_core.scene import CameraSpec, Channel, Scene, look_at
-from orbit_core.tasks import make
 from orbit_core.viewer.camera_pictures import picture_of
 from orbit_tasks.lift import Lift
 

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from orbit_core.envs import make
 from orbit_core.scene import Pose, look_at
-from orbit_core.tasks import make
 from orbit_core.viewer.pictures import OverviewCamera
 from orbit_core.viewer.video import tile
 

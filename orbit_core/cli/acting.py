@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from orbit_core.envs.actors import ACTORS, scripted_actor
 from orbit_core.interfaces.errors import UnknownNameError
-from orbit_core.policies import kept_policies, policy_path
-from orbit_core.tasks.agents import AGENTS, make_agent
+from orbit_core.pretrained import policy_path, pretrained_policies
 
 if TYPE_CHECKING:
-    from orbit_core.tasks.agents import Agent
-    from orbit_core.tasks.environment import Environment
+    from orbit_core.envs.actors import Actor
+    from orbit_core.envs.environment import Environment
 
 
 def check_actor(name: str) -> None:
@@ -20,11 +20,11 @@ def check_actor(name: str) -> None:
     Raises:
         UnknownNameError: there is none.
     """
-    if name not in AGENTS and not Path(name).exists() and name not in kept_policies():
-        raise UnknownNameError("agent or policy", name, {*AGENTS, *kept_policies()})
+    if name not in ACTORS and not Path(name).exists() and name not in pretrained_policies():
+        raise UnknownNameError("agent or policy", name, {*ACTORS, *pretrained_policies()})
 
 
-def make_actor(name: str, environment: Environment, seed: int) -> Agent:
+def make_actor(name: str, environment: Environment, seed: int) -> Actor:
     """The agent of that name, the policy in that file or folder, or the kept policy of that name.
 
     Raises:
@@ -32,8 +32,8 @@ def make_actor(name: str, environment: Environment, seed: int) -> Agent:
         ConfigurationError: the policy was learned for another environment.
     """
     check_actor(name)
-    if name in AGENTS:
-        return make_agent(name, environment, seed)
-    from orbit_core.learning.policy import PolicyAgent
+    if name in ACTORS:
+        return scripted_actor(name, environment, seed)
+    from orbit_core.learning.policy import PolicyActor
 
-    return PolicyAgent(environment, policy_path(name))
+    return PolicyActor(environment, policy_path(name))

@@ -16,11 +16,11 @@ from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.runner import versions_of
 from orbit_core.cli.settings import BenchSettings
+from orbit_core.envs.actors import scripted_actor
 from orbit_core.interfaces.errors import ConfigurationError
-from orbit_core.tasks.agents import make_agent
 
 if TYPE_CHECKING:
-    from orbit_core.tasks.environment import Environment
+    from orbit_core.envs.environment import Environment
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def bench(
 
 
 def _measure(environment: Environment, settings: BenchSettings, progress: Callable[[int], None]) -> Throughput:
-    agent = make_agent("random", environment, settings.seed)
+    agent = scripted_actor("random", environment, settings.seed)
     for _ in range(max(1, settings.steps // 10)):
         environment.step(agent.act())
     seconds = 0.0

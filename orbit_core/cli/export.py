@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 
 from orbit_core.cli.output import console
 from orbit_core.cli.parsing import parse_words
-from orbit_core.policies import policy_path
+from orbit_core.pretrained import policy_path
 
 
 @dataclass(frozen=True, kw_only=True)

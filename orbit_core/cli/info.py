@@ -18,15 +18,15 @@ from orbit_core.backends import backend, backend_names, installable_backends, re
 from orbit_core.cli.output import console as make_console
 from orbit_core.cli.output import new_table
 from orbit_core.cli.parsing import parse_words
+from orbit_core.envs.registry import task_entries
 from orbit_core.interfaces.capabilities import Capability
 from orbit_core.interfaces.errors import UnknownNameError
 from orbit_core.interfaces.requirements import IMAGES
-from orbit_core.tasks.registry import task_entries
 
 if TYPE_CHECKING:
+    from orbit_core.envs.task import Task
     from orbit_core.interfaces.backend import Backend
     from orbit_core.scene import RobotSpec
-    from orbit_core.tasks.task import Task
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,8 @@ def main(words: Sequence[str]) -> None:
 
 
 def _show_task(console: Console, name: str) -> None:
+    from orbit_core.envs.configuration import configure
     from orbit_core.interfaces.requirements import required_capabilities
-    from orbit_core.tasks.settings import configure
 
     entry = task_entries()[name]
     task = configure(entry.task_type(), {})

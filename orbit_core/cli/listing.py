@@ -33,7 +33,7 @@ def main(words: Sequence[str]) -> None:
 
 
 def _tasks() -> list[tuple[str, str]]:
-    from orbit_core.tasks.registry import task_entries
+    from orbit_core.envs.registry import task_entries
 
     return [(entry.name, entry.description) for entry in task_entries().values()]
 
@@ -58,9 +58,9 @@ def _renderers() -> list[tuple[str, str]]:
 
 
 def _policies() -> list[tuple[str, str]]:
-    from orbit_core.policies import kept_policies
+    from orbit_core.pretrained import pretrained_policies
 
-    return [(policy.name, policy.description) for policy in kept_policies().values()]
+    return [(policy.name, policy.description) for policy in pretrained_policies().values()]
 
 
 def _state(name: str) -> str:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 from orbit_core.backends import backend, default_backend, renderer
 from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.cli.values import check_values, defaults_of, parse_values
+from orbit_core.envs.registry import task_entries, task_entry
 from orbit_core.interfaces.errors import ConfigurationError
-from orbit_core.tasks.registry import task_entries, task_entry
 
 if TYPE_CHECKING:
-    from orbit_core.tasks.environment import Environment
+    from orbit_core.envs.environment import Environment
 
 
 def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environment:
@@ -29,7 +29,7 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environmen
     drawing = renderer(settings.renderer or name)  # an unknown name is worth knowing before the task is built
     import torch
 
-    from orbit_core.tasks.environment import make
+    from orbit_core.envs.environment import make
 
     try:
         device = torch.device(settings.device)

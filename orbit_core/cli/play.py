@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.run import show_run
 from orbit_core.cli.settings import PlaySettings
-from orbit_core.policies import policy_path
+from orbit_core.pretrained import policy_path
 
 
 def main(words: Sequence[str]) -> None:

@@ -17,7 +17,7 @@ from orbit_core.cli.making import make_environment
 from orbit_core.cli.settings import RunSettings
 
 if TYPE_CHECKING:
-    from orbit_core.tasks.environment import Environment, EpisodeEnd
+    from orbit_core.envs.environment import Environment, EpisodeEnd
     from orbit_core.viewer.video import VideoRecorder
 
 

@@ -24,9 +24,9 @@ from orbit_core.cli.values import defaults_of, parse_values
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from orbit_core.envs.ppo import PpoSettings
     from orbit_core.learning.trainer import Progress
     from orbit_core.learning.training import Training
-    from orbit_core.tasks.ppo import PpoSettings
 
 
 @dataclass(frozen=True, kw_only=True)

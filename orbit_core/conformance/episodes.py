@@ -11,8 +11,8 @@ from torch import Tensor
 
 from orbit_core.conformance.estimates import Estimate, mean, proportion
 from orbit_core.conformance.recording import Recording, Tracker
-from orbit_core.tasks import make
-from orbit_core.tasks.environment import EpisodeEnd
+from orbit_core.envs import make
+from orbit_core.envs.environment import EpisodeEnd
 
 
 @dataclass(frozen=True)

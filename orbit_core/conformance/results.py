@@ -24,7 +24,7 @@ from orbit_core.conformance.transfer import TransferResult, learned
 from orbit_core.conformance.verdict import Status
 from orbit_core.files import written_whole
 from orbit_core.interfaces import AssetError, Gap
-from orbit_core.policies import TransferGap, kept_policy
+from orbit_core.pretrained import TransferGap, pretrained_policy
 
 SCHEMA = 1
 RESULT_FILE = "result.json"
@@ -156,7 +156,7 @@ class PolicyInfo:
     @staticmethod
     def of(name: str) -> PolicyInfo:
         """What is to be told of a kept policy."""
-        kept, about = kept_policy(name), learned(name)
+        kept, about = pretrained_policy(name), learned(name)
         where = (about.task, about.backend, about.library, about.iteration)
         return PolicyInfo(name, kept.description, *where, kept.least_success, kept.gaps)
 

@@ -13,9 +13,9 @@ from orbit_core.conformance.declarations import check_declarations
 from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.conformance.transfer import learned
+from orbit_core.envs.registry import task_entries
 from orbit_core.interfaces import Capability, ConfigurationError, UnknownNameError
-from orbit_core.policies import kept_policies
-from orbit_core.tasks.registry import task_entries
+from orbit_core.pretrained import pretrained_policies
 
 
 class Part(Enum):
@@ -132,7 +132,7 @@ def choose(
 
 def _policies(tasks: Sequence[str]) -> tuple[str, ...]:
     """Those that were learned for the tasks; all if none is named."""
-    return tuple(name for name in kept_policies() if not tasks or learned(name).task in tasks)
+    return tuple(name for name in pretrained_policies() if not tasks or learned(name).task in tasks)
 
 
 def scenario(name: str) -> Scenario:

@@ -18,8 +18,8 @@ from orbit_core.backends import backend as find_backend
 from orbit_core.conformance.jobs import Job, Kind
 from orbit_core.conformance.settings import Settings
 from orbit_core.conformance.transfer import learned
-from orbit_core.policies import kept_policy
-from orbit_core.tasks.registry import task_entry
+from orbit_core.envs.registry import task_entry
+from orbit_core.pretrained import pretrained_policy
 
 CORE = "orbit_core"
 _SCENARIOS = "orbit_core.conformance.scenarios"
@@ -40,7 +40,7 @@ def source_digests(settings: Settings) -> dict[str, str]:
     for name in settings.tasks:
         found[_task(name)] = _digest(_files(task_entry(name).factory.partition(":")[0].partition(".")[0]))
     for name in settings.policies:
-        found[_policy(name)] = _digest(_below(kept_policy(name).folder))
+        found[_policy(name)] = _digest(_below(pretrained_policy(name).folder))
     return found
 
 

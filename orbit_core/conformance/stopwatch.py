@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from orbit_core.tasks.environment import Environment
+from orbit_core.envs.environment import Environment
 
 STATE_READS = (
     "joint_positions", "joint_velocities", "joint_efforts", "link_poses", "link_velocities", "contact_forces",

@@ -8,7 +8,7 @@ from typing import Any
 
 from orbit_core.conformance.episodes import FirstEpisodes, TaskResult
 from orbit_core.conformance.recording import Divergence, Recording, divergence
-from orbit_core.tasks.agents import ExpertAgent
+from orbit_core.envs.actors import ExpertActor
 
 
 def run_task(
@@ -41,7 +41,7 @@ def run_task(
         UnsupportedCapabilityError: the backend lacks what the task needs.
     """
     with FirstEpisodes(task, backend, num_envs, seed, fields or {}, device, settings) as episodes:
-        expert = ExpertAgent(episodes.environment, seed)
+        expert = ExpertActor(episodes.environment, seed)
         episodes.run(lambda step: expert.act(), tracked_envs)
         if recording is not None:
             episodes.recording().save(recording)

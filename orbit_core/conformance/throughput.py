@@ -23,9 +23,9 @@ import torch
 
 from orbit_core.backends import backend as find_backend
 from orbit_core.conformance.stopwatch import timed_parts
+from orbit_core.envs import Environment, make
+from orbit_core.envs.actors import RandomActor
 from orbit_core.interfaces import Capability
-from orbit_core.tasks import Environment, make
-from orbit_core.tasks.agents import RandomAgent
 from orbit_core.viewer.pictures import OverviewCamera
 
 PICTURE = 84
@@ -153,7 +153,7 @@ def measure_once(
     memory, begin = _resident_mib(), time.perf_counter()
     environment = make(task, num_envs, backend, device, seed, settings=settings, compile=compile, **(fields or {}))
     try:
-        agent = RandomAgent(environment, seed)
+        agent = RandomActor(environment, seed)
         _stagger(environment, seed)
         environment.step(agent.act())
         _wait(environment)
@@ -208,7 +208,7 @@ def _stagger(environment: Environment, seed: int) -> None:
     environment.task.episode_step[:] = steps.to(environment.device)
 
 
-def _block(environment: Environment, agent: RandomAgent, raw: dict[str, Any], steps: int) -> dict[str, float]:
+def _block(environment: Environment, agent: RandomActor, raw: dict[str, Any], steps: int) -> dict[str, float]:
     """Seconds per step of the environment and of each raw stepper, over the same stretch of motion."""
     actions = [agent.act() for _ in range(steps)]
     for stepper in raw.values():
@@ -244,7 +244,7 @@ def _wait(environment: Environment) -> None:
         torch.accelerator.synchronize(environment.device)
 
 
-def _parts(environment: Environment, agent: RandomAgent, steps: int) -> dict[str, float]:
+def _parts(environment: Environment, agent: RandomActor, steps: int) -> dict[str, float]:
     """Milliseconds of one step by part."""
     with timed_parts(environment) as watch:
         for _ in range(steps):

@@ -10,8 +10,8 @@ from typing import Any
 from orbit_core.conformance.episodes import FirstEpisodes, TaskResult
 from orbit_core.conformance.estimates import Estimate
 from orbit_core.conformance.verdict import Status
-from orbit_core.learning.policy import PolicyAgent, PolicyDescription, load_policy
-from orbit_core.policies import KeptPolicy, kept_policy
+from orbit_core.learning.policy import PolicyActor, PolicyDescription, load_policy
+from orbit_core.pretrained import PretrainedPolicy, pretrained_policy
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ def learned(policy: str) -> PolicyDescription:
         UnknownNameError: there is none.
         ConfigurationError: its folder holds no policy.
     """
-    return load_policy(kept_policy(policy).folder).description
+    return load_policy(pretrained_policy(policy).folder).description
 
 
 def transfer(
@@ -58,16 +58,16 @@ def transfer(
         UnsupportedCapabilityError: the backend lacks what the task needs.
         ConfigurationError: the task is no longer what the policy was learned for.
     """
-    kept, description = kept_policy(policy), learned(policy)
+    kept, description = pretrained_policy(policy), learned(policy)
     fields = {"robot": description.robot, "action": description.action}
     with FirstEpisodes(description.task, backend, num_envs, seed, fields, device, settings) as episodes:
-        agent = PolicyAgent(episodes.environment, kept.folder)
+        agent = PolicyActor(episodes.environment, kept.folder)
         episodes.run(lambda step: agent.act(), tracked_envs=0)
         result = episodes.result()
     return TransferResult(*judge(kept, backend, result.success), result)
 
 
-def judge(policy: KeptPolicy, backend: str, success: Estimate) -> tuple[Status, str]:
+def judge(policy: PretrainedPolicy, backend: str, success: Estimate) -> tuple[Status, str]:
     """Status and reason. A miss, or that there is none where one is declared, counts only if it is beyond chance: if
     the whole interval lies below, or above, the rate that the policy is held to.
     """

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from orbit_core.backends import backend, backend_names
+from orbit_core.envs import make
+from orbit_core.envs.actors import ExpertActor
 from orbit_core.interfaces import Backend, Capability, Level, UnsupportedCapabilityError
-from orbit_core.tasks import make
-from orbit_core.tasks.agents import ExpertAgent
 from orbit_core.viewer.video import VideoRecorder
 
 WIDTH, HEIGHT = 256, 192
@@ -27,7 +27,7 @@ def film(
     """
     environment = make(task, 1, backend_name, device, seed, renderer_for(backend(backend_name)), settings)
     try:
-        expert = ExpertAgent(environment, seed)
+        expert = ExpertActor(environment, seed)
         environment.reset()
         recorder = VideoRecorder(environment, path, 1, WIDTH, HEIGHT)
         try:

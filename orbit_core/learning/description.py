@@ -10,7 +10,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.plain import from_plain
 
 if TYPE_CHECKING:
-    from orbit_core.tasks.environment import Environment
+    from orbit_core.envs.environment import Environment
 
 FORMAT = 1
 """Of the documents in policies' files; one of another number is refused."""

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from orbit_core.tasks.episode import EpisodeEnd, StepInfo
+from orbit_core.envs.episode import EpisodeEnd, StepInfo
 
 
 def all_ends(info: Mapping[str, EpisodeEnd], count: int) -> tuple[EpisodeEnd, Tensor] | None:

@@ -13,11 +13,11 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
+from orbit_core.envs.environment import Environment, make
+from orbit_core.envs.episode import EpisodeEnd, Observation
+from orbit_core.envs.task import Task
 from orbit_core.interfaces import ArgumentError, ConfigurationError
 from orbit_core.learning.episodes import all_ends
-from orbit_core.tasks.environment import Environment, make
-from orbit_core.tasks.episode import EpisodeEnd, Observation
-from orbit_core.tasks.task import Task
 from orbit_core.viewer.pictures import OverviewCamera
 from orbit_core.world.closing import close_for_good
 
@@ -36,7 +36,7 @@ def action_space(environment: Environment) -> spaces.Space[Any]:
 class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Tensor]):
     """N environments, with torch tensors on the environment's device, reset in the same step as they end.
 
-    Keywords are those of :func:`orbit_core.tasks.make`: backend, device, seed, and the task's own fields. Where an
+    Keywords are those of :func:`orbit_core.envs.make`: backend, device, seed, and the task's own fields. Where an
     episode ended, ``info["final_obs"]`` (N, ...) holds its last observation, ``info["_final_obs"]`` (N,) says where,
     and ``info["final_info"]`` holds success and metrics. On a GPU they are there at every step, since to leave them out
     would be to wait for the device.

@@ -11,10 +11,10 @@ from typing import Any
 import torch
 from torch.utils.tensorboard import SummaryWriter
 
+from orbit_core.envs.environment import Environment
+from orbit_core.envs.ppo import PpoSettings
 from orbit_core.learning.episodes import EpisodeTally
 from orbit_core.learning.trainer import Progress, Trainer
-from orbit_core.tasks.environment import Environment
-from orbit_core.tasks.ppo import PpoSettings
 
 
 class LoopTrainer(Trainer):

@@ -42,7 +42,7 @@ class Network(Protocol):
         ...
 
 
-class Actor(NamedTuple):
+class ActorNetwork(NamedTuple):
     """A network with the module that it built."""
 
     network: Network
@@ -113,7 +113,7 @@ def perceptron(inputs: int, hidden: Sequence[int], outputs: int, activation: typ
 
 def perceptron_actor(
     layers: nn.Module, mean: Tensor | None = None, std: Tensor | None = None, limit: float | None = None
-) -> Actor:
+) -> ActorNetwork:
     """A copy on the CPU of a library's actor that is a perceptron with exponential linear units.
 
     Args:
@@ -135,7 +135,7 @@ def perceptron_actor(
     weights["std"] = torch.ones(size) if std is None else std.reshape(-1)
     copies = {name: value.detach().float().cpu().clone() for name, value in weights.items()}
     module.load_state_dict(copies, assign=True)
-    return Actor(network, module.requires_grad_(False).eval())
+    return ActorNetwork(network, module.requires_grad_(False).eval())
 
 
 @cache

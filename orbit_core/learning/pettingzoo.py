@@ -11,11 +11,11 @@ import torch
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
+from orbit_core.envs.environment import make
+from orbit_core.envs.episode import EpisodeEnd
+from orbit_core.envs.task import Task
 from orbit_core.interfaces import ArgumentError, ConfigurationError
 from orbit_core.learning.gymnasium import Spectator, as_tensor, checked_mode, outcome
-from orbit_core.tasks.environment import make
-from orbit_core.tasks.episode import EpisodeEnd
-from orbit_core.tasks.task import Task
 from orbit_core.world.closing import close_for_good
 
 Array = npt.NDArray[np.float32]
@@ -24,11 +24,12 @@ Array = npt.NDArray[np.float32]
 class ParallelEnvironment(ParallelEnv[str, Array, Array]):
     """One environment, with NumPy arrays; its agents are the robots that act, by their names in the scene.
 
-    Each sees and earns what :class:`orbit_core.tasks.shares.Shares` gives it. All live from ``reset`` to the end of the
-    episode, whose last observation the last step returns; the information then holds success and metrics. ``state``
-    is the whole observation. For many environments at once, ``Environment.shares`` does the same to torch tensors.
+    Each sees and earns what :class:`orbit_core.envs.multi_agent.MultiAgentView` gives it. All live from ``reset`` to
+    the end of the episode, whose last observation the last step returns; the information then holds success and
+    metrics. ``state`` is the whole observation. For many environments at once, ``Environment.multi_agent`` does the
+    same to torch tensors.
 
-    Keywords are those of :func:`orbit_core.tasks.make`: backend, device, seed, and the task's own fields.
+    Keywords are those of :func:`orbit_core.envs.make`: backend, device, seed, and the task's own fields.
 
     Raises:
         ConfigurationError: the task has one agent.
@@ -40,12 +41,12 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
         self.render_mode = checked_mode(render_mode)
         self.environment = make(task, num_envs=1, **keywords)
         name = type(self.environment.task).__name__
-        if self.environment.shares is None:
+        if self.environment.multi_agent is None:
             self.environment.close()
             raise ConfigurationError(
                 f"task {name} has one agent: take orbit_core.learning.gymnasium.SingleEnvironment for it"
             )
-        self._shares = shares = self.environment.shares
+        self._shares = shares = self.environment.multi_agent
         fps = round(1.0 / self.environment.step_dt)
         self.metadata = {**ParallelEnvironment.metadata, "name": f"orbit/{name}", "render_fps": fps}
         self.possible_agents = list(shares.agents)

@@ -13,14 +13,14 @@ from torch import Tensor, nn
 from orbit_core.interfaces import ConfigurationError, Node, Port
 from orbit_core.learning import onnx_file
 from orbit_core.learning.description import Part, PolicyDescription
-from orbit_core.learning.networks import Actor, Network
+from orbit_core.learning.networks import ActorNetwork, Network
 from orbit_core.learning.policy_file import SUFFIX, newest_file, read_policy, write_policy
 
 if TYPE_CHECKING:
     from orbit_core.agent import AgentGraph
-    from orbit_core.tasks.environment import Environment
+    from orbit_core.envs.environment import Environment
 
-__all__ = ["Part", "Policy", "PolicyAgent", "PolicyDescription", "PolicyNode", "load_policy", "whole_agent"]
+__all__ = ["Part", "Policy", "PolicyActor", "PolicyDescription", "PolicyNode", "load_policy", "whole_agent"]
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Policy:
         """
         if self.network is None:
             raise ConfigurationError(f"a policy that was read from ONNX has no network that {path.name} could name")
-        write_policy(path, Actor(self.network, self.module), self.description)
+        write_policy(path, ActorNetwork(self.network, self.module), self.description)
 
     def export_onnx(self, path: Path) -> None:
         """Write ONNX, the description in its metadata: input ``observation`` (N, O), output ``action`` (N, A).
@@ -105,7 +105,7 @@ def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
     return environment.cut.graph.replace(environment.cut.node.name, PolicyNode(policy))
 
 
-class PolicyAgent:
+class PolicyActor:
     """A learned policy, acting in the environments that it was learned for."""
 
     def __init__(self, environment: Environment, path: Path) -> None:

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_core.learning.description import PolicyDescription
-from orbit_core.learning.networks import Actor, Network, network_type
+from orbit_core.learning.networks import ActorNetwork, Network, network_type
 from orbit_core.learning.plain import from_plain
 from orbit_core.learning.tensor_file import read_tensors, write_tensors
 
@@ -41,7 +41,7 @@ def newest_file(folder: Path, prefix: str) -> Path | None:
     return newest
 
 
-def write_policy(path: Path, actor: Actor, description: PolicyDescription) -> None:
+def write_policy(path: Path, actor: ActorNetwork, description: PolicyDescription) -> None:
     """Write a policy. The file appears whole or not at all.
 
     Raises:
@@ -54,7 +54,7 @@ def write_policy(path: Path, actor: Actor, description: PolicyDescription) -> No
     write_tensors(path, {**description.document(), "network": named}, actor.module.state_dict())
 
 
-def read_policy(path: Path) -> tuple[PolicyDescription, Actor]:
+def read_policy(path: Path) -> tuple[PolicyDescription, ActorNetwork]:
     """A policy on the CPU, of which nothing was executed but the registered network that its file names.
 
     Raises:
@@ -72,7 +72,7 @@ def read_policy(path: Path) -> tuple[PolicyDescription, Actor]:
     module.load_state_dict(tensors, assign=True)
     module.requires_grad_(False).eval()
     check_action(module, description, path)
-    return description, Actor(network, module)
+    return description, ActorNetwork(network, module)
 
 
 def check_action(module: nn.Module, description: PolicyDescription, path: Path, device: str = "cpu") -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gymnasium
 
-from orbit_core.tasks.registry import task_entries
+from orbit_core.envs.registry import task_entries
 
 
 def register() -> None:

@@ -15,12 +15,12 @@ from rl_games.common.ivecenv import IVecEnv
 from rl_games.common.tr_helpers import DefaultRewardsShaper
 from torch import Tensor, nn
 
+from orbit_core.envs.environment import Environment
+from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.gymnasium import action_space, observation_space
 from orbit_core.learning.loop import LoopTrainer
-from orbit_core.learning.networks import Actor, perceptron_actor
-from orbit_core.tasks.environment import Environment
-from orbit_core.tasks.ppo import PpoSettings
+from orbit_core.learning.networks import ActorNetwork, perceptron_actor
 
 
 class RlGamesEnvironment(IVecEnv):
@@ -89,7 +89,7 @@ class RlGamesTrainer(LoopTrainer):
         self._agent.set_full_state_weights(state)
         self._agent.last_lr = state["optimizer"]["param_groups"][0]["lr"]
 
-    def actor(self) -> Actor:
+    def actor(self) -> ActorNetwork:
         model = self._agent.model
         layers = nn.Sequential(model.a2c_network.actor_mlp, model.a2c_network.mu)
         if not self.settings.normalize_observations:

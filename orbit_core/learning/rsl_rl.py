@@ -19,10 +19,10 @@ from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 from torch import Tensor
 
-from orbit_core.learning.networks import Actor, perceptron_actor
+from orbit_core.envs.environment import Environment, Observation
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.learning.networks import ActorNetwork, perceptron_actor
 from orbit_core.learning.trainer import Progress, Trainer
-from orbit_core.tasks.environment import Environment, Observation
-from orbit_core.tasks.ppo import PpoSettings
 
 
 class RslRlEnvironment(VecEnv):
@@ -88,7 +88,7 @@ class RslRlTrainer(Trainer):
         self._runner.alg.load(state, None, strict=True)
         self._runner.current_learning_iteration = iteration + 1
 
-    def actor(self) -> Actor:
+    def actor(self) -> ActorNetwork:
         policy = self._runner.alg.get_policy()
         if not self.settings.normalize_observations:
             return perceptron_actor(policy.mlp)

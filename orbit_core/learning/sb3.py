@@ -17,10 +17,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import Tensor, nn
 
-from orbit_core.learning.networks import Actor, perceptron_actor
+from orbit_core.envs.environment import Environment
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.learning.networks import ActorNetwork, perceptron_actor
 from orbit_core.learning.trainer import Progress, Trainer
-from orbit_core.tasks.environment import Environment
-from orbit_core.tasks.ppo import PpoSettings
 
 _RECENT = 100
 """Episodes over which success is averaged, as the library does for returns."""
@@ -145,7 +145,7 @@ class Sb3Trainer(Trainer):
             seen.mean, seen.var = (state["observations"][name].numpy() for name in ("mean", "var"))
             seen.count = state["observations"]["count"]
 
-    def actor(self) -> Actor:
+    def actor(self) -> ActorNetwork:
         policy = self._model.policy
         layers = nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
         if not self.settings.normalize_observations:

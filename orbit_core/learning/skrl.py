@@ -17,12 +17,12 @@ from skrl.resources.preprocessors.torch import RunningStandardScaler
 from skrl.resources.schedulers.torch import KLAdaptiveLR
 from torch import Tensor, nn
 
+from orbit_core.envs.environment import Environment
+from orbit_core.envs.ppo import PpoSettings
 from orbit_core.learning.episodes import true_next
 from orbit_core.learning.gymnasium import action_space, observation_space
 from orbit_core.learning.loop import LoopTrainer
-from orbit_core.learning.networks import Actor, perceptron, perceptron_actor
-from orbit_core.tasks.environment import Environment
-from orbit_core.tasks.ppo import PpoSettings
+from orbit_core.learning.networks import ActorNetwork, perceptron, perceptron_actor
 
 
 class SkrlEnvironment(Wrapper):
@@ -121,7 +121,7 @@ class SkrlTrainer(LoopTrainer):
         for name, module in self._agent.checkpoint_modules.items():
             module.load_state_dict(state[name])
 
-    def actor(self) -> Actor:
+    def actor(self) -> ActorNetwork:
         layers = self._actor.layers
         if not self.settings.normalize_observations:
             return perceptron_actor(layers)

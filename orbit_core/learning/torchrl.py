@@ -17,11 +17,11 @@ from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
+from orbit_core.envs.environment import Environment
+from orbit_core.envs.ppo import PpoSettings
 from orbit_core.learning.episodes import EpisodeTally, true_next
 from orbit_core.learning.loop import LoopTrainer
-from orbit_core.learning.networks import Actor, perceptron, perceptron_actor
-from orbit_core.tasks.environment import Environment
-from orbit_core.tasks.ppo import PpoSettings
+from orbit_core.learning.networks import ActorNetwork, perceptron, perceptron_actor
 
 
 class TorchRlEnvironment(EnvBase):
@@ -142,7 +142,7 @@ class TorchRlTrainer(LoopTrainer):
         for name, module in self._saved().items():
             module.load_state_dict(state[name])
 
-    def actor(self) -> Actor:
+    def actor(self) -> ActorNetwork:
         mean, variance = self._norm.running_mean, self._norm.running_var
         if not self.settings.normalize_observations or mean is None or variance is None:
             return perceptron_actor(self._layers)

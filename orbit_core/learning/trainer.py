@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.learning.networks import Actor
-from orbit_core.tasks.ppo import PpoSettings
+from orbit_core.learning.networks import ActorNetwork
 
 if TYPE_CHECKING:
-    from orbit_core.tasks.environment import Environment
+    from orbit_core.envs.environment import Environment
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Trainer(ABC):
         """Go on from the state at the end of an iteration."""
 
     @abstractmethod
-    def actor(self) -> Actor:
+    def actor(self) -> ActorNetwork:
         """A copy of the policy on the CPU, without exploration, normalisation included."""
 
 

@@ -14,6 +14,12 @@ from enum import Enum
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.transforms import pose_error
+from orbit_core.interfaces import Robot
+from orbit_core.motion.base import end_effector_of
+
+_TOWARDS_POSE_DAMPING = 0.05
+
 
 class IkMethod(Enum):
     """How the Jacobian is inverted."""
@@ -88,3 +94,14 @@ _METHODS = {
     IkMethod.TRANSPOSE: _transpose,
     IkMethod.SVD_ADAPTIVE: _svd_adaptive,
 }
+
+
+def towards_pose(robot: Robot, joints: list[int], pose: Tensor) -> Tensor:
+    """Displacement (N, k) of ``joints`` by one damped least-squares step from the measured state to ``pose`` (N, 7).
+
+    Raises:
+        ConfigurationError: the robot has no end effector.
+    """
+    frame = end_effector_of(robot).frame
+    error = pose_error(robot.frame_pose(frame), pose)
+    return damped_least_squares(robot.jacobian(frame, joints), error, _TOWARDS_POSE_DAMPING)

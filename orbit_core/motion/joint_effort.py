@@ -12,7 +12,7 @@ from orbit_core.dynamics.rigid_body import RigidBodyModel
 from orbit_core.interfaces import ConfigurationError, Robot
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.motion.base import JointTarget, MotionGenerator, chosen_joints
-from orbit_core.motion.pursuit import towards_pose
+from orbit_core.motion.ik import towards_pose
 
 _PURSUIT_FREQUENCY = 6.0
 """rad/s: of the critically damped motion that an expert asks for."""

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError, Robot
 from orbit_core.motion.base import JointTarget, MotionGenerator, chosen_joints, speed_limited_lead
-from orbit_core.motion.pursuit import towards_pose
+from orbit_core.motion.ik import towards_pose
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from orbit_core.interfaces import Robot
 from orbit_core.motion.base import JointTarget, MotionGenerator, chosen_joints
-from orbit_core.motion.pursuit import towards_pose
+from orbit_core.motion.ik import towards_pose
 
 _PURSUIT_RATE = 5.0
 """1/s: the velocity that an expert asks for, over the displacement that is left."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from orbit_core.tasks.environment import Environment
+    from orbit_core.envs.environment import Environment
 
 
 def task_information(environment: Environment) -> Callable[[int], Mapping[str, str]]:

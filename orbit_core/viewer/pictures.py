@@ -5,14 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from orbit_core.interfaces import World
 from orbit_core.scene import CameraSpec, Channel, Pose
-from orbit_core.world import SimulatedWorld
 
 
 class OverviewCamera:
     """A spectator's camera in every environment; markers are drawn."""
 
-    def __init__(self, world: SimulatedWorld, width: int, height: int, view: Pose) -> None:
+    def __init__(self, world: World, width: int, height: int, view: Pose) -> None:
         self._world = world
         self._spec = CameraSpec(name="overview", width=width, height=height, vertical_fov=0.8, pose=view)
         self._renderer = world.create_renderer((self._spec,))

@@ -18,7 +18,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_core.viewer.pictures import OverviewCamera
 
 if TYPE_CHECKING:
-    from orbit_core.tasks.environment import Environment
+    from orbit_core.envs.environment import Environment
 
 _MULTIPLE = 16
 """Pixels; an encoder's macroblock. Other sizes would be rescaled."""

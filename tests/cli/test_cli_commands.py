@@ -14,8 +14,8 @@ import pytest
 
 from orbit_core.backends import backend, default_backend
 from orbit_core.conformance.scenarios import SCENARIOS
+from orbit_core.envs import task_entries
 from orbit_core.interfaces import Capability
-from orbit_core.tasks import task_entries
 
 BACKEND = default_backend()
 PROGRAM = [sys.executable, "-c", "import sys; from orbit_core.cli import main; sys.exit(main())"]

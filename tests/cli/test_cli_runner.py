@@ -16,8 +16,8 @@ from orbit_core.backends import default_backend
 from orbit_core.cli.bench import bench
 from orbit_core.cli.runner import Tally, run, statistic
 from orbit_core.cli.settings import BenchSettings, RunSettings
+from orbit_core.envs.environment import EpisodeEnd
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.tasks.environment import EpisodeEnd
 
 BACKEND = default_backend()
 
@@ -109,12 +109,12 @@ def test_the_same_seed_runs_the_same():
 
 def test_random_actions_do_not_depend_on_the_number_of_environments():
     from orbit_core.cli.making import make_environment
-    from orbit_core.tasks.agents import RandomAgent
+    from orbit_core.envs.actors import RandomActor
 
     actions = []
     for num_envs in (1, 3):
         environment = make_environment(lift(num_envs, 1), num_envs)
-        agent = RandomAgent(environment, seed=5)
+        agent = RandomActor(environment, seed=5)
         actions.append(torch.stack([agent.act()[0] for _ in range(4)]))
         environment.close()
     torch.testing.assert_close(actions[0], actions[1])

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from orbit_core.backends import backend_names
-from orbit_core.tasks import make
+from orbit_core.envs import make
 
 # Task, robot, action space, how many environments run an episode, and the least success rate over them.
 EXPERTS = [

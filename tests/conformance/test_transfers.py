@@ -20,10 +20,10 @@ from orbit_core.conformance.settings import Part, Settings, choose
 from orbit_core.conformance.transfer import TransferResult, judge
 from orbit_core.conformance.verdict import Status
 from orbit_core.interfaces import Capabilities, Capability, unsupported
-from orbit_core.policies import KeptPolicy, TransferGap
+from orbit_core.pretrained import PretrainedPolicy, TransferGap
 
 SLIPS = TransferGap("slippery", least_success=0.6, reason="its bars are oiled")
-KEPT = KeptPolicy("pull", Path(), "Pulls", least_success=0.9, gaps=(SLIPS,))
+KEPT = PretrainedPolicy("pull", Path(), "Pulls", least_success=0.9, gaps=(SLIPS,))
 
 
 @pytest.mark.parametrize(

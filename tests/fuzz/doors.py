@@ -12,6 +12,7 @@ from orbit_core.assets.catalogue import robot, robot_info
 from orbit_core.assets.objects import box, capsule, cylinder, sphere, table
 from orbit_core.backends import backend, renderer
 from orbit_core.cli import main
+from orbit_core.envs import make
 from orbit_core.interfaces import OrbitError
 from orbit_core.learning.gymnasium import SingleEnvironment, VectorEnvironment
 from orbit_core.scene import (
@@ -27,7 +28,6 @@ from orbit_core.scene import (
     RayCasterSpec,
     Scene,
 )
-from orbit_core.tasks import make
 from orbit_core.world import SimulatedWorld
 from tests.fuzz.pool import Pool
 

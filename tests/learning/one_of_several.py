@@ -14,9 +14,9 @@ import torch
 from rsl_rl.runners import OnPolicyRunner
 
 from orbit_core.backends import default_backend
+from orbit_core.envs import PpoSettings, make
 from orbit_core.learning.rsl_rl import RslRlTrainer
 from orbit_core.learning.training import Training
-from orbit_core.tasks import PpoSettings, make
 
 
 def on_cpu(runner: OnPolicyRunner) -> None:

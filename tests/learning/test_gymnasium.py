@@ -15,8 +15,9 @@ from stable_baselines3 import PPO
 
 import orbit_core.learning.gymnasium
 from orbit_core.backends import default_backend
+from orbit_core.envs import RewardTerm, task_entries
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.tasks import RewardTerm, common, task_entries
+from orbit_core.mdp import common
 from orbit_tasks.reach import Reach
 
 BACKEND = default_backend()

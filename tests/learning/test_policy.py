@@ -12,10 +12,10 @@ import safetensors
 import torch
 
 from orbit_core.backends import default_backend
+from orbit_core.envs import Environment, make
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.networks import Perceptron, perceptron, perceptron_actor
-from orbit_core.learning.policy import Policy, PolicyAgent, PolicyDescription, load_policy, whole_agent
-from orbit_core.tasks import Environment, make
+from orbit_core.learning.policy import Policy, PolicyActor, PolicyDescription, load_policy, whole_agent
 
 BACKEND = default_backend()
 
@@ -97,7 +97,7 @@ def test_a_policy_refuses_what_it_was_not_learned_for(tmp_path: Path) -> None:
     environment.close()
     other = make("Reach", 1, BACKEND)
     with pytest.raises(ConfigurationError, match="ik_relative"):
-        PolicyAgent(other, tmp_path)
+        PolicyActor(other, tmp_path)
     with pytest.raises(ConfigurationError, match="ik_relative"):
         whole_agent(other, load_policy(tmp_path))
     other.close()

@@ -19,12 +19,13 @@ from torch import Tensor
 
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
+from orbit_core.envs import Environment, ObservationTerm, PpoSettings, RewardTerm
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.learning.checkpoint import read_checkpoint
-from orbit_core.learning.policy import PolicyAgent, load_policy
+from orbit_core.learning.policy import PolicyActor, load_policy
 from orbit_core.learning.trainer import Progress, Trainer, library_names, trainer_type
 from orbit_core.learning.training import Training
-from orbit_core.tasks import Environment, ObservationTerm, PpoSettings, RewardTerm, common
+from orbit_core.mdp import common
 from orbit_tasks.reach import Reach
 
 BACKEND = default_backend()
@@ -123,7 +124,7 @@ def test_a_short_training_improves_the_return(library: str, tmp_path: Path) -> N
     observation = environment.observe()["policy"]
     with torch.no_grad():
         expected = MEANS[library](made, observation).clamp(-1.0, 1.0)
-    torch.testing.assert_close(PolicyAgent(environment, tmp_path).act(), expected, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(PolicyActor(environment, tmp_path).act(), expected, atol=1e-5, rtol=1e-5)
     environment.close()
 
 

@@ -11,7 +11,7 @@ _CODE = """
 import multiprocessing, os, sys, warnings
 import torch
 from orbit_core.interfaces import ClosedError
-from orbit_core.tasks import make
+from orbit_core.envs import make
 
 warnings.simplefilter("ignore")  # Python's own about threads
 settings = {"workers": 2} if sys.argv[1] == "bullet" else {}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.tasks import make
+from orbit_core.envs import make
 from orbit_mujoco.raw import raw_steppers
 
 

@@ -16,8 +16,8 @@ import time
 
 import torch
 
-from orbit_core.tasks import make
-from orbit_core.tasks.environment import Environment
+from orbit_core.envs import make
+from orbit_core.envs.environment import Environment
 from orbit_warp.raw import raw_steppers
 
 

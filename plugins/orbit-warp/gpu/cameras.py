@@ -22,9 +22,9 @@ from pathlib import Path
 import torch
 
 from orbit_core import backends
+from orbit_core.envs import make
+from orbit_core.envs.environment import Environment
 from orbit_core.scene import CameraSpec, Channel, Scene, look_at
-from orbit_core.tasks import make
-from orbit_core.tasks.environment import Environment
 from orbit_tasks.lift import Lift
 
 CHANNELS = (Channel.RGB, Channel.DEPTH)

@@ -6,7 +6,7 @@ import argparse
 
 import torch
 
-from orbit_core.tasks import make
+from orbit_core.envs import make
 
 
 def main() -> None:

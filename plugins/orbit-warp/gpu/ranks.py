@@ -11,7 +11,7 @@ import time
 import torch
 import torch.distributed as distributed
 
-from orbit_core.tasks import make
+from orbit_core.envs import make
 
 _ENVS, _STEPS = 4096, 200
 

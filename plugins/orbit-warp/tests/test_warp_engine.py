@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_core.envs import make
 from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationError
 from orbit_core.scene import Box, ObjectSpec, Pose, Scene, Shape, single_link
-from orbit_core.tasks import make
 from orbit_warp import WarpBackend, WarpConfig
 from orbit_warp.engine import WarpEngine
 from orbit_warp.raw import raw_steppers

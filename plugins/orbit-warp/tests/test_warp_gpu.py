@@ -8,9 +8,9 @@ import warnings
 import pytest
 import torch
 
-from orbit_core.tasks import make
-from orbit_core.tasks.environment import Environment
-from orbit_core.tasks.episode import StepInfo
+from orbit_core.envs import make
+from orbit_core.envs.environment import Environment
+from orbit_core.envs.episode import StepInfo
 
 TASKS = ["Lift", "Reach", "Cabinet", "Velocity-Flat", "Handover"]
 WARM = 6

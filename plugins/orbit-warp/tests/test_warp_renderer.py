@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from orbit_core import backends
+from orbit_core.envs import make
 from orbit_core.interfaces import BACKGROUND, ConfigurationError, Image, SceneLayout
 from orbit_core.scene import (
     Box,
@@ -22,7 +23,6 @@ from orbit_core.scene import (
     look_at,
     single_link,
 )
-from orbit_core.tasks import make
 from orbit_warp import WarpConfig
 from orbit_warp.renderer import WarpRenderer
 

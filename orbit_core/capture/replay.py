@@ -6,16 +6,13 @@ from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor, fx
-from torch.utils._pytree import keystr, tree_leaves_with_path
 
-from orbit_core.agent import Cut
-from orbit_core.tasks.compiling import check_compiler, compiled
-from orbit_core.tasks.task import Task
-from orbit_core.tasks.tracing import NotTraceable, Trace, Tracer
-from orbit_core.world import SimulatedWorld
+from orbit_core.capture.compile import check_compiler, compiled
+from orbit_core.capture.trace import NotTraceable, Trace, Tracer
+from orbit_core.interfaces import World
 
 
-class Closed:
+class CapturedFunction:
     """Runs operations as they are the first time, watching them, and from then on does the same without their Python.
 
     What they give holds until the next call: clone what is kept.
@@ -30,7 +27,7 @@ class Closed:
 
     def __init__(
         self,
-        world: SimulatedWorld,
+        world: World,
         operations: Callable[[], tuple[Tensor, ...]],
         memory: Callable[[], Mapping[str, Tensor]],
         compile: bool,
@@ -100,23 +97,3 @@ def _recorded(
 def _rebound(before: Mapping[str, Tensor], after: Mapping[str, Tensor]) -> str:
     names = [name for name, tensor in after.items() if tensor is not before.get(name)]
     return f"{names[0]} is another tensor after each step: write it in place" if names else ""
-
-
-def remembered(task: Task, cut: Cut) -> dict[str, Tensor]:
-    """What a task and its agent's nodes remember from step to step, by name."""
-    own = {name: value for name, value in vars(task).items() if name != "cache"}
-    memory = {f"node '{r.node.name}'": dict(r.node.memory()) for r in cut.graph.runners}
-    leaves = tree_leaves_with_path({type(task).__name__: own, "memory": memory})
-    return {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
-
-
-def needs_python(world: SimulatedWorld, cut: Cut) -> str:
-    """What of a step Python has to do each time anew; empty if nothing."""
-    for name, reason in world.untraceable_sensors().items():
-        return f"sensor '{name}' {reason}"
-    if world.actuators.delayed:
-        return "an actuator's delay"
-    for runner in cut.graph.runners:
-        if runner.period != 1:
-            return f"node '{runner.node.name}' has a rate of its own"
-    return ""

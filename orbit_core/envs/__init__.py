@@ -9,12 +9,12 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from orbit_core.tasks.environment import Environment, make
-    from orbit_core.tasks.expert import Expert, Phase
-    from orbit_core.tasks.ppo import PpoSettings
-    from orbit_core.tasks.registry import TaskEntry, TaskRegistry, task_entries, task_entry
-    from orbit_core.tasks.task import Task
-    from orbit_core.tasks.terms import (
+    from orbit_core.envs.environment import Environment, make
+    from orbit_core.envs.expert import Expert, Phase
+    from orbit_core.envs.ppo import PpoSettings
+    from orbit_core.envs.registry import TaskEntry, TaskRegistry, task_entries, task_entry
+    from orbit_core.envs.task import Task
+    from orbit_core.envs.terms import (
         CurriculumTerm,
         EventTerm,
         EventTime,

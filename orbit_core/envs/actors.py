@@ -9,13 +9,13 @@ from orbit_core.interfaces.errors import UnknownNameError
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from orbit_core.tasks.environment import Environment
+    from orbit_core.envs.environment import Environment
 
 _OTHER_STREAM = 0x5EED
 """Added to the environment's seed, so that random actions are not the numbers that the task itself draws."""
 
 
-class Agent(Protocol):
+class Actor(Protocol):
     """Gives the environments' actions, one step after another."""
 
     def act(self) -> Tensor:
@@ -23,7 +23,7 @@ class Agent(Protocol):
         ...
 
 
-class ExpertAgent:
+class ExpertActor:
     """The task's scripted expert."""
 
     def __init__(self, environment: Environment, seed: int) -> None:
@@ -33,7 +33,7 @@ class ExpertAgent:
         return self._expert.compute({})["action"]
 
 
-class RandomAgent:
+class RandomActor:
     """Uniform in [-1, 1], from a stream per environment: environment i does the same however many others there are."""
 
     def __init__(self, environment: Environment, seed: int) -> None:
@@ -46,7 +46,7 @@ class RandomAgent:
         return self._streams.uniform(self._shape, -1.0, 1.0)
 
 
-class ZeroAgent:
+class ZeroActor:
     """All components zero."""
 
     def __init__(self, environment: Environment, seed: int) -> None:
@@ -58,15 +58,15 @@ class ZeroAgent:
         return self._action
 
 
-AGENTS = {"expert": ExpertAgent, "random": RandomAgent, "zero": ZeroAgent}
+ACTORS = {"expert": ExpertActor, "random": RandomActor, "zero": ZeroActor}
 
 
-def make_agent(name: str, environment: Environment, seed: int) -> Agent:
+def scripted_actor(name: str, environment: Environment, seed: int) -> Actor:
     """The agent of that name.
 
     Raises:
         UnknownNameError: there is none.
     """
-    if name not in AGENTS:
-        raise UnknownNameError("agent", name, AGENTS)
-    return AGENTS[name](environment, seed)
+    if name not in ACTORS:
+        raise UnknownNameError("agent", name, ACTORS)
+    return ACTORS[name](environment, seed)

@@ -2,7 +2,7 @@
 
 An entry point names a package. Each folder in it that holds a file ``policy.toml`` is a policy of that folder's name;
 beside the file lies what ``orbit train`` wrote, of which the last ``policy_<iteration>.safetensors`` counts. The
-file holds the fields of :class:`KeptPolicy`::
+file holds the fields of :class:`PretrainedPolicy`::
 
     description = "Opens a drawer to where it should be: Franka Panda, joint targets"
     least_success = 0.9
@@ -46,7 +46,7 @@ class TransferGap:
 
 
 @dataclass(frozen=True)
-class KeptPolicy:
+class PretrainedPolicy:
     """A learned policy that a package brings, and what it is held to."""
 
     name: str
@@ -66,23 +66,23 @@ class KeptPolicy:
 
 
 @cache
-def _installed() -> Registry[KeptPolicy]:
+def _installed() -> Registry[PretrainedPolicy]:
     def read(package: ModuleType) -> None:
         for folder in package.__path__:
             for about in sorted(Path(folder).glob(f"*/{ABOUT}")):
                 registry.add(about.parent.name, _read(about))
 
-    registry = Registry[KeptPolicy]("policy", GROUP, read)
+    registry = Registry[PretrainedPolicy]("policy", GROUP, read)
     registry.add_installed()
     return registry
 
 
-def kept_policies() -> dict[str, KeptPolicy]:
+def pretrained_policies() -> dict[str, PretrainedPolicy]:
     """All that installed packages bring, by name, sorted; those of broken packages left out."""
     return dict(sorted(_installed().values.items()))
 
 
-def kept_policy(name: str) -> KeptPolicy:
+def pretrained_policy(name: str) -> PretrainedPolicy:
     """The kept policy of that name.
 
     Raises:
@@ -98,14 +98,14 @@ def policy_path(name: str | Path) -> Path:
     Raises:
         UnknownNameError: there is neither.
     """
-    return Path(name) if Path(name).exists() else kept_policy(str(name)).folder
+    return Path(name) if Path(name).exists() else pretrained_policy(str(name)).folder
 
 
-def _read(about: Path) -> KeptPolicy:
+def _read(about: Path) -> PretrainedPolicy:
     try:
         values: dict[str, Any] = tomllib.loads(about.read_text(encoding="utf-8"))
         gaps = tuple(TransferGap(**gap) for gap in values.pop("gaps", ()))
-        return KeptPolicy(name=about.parent.name, folder=about.parent, gaps=gaps, **values)
+        return PretrainedPolicy(name=about.parent.name, folder=about.parent, gaps=gaps, **values)
     except (ValueError, TypeError) as error:
         raise ConfigurationError(f"{about} describes no policy: {error}") from error
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
+from orbit_core.envs.task import Task
 from orbit_core.interfaces import UnknownNameError
 from orbit_core.interfaces.fields import check_kind
-from orbit_core.tasks.task import Task
 
 _TaskType = TypeVar("_TaskType", bound=Task)
 

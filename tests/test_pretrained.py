@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from orbit_core.interfaces import UnknownNameError
-from orbit_core.policies import kept_policies, kept_policy, policy_path
+from orbit_core.pretrained import policy_path, pretrained_policies, pretrained_policy
 
 ABOUT = 'description = "Stacks cubes"\nleast_success = 0.8\n'
 GAP = '[[gaps]]\nbackend = "slippery"\nleast_success = 0.5\nreason = "it slips"\n'
@@ -36,19 +36,20 @@ def ask(folder: Path, code: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_suite_keeps_policies_that_are_held_to_something() -> None:
-    assert {"cabinet", "reach", "velocity_flat"} <= {*kept_policies()}
-    assert list(kept_policies()) == sorted(kept_policies())
-    assert min(policy.least_success for policy in kept_policies().values()) > 0.5
+    assert {"cabinet", "reach", "velocity_flat"} <= {*pretrained_policies()}
+    assert list(pretrained_policies()) == sorted(pretrained_policies())
+    assert min(policy.least_success for policy in pretrained_policies().values()) > 0.5
 
 
 def test_another_package_brings_policies_of_its_own(tmp_path: Path) -> None:
     install(tmp_path, ABOUT + GAP)
     told = ask(
         tmp_path,
-        "from orbit_core.policies import *; stack = kept_policy('stack');"
-        "print(stack.least_success, stack.gap_on('slippery').reason, stack.gap_on('other'), len(kept_policies()))",
+        "from orbit_core.pretrained import *; stack = pretrained_policy('stack');"
+        "print(stack.least_success, stack.gap_on('slippery').reason, stack.gap_on('other'),"
+        "len(pretrained_policies()))",
     )
-    assert told.stdout.split("\n")[0] == f"0.8 it slips None {len(kept_policies()) + 1}", told.stderr
+    assert told.stdout.split("\n")[0] == f"0.8 it slips None {len(pretrained_policies()) + 1}", told.stderr
     listed = ask(tmp_path, "from orbit_core.cli import main; main(['list', 'policies'])").stdout
     assert "stack" in listed
     assert "Stacks cubes" in listed
@@ -73,7 +74,7 @@ def test_what_is_wrong_with_a_policy_is_told(tmp_path: Path, about: str, name: s
 
 def test_a_path_is_taken_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert policy_path("reach") == kept_policy("reach").folder
+    assert policy_path("reach") == pretrained_policy("reach").folder
     Path("reach").mkdir()
     assert policy_path("reach") == Path("reach")
     with pytest.raises(UnknownNameError, match="did you mean 'reach'"):

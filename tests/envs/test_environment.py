@@ -8,6 +8,8 @@ import pytest
 import torch
 
 from orbit_core.backends import default_backend
+from orbit_core.envs import Environment, RewardTerm, make, task_entries
+from orbit_core.envs.terms import once_per_state, terms_of
 from orbit_core.interfaces import (
     ArgumentError,
     BackendNotInstalledError,
@@ -16,8 +18,6 @@ from orbit_core.interfaces import (
     ShapeError,
     UnknownNameError,
 )
-from orbit_core.tasks import Environment, RewardTerm, make, task_entries
-from orbit_core.tasks.terms import once_per_state, terms_of
 from orbit_tasks.lift import Lift
 from orbit_tasks.reach import Reach
 from orbit_tasks.velocity_flat import VelocityFlat, overspeed

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from torch import Tensor
 
 if TYPE_CHECKING:
-    from orbit_core.tasks.task import Task
-    from orbit_core.world import SimulatedWorld
+    from orbit_core.envs.task import Task
+    from orbit_core.interfaces import World
 
 TermFunction = Callable[..., Tensor]
 """(world, task) -> (N, ...); of a term that names an agent, (world, task, agent) -> (N, ...)"""
-EventFunction = Callable[["SimulatedWorld", Any, Tensor], None]
+EventFunction = Callable[["World", Any, Tensor], None]
 """(world, task, env_ids)"""
 
 
@@ -124,7 +124,7 @@ def once_per_state(function: _Function) -> _Function:
     """Compute a term once per state of the world, and for each agent's name if it takes one, whoever asks for it."""
 
     @wraps(function)
-    def cached(world: SimulatedWorld, task: Task, *agent: str) -> Tensor:
+    def cached(world: World, task: Task, *agent: str) -> Tensor:
         key = (function, *agent)
         version, value = task.cache.get(key, (-1, None))
         if value is None or version != world.clock.version:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from orbit_core.interfaces import UnknownNameError
+from orbit_core.envs.task import Task
+from orbit_core.interfaces import UnknownNameError, World
 from orbit_core.motion import MotionGenerator, action_space, with_drives_for
 from orbit_core.scene import Scene
-from orbit_core.tasks.task import Task
-from orbit_core.world import SimulatedWorld
 
 
 def driven_scene(task: Task) -> Scene:
@@ -27,7 +26,7 @@ def driven_scene(task: Task) -> Scene:
     return replace(scene, robots=robots)
 
 
-def generators_of(world: SimulatedWorld, task: Task) -> tuple[MotionGenerator, ...]:
+def generators_of(world: World, task: Task) -> tuple[MotionGenerator, ...]:
     """What moves the agents, one after another; where there are several, with the agent's name before its own."""
     several = len(task.agents) > 1
     return tuple(

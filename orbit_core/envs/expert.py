@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import pose_error, quat_from_rotation_vector, quat_multiply
+from orbit_core.envs.task import Task
+from orbit_core.envs.terms import TermFunction
 from orbit_core.interfaces import ConfigurationError, Node, Port
-from orbit_core.tasks.task import Task
-from orbit_core.tasks.terms import TermFunction
 
 if TYPE_CHECKING:
-    from orbit_core.world import SimulatedWorld
+    from orbit_core.interfaces import World
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Expert(Node):
 
     def __init__(
         self,
-        world: SimulatedWorld,
+        world: World,
         task: Task,
         phases: Sequence[Phase] | Mapping[str, Sequence[Phase]],
         position_lead: float = 0.1,
@@ -95,7 +95,7 @@ class Expert(Node):
 class _Arm:
     """One robot's part in the phases."""
 
-    def __init__(self, agent: str, phases: Sequence[Phase], lead: Tensor, world: SimulatedWorld, task: Task) -> None:
+    def __init__(self, agent: str, phases: Sequence[Phase], lead: Tensor, world: World, task: Task) -> None:
         self._world = world
         self._task = task
         self._phases = tuple(phases)

@@ -4,8 +4,8 @@ Why: Tobin et al., Domain Randomization for Transferring Deep Neural Networks fr
 Peng et al., Sim-to-Real Transfer of Robotic Control with Dynamics Randomization (2018).
 
 Masses, friction and gains outlast resets; each draw starts from the scene's own values. At
-:attr:`~orbit_core.tasks.EventTime.STARTUP` an environment keeps what it drew, at
-:attr:`~orbit_core.tasks.EventTime.RESET` each episode draws anew.
+:attr:`~orbit_core.envs.EventTime.STARTUP` an environment keeps what it drew, at
+:attr:`~orbit_core.envs.EventTime.RESET` each episode draws anew.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.tasks.task import Task
-from orbit_core.tasks.terms import EventFunction, TermFunction
-from orbit_core.world import SimulatedWorld
+from orbit_core.envs.task import Task
+from orbit_core.envs.terms import EventFunction, TermFunction
+from orbit_core.interfaces import ConfigurationError, UnknownNameError, World
 from orbit_core.world.entities import SimulatedObject
 
 TERRAIN = "terrain"
@@ -37,7 +36,7 @@ class Range:
         if not self.low <= self.high:
             raise ConfigurationError(f"a range needs low <= high, not {self.low:g} and {self.high:g}")
 
-    def sample(self, world: SimulatedWorld, task: Task, shape: tuple[int, ...], env_ids: Tensor) -> Tensor:
+    def sample(self, world: World, task: Task, shape: tuple[int, ...], env_ids: Tensor) -> Tensor:
         """(n, *shape) drawn from the environments' own streams."""
         if self.easy is None:
             return world.random.uniform(shape, self.low, self.high, env_ids)
@@ -55,7 +54,7 @@ def masses(entity: str, scale: Range, links: Sequence[str] = (".*",)) -> EventFu
         UnsupportedCapabilityError: the engine cannot.
     """
 
-    def event(world: SimulatedWorld, task: Task, env_ids: Tensor) -> None:
+    def event(world: World, task: Task, env_ids: Tensor) -> None:
         thing = _entity(world, entity)
         bodies = thing.spec.articulation.links
         chosen = [link for link in thing.find_links(*links) if bodies[link].mass > 0.0]
@@ -75,7 +74,7 @@ def friction(entities: Sequence[str], coefficient: Range) -> EventFunction:
         UnsupportedCapabilityError: the engine cannot.
     """
 
-    def event(world: SimulatedWorld, task: Task, env_ids: Tensor) -> None:
+    def event(world: World, task: Task, env_ids: Tensor) -> None:
         drawn = coefficient.sample(world, task, (1,), env_ids)
         for name in entities:
             if name == TERRAIN:
@@ -96,7 +95,7 @@ def gains(entity: str, stiffness: Range, damping: Range, joints: Sequence[str] =
         UnsupportedCapabilityError: the engine cannot.
     """
 
-    def event(world: SimulatedWorld, task: Task, env_ids: Tensor) -> None:
+    def event(world: World, task: Task, env_ids: Tensor) -> None:
         thing = _entity(world, entity)
         nominal = thing.nominal_gains
         chosen = [joint for joint in thing.find_joints(*joints) if joint in nominal]
@@ -117,7 +116,7 @@ def push(entity: str, speed: Range) -> EventFunction:
         ConfigurationError: the entity's base is fixed.
     """
 
-    def event(world: SimulatedWorld, task: Task, env_ids: Tensor) -> None:
+    def event(world: World, task: Task, env_ids: Tensor) -> None:
         thing = _entity(world, entity)
         if thing.spec.fixed_base:
             raise ConfigurationError(f"'{entity}' cannot be pushed: its base is fixed; name another entity")
@@ -133,13 +132,13 @@ def push(entity: str, speed: Range) -> EventFunction:
 def by_success(raised: float = 0.05, lowered: float = 0.02) -> TermFunction:
     """For a curriculum: the next episode is harder after a success, by ``raised``, and else easier, by ``lowered``."""
 
-    def change(world: SimulatedWorld, task: Task) -> Tensor:
+    def change(world: World, task: Task) -> Tensor:
         return torch.where(task.success(world), raised, -lowered)
 
     return change
 
 
-def _entity(world: SimulatedWorld, name: str) -> SimulatedObject:
+def _entity(world: World, name: str) -> SimulatedObject:
     thing = world.robots.get(name) or world.objects.get(name)
     if thing is None:
         raise UnknownNameError("entity", name, [*world.robots, *world.objects], "the scene")

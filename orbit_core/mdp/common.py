@@ -9,11 +9,10 @@ from torch import Tensor
 
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import table
-from orbit_core.interfaces import ConfigurationError, Robot
+from orbit_core.envs.task import ROBOT, Task
+from orbit_core.envs.terms import once_per_state
+from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.scene import ObjectSpec, Plane, Pose, RobotSpec, Shape
-from orbit_core.tasks.task import ROBOT, Task
-from orbit_core.tasks.terms import once_per_state
-from orbit_core.world import SimulatedWorld
 
 BENCH_HEIGHT = 0.7
 """Metres from the floor to the top of the work bench, which lies at z = 0."""
@@ -61,41 +60,41 @@ def legged(name: str) -> RobotSpec:
     return spec
 
 
-def robot_of(world: SimulatedWorld, agent: str = ROBOT) -> Robot:
+def robot_of(world: World, agent: str = ROBOT) -> Robot:
     """The task's robot."""
     return world.robots[agent]
 
 
-def joint_positions(world: SimulatedWorld, task: Task, agent: str = ROBOT) -> Tensor:
+def joint_positions(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     """(N, J) relative to the home pose."""
     body = robot_of(world, agent)
     return body.joint_positions - body.home_positions
 
 
-def joint_velocities(world: SimulatedWorld, task: Task, agent: str = ROBOT) -> Tensor:
+def joint_velocities(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     """(N, J)"""
     return robot_of(world, agent).joint_velocities
 
 
-def last_action(world: SimulatedWorld, task: Task, agent: str | None = None) -> Tensor:
+def last_action(world: World, task: Task, agent: str | None = None) -> Tensor:
     """(N, A) the action in effect; an agent's own part of it where one is named."""
     return task.last_action if agent is None else task.last_action[:, task.actions[agent]]
 
 
 @once_per_state
-def hand_pose(world: SimulatedWorld, task: Task, agent: str = ROBOT) -> Tensor:
+def hand_pose(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     """(N, 7) of the end effector, in the environment's frame."""
     robot = robot_of(world, agent)
     return robot.frame_pose(robot.spec.end_effector.frame)
 
 
-def action_rate(world: SimulatedWorld, task: Task, agent: str | None = None) -> Tensor:
+def action_rate(world: World, task: Task, agent: str | None = None) -> Tensor:
     """(N,) squared change of the action since the step before; of an agent's own part of it where one is named."""
     change = task.last_action - task.action_before
     return squared_norm(change if agent is None else change[:, task.actions[agent]])
 
 
-def joint_speed(world: SimulatedWorld, task: Task, agent: str = ROBOT) -> Tensor:
+def joint_speed(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     """(N,) sum of squared joint velocities."""
     return squared_norm(robot_of(world, agent).joint_velocities)
 
@@ -135,7 +134,7 @@ def facing_down(yaw: Tensor) -> Tensor:
 def randomize_robot_start(spread: float, agent: str = ROBOT):
     """Event: joint positions around the home pose, uniform within ``spread`` (rad or m), inside the limits."""
 
-    def randomize(world: SimulatedWorld, task: Task, env_ids: Tensor) -> None:
+    def randomize(world: World, task: Task, env_ids: Tensor) -> None:
         robot = robot_of(world, agent)
         count = len(robot.joint_names)
         offset = world.random.uniform((count,), -spread, spread, env_ids)

@@ -8,13 +8,12 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import is_mask, write_rows
-from orbit_core.interfaces import ConfigurationError
-from orbit_core.tasks.task import Task
-from orbit_core.tasks.terms import EventTerm, EventTime, terms_of
-from orbit_core.world import SimulatedWorld
+from orbit_core.envs.task import Task
+from orbit_core.envs.terms import EventTerm, EventTime, terms_of
+from orbit_core.interfaces import ConfigurationError, World
 
 
-class Events:
+class EventManager:
     """Runs the events of a task over a world.
 
     Args:
@@ -27,9 +26,7 @@ class Events:
         ConfigurationError: an interval cannot be.
     """
 
-    def __init__(
-        self, world: SimulatedWorld, task: Task, step_dt: float, memory: Callable[[], Mapping[str, Tensor]]
-    ) -> None:
+    def __init__(self, world: World, task: Task, step_dt: float, memory: Callable[[], Mapping[str, Tensor]]) -> None:
         self._world = world
         self._task = task
         self._memory = memory
@@ -88,7 +85,7 @@ class Events:
 class _Timer:
     """Counts each environment's steps to its next event."""
 
-    def __init__(self, name: str, term: EventTerm, step_dt: float, world: SimulatedWorld) -> None:
+    def __init__(self, name: str, term: EventTerm, step_dt: float, world: World) -> None:
         least, most = term.interval
         if not 0.0 < least <= most:
             raise ConfigurationError(

@@ -8,12 +8,12 @@ import pytest
 import torch
 
 from orbit_core.backends import default_backend
+from orbit_core.envs import CurriculumTerm, EventTerm, EventTime, ObservationTerm, TerminationTerm, make
+from orbit_core.envs.captured_step import CapturedStep, needs_python
+from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.mdp import randomize
 from orbit_core.scene import ContactSensorSpec, Scene
-from orbit_core.tasks import CurriculumTerm, EventTerm, EventTime, ObservationTerm, TerminationTerm, make, randomize
-from orbit_core.tasks.closed import ClosedStep
-from orbit_core.tasks.environment import Environment
-from orbit_core.tasks.recording import needs_python
 from orbit_tasks.lift import Lift
 from orbit_tasks.velocity_flat import CONTACTS, VelocityFlat
 
@@ -30,7 +30,7 @@ def lift(**changes: object) -> Lift:
 
 
 def closed(environment: Environment, whole: bool) -> Environment:
-    environment._closed = ClosedStep(environment, compile=False, whole=whole)
+    environment._closed = CapturedStep(environment, compile=False, whole=whole)
     return environment
 
 
@@ -44,8 +44,8 @@ def assert_same_life(plain: Environment, other: Environment, exact: bool) -> Non
         mine, its = plain.step(action), other.step(action)
         torch.testing.assert_close(its[0]["policy"], mine[0]["policy"], **tolerance)
         torch.testing.assert_close(its[1], mine[1], rtol=1e-4, atol=1e-6)
-        if plain.shares is not None and other.shares is not None:
-            torch.testing.assert_close(other.shares.rewards(), plain.shares.rewards(), rtol=1e-4, atol=1e-6)
+        if plain.multi_agent is not None and other.multi_agent is not None:
+            torch.testing.assert_close(other.multi_agent.rewards(), plain.multi_agent.rewards(), rtol=1e-4, atol=1e-6)
         assert torch.equal(its[2], mine[2])
         assert torch.equal(its[3], mine[3])
         assert ("final" in its[4]) == ("final" in mine[4])
@@ -81,7 +81,7 @@ def test_events_written_for_indices_hold_under_a_mask(task: str) -> None:
 
 def restless() -> VelocityFlat:
     """With all that happens within a step: pushes, late and wrong measurements, a curriculum."""
-    task = VelocityFlat(episode_length=0.2, progressive=True)
+    task = VelocityFlat(episode_length=0.2, curriculum_enabled=True)
     push = randomize.push("robot", randomize.Range(0.0, 1.0, easy=0.3))
     task.events.push = EventTerm(push, EventTime.INTERVAL, interval=(0.04, 0.1))
     task.events.gains = EventTerm(randomize.gains("robot", *[randomize.Range(0.8, 1.2)] * 2))

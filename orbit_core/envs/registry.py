@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from orbit_core.registry import Registry, faults_named
 
 if TYPE_CHECKING:
-    from orbit_core.tasks.task import Task
+    from orbit_core.envs.task import Task
 
 
 @dataclass(frozen=True)

@@ -24,20 +24,19 @@ from orbit_core.dynamics.arguments import (
     whole_number,
 )
 from orbit_core.dynamics.indexing import write_rows
+from orbit_core.envs.action_manager import action_parts, driven_scene, generators_of
+from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered
+from orbit_core.envs.configuration import configure
+from orbit_core.envs.episode import EpisodeEnd, Observation
+from orbit_core.envs.event_manager import EventManager
+from orbit_core.envs.multi_agent import MultiAgentView, check_owners
+from orbit_core.envs.observation_manager import ObservationManager
+from orbit_core.envs.registry import task_entry
+from orbit_core.envs.task import Task
+from orbit_core.envs.terms import CurriculumTerm, RewardTerm, TerminationTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 from orbit_core.interfaces.fields import settings_table
 from orbit_core.motion import Actuate
-from orbit_core.tasks.acting import action_parts, driven_scene, generators_of
-from orbit_core.tasks.closed import ClosedStep, StepResult
-from orbit_core.tasks.episode import EpisodeEnd, Observation
-from orbit_core.tasks.events import Events
-from orbit_core.tasks.observer import Observer
-from orbit_core.tasks.recording import needs_python, remembered
-from orbit_core.tasks.registry import task_entry
-from orbit_core.tasks.settings import configure
-from orbit_core.tasks.shares import Shares, check_owners
-from orbit_core.tasks.task import Task
-from orbit_core.tasks.terms import CurriculumTerm, RewardTerm, TerminationTerm, terms_of
 from orbit_core.world import SimulatedWorld
 from orbit_core.world.closing import close_for_good
 from orbit_core.world.threads import SingleThreaded
@@ -77,10 +76,10 @@ class Environment:
         compile: bool = False,
     ) -> None:
         if not isinstance(task, Task):
-            raise ConfigurationError(f"an environment needs a Task, not a {type(task).__name__}: orbit_core.tasks.make")
+            raise ConfigurationError(f"an environment needs a Task, not a {type(task).__name__}: orbit_core.envs.make")
         num_envs, seed = whole_number(num_envs, "num_envs", 1, MOST_ENVIRONMENTS), seed_number(seed)
         self.task = task = copy.deepcopy(task)
-        if task.randomized:
+        if task.domain_randomization:
             task.randomize()
         self.max_episode_steps = _whole_steps(task)
         preset = task.backend_presets.get(backend, {}) if isinstance(backend, str) else {}
@@ -109,18 +108,18 @@ class Environment:
         task.last_action = torch.zeros_like(self._action)
         task.action_before = torch.zeros_like(self._action)
         task.start(self.world)
-        self.observer = Observer(self.world, task)
+        self.observer = ObservationManager(self.world, task)
         self._seen: tuple[int, Tensor] | None = None
         """Version of the world's state, and the observation of it that the closed step made."""
         self.observation_size = self._observation().shape[1]
-        self.shares = Shares(self.world, task, self.step_dt) if len(task.agents) > 1 else None
+        self.multi_agent = MultiAgentView(self.world, task, self.step_dt) if len(task.agents) > 1 else None
         """Whose each part of observation, action and reward is, where several robots act."""
         self.cut = self._build_agent()
         self._compile = compile
         self._started = False
         """Whether a step was made, and with it all that is made at first use: a trace would make it anew each time."""
         self._closed = self._close_step()
-        self._events = Events(self.world, task, self.step_dt, lambda: remembered(task, self.cut))
+        self._events = EventManager(self.world, task, self.step_dt, lambda: remembered(task, self.cut))
         self._events.startup()
         self.begin(None)
         self._observe()
@@ -224,16 +223,16 @@ class Environment:
 
     # One step -------------------------------------------------------------------------------------------------------
 
-    def _close_step(self) -> ClosedStep | None:
+    def _close_step(self) -> CapturedStep | None:
         """The step without its Python, where that is asked for or the device is not Python's own."""
         reason = needs_python(self.world, self.cut)
         if self._compile and reason:
             raise ConfigurationError(f"the step cannot be compiled, for it needs Python each time: {reason}")
         if reason or (self.device.type == "cpu" and not self._compile):
             return None
-        return ClosedStep(self, self._compile, whole=self.device.type != "cpu")
+        return CapturedStep(self, self._compile, whole=self.device.type != "cpu")
 
-    def _step_closed(self, closed: ClosedStep) -> StepResult:
+    def _step_closed(self, closed: CapturedStep) -> StepResult:
         result = closed()
         self._seen = (self.world.clock.version, result[0]["policy"])
         if closed.refusal:
@@ -286,8 +285,8 @@ class Environment:
     def _reward(self) -> Tensor:
         values = torch.stack([term.function(self.world, self.task) for term in self.reward_terms.values()])
         self.reward_sums.addcmul_(values, self._column_of_weights)
-        if self.shares is not None:
-            self.shares.earn(values)
+        if self.multi_agent is not None:
+            self.multi_agent.earn(values)
         return self._weights @ values
 
     def _terminated(self) -> Tensor:
@@ -332,11 +331,11 @@ def _no_policy(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
 
 
 def _curriculum(task: Task) -> dict[str, CurriculumTerm]:
-    if not task.progressive:
+    if not task.curriculum_enabled:
         return {}
     if task.curriculum is None:
         raise ConfigurationError(
-            f"task {type(task).__name__} has no curriculum: leave progressive out, or give it a dataclass of "
+            f"task {type(task).__name__} has no curriculum: leave curriculum_enabled out, or give it a dataclass of "
             "CurriculumTerm"
         )
     return terms_of(task.curriculum, CurriculumTerm)

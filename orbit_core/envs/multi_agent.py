@@ -8,13 +8,12 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.arguments import check_shape
-from orbit_core.interfaces import UnknownNameError
-from orbit_core.tasks.task import Task
-from orbit_core.tasks.terms import ObservationTerm, RewardTerm, terms_of
-from orbit_core.world import SimulatedWorld
+from orbit_core.envs.task import Task
+from orbit_core.envs.terms import ObservationTerm, RewardTerm, terms_of
+from orbit_core.interfaces import UnknownNameError, World
 
 
-class Shares:
+class MultiAgentView:
     """Tells apart what is each agent's, by the terms that name it; what names no agent is everyone's.
 
     An agent earns its own terms and, in full, those that all share. So the environment's reward is the sum of the
@@ -26,7 +25,7 @@ class Shares:
         step_dt: seconds in a step of the environment.
     """
 
-    def __init__(self, world: SimulatedWorld, task: Task, step_dt: float) -> None:
+    def __init__(self, world: World, task: Task, step_dt: float) -> None:
         self.agents = task.agents
         self._actions = task.actions
         observations = terms_of(task.observations, ObservationTerm).values()

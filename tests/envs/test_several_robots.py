@@ -9,8 +9,9 @@ import torch
 
 from orbit_core.backends import default_backend
 from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.envs import Environment, Expert, ObservationTerm, Phase, RewardTerm, make
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.tasks import Environment, Expert, ObservationTerm, Phase, RewardTerm, common, make
+from orbit_core.mdp import common
 from orbit_tasks.handover import GIVER, GRIP, RECEIVER, Handover, grip
 from orbit_tasks.lift import Lift
 
@@ -29,43 +30,43 @@ def random_actions(environment: Environment) -> torch.Tensor:
 
 
 def test_an_agents_action_moves_that_agent_alone(handover: Environment) -> None:
-    assert handover.shares is not None
+    assert handover.multi_agent is not None
     robots = [handover.world.robots[agent] for agent in (GIVER, RECEIVER)]
     handover.reset(seed=0)
     before = [robot.joint_positions.clone() for robot in robots]
-    homeward = {agent: torch.zeros(3, size) for agent, size in handover.shares.action_sizes.items()}
+    homeward = {agent: torch.zeros(3, size) for agent, size in handover.multi_agent.action_sizes.items()}
     homeward[RECEIVER][:, :7] = 0.2
     for _ in range(10):
-        handover.step(handover.shares.action(homeward))
+        handover.step(handover.multi_agent.action(homeward))
     still, moved = [robot.joint_positions - old for robot, old in zip(robots, before, strict=True)]
     assert still[:, :7].abs().max() < 0.06  # home is within the 0.05 rad by which it began elsewhere
     assert moved[:, :7].amax(1).min() > 0.1
 
 
 def test_an_agent_sees_its_own_terms_and_what_all_see(handover: Environment) -> None:
-    assert handover.shares is not None
+    assert handover.multi_agent is not None
     observation, _ = handover.reset(seed=0)
     world, task = handover.world, handover.task
-    seen = handover.shares.observations(observation["policy"])
+    seen = handover.multi_agent.observations(observation["policy"])
     for agent in (GIVER, RECEIVER):
         robot = world.robots[agent]
         joints = len(robot.joint_names)
-        assert seen[agent].shape == (3, handover.shares.observation_sizes[agent])
+        assert seen[agent].shape == (3, handover.multi_agent.observation_sizes[agent])
         torch.testing.assert_close(seen[agent][:, :joints], robot.joint_positions - robot.home_positions)
         torch.testing.assert_close(seen[agent][:, -10:-3], world.objects["rod"].root_pose)
         torch.testing.assert_close(seen[agent][:, -3:], task.goal)
-    own = handover.shares.action_sizes[GIVER]
+    own = handover.multi_agent.action_sizes[GIVER]
     action = random_actions(handover)
-    seen = handover.shares.observations(handover.step(action)[0]["policy"])
+    seen = handover.multi_agent.observations(handover.step(action)[0]["policy"])
     torch.testing.assert_close(seen[GIVER][:, -10 - own : -10], action[:, :own])
     torch.testing.assert_close(seen[RECEIVER][:, -10 - own : -10], action[:, own:])
 
 
 def test_agents_earn_their_own_terms_and_those_of_all(handover: Environment) -> None:
-    assert handover.shares is not None
+    assert handover.multi_agent is not None
     handover.reset(seed=0)
     _, reward, *_ = handover.step(random_actions(handover))
-    earned = handover.shares.rewards()
+    earned = handover.multi_agent.rewards()
     parts = dict(zip(handover.reward_terms, handover.reward_sums, strict=True))  # of the episode's only step
     for agent in (GIVER, RECEIVER):
         mine = [part for name, part in parts.items() if not name.startswith(RECEIVER if agent == GIVER else GIVER)]
@@ -77,7 +78,7 @@ def test_agents_earn_their_own_terms_and_those_of_all(handover: Environment) -> 
 
 def test_where_one_robot_acts_nothing_is_shared() -> None:
     environment = make("Lift", num_envs=1, backend=BACKEND)
-    assert environment.shares is None
+    assert environment.multi_agent is None
     assert [generator.name for generator in environment.task.generators] == ["joint_position", "gripper"]
     environment.close()
 
@@ -88,7 +89,7 @@ class Ghostly(Lift):
 
 
 def test_whoever_is_not_there_is_named(handover: Environment) -> None:
-    assert handover.shares is not None
+    assert handover.multi_agent is not None
     with pytest.raises(UnknownNameError, match=r"unknown robot 'ghost' in the scene of task Ghostly.*known: robot"):
         Environment(Ghostly(), 1, BACKEND)
     task = Handover()
@@ -100,7 +101,7 @@ def test_whoever_is_not_there_is_named(handover: Environment) -> None:
     with pytest.raises(UnknownNameError, match="unknown agent 'giver' in a term of task Lift"):
         Environment(lift, 1, BACKEND)
     with pytest.raises(UnknownNameError, match=r"unknown agent 'receiver'.*each needs an action"):
-        handover.shares.action({GIVER: torch.zeros(3, 8)})
+        handover.multi_agent.action({GIVER: torch.zeros(3, 8)})
     phase = Phase(lambda world, task: common.hand_pose(world, task, GIVER))
     with pytest.raises(ConfigurationError, match="equally many phases for each agent: giver, receiver"):
         Expert(handover.world, handover.task, {GIVER: [phase], RECEIVER: [phase, replace(phase)]})

@@ -12,7 +12,7 @@ from orbit_core.backends import default_backend
 from orbit_core.cli.runner import run
 from orbit_core.cli.settings import RunSettings
 from orbit_core.learning.policy import load_policy
-from orbit_core.policies import kept_policies, policy_path
+from orbit_core.pretrained import policy_path, pretrained_policies
 
 KEPT_ACTIONS = sorted(Path(__file__).with_name("kept_actions").iterdir())
 """``<policy>_<iteration>.safetensors``: an observation (16, O) and the action (16, A) that the file in which the policy
@@ -28,7 +28,7 @@ def test_a_kept_policy_acts_as_when_it_was_kept(path: Path) -> None:
     torch.testing.assert_close(policy.module(kept["observation"]), kept["action"], atol=1e-6, rtol=0.0)
 
 
-@pytest.mark.parametrize("name", kept_policies())
+@pytest.mark.parametrize("name", pretrained_policies())
 def test_a_kept_policy_does_its_task(name: str) -> None:
     """Learned on one engine, played on another by its name: at least 3 of 4 episodes."""
     learned = load_policy(policy_path(name)).description

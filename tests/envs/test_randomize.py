@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from orbit_core.backends import backend_names, default_backend
+from orbit_core.envs import CurriculumTerm, EventTerm, EventTime, Task, make
+from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.tasks import CurriculumTerm, EventTerm, EventTime, Task, make, randomize
-from orbit_core.tasks.environment import Environment
-from orbit_core.tasks.randomize import Range
+from orbit_core.mdp import randomize
+from orbit_core.mdp.randomize import Range
 from orbit_core.world import SimulatedWorld
 from orbit_tasks.lift import Lift
 from orbit_tasks.velocity_flat import VelocityFlat
@@ -23,7 +24,7 @@ TASKS = ("Reach", "Lift", "Cabinet", "Velocity-Flat", "Handover")
 @pytest.mark.parametrize("backend", backend_names())
 @pytest.mark.parametrize("task", TASKS)
 def test_every_task_runs_randomized_on_every_backend(task: str, backend: str) -> None:
-    environment = make(task, 3, backend, randomized=True, episode_length=0.2)
+    environment = make(task, 3, backend, domain_randomization=True, episode_length=0.2)
     for _ in range(15):
         observation, reward, *_ = environment.step(torch.zeros(3, environment.action_size))
     assert torch.isfinite(observation["policy"]).all()
@@ -99,7 +100,7 @@ def test_a_delay_shows_what_was_and_a_bias_stays() -> None:
 
 
 def test_each_environment_draws_for_itself_whatever_their_number() -> None:
-    many, few = (make("Velocity-Flat", count, default_backend(), randomized=True) for count in (5, 2))
+    many, few = (make("Velocity-Flat", count, default_backend(), domain_randomization=True) for count in (5, 2))
     seen = [(e.reset(seed=4)[0]["policy"], e.step(torch.zeros(e.num_envs, 12))[0]["policy"]) for e in (many, few)]
     torch.testing.assert_close(seen[0][0][:2], seen[1][0])
     torch.testing.assert_close(seen[0][1][:2], seen[1][1])
@@ -116,7 +117,7 @@ class ByBoldness:
 
 
 def test_difficulty_follows_what_episodes_come_to() -> None:
-    task = VelocityFlat(progressive=True, episode_length=0.02, curriculum=ByBoldness())  # pyright: ignore
+    task = VelocityFlat(curriculum_enabled=True, episode_length=0.02, curriculum=ByBoldness())  # pyright: ignore
     environment = Environment(task, 2, default_backend())
     action = torch.zeros(2, environment.action_size)
     action[0, 0] = 1.0
@@ -156,8 +157,8 @@ def test_what_cannot_be_is_refused() -> None:
         Environment(task, 1, default_backend())
     with pytest.raises(ConfigurationError, match="low <= high"):
         Range(2.0, 1.0)
-    with pytest.raises(ConfigurationError, match="has no curriculum: leave progressive out"):
-        make("Lift", 1, default_backend(), progressive=True)
+    with pytest.raises(ConfigurationError, match="has no curriculum: leave curriculum_enabled out"):
+        make("Lift", 1, default_backend(), curriculum_enabled=True)
     late = Lift()
     late.observations.goal = replace(late.observations.goal, delay=(2, 1))
     with pytest.raises(ConfigurationError, match="delay of observation 'goal'"):

@@ -6,20 +6,19 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import write_rows
-from orbit_core.interfaces import ConfigurationError
-from orbit_core.tasks.task import Task
-from orbit_core.tasks.terms import ObservationTerm, terms_of
-from orbit_core.world import SimulatedWorld
+from orbit_core.envs.task import Task
+from orbit_core.envs.terms import ObservationTerm, terms_of
+from orbit_core.interfaces import ConfigurationError, World
 
 
-class Observer:
+class ObservationManager:
     """Computes the observation (N, O) of a world's present state, once per step.
 
     Raises:
         ConfigurationError: a term's delay cannot be.
     """
 
-    def __init__(self, world: SimulatedWorld, task: Task) -> None:
+    def __init__(self, world: World, task: Task) -> None:
         self._world = world
         self._task = task
         self.terms = terms_of(task.observations, ObservationTerm)
@@ -57,7 +56,7 @@ class Observer:
 class _DelayLine:
     """Holds measurements back by the steps that each environment draws at reset."""
 
-    def __init__(self, name: str, term: ObservationTerm, world: SimulatedWorld, task: Task) -> None:
+    def __init__(self, name: str, term: ObservationTerm, world: World, task: Task) -> None:
         self._fewest, self._most = term.delay
         if not 0 <= self._fewest <= self._most:
             raise ConfigurationError(

@@ -7,17 +7,21 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from torch.utils._pytree import keystr, tree_leaves_with_path
 
-from orbit_core.tasks.episode import EpisodeEnd, Observation, StepInfo
-from orbit_core.tasks.recording import Closed, remembered
+from orbit_core.agent import Cut
+from orbit_core.capture.replay import CapturedFunction
+from orbit_core.envs.episode import EpisodeEnd, Observation, StepInfo
+from orbit_core.envs.task import Task
+from orbit_core.interfaces import World
 
 if TYPE_CHECKING:
-    from orbit_core.tasks.environment import Environment
+    from orbit_core.envs.environment import Environment
 
 StepResult = tuple[Observation, Tensor, Tensor, Tensor, Mapping[str, EpisodeEnd]]
 
 
-class ClosedStep:
+class CapturedStep:
     """The environment's step in parts that are traced once.
 
     Args:
@@ -34,7 +38,7 @@ class ClosedStep:
         self._ended = environment.done if whole else environment.done.numpy()
         parts = (self._play_and_renew,) if whole else (self._play, self._renew)
         memory = lambda: remembered(environment.task, environment.cut)  # noqa: E731
-        self.parts = [Closed(environment.world, part, memory, compile) for part in parts]
+        self.parts = [CapturedFunction(environment.world, part, memory, compile) for part in parts]
 
     def __call__(self) -> StepResult:
         """One step; the first makes all parts ready, and so does for no environment what resets do."""
@@ -96,3 +100,23 @@ class ClosedStep:
         """What :meth:`_play` gives with the new observation in the place of the last, which comes at the end."""
         last, *rest = self._play()
         return (*self._renew(), *rest, last)
+
+
+def remembered(task: Task, cut: Cut) -> dict[str, Tensor]:
+    """What a task and its agent's nodes remember from step to step, by name."""
+    own = {name: value for name, value in vars(task).items() if name != "cache"}
+    memory = {f"node '{r.node.name}'": dict(r.node.memory()) for r in cut.graph.runners}
+    leaves = tree_leaves_with_path({type(task).__name__: own, "memory": memory})
+    return {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
+
+
+def needs_python(world: World, cut: Cut) -> str:
+    """What of a step Python has to do each time anew; empty if nothing."""
+    for name, reason in world.untraceable_sensors().items():
+        return f"sensor '{name}' {reason}"
+    if world.actuators.delayed:
+        return "an actuator's delay"
+    for runner in cut.graph.runners:
+        if runner.period != 1:
+            return f"node '{runner.node.name}' has a rate of its own"
+    return ""

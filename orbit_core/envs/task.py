@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import torch
 from torch import Tensor
 
+from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError, Node
 from orbit_core.scene import Pose, Scene, look_at
-from orbit_core.tasks.ppo import PpoSettings
 
 if TYPE_CHECKING:
+    from orbit_core.interfaces import World
     from orbit_core.motion import MotionGenerator
-    from orbit_core.world import SimulatedWorld
 
 ROBOT = "robot"
 """The robot that acts, where a task has one."""
@@ -47,9 +47,9 @@ class Task(ABC):
     terminations: Any = None
     events: Any = None
     curriculum: Any = None
-    randomized: bool = False
+    domain_randomization: bool = False
     """Whether what a policy has no way to know differs between environments, as :meth:`randomize` says."""
-    progressive: bool = False
+    curriculum_enabled: bool = False
     """Whether the curriculum sets how difficult episodes are; else they are as difficult as can be."""
     view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.35, 0.0, 0.2))
     """Where pictures and videos are taken from, in the environment's frame."""
@@ -74,31 +74,31 @@ class Task(ABC):
     episode_step: Tensor = field(init=False)
     """(N,) int64 steps since reset."""
     difficulty: Tensor = field(init=False)
-    """(N,) in [0, 1], for terms to read. It starts at 0 where the task is ``progressive``, and else stays 1; resets
-    do not change it."""
+    """(N,) in [0, 1], for terms to read. It starts at 0 where ``curriculum_enabled``, and else stays 1; resets do not
+    change it."""
     cache: dict[Hashable, tuple[int, Tensor | None]] = field(init=False, default_factory=dict)
 
     def randomize(self) -> None:
-        """Give the task the terms of ``randomized``. Override where a task has some.
+        """Give the task the terms of ``domain_randomization``. Override where a task has some.
 
         Raises:
             ConfigurationError: it has none.
         """
         raise ConfigurationError(
-            f"task {type(self).__name__} has no randomisation of its own: leave randomized out, and set its terms "
-            "yourself (orbit_core.tasks.randomize)"
+            f"task {type(self).__name__} has no randomisation of its own: leave domain_randomization out, and set "
+            "its terms yourself (orbit_core.mdp.randomize)"
         )
 
     @abstractmethod
     def scene(self) -> Scene:
         """What to simulate."""
 
-    def start(self, world: SimulatedWorld) -> None:
+    def start(self, world: World) -> None:
         """Look things up in a new world and allocate what the task remembers. Extend, and call this first."""
         self.num_envs = world.num_envs
         self.device = world.device
         self.episode_step = torch.zeros(world.num_envs, dtype=torch.int64, device=world.device)
-        self.difficulty = torch.full((world.num_envs,), float(not self.progressive), device=world.device)
+        self.difficulty = torch.full((world.num_envs,), float(not self.curriculum_enabled), device=world.device)
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Forget some environments' past. Extend where a subclass remembers more than its events set anew."""
@@ -106,17 +106,17 @@ class Task(ABC):
         self.episode_step[rows] = 0
         self.last_action[rows] = 0.0
 
-    def advance(self, world: SimulatedWorld) -> None:
+    def advance(self, world: World) -> None:
         """Called after each step of the world, before rewards: accumulate, resample. Extend where needed."""
 
     @abstractmethod
-    def success(self, world: SimulatedWorld) -> Tensor:
+    def success(self, world: World) -> Tensor:
         """(N,) bool: whether the goal is reached now. An episode succeeds if it holds at its last step."""
 
     @abstractmethod
-    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+    def metrics(self, world: World) -> dict[str, Tensor]:
         """What a run reports, by name with its unit, (N,) each, taken at an episode's last step; the first leads."""
 
     @abstractmethod
-    def expert(self, world: SimulatedWorld) -> Node:
+    def expert(self, world: World) -> Node:
         """A scripted node that reaches the goal, with the output port ``action``, in the cut's place."""

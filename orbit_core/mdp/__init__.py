@@ -1,0 +1,1 @@
+"""Observation, reward, event and termination functions that tasks share, and their domain randomisation."""
