@@ -31,6 +31,7 @@ RANKS = {
     "world": 4,
     "envs": 5,
     "mdp": 5.5,
+    "rollout": 5.5,
     "viewer": 6,
     "learning": 7,
     "conformance": 8,

@@ -8,8 +8,9 @@ from rich.table import Table
 
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.runner import RunResult, Statistic, run
+from orbit_core.cli.runner import RunResult, run
 from orbit_core.cli.settings import RunSettings
+from orbit_core.rollout.estimates import Statistic
 
 
 def main(words: Sequence[str]) -> None:
@@ -36,7 +37,7 @@ def _table(result: RunResult) -> Table:
     title = f"{result.task} on {result.backend}: {result.robot}, {result.action}, {result.agent} agent"
     table = new_table("", "value", title=title)
     table.add_row("episodes", f"{result.episodes} in {result.num_envs} environments, seed {result.seed}")
-    table.add_row("success rate", f"{100.0 * result.success_rate:.1f} %")
+    table.add_row("success rate", result.success_rate.percent())
     for name, metric in result.metrics.items():
         table.add_row(name, _words(metric))
     table.add_row("return", _words(result.episode_return))

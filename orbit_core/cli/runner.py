@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import platform
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,18 +15,15 @@ from orbit_core.cli.acting import check_actor, make_actor
 from orbit_core.cli.checks import check_output, check_positive, check_size
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.settings import RunSettings
+from orbit_core.rollout.counter import EpisodeCounter, Episodes
+from orbit_core.rollout.estimates import Estimate, Statistic, statistic
+from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from orbit_core.envs.environment import Environment, EpisodeEnd
     from orbit_core.viewer.video import VideoRecorder
-
-
-@dataclass(frozen=True)
-class Statistic:
-    """Mean and standard deviation over the counted episodes (of those episodes themselves, not of a population)."""
-
-    mean: float
-    deviation: float
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,8 @@ class RunResult:
     versions: dict[str, str]
     """Of ORBIT, of what the backend depends on, of torch and of Python."""
     episodes: int
-    success_rate: float
+    success_rate: Estimate
+    """In [0, 1], with the 95 % interval."""
     metrics: dict[str, Statistic]
     """By name; the first leads."""
     episode_return: Statistic
@@ -54,68 +52,11 @@ class RunResult:
     """From the settings to the result, building and filming included."""
 
     def as_json(self) -> dict[str, Any]:
-        """For a file: all fields, and ``metric``, the leading one with its name."""
+        """For a file: all fields, the success rate's interval apart, and ``metric``, the leading one with its name."""
         name, leading = next(iter(self.metrics.items()))
-        return {**asdict(self), "metric": {"name": name, **asdict(leading)}}
-
-
-class Tally:
-    """Counts the first ``quota`` episodes of each environment.
-
-    Environment i counts its first ``episodes // num_envs`` episodes, and one more if i < ``episodes % num_envs``. A
-    race for the first ``episodes`` to end would prefer short episodes to long ones, and so failures to successes or
-    the reverse.
-    """
-
-    def __init__(self, episodes: int, num_envs: int) -> None:
-        self._left = [episodes // num_envs + (i < episodes % num_envs) for i in range(num_envs)]
-        self.episodes = 0
-        self._wanted = episodes
-        self._success: list[bool] = []
-        self._values: dict[str, list[float]] = {}
-        self._returns: list[float] = []
-        self._steps: list[int] = []
-
-    @property
-    def complete(self) -> bool:
-        """Whether all episodes are in."""
-        return self.episodes == self._wanted
-
-    def add(self, end: EpisodeEnd) -> None:
-        """Count those of the episodes that are within their environment's quota."""
-        returns = sum(end.rewards.values()) if end.rewards else end.steps * 0.0
-        rows = [row for row, i in enumerate(end.env_ids.tolist()) if self._left[i] > 0]
-        for row in rows:
-            self._left[int(end.env_ids[row])] -= 1
-            self._success.append(bool(end.success[row]))
-            self._returns.append(float(returns[row]))  # pyright: ignore[reportIndexIssue]
-            self._steps.append(int(end.steps[row]))
-            for name, values in end.metrics.items():
-                self._values.setdefault(name, []).append(float(values[row]))
-        self.episodes += len(rows)
-
-    @property
-    def success_rate(self) -> float:
-        """In [0, 1]."""
-        return sum(self._success) / len(self._success)
-
-    def metrics(self) -> dict[str, Statistic]:
-        """Of each metric."""
-        return {name: statistic(values) for name, values in self._values.items()}
-
-    def episode_return(self) -> Statistic:
-        """Of the sum of an episode's rewards."""
-        return statistic(self._returns)
-
-    def episode_steps(self) -> Statistic:
-        """Of the number of an episode's steps."""
-        return statistic(self._steps)
-
-
-def statistic(values: list[float] | list[int]) -> Statistic:
-    """Mean and standard deviation of the values."""
-    mean = sum(values) / len(values)
-    return Statistic(mean, (sum((value - mean) ** 2 for value in values) / len(values)) ** 0.5)
+        rate = self.success_rate
+        success = {"success_rate": rate.value, "success_interval": [rate.low, rate.high]}
+        return {**asdict(self), **success, "metric": {"name": name, **asdict(leading)}}
 
 
 Progress = Callable[[int, float], None]
@@ -140,7 +81,7 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
     start = time.perf_counter()
     environment = make_environment(settings, settings.num_envs)
     try:
-        tally, rate = _episodes(environment, settings, progress)
+        episodes, pace = _episodes(environment, settings, progress)
     finally:
         environment.close()
     return RunResult(
@@ -152,52 +93,48 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
         seed=settings.seed,
         num_envs=settings.num_envs,
         versions=versions_of(environment.world.backend, settings.renderer),
-        episodes=tally.episodes,
-        success_rate=tally.success_rate,
-        metrics=tally.metrics(),
-        episode_return=tally.episode_return(),
-        episode_steps=tally.episode_steps(),
-        env_steps_per_second=rate,
+        episodes=len(episodes.env_ids),
+        success_rate=episodes.success_rate,
+        metrics={name: statistic(values.tolist()) for name, values in episodes.metrics.items()},
+        episode_return=statistic(episodes.returns.tolist()),
+        episode_steps=statistic(episodes.steps.tolist()),
+        env_steps_per_second=pace.env_steps_per_second,
         wall_seconds=time.perf_counter() - start,
     )
 
 
-def _episodes(environment: Environment, settings: RunSettings, progress: Progress) -> tuple[Tally, float]:
-    """Step until every environment's quota is in; also environment steps per second."""
-    tally = Tally(settings.episodes, settings.num_envs)
-    agent = make_actor(settings.agent, environment, settings.seed)
+class _Teller(StepObserver):
+    """Tells how far a run has come."""
+
+    def __init__(self, counter: EpisodeCounter, recorder: VideoRecorder | None, progress: Progress) -> None:
+        self._counter = counter
+        self._recorder = recorder
+        self._progress = progress
+
+    def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
+        self._progress(self._counter.counted, 0.0 if self._recorder is None else self._recorder.filmed)
+
+
+def _episodes(environment: Environment, settings: RunSettings, progress: Progress) -> tuple[Episodes, Pace]:
+    """Step until every environment's share of the episodes is in."""
+    counter = EpisodeCounter(settings.episodes, settings.num_envs, environment.device)
+    actor = make_actor(settings.agent, environment, settings.seed)
     environment.reset(settings.seed)
-    seconds, steps = 0.0, 0
-    with _recording(environment, settings) as recorder:
-        while not tally.complete:
-            if recorder is not None:
-                recorder.add()
-            begin = time.perf_counter()
-            info = environment.step(agent.act())[4]
-            seconds += time.perf_counter() - begin
-            steps += environment.num_envs
-            if "final" in info:
-                tally.add(info["final"])
-            progress(tally.episodes, 0.0 if recorder is None else recorder.filmed)
-    return tally, steps / seconds
+    with _video(environment, settings) as recorder:
+        filming = () if recorder is None else (recorder,)
+        observers = (*filming, counter, _Teller(counter, recorder, progress))
+        pace = roll_out(environment, actor, observers, lambda: counter.complete)
+    return counter.episodes(), pace
 
 
-@contextlib.contextmanager
-def _recording(environment: Environment, settings: RunSettings) -> Iterator[VideoRecorder | None]:
+def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[VideoRecorder | None]:
     """The recorder of the video that the settings ask for, or None."""
     if settings.video is None:
-        yield None
-        return
+        return nullcontext()
     from orbit_core.viewer.video import VideoRecorder
 
     width, height = settings.video_size
-    recorder = VideoRecorder(environment, settings.video, width=width, height=height)
-    try:
-        yield recorder
-    except BaseException:
-        recorder.discard()
-        raise
-    recorder.close()
+    return VideoRecorder(environment, settings.video, width=width, height=height)
 
 
 def versions_of(*backends: str | None) -> dict[str, str]:

@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from orbit_core.conformance.estimates import Estimate
 from orbit_core.conformance.jobs import Job, Kind
 from orbit_core.conformance.results import Record, Result, ScenarioInfo
 from orbit_core.conformance.verdict import Status
+from orbit_core.rollout.estimates import Estimate
 
 ERROR_NOISE = 0.1
 """Of an error, relative; and as much of its tolerance: changes below are the noise of other processors and threads."""

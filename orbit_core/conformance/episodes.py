@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from orbit_core.conformance.estimates import Estimate, mean, proportion
-from orbit_core.conformance.recording import Recording, Tracker
-from orbit_core.envs import make
+from orbit_core.envs import Environment, make
+from orbit_core.envs.actors import Actor
 from orbit_core.envs.environment import EpisodeEnd
+from orbit_core.rollout.counter import EpisodeCounter
+from orbit_core.rollout.estimates import Estimate, mean
+from orbit_core.rollout.recording import EpisodeRecorder, Recording
+from orbit_core.rollout.stepping import StepObserver, roll_out
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,25 @@ class TaskResult:
     """Until the goal is reached for good, over the episodes that succeed; None if none does."""
 
 
+class _SuccessTimes(StepObserver):
+    """Since which step the goal of each environment's first episode has been held. Stands before the counter."""
+
+    def __init__(self, environment: Environment, counter: EpisodeCounter) -> None:
+        self._environment = environment
+        self._counter = counter
+        self._step = 0
+        self.held_since = torch.zeros(environment.num_envs, dtype=torch.int64, device=environment.device)
+        """(N,) steps of the environment."""
+
+    def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
+        environment = self._environment
+        self._step += 1
+        held = environment.task.success(environment.world)  # of those that go on; the others' follows
+        if "final" in info:
+            held = held.index_put((info["final"].env_ids,), info["final"].success)
+        self.held_since.masked_fill_(self._counter.running & ~held, self._step)
+
+
 class FirstEpisodes:
     """Runs each environment's first episode and keeps what it came to; closes the environment in the end."""
 
@@ -49,14 +71,8 @@ class FirstEpisodes:
     ) -> None:
         self._task, self._seed, self._fields = task, seed, dict(fields)
         self.environment = environment = make(task, num_envs, backend, device, seed, settings=settings, **fields)
-        like = {"size": (num_envs,), "device": environment.device}
-        self._running = torch.ones(**like, dtype=torch.bool)
-        self._success = torch.zeros(**like, dtype=torch.bool)
-        self._held_since = torch.zeros(**like, dtype=torch.int64)
-        self._lengths = torch.zeros(**like, dtype=torch.int64)
-        self._returns = torch.zeros(**like)
-        self._metrics: dict[str, Tensor] = {}
-        self._actions: list[Tensor] = []
+        self._counter = EpisodeCounter(num_envs, num_envs, environment.device)
+        self._times = _SuccessTimes(environment, self._counter)
 
     def __enter__(self) -> FirstEpisodes:
         return self
@@ -64,61 +80,29 @@ class FirstEpisodes:
     def __exit__(self, *_: object) -> None:
         self.environment.close()
 
-    def run(self, act: Callable[[int], Tensor], tracked_envs: int) -> None:
-        """Step with the action that ``act`` gives for each step's number until all first episodes are over."""
-        environment = self.environment
-        environment.reset()
-        self._tracker = Tracker(environment.world, tracked_envs)
-        for step in range(environment.max_episode_steps):
-            self._tracker.add(self._running)
-            action = act(step)
-            self._actions.append(action.cpu().clone())
-            *_, info = environment.step(action)
-            held = environment.task.success(environment.world)  # of those that go on; the others' follows
-            if "final" in info:
-                held = held.index_put((info["final"].env_ids,), info["final"].success)
-            self._held_since.masked_fill_(self._running & ~held, step + 1)
-            self._success = torch.where(self._running, held, self._success)
-            if "final" in info:
-                self._end(info["final"])
-            if not bool(self._running.any()):
-                return
-
-    def _end(self, end: EpisodeEnd) -> None:
-        first = self._running[end.env_ids]
-        ids = end.env_ids[first]
-        self._running[ids] = False
-        self._lengths[ids] = end.steps[first]
-        for values in end.rewards.values():
-            self._returns[ids] += values[first]
-        for name, values in end.metrics.items():
-            self._metrics.setdefault(name, torch.zeros_like(self._returns))[ids] = values[first]
+    def run(self, actor: Actor, tracked_envs: int) -> None:
+        """Step until all first episodes are over."""
+        self.environment.reset()
+        self._recorder = EpisodeRecorder(self.environment, self._counter, tracked_envs)
+        observers = (self._recorder, self._times, self._counter)
+        roll_out(self.environment, actor, observers, lambda: self._counter.complete)
 
     def result(self) -> TaskResult:
         """Summed up."""
-        environment = self.environment
-        seconds = (self._held_since[self._success] + 1) * environment.step_dt
+        environment, episodes = self.environment, self._counter.episodes()
+        seconds = (self._times.held_since[episodes.success] + 1) * environment.step_dt
         return TaskResult(
             task=self._task,
             backend=environment.world.backend,
             seed=self._seed,
             fields=self._fields,
             num_envs=environment.num_envs,
-            success=proportion(int(self._success.sum()), environment.num_envs),
-            metrics={name: mean(values.tolist()) for name, values in self._metrics.items()},
-            episode_return=mean(self._returns.tolist()),
+            success=episodes.success_rate,
+            metrics={name: mean(values.tolist()) for name, values in episodes.metrics.items()},
+            episode_return=mean(episodes.returns.tolist()),
             seconds_to_success=mean(seconds.tolist()) if len(seconds) else None,
         )
 
     def recording(self) -> Recording:
         """What was done and where things went."""
-        return Recording(
-            task=self._task,
-            backend=self.environment.world.backend,
-            seed=self._seed,
-            fields=self._fields,
-            step_dt=self.environment.step_dt,
-            actions=torch.stack(self._actions).numpy(),
-            lengths=self._lengths.cpu().numpy(),
-            tracks=self._tracker.tracks(),
-        )
+        return self._recorder.recording(self._task, self._seed, self._fields)

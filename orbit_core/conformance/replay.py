@@ -7,12 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-import torch
-
+from orbit_core.conformance.divergence import Divergence, divergence
 from orbit_core.conformance.episodes import FirstEpisodes, TaskResult
-from orbit_core.conformance.recording import Divergence, Recording, divergence
+from orbit_core.rollout.recording import RecordedActions, Recording
 
 
 @dataclass(frozen=True)
@@ -50,17 +47,9 @@ def replay(
     """
     kept = Recording.load(recording)
     num_envs, tracked = kept.actions.shape[1], next(iter(kept.tracks.values())).shape[1]
-    actions = torch.from_numpy(_held(kept)).to(device)
     with FirstEpisodes(kept.task, backend, num_envs, kept.seed, kept.fields, device, settings) as episodes:
-        episodes.run(lambda step: actions[min(step, len(actions) - 1)], tracked)
+        episodes.run(RecordedActions(kept, episodes.environment.device), tracked)
         own = episodes.recording()
         if replayed is not None:
             own.save(replayed)
         return ReplayResult(kept.backend, episodes.result(), divergence(own, kept))
-
-
-def _held(recording: Recording) -> npt.NDArray[np.float32]:
-    """(T, N, A) the actions, each environment's last one held after its episode's end."""
-    steps = np.arange(len(recording.actions))[:, None]
-    rows = np.minimum(steps, recording.lengths[None] - 1)
-    return recording.actions[rows, np.arange(recording.actions.shape[1])]

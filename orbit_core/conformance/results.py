@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from orbit_core.conformance.divergence import Divergence
 from orbit_core.conformance.episodes import TaskResult
 from orbit_core.conformance.hardware import Hardware
 from orbit_core.conformance.jobs import Job, Kind
-from orbit_core.conformance.recording import Divergence
 from orbit_core.conformance.replay import ReplayResult
 from orbit_core.conformance.scenario import Metric, Scenario
 from orbit_core.conformance.settings import Settings

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from orbit_core.conformance.divergence import Divergence, divergence
 from orbit_core.conformance.episodes import FirstEpisodes, TaskResult
-from orbit_core.conformance.recording import Divergence, Recording, divergence
 from orbit_core.envs.actors import ExpertActor
+from orbit_core.rollout.recording import Recording
 
 
 def run_task(
@@ -41,8 +42,7 @@ def run_task(
         UnsupportedCapabilityError: the backend lacks what the task needs.
     """
     with FirstEpisodes(task, backend, num_envs, seed, fields or {}, device, settings) as episodes:
-        expert = ExpertActor(episodes.environment, seed)
-        episodes.run(lambda step: expert.act(), tracked_envs)
+        episodes.run(ExpertActor(episodes.environment, seed), tracked_envs)
         if recording is not None:
             episodes.recording().save(recording)
         return episodes.result()

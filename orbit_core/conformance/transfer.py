@@ -8,10 +8,10 @@ from functools import cache
 from typing import Any
 
 from orbit_core.conformance.episodes import FirstEpisodes, TaskResult
-from orbit_core.conformance.estimates import Estimate
 from orbit_core.conformance.verdict import Status
 from orbit_core.learning.policy import PolicyActor, PolicyDescription, load_policy
 from orbit_core.pretrained import PretrainedPolicy, pretrained_policy
+from orbit_core.rollout.estimates import Estimate
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,7 @@ def transfer(
     kept, description = pretrained_policy(policy), learned(policy)
     fields = {"robot": description.robot, "action": description.action}
     with FirstEpisodes(description.task, backend, num_envs, seed, fields, device, settings) as episodes:
-        agent = PolicyActor(episodes.environment, kept.folder)
-        episodes.run(lambda step: agent.act(), tracked_envs=0)
+        episodes.run(PolicyActor(episodes.environment, kept.folder), tracked_envs=0)
         result = episodes.result()
     return TransferResult(*judge(kept, backend, result.success), result)
 

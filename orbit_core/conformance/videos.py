@@ -10,6 +10,7 @@ from orbit_core.backends import backend, backend_names
 from orbit_core.envs import make
 from orbit_core.envs.actors import ExpertActor
 from orbit_core.interfaces import Backend, Capability, Level, UnsupportedCapabilityError
+from orbit_core.rollout.stepping import roll_out
 from orbit_core.viewer.video import VideoRecorder
 
 WIDTH, HEIGHT = 256, 192
@@ -29,15 +30,9 @@ def film(
     try:
         expert = ExpertActor(environment, seed)
         environment.reset()
-        recorder = VideoRecorder(environment, path, 1, WIDTH, HEIGHT)
-        try:
-            for _ in range(min(environment.max_episode_steps, round(seconds / environment.step_dt))):
-                recorder.add()
-                environment.step(expert.act())
-        except BaseException:
-            recorder.discard()
-            raise
-        recorder.close()
+        steps = min(environment.max_episode_steps, round(seconds / environment.step_dt))
+        with VideoRecorder(environment, path, 1, WIDTH, HEIGHT) as recorder:
+            roll_out(environment, expert, (recorder,), max_steps=steps)
     finally:
         environment.close()
 

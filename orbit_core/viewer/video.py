@@ -15,6 +15,7 @@ import torch
 
 from orbit_core.files import storage_faults
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.rollout.stepping import StepObserver
 from orbit_core.viewer.pictures import OverviewCamera
 
 if TYPE_CHECKING:
@@ -92,11 +93,11 @@ class VideoFile:
         self._stream = None
 
 
-class VideoRecorder:
+class VideoRecorder(StepObserver):
     """Films the first ``environments`` of a batch side by side, from when it is made until the video is full.
 
     The video is as long as an episode's time limit; an environment whose episode ends earlier shows its next one.
-    Call :meth:`add` before each step.
+    It observes a rollout; without one, call :meth:`before_step` before each step.
     """
 
     def __init__(
@@ -125,7 +126,7 @@ class VideoRecorder:
         """Whether the video has its length; more frames are ignored."""
         return self._left == 0
 
-    def add(self) -> None:
+    def before_step(self) -> None:
         """Film the environments' present state."""
         if self.full:
             return
@@ -142,6 +143,15 @@ class VideoRecorder:
         """Give the video up."""
         self._camera.close()
         self._file.discard()
+
+    def __enter__(self) -> VideoRecorder:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):
+        if kind is None:
+            self.close()
+        else:
+            self.discard()
 
 
 def tile(pictures: npt.NDArray[np.uint8], columns: int) -> npt.NDArray[np.uint8]:

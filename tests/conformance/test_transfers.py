@@ -10,7 +10,6 @@ from orbit_core import backends
 from orbit_core.backends import default_backend
 from orbit_core.conformance.compare import compare
 from orbit_core.conformance.episodes import TaskResult
-from orbit_core.conformance.estimates import mean, proportion
 from orbit_core.conformance.execution import execute
 from orbit_core.conformance.hardware import Hardware
 from orbit_core.conformance.jobs import Job, Kind, plan
@@ -21,6 +20,7 @@ from orbit_core.conformance.transfer import TransferResult, judge
 from orbit_core.conformance.verdict import Status
 from orbit_core.interfaces import Capabilities, Capability, unsupported
 from orbit_core.pretrained import PretrainedPolicy, TransferGap
+from orbit_core.rollout.estimates import mean, proportion
 
 SLIPS = TransferGap("slippery", least_success=0.6, reason="its bars are oiled")
 KEPT = PretrainedPolicy("pull", Path(), "Pulls", least_success=0.9, gaps=(SLIPS,))

@@ -11,7 +11,6 @@ from pathlib import Path
 import jinja2
 from markupsafe import Markup
 
-from orbit_core.conformance.estimates import Estimate
 from orbit_core.conformance.execution import VIDEO
 from orbit_core.conformance.jobs import Kind
 from orbit_core.conformance.report import plots
@@ -19,6 +18,7 @@ from orbit_core.conformance.results import PolicyInfo, Record, Result, ScenarioI
 from orbit_core.conformance.tolerances import loose_tolerances
 from orbit_core.conformance.verdict import Status
 from orbit_core.files import written_whole
+from orbit_core.rollout.estimates import Estimate
 
 REPORT = "report.html"
 _SYMBOLS = {Status.PASS: "✓", Status.GAP: "≈", Status.UNSUPPORTED: "–", Status.FAIL: "✗", Status.STALE: "!"}

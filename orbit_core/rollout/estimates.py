@@ -20,6 +20,10 @@ class Estimate:
     low: float
     high: float
 
+    def percent(self) -> str:
+        """For people: the value and its interval in percent."""
+        return f"{100.0 * self.value:.1f} % [{100.0 * self.low:.1f}, {100.0 * self.high:.1f}]"
+
 
 def proportion(successes: int, trials: int) -> Estimate:
     """Of successes among independent trials, with Wilson's score interval.
@@ -44,3 +48,17 @@ def mean(values: Sequence[float]) -> Estimate:
     tail = 0.5 * (1.0 - CONFIDENCE)
     low, high = np.quantile(sample[rows].mean(axis=1), (tail, 1.0 - tail))
     return Estimate(float(sample.mean()), float(low), float(high))
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """Mean and standard deviation of a sample (of its own values, not of a population behind it)."""
+
+    mean: float
+    deviation: float
+
+
+def statistic(values: Sequence[float]) -> Statistic:
+    """Mean and standard deviation of the values."""
+    mean = sum(values) / len(values)
+    return Statistic(mean, (sum((value - mean) ** 2 for value in values) / len(values)) ** 0.5)

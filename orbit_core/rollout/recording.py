@@ -1,0 +1,153 @@
+"""Recordings of a task's episodes: the actions that were taken, and where things went."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbit_core.files import written_whole
+from orbit_core.interfaces import AssetError, Object, Robot, World
+from orbit_core.rollout.counter import EpisodeCounter
+from orbit_core.rollout.stepping import StepObserver
+
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
+    from orbit_core.envs.episode import EpisodeEnd
+
+_TRACK = "track:"
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """The first episode of every environment of a task on one backend."""
+
+    task: str
+    backend: str
+    seed: int
+    fields: Mapping[str, Any]
+    """Of the task, where they differ from its defaults."""
+    step_dt: float
+    """Seconds between two rows."""
+    actions: npt.NDArray[np.float32]
+    """(T, N, A); of no meaning after an episode's end."""
+    lengths: npt.NDArray[np.int64]
+    """(N,) steps of each episode."""
+    tracks: Mapping[str, npt.NDArray[np.float32]]
+    """(T, k, 7) poses before each step, of end effectors and movable objects in the first k environments; NaN after an
+    episode's end."""
+
+    def save(self, path: Path) -> None:
+        """Write an ``.npz`` file.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
+        about = {"task": self.task, "backend": self.backend, "seed": self.seed, "step_dt": self.step_dt}
+        arrays: dict[str, npt.NDArray[Any]] = {_TRACK + name: track for name, track in self.tracks.items()}
+        header = json.dumps({**about, "fields": dict(self.fields)})
+        arrays |= {"header": np.array(header), "actions": self.actions, "lengths": self.lengths}
+        with written_whole(path) as written:
+            np.savez_compressed(written, **arrays)  # pyright: ignore[reportArgumentType]
+
+    @staticmethod
+    def load(path: Path) -> Recording:
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            AssetError: the file is no recording.
+        """
+        try:
+            with np.load(path) as file:
+                about = json.loads(str(file["header"]))
+                tracks = {name.removeprefix(_TRACK): file[name] for name in file.files if name.startswith(_TRACK)}
+                return Recording(**about, actions=file["actions"], lengths=file["lengths"], tracks=tracks)
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise AssetError(f"{path} is no recording of a task's episodes: {error}") from error
+
+
+class RecordedActions:
+    """Gives the actions of a recording again, open loop. After an episode's end its last action is held.
+
+    Args:
+        recording: of as many environments as are stepped.
+        device: of the actions.
+    """
+
+    def __init__(self, recording: Recording, device: torch.device) -> None:
+        steps = np.arange(len(recording.actions))[:, None]
+        rows = np.minimum(steps, recording.lengths[None] - 1)
+        held = recording.actions[rows, np.arange(recording.actions.shape[1])]
+        self._actions = torch.from_numpy(held).to(device)
+        self._step = 0
+
+    def act(self) -> Tensor:
+        """(N, A) the next action."""
+        step = min(self._step, len(self._actions) - 1)
+        self._step += 1
+        return self._actions[step]
+
+
+class EpisodeRecorder(StepObserver):
+    """Records actions, and the poses of end effectors and of all objects that can move.
+
+    Args:
+        environment: that is stepped.
+        counter: tells whose first episode still runs; what comes later is not recorded.
+        tracked_envs: number of environments, from the first on, whose poses are recorded.
+    """
+
+    def __init__(self, environment: Environment, counter: EpisodeCounter, tracked_envs: int) -> None:
+        self._environment = environment
+        self._counter = counter
+        self._count = min(tracked_envs, environment.num_envs)
+        self._frames = dict(_tracked_frames(environment.world))
+        self._poses: dict[str, list[Tensor]] = {name: [] for name in self._frames}
+        self._actions: list[Tensor] = []
+
+    def before_step(self) -> None:
+        """Record where things are; not a number where the episode is over."""
+        over = ~self._counter.running[: self._count, None]
+        for name, (entity, frame) in self._frames.items():
+            pose = entity.frame_pose(frame)[: self._count]
+            self._poses[name].append(pose.masked_fill(over, torch.nan).cpu())
+
+    def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
+        """Record what was done."""
+        self._actions.append(action.cpu().clone())
+
+    def recording(self, task: str, seed: int, fields: Mapping[str, Any]) -> Recording:
+        """What was recorded so far, all first episodes being over.
+
+        Args:
+            task: name of the task.
+            seed: of the environments.
+            fields: of the task, where they differ from its defaults.
+        """
+        return Recording(
+            task=task,
+            backend=self._environment.world.backend,
+            seed=seed,
+            fields=fields,
+            step_dt=self._environment.step_dt,
+            actions=torch.stack(self._actions).numpy(),
+            lengths=self._counter.episodes().steps.cpu().numpy(),
+            tracks={name: torch.stack(poses).numpy() for name, poses in self._poses.items()},
+        )
+
+
+def _tracked_frames(world: World) -> Iterator[tuple[str, tuple[Object, str]]]:
+    for name, robot in world.robots.items():
+        ends = [end.frame for end in robot.spec.end_effectors] if isinstance(robot, Robot) else []
+        for frame in ends or robot.link_names[:1]:
+            yield f"{name}/{frame}", (robot, frame)
+    for name, thing in world.objects.items():
+        for link in thing.link_names[1 if thing.spec.fixed_base else 0 :]:
+            yield (name if len(thing.link_names) == 1 else f"{name}/{link}"), (thing, link)
