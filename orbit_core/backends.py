@@ -13,7 +13,7 @@ import difflib
 import functools
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import importlib_metadata
@@ -30,7 +30,7 @@ from orbit_core.interfaces.errors import (
 from orbit_core.interfaces.fields import check_kind, settings_table
 from orbit_core.interfaces.requirements import IMAGES, required_capabilities
 from orbit_core.interfaces.typed import Typed
-from orbit_core.registry import described, faults_named
+from orbit_core.registry import Registry, faults_named
 from orbit_core.scene import Scene
 
 GROUP = "orbit.backends"
@@ -39,7 +39,7 @@ RENDERERS = "orbit.renderers"
 
 def backend_names() -> list[str]:
     """The installed backends, sorted; none of them is imported."""
-    return sorted(_entry_points())
+    return sorted(_backends().names)
 
 
 def default_backend() -> str:
@@ -63,13 +63,15 @@ def default_backend() -> str:
 def installable_backends() -> dict[str, str]:
     """Each backend that is known but not installed, with the command that installs it."""
     extras = {name: name for name in _extras()}
-    extras |= {name: point.extras[0] for name, point in _declared(GROUP).items() if not _is_complete(point)}
-    return {name: f'pip install "orbit-core[{extra}]"' for name, extra in extras.items() if name not in _entry_points()}
+    points = importlib_metadata.entry_points(group=GROUP)
+    extras |= {point.name: point.extras[0] for point in points if not _is_complete(point)}
+    installed = {*_backends().names}
+    return {name: f'pip install "orbit-core[{extra}]"' for name, extra in extras.items() if name not in installed}
 
 
 def renderer_names() -> list[str]:
     """The installed plugins that draw and simulate nothing, sorted; backends may draw too."""
-    return sorted(_entry_points(RENDERERS))
+    return sorted(_renderers().names)
 
 
 def backend(name: str) -> Backend:
@@ -81,22 +83,17 @@ def backend(name: str) -> Backend:
         ConfigurationError: its plugin fails to import, or is no backend, or only draws, or two distributions bring it;
             names the plugin and the cause.
     """
-    if not isinstance(name, str):
-        raise UnknownNameError("backend", name, backend_names())
-    return _backend(name)
-
-
-@functools.cache
-def _backend(name: str) -> Backend:
-    entry_point = _entry_points().get(name)
-    if entry_point is None:
+    try:
+        return _made(_backends(), name)
+    except UnknownNameError:
         installable = installable_backends()
         if name in installable:
-            raise BackendNotInstalledError(f"backend '{name}' is not installed: {installable[name]}")
+            raise BackendNotInstalledError(f"backend '{name}' is not installed: {installable[name]}") from None
         if name in renderer_names():
-            raise ConfigurationError(f"'{name}' draws and simulates nothing: give it as renderer, and another backend")
-        raise UnknownNameError("backend", name, {*backend_names(), *installable})
-    return _made(entry_point, GROUP)
+            raise ConfigurationError(
+                f"'{name}' draws and simulates nothing: give it as renderer, and another backend"
+            ) from None
+        raise UnknownNameError("backend", name, {*backend_names(), *installable}) from None
 
 
 def renderer(name: str) -> Backend:
@@ -105,16 +102,8 @@ def renderer(name: str) -> Backend:
     Raises:
         BackendNotInstalledError, UnknownNameError, ConfigurationError: as :func:`backend`.
     """
-    if not isinstance(name, str):
-        raise UnknownNameError("renderer", name, {*backend_names(), *renderer_names()})
-    return _renderer(name)
-
-
-@functools.cache
-def _renderer(name: str) -> Backend:
-    entry_point = _entry_points(RENDERERS).get(name)
-    if entry_point is not None:
-        return _made(entry_point, RENDERERS)
+    if name in renderer_names():
+        return _made(_renderers(), name)
     try:
         return backend(name)
     except UnknownNameError:
@@ -181,21 +170,29 @@ def backend_config(backend: Backend, values: Mapping[str, Any] | None = None) ->
     return config
 
 
-def _made(entry_point: importlib_metadata.EntryPoint, group: str) -> Backend:
-    if fault := _twice(group).get(entry_point.name):
-        raise ConfigurationError(fault)
-    plugin = f"backend '{entry_point.name}', {described(entry_point)}"
-    with faults_named(plugin):
-        made = entry_point.load()()
-    if not isinstance(made, Backend):
-        raise ConfigurationError(f"{plugin}, makes a {type(made).__name__}, not an orbit_core.interfaces.Backend")
-    return made
+@functools.cache
+def _backends() -> Registry[Callable[[], Backend]]:
+    return Registry("backend", GROUP, usable=_is_complete)
 
 
 @functools.cache
-def _entry_points(group: str = GROUP) -> dict[str, importlib_metadata.EntryPoint]:
-    """Those whose distributions are all installed."""
-    return {name: entry_point for name, entry_point in _declared(group).items() if _is_complete(entry_point)}
+def _renderers() -> Registry[Callable[[], Backend]]:
+    return Registry("renderer", RENDERERS, usable=_is_complete)
+
+
+def _made(registry: Registry[Callable[[], Backend]], name: str) -> Backend:
+    registry.get(name)  # refuses what is no name at all
+    return _kept(registry, name)
+
+
+@functools.cache
+def _kept(registry: Registry[Callable[[], Backend]], name: str) -> Backend:
+    plugin = f"{registry.kind} '{name}', {registry.origin(name)}"
+    with faults_named(plugin):
+        made = registry.get(name)()
+    if not isinstance(made, Backend):
+        raise ConfigurationError(f"{plugin}, makes a {type(made).__name__}, not an orbit_core.interfaces.Backend")
+    return made
 
 
 def _is_complete(entry_point: importlib_metadata.EntryPoint) -> bool:
@@ -215,27 +212,6 @@ def _is_installed(distribution: str) -> bool:
     except importlib_metadata.PackageNotFoundError:
         return False
     return True
-
-
-@functools.cache
-def _declared(group: str) -> dict[str, importlib_metadata.EntryPoint]:
-    """By name; of two of one name the first, which cannot be made."""
-    found: dict[str, importlib_metadata.EntryPoint] = {}
-    for entry_point in importlib_metadata.entry_points(group=group):
-        found.setdefault(entry_point.name, entry_point)
-    return found
-
-
-@functools.cache
-def _twice(group: str) -> dict[str, str]:
-    """What is wrong with names that two distributions bring."""
-    points = list(importlib_metadata.entry_points(group=group))
-    faults: dict[str, str] = {}
-    for name in {point.name for point in points}:
-        origins = sorted(described(point) for point in points if point.name == name)
-        if len(origins) > 1:
-            faults[name] = f"backend '{name}' is provided twice, by {' and by '.join(origins)}: uninstall one"
-    return faults
 
 
 @functools.cache

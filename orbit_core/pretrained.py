@@ -73,7 +73,6 @@ def _installed() -> Registry[PretrainedPolicy]:
                 registry.add(about.parent.name, _read(about))
 
     registry = Registry[PretrainedPolicy]("policy", GROUP, read)
-    registry.add_installed()
     return registry
 
 

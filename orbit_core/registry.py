@@ -1,7 +1,8 @@
-"""What installed packages bring under one entry-point group, by name.
+"""What this program and installed packages bring under one entry-point group, by name.
 
-A package that is broken is left out and named, so that it stops only those who ask for what it would have brought. Two
-packages that bring one name are both left out of that name alone.
+Entry points are read once, at the first question. A package that is broken is left out and named, so that it stops only
+those who ask for what it would have brought. Two packages that bring one name are both left out of that name alone; a
+package that brings a name of this program's own is left out of it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from orbit_core.interfaces.errors import ConfigurationError, OrbitError, Unknown
 
 Value = TypeVar("Value")
 EntryPoint = importlib_metadata.EntryPoint
+_PROGRAM = "this program"
 
 
 class PluginWarning(UserWarning):
@@ -26,27 +28,45 @@ class PluginWarning(UserWarning):
 class Registry(Generic[Value]):
     """Named values of one kind, from this program and from installed packages.
 
+    An entry point either stands for one value, under the entry point's own name, and is loaded when that value is asked
+    for; or, where the registry has a ``read``, it is loaded at the first question and brings any number of values.
+
     Args:
         kind: what the values are called in messages: "task", "robot".
         group: the entry-point group of packages that bring some.
         read: takes what an entry point names and adds its values to the registry.
+        usable: tells whether an entry point that stands for one value is to be had; others do not count.
     """
 
-    def __init__(self, kind: str, group: str, read: Callable[[Any], None]) -> None:
+    def __init__(
+        self,
+        kind: str,
+        group: str,
+        read: Callable[[Any], None] | None = None,
+        usable: Callable[[EntryPoint], bool] = lambda point: True,
+    ) -> None:
         self.kind = kind
         self.group = group
         self.faults: list[str] = []
         """One sentence about each package that was left out."""
-        self._read = read
-        self._values: dict[str, Value] = {}
+        self._read_point = read
+        self._usable = usable
+        self._loads: dict[str, Callable[[], Value]] = {}
         self._origins: dict[str, str] = {}
         self._twice: dict[str, str] = {}
-        self._adding: tuple[str, dict[str, Value]] = ("this program", self._values)
+        self._adding: tuple[str, dict[str, Callable[[], Value]]] = (_PROGRAM, self._loads)
+        self._installed = False
+
+    @property
+    def names(self) -> list[str]:
+        """Everything that can be asked for, as it was added; nothing is loaded."""
+        self.add_installed()
+        return [name for name in self._loads if name not in self._twice]
 
     @property
     def values(self) -> dict[str, Value]:
         """Everything that can be had, by name."""
-        return {name: value for name, value in self._values.items() if name not in self._twice}
+        return {name: self._loads[name]() for name in self.names}
 
     def add(self, name: str, value: Value) -> None:
         """Add a value, from a package's entry point or from a program.
@@ -54,49 +74,73 @@ class Registry(Generic[Value]):
         Raises:
             ConfigurationError: the package, or this program, has added that name before.
         """
-        origin, values = self._adding
-        if name in values:
-            raise ConfigurationError(self._clash(name, self._origins.get(name, origin), origin))
-        values[name] = value
-        if values is self._values:
-            self._origins[name] = origin
-
-    def add_installed(self) -> None:
-        """Add what installed packages bring; warns of each that is left out."""
-        for point in importlib_metadata.entry_points(group=self.group):
-            origin = described(point)
-            self._adding = origin, {}
-            try:
-                with faults_named(f"{origin} of group {self.group}"):
-                    self._read(point.load())
-            except ConfigurationError as error:
-                self.faults.append(str(error))
-                warnings.warn(f"{error}; it is left out", PluginWarning, stacklevel=2)
-            else:
-                self._merge(*self._adding)
-            finally:
-                self._adding = "this program", self._values
+        self._add(name, lambda: value)
 
     def get(self, name: str) -> Value:
         """The value of that name.
 
         Raises:
             UnknownNameError: there is none; tells the nearest, and which packages were left out.
-            ConfigurationError: two packages bring it.
+            ConfigurationError: two packages bring it, or the package that brings it is broken.
         """
-        if not isinstance(name, str) or name not in self._values:
-            raise UnknownNameError(self.kind, name, self.values, note="; ".join(self.faults))
+        names = self.names
+        if not isinstance(name, str) or name not in self._loads:
+            raise UnknownNameError(self.kind, name, names, note="; ".join(self.faults))
         if name in self._twice:
             raise ConfigurationError(self._twice[name])
-        return self._values[name]
+        return self._loads[name]()
 
-    def _merge(self, origin: str, values: dict[str, Value]) -> None:
-        for name, value in values.items():
-            if name in self._values:
-                self._twice[name] = self._clash(name, self._origins[name], origin)
-                warnings.warn(f"{self._twice[name]}; neither is used", PluginWarning, stacklevel=3)
+    def origin(self, name: str) -> str:
+        """Who brings the value of that name, in words."""
+        return self._origins[name]
+
+    def _add(self, name: str, load: Callable[[], Value]) -> None:
+        origin, loads = self._adding
+        if name in loads:
+            raise ConfigurationError(self._clash(name, self._origins.get(name, origin), origin))
+        loads[name] = load
+        if loads is self._loads:
+            self._origins[name] = origin
+
+    def add_installed(self) -> None:
+        """Add what installed packages bring, as the first question does; warns of each that is left out."""
+        if self._installed:
+            return
+        self._installed = True
+        for point in importlib_metadata.entry_points(group=self.group):
+            if self._read_point is None:
+                if self._usable(point):
+                    self._merge(described(point), {point.name: _loader(self.kind, point)})
             else:
-                self._values[name], self._origins[name] = value, origin
+                self._read(point)
+
+    def _read(self, point: EntryPoint) -> None:
+        """Let an entry point add its values: all of them, or none."""
+        assert self._read_point is not None
+        origin = described(point)
+        self._adding = origin, {}
+        try:
+            with faults_named(f"{origin} of group {self.group}"):
+                self._read_point(point.load())
+        except ConfigurationError as error:
+            self.faults.append(str(error))
+            warnings.warn(f"{error}; it is left out", PluginWarning, stacklevel=4)
+        else:
+            self._merge(*self._adding)
+        finally:
+            self._adding = _PROGRAM, self._loads
+
+    def _merge(self, origin: str, loads: dict[str, Callable[[], Value]]) -> None:
+        for name, load in loads.items():
+            first = self._origins.get(name)
+            if first is None:
+                self._loads[name], self._origins[name] = load, origin
+                continue
+            clash = self._clash(name, first, origin)
+            if first != _PROGRAM:
+                self._twice[name] = clash
+            used = "the former is used" if first == _PROGRAM else "neither is used"
+            warnings.warn(f"{clash}; {used}", PluginWarning, stacklevel=5)
 
     def _clash(self, name: str, first: str, second: str) -> str:
         return (
@@ -123,3 +167,13 @@ def faults_named(plugin: str) -> Iterator[None]:
     except (Exception, SystemExit) as error:  # a package's own fault may be of any class
         what = str(error) if isinstance(error, OrbitError) else f"{type(error).__name__}: {error}"
         raise ConfigurationError(f"{plugin} cannot be loaded ({what}): mend or uninstall it") from error
+
+
+def _loader(kind: str, point: EntryPoint) -> Callable[[], Any]:
+    """Loads what an entry point names."""
+
+    def load() -> Any:
+        with faults_named(f"{kind} '{point.name}', {described(point)}"):
+            return point.load()
+
+    return load

@@ -24,6 +24,7 @@ from orbit_core.interfaces import (
     UnsupportedCapabilityError,
     unsupported,
 )
+from orbit_core.registry import PluginWarning
 from orbit_core.scene import CameraSpec, Channel, Mesh, ObjectSpec, Scene, Shape, single_link
 from orbit_core.scene.shapes import MeshCollision
 
@@ -80,11 +81,9 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
 
     def forget() -> None:
         for cached in (
-            backends._backend,
-            backends._renderer,
-            backends._entry_points,
-            backends._declared,
-            backends._twice,
+            backends._backends,
+            backends._renderers,
+            backends._kept,
             backends._extras,
         ):
             cached.cache_clear()
@@ -165,7 +164,8 @@ def test_a_backend_whose_extra_is_not_installed_says_how_to_install_it(install: 
 
 def test_two_plugins_of_one_name_are_both_named_to_who_asks_for_it_alone(install: Install) -> None:
     install(("plain", "orbit-plain", PlainBackend), ("plain", "other-plain", PlainBackend), ("m", "m", MeshBackend))
-    assert backends.backend_names() == ["m", "plain"]
+    with pytest.warns(PluginWarning, match="backend 'plain' is registered twice"):
+        assert backends.backend_names() == ["m"]
     assert isinstance(backends.backend("m"), MeshBackend)
     with pytest.raises(ConfigurationError, match=r"'plain'.*orbit-plain\) and by .*distribution other-plain"):
         backends.backend("plain")

@@ -23,6 +23,10 @@ def register_leaving(registry):
 def register_known(registry):
     registry.add("Lift", "Another lift", "theirs:Lift")
 
+def juggle(words):
+    print("juggling", *words)
+    return 7
+
 def register_robot(catalogue):
     catalogue.add(None)
 """
@@ -82,3 +86,32 @@ def test_a_broken_robot_package_leaves_the_other_robots(tmp_path: Path) -> None:
     listed = orbit(tmp_path, "orbit.robots", "a = theirs:register_robot", "list", "robots")
     assert "franka_panda" in listed.stdout
     assert "theirs:register_robot" in " ".join(listed.stderr.split())
+
+
+def test_a_package_adds_a_command(tmp_path: Path) -> None:
+    done = orbit(tmp_path, "orbit.commands", "juggle = theirs:juggle", "juggle", "3", "--high")
+    assert (done.returncode, done.stdout) == (7, "juggling 3 --high\n")
+
+
+def test_a_broken_command_names_its_package_and_leaves_the_others(tmp_path: Path) -> None:
+    points = "juggle = theirs:nothing\nlist = theirs:juggle"
+    asked = orbit(tmp_path, "orbit.commands", points, "juggle")
+    assert asked.returncode == 2
+    assert "command 'juggle', entry point 'juggle' (theirs:nothing, of distribution theirs)" in asked.stderr
+    assert "Traceback" not in asked.stderr
+    usage = subprocess.run(
+        [sys.executable, "-c", "from orbit_core.cli import main; main(['--help'])"],
+        capture_output=True, text=True, timeout=60, check=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", "")))},
+    )  # fmt: skip
+    assert "entry point 'juggle'" in usage.stdout
+    told = " ".join(usage.stderr.split())
+    assert "command 'list' is registered twice" in told
+    assert "the former is used" in told
+    assert "Names of all tasks" in usage.stdout
+
+
+def test_an_unknown_command_offers_the_nearest(tmp_path: Path) -> None:
+    asked = orbit(tmp_path, "orbit.commands", "juggle = theirs:juggle", "jugle")
+    assert asked.returncode == 2
+    assert "did you mean 'juggle'" in asked.stderr

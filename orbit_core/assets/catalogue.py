@@ -75,10 +75,6 @@ class RobotCatalogue:
         """
         self._registry.add(entry.name, entry)
 
-    def add_installed(self) -> None:
-        """Add the robots of every installed package that declares some; warns of each that is left out."""
-        self._registry.add_installed()
-
     def entry(self, name: str) -> RobotEntry:
         """The robot's entry.
 
@@ -92,9 +88,7 @@ class RobotCatalogue:
 @cache
 def robots() -> RobotCatalogue:
     """The catalogue of all installed robots, read once."""
-    catalogue = RobotCatalogue()
-    catalogue.add_installed()
-    return catalogue
+    return RobotCatalogue()
 
 
 def robot_names() -> list[str]:

@@ -1,15 +1,24 @@
-"""The ``orbit`` command. Each command is a module that is imported only when it is called."""
+"""The ``orbit`` command. Each command is a module that is imported only when it is called.
+
+Installed packages add commands through the entry-point group ``orbit.commands``: an entry point bears the command's
+name and names a function that takes the words after it and returns an exit code, or None for 0.
+"""
 
 from __future__ import annotations
 
+import functools
 import importlib
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from orbit_core.cli.signals import Terminated, termination_interrupts
-from orbit_core.interfaces.errors import OrbitError, UnknownNameError
+from orbit_core.interfaces.errors import OrbitError
+from orbit_core.registry import Registry
+
+Command = Callable[[Sequence[str]], int | None]
+"""Takes the words after the command's name and gives the exit code, None for 0."""
 
 COMMANDS = {
     "list": ("listing", "Names of all tasks, robots or backends"),
@@ -65,13 +74,25 @@ def _dispatch(words: list[str]) -> int:
 
         print(__version__)
         return 0
-    if words[0] not in COMMANDS:
-        raise UnknownNameError("command", words[0], COMMANDS)
-    module = importlib.import_module(f"{__name__}.{COMMANDS[words[0]][0]}")
-    return module.main(words[1:]) or 0
+    return commands().get(words[0])(words[1:]) or 0
+
+
+@functools.cache
+def commands() -> Registry[Command]:
+    """All commands by name: this distribution's, and those of installed packages."""
+    registry = Registry[Command]("command", "orbit.commands")
+    for name, (module, _) in COMMANDS.items():
+        registry.add(name, functools.partial(_run_module, module))
+    return registry
+
+
+def _run_module(module: str, words: Sequence[str]) -> int | None:
+    return importlib.import_module(f"{__name__}.{module}").main(words)
 
 
 def _usage() -> str:
-    lines = [f"  {name:<11} {description}" for name, (_, description) in COMMANDS.items()]
+    registry = commands()
+    told = {name: COMMANDS[name][1] if name in COMMANDS else registry.origin(name) for name in registry.names}
+    lines = [f"  {name:<11} {description}" for name, description in told.items()]
     hint = "'orbit COMMAND --help' describes a command's options; --debug shows where an error arose."
     return "\n".join(["usage: orbit [--version] COMMAND ...", "", *lines, "", hint])

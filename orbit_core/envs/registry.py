@@ -49,9 +49,7 @@ class TaskRegistry:
 
 @lru_cache(maxsize=1)
 def _installed() -> Registry[TaskEntry]:
-    registry = TaskRegistry().registry
-    registry.add_installed()
-    return registry
+    return TaskRegistry().registry
 
 
 def task_entries() -> dict[str, TaskEntry]:

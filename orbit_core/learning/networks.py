@@ -147,7 +147,6 @@ def _networks() -> Registry[type[Network]]:
 
     registry = Registry[type[Network]]("network", GROUP, read)
     read(Perceptron)
-    registry.add_installed()
     return registry
 
 
