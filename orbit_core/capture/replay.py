@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, fx
 
 from orbit_core.capture.compile import check_compiler, compiled
-from orbit_core.capture.trace import NotTraceable, Trace, Tracer
+from orbit_core.capture.stages import Trace
+from orbit_core.capture.trace import NotTraceable, Tracer
 from orbit_core.interfaces import World
 
 
@@ -51,11 +52,12 @@ class CapturedFunction:
         return self._traced() if self.replay is None else self.replay()
 
     def _traced(self) -> tuple[Tensor, ...]:
-        world, tracer, before = self._world, Tracer(), self._memory()
+        world, before = self._world, self._memory()
+        tracer = Tracer(world.engine)
         world.clock.touch()  # what was derived before must not be taken for part of the step
         world.masking.traced = True
         try:
-            with torch.no_grad(), tracer.tracing(world.engine):
+            with torch.no_grad(), tracer.tracing():
                 outputs = self._operations()
         finally:
             world.masking.traced = False
@@ -63,7 +65,7 @@ class CapturedFunction:
         if not self.refusal:
             try:
                 trace = Trace(world.engine, tracer.stages, outputs, self._build)
-                self.replay = _recorded(trace, world.engine.record)
+                self.replay = _recorded(trace, world.engine.capture.record)
             except NotTraceable as reason:
                 self.refusal = str(reason)
         return outputs

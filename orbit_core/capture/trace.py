@@ -1,41 +1,28 @@
 """What a step does, as data: tensor operations in stages, between calls to the engine.
 
-A :class:`Tracer` watches a step while it runs. Each operation of torch and each use of the engine is noted, with the
-tensors that they took; what comes of it, a :class:`Trace`, does the same to the same memory without the Python around.
+A :class:`Tracer` watches a step while it runs. Each operation of torch and each use of an engine or renderer is noted,
+with the tensors that they took; what comes of it, a :class:`orbit_core.capture.stages.Trace`, does the same to the same
+memory without the Python around.
 """
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import dataclasses
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import torch
-from torch import Tensor, fx
+from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_leaves, tree_map
+from torch.utils._pytree import tree_leaves, tree_map_only
 
 from orbit_core.dynamics.indexing import is_mask
 from orbit_core.interfaces import Engine
+from orbit_core.interfaces.capture import Use, Watched, watched_by
 
-READS = (
-    "joint_positions", "joint_velocities", "joint_efforts", "link_poses", "link_velocities", "contact_forces",
-    "joint_wrenches",
-)  # fmt: skip
-"""What a trace may read of an engine."""
-CALLS: Mapping[str, tuple[int, ...]] = {
-    "step": (), "reset": (), "write_joint_state": (1, 2), "write_root_state": (1, 2), "set_wrenches": (1,),
-    "set_masses": (1,), "set_centers_of_mass": (1,), "set_friction": (1,), "set_drive_gains": (1, 2),
-    "set_gravity": (0,),
-}  # fmt: skip
-"""What a trace may call of an engine, and which arguments have a row for each environment of the last argument."""
 _DECIDING = (torch.Tag.data_dependent_output, torch.Tag.dynamic_output_shape)
-
-
-Build = Callable[[fx.GraphModule, list[Tensor], bool], Callable[..., Sequence[Tensor]]]
 
 
 class NotTraceable(Exception):
@@ -52,40 +39,69 @@ class Operation:
     result: Any
 
 
+@dataclass(frozen=True, eq=False)
+class NotedCall:
+    """One call to an engine or renderer, and what it measured."""
+
+    use: Use
+    results: list[Tensor]
+    """Memory of the trace's own, that later operations read."""
+
+    @property
+    def taken(self) -> list[Tensor]:
+        """Tensors among its arguments."""
+        return tensors_of(dict(self.use.arguments))
+
+    def repeat(self, values: dict[int, Tensor]) -> None:
+        """Call again, with values in the place of those tensors that earlier stages made."""
+        given = {name: _replaced(argument, values) for name, argument in self.use.arguments.items()}
+        env_ids = given.get("env_ids")
+        if by_index(self.use) and is_mask(env_ids):
+            rows = env_ids.nonzero().squeeze(-1)
+            if not len(rows):
+                return
+            for name in self.use.kind.rows:
+                given[name] = None if given[name] is None else given[name][rows]
+            given["env_ids"] = rows
+            for kept, measured in zip(self.results, _fields(self.use.function(**given)), strict=True):
+                kept[rows] = measured
+        else:
+            for kept, measured in zip(self.results, _fields(self.use.function(**given)), strict=True):
+                kept.copy_(measured)
+
+
 @dataclass(eq=False)
 class Stage:
-    """Reads of the engine, then operations, then one call to the engine."""
+    """Reads of the engine, then operations, then one call."""
 
     reads: dict[str, Tensor] = field(default_factory=dict)
     """What was read, and the tensor that the operations took."""
     expressed: dict[str, Tensor] = field(default_factory=dict)
     """What was read by way of operations."""
     operations: list[Operation] = field(default_factory=list)
-    call: tuple[str, tuple[Any, ...]] | None = None
+    call: NotedCall | None = None
 
 
 class Tracer(TorchDispatchMode):
-    """Notes what runs within it."""
+    """Notes what runs within it.
 
-    def __init__(self) -> None:
+    Args:
+        engine: whose state is read.
+    """
+
+    def __init__(self, engine: Engine) -> None:
         super().__init__()
         self.stages = [Stage()]
         self.refusal = ""
         """What no trace can repeat; empty if nothing."""
+        self._engine = engine
         self._paused = False
 
     @contextmanager
-    def tracing(self, engine: Engine) -> Iterator[None]:
-        """Note torch's operations, and the uses of ``engine`` in the place of the operations within them."""
-        own_type = type(engine)
-        reads = {name: property(self._noting_read(name, getattr(own_type, name).fget)) for name in READS}
-        calls = {name: self._noting_call(name, getattr(own_type, name)) for name in CALLS}
-        engine.__class__ = type(own_type.__name__, (own_type,), {**reads, **calls})
-        try:
-            with self:
-                yield
-        finally:
-            engine.__class__ = own_type
+    def tracing(self) -> Iterator[None]:
+        """Note torch's operations, and the uses of the engine in the place of the operations within them."""
+        with watched_by(self), self:
+            yield
 
     def __torch_dispatch__(
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
@@ -101,35 +117,41 @@ class Tracer(TorchDispatchMode):
         self.stages[-1].operations.append(Operation(func, _without_copy(func, args), keywords, result))
         return result
 
-    def _noting_read(self, name: str, read: Callable[[Engine], Tensor]) -> Callable[[Engine], Tensor]:
-        def noted(engine: Engine) -> Tensor:
-            if self._paused:
-                return read(engine)
-            # Either shows the state since the last call, whatever was computed meanwhile.
-            reads, expressed = self.stages[-1].reads, self.stages[-1].expressed
-            if name in reads or name in expressed:
-                return reads[name] if name in reads else expressed[name]
-            with self._silence():
-                engine.settle()
-            value = engine.expression(name)
-            if value is not None:
-                return expressed.setdefault(name, value)
-            with self._silence():
-                return reads.setdefault(name, read(engine))
+    def read(self, owner: Watched, name: str, function: Callable[[], Tensor]) -> Tensor:
+        """Note what is read of the engine, once between two calls: it shows the state since the last."""
+        if self._paused:
+            return function()
+        if owner is not self._engine:
+            self.refusal = f"the state of another engine, its {name}, is read"
+        reads, expressed = self.stages[-1].reads, self.stages[-1].expressed
+        if name in reads or name in expressed:
+            return reads[name] if name in reads else expressed[name]
+        with self._silence():
+            self._engine.capture.settle()
+        value = self._engine.capture.expression(name)
+        if value is not None:
+            return expressed.setdefault(name, value)
+        with self._silence():
+            return reads.setdefault(name, function())
 
-        return noted
-
-    def _noting_call(self, name: str, call: Callable[..., None]) -> Callable[..., None]:
-        def noted(engine: Engine, *arguments: Any) -> None:
-            with self._silence():
-                if _by_index(engine, name, arguments) and engine.device.type != "cpu":
-                    self.refusal = f"the engine's {name} takes no mask"
-                _call(engine, name, partial(call, engine), arguments)
-            if not self._paused:
-                self.stages[-1].call = (name, arguments)
-                self.stages.append(Stage())
-
-        return noted
+    def call(self, use: Use) -> Any:
+        """Make a call, and end the stage with it."""
+        if self._paused:
+            return use.function(**use.arguments)
+        with self._silence():
+            on_host = by_index(use)
+            if on_host and self._engine.device.type != "cpu":
+                self.refusal = f"{type(use.owner).__name__}'s {use.name} takes no mask"
+            if use.kind.measures:
+                result = use.function(**{**use.arguments, **({"env_ids": None} if on_host else {})})
+                result = _kept(result)
+                noted = NotedCall(use, _fields(result))
+            else:
+                result, noted = None, NotedCall(use, [])
+                noted.repeat({})
+        self.stages[-1].call = noted
+        self.stages.append(Stage())
+        return result
 
     @contextmanager
     def _silence(self) -> Iterator[None]:
@@ -140,189 +162,33 @@ class Tracer(TorchDispatchMode):
             self._paused = before
 
 
-class Trace:
-    """A step that was traced, to be run again. Tensors are told apart by their addresses, while the stages hold them.
-
-    Args:
-        engine: that was used.
-        stages: as a :class:`Tracer` noted them.
-        outputs: tensors of the traced step; running the trace gives their new values, which hold until the next run.
-        build: makes a stage's graph and the tensors that it takes, always these or others like them, into a function.
-    """
-
-    def __init__(
-        self,
-        engine: Engine,
-        stages: Sequence[Stage],
-        outputs: Sequence[Tensor],
-        build: Build,
-    ) -> None:
-        self._engine = engine
-        memory = _Memory(stages)
-        maker = {id(t): number for number, stage in enumerate(stages) for t in _results(stage)}
-        wanted: list[dict[int, Tensor]] = [{} for _ in stages]
-        self._outputs = [id(tensor) for tensor in outputs]
-        for tensor in outputs:
-            wanted[-1 if memory.lasts(tensor) else maker[id(tensor)]][id(tensor)] = tensor
-        for number, stage in enumerate(stages):
-            taken = [(number, t) for op in stage.operations for t in _tensors((op.arguments, op.keywords))]
-            taken += [(number + 1, t) for t in _tensors(stage.call)]  # the call comes after the operations
-            for place, tensor in taken:
-                made = maker.get(id(tensor), place)
-                if made < place and not memory.lasts(tensor):
-                    wanted[made][id(tensor)] = tensor
-        self._stages = [
-            _BuiltStage(stage, memory, list(need.values()), build) for stage, need in zip(stages, wanted, strict=True)
-        ]
-
-    def __call__(self) -> tuple[Tensor, ...]:
-        engine, values = self._engine, {}
-        for stage in self._stages:
-            stage.run(engine, values)
-        return tuple([values[name] for name in self._outputs])
+def tensors_of(tree: Any) -> list[Tensor]:
+    """The tensors among the leaves of a structure."""
+    return [leaf for leaf in tree_leaves(tree) if isinstance(leaf, Tensor)]
 
 
-class _Memory:
-    """Which tensors stay when a step is over, told by the memory that they lie in."""
-
-    def __init__(self, stages: Sequence[Stage]) -> None:
-        self._lasting: set[int] = set()
-        made: set[int] = set()
-        for stage in stages:
-            for operation in stage.operations:
-                taken = {_address(t) for t in _tensors((operation.arguments, operation.keywords))}
-                self._lasting |= taken - made
-                made |= {_address(t) for t in _tensors(operation.result)} - self._lasting
-
-    def lasts(self, tensor: Tensor) -> bool:
-        """Whether the tensor lies in memory that was there before the step."""
-        return _address(tensor) in self._lasting
+def by_index(use: Use) -> bool:
+    """Whether environments are given by a mask that the method does not take: to find them is to look at the mask."""
+    return is_mask(use.arguments.get("env_ids")) and use.name not in use.owner.capture.takes_masks
 
 
-class _BuiltStage:
-    """One stage, ready to run."""
-
-    def __init__(
-        self,
-        stage: Stage,
-        memory: _Memory,
-        wanted: list[Tensor],
-        build: Build,
-    ) -> None:
-        self._reads = tuple(stage.reads.items())
-        self._settles = bool(stage.expressed)
-        self._call = stage.call
-        self._results = [id(tensor) for tensor in wanted]
-        graph = _StageGraph(stage, memory, wanted)
-        self._inputs = graph.inputs
-        self._passed = graph.passed
-        some = stage.operations or wanted
-        self._function = build(graph.module, graph.inputs, not graph.passed) if some else _nothing
-
-    def run(self, engine: Engine, values: dict[int, Tensor]) -> None:
-        if self._settles:
-            engine.settle()
-        for name, taken in self._reads:
-            if (value := getattr(engine, name)) is not taken:
-                taken.copy_(value)  # the engine hands out another tensor each time
-        inputs = self._inputs
-        for position, name in self._passed:
-            inputs[position] = values[name]
-        values.update(zip(self._results, self._function(*inputs), strict=True))
-        if self._call is not None:
-            name, arguments = self._call
-            given = tuple([values.get(id(a), a) for a in arguments])
-            _call(engine, name, getattr(engine, name), given)
+def _replaced(argument: Any, values: dict[int, Tensor]) -> Any:
+    return tree_map_only(Tensor, lambda tensor: values.get(id(tensor), tensor), argument)
 
 
-class _StageGraph:
-    """A stage's operations as a graph whose inputs share no memory with each other.
-
-    Where several tensors lie in the same memory, the input is that memory as a whole, and they are views made of it.
-    """
-
-    def __init__(self, stage: Stage, memory: _Memory, wanted: list[Tensor]) -> None:
-        self.inputs: list[Tensor] = []
-        self.passed: list[tuple[int, int]] = []
-        """Position and name of the inputs that an earlier stage made."""
-        self._graph = fx.Graph()
-        self._nodes: dict[int, fx.Node] = {}
-        self._add_inputs(stage, memory, wanted)
-        for operation in stage.operations:
-            self._add(operation)
-        outputs = [self._nodes[id(tensor)] for tensor in wanted]
-        copied = [
-            self._graph.call_function(torch.ops.aten.clone.default, (node,)) if memory.lasts(tensor) else node
-            for node, tensor in zip(outputs, wanted, strict=True)
-        ]
-        self._graph.output(tuple(copied))
-        self.module = fx.GraphModule({}, self._graph)
-
-    def _add_inputs(self, stage: Stage, memory: _Memory, wanted: list[Tensor]) -> None:
-        groups: dict[int, dict[int, Tensor]] = {}
-        made: set[int] = set()
-
-        def take(tensors: list[Tensor]) -> None:
-            for tensor in tensors:
-                if id(tensor) not in made:
-                    groups.setdefault(_address(tensor), {})[id(tensor)] = tensor
-
-        for operation in stage.operations:
-            take(_tensors((operation.arguments, operation.keywords)))
-            made |= {id(tensor) for tensor in _tensors(operation.result)}
-        take(wanted)
-        placeholders = [self._graph.placeholder(f"memory_{i}") for i in range(len(groups))]
-        for node, group in zip(placeholders, groups.values(), strict=True):
-            first = next(iter(group.values()))
-            if len(group) == 1:
-                self._nodes[id(first)] = node
-                node.meta["shape"] = first.shape
-                if not memory.lasts(first):
-                    self.passed.append((len(self.inputs), id(first)))
-                self.inputs.append(first)
-                continue
-            if not memory.lasts(first) or len({tensor.dtype for tensor in group.values()}) > 1:
-                raise NotTraceable("tensors made in one stage share memory in the next")
-            self.inputs.append(torch.empty(0, dtype=first.dtype, device=first.device).set_(first.untyped_storage()))
-            for name, tensor in group.items():
-                view = (node, list(tensor.shape), list(tensor.stride()), tensor.storage_offset())
-                self._nodes[name] = self._graph.call_function(torch.ops.aten.as_strided.default, view)
-                self._nodes[name].meta["shape"] = tensor.shape
-
-    def _add(self, operation: Operation) -> None:
-        arguments, keywords = tree_map(self._node_of, (operation.arguments, operation.keywords))
-        node = self._graph.call_function(operation.function, arguments, keywords)
-        if isinstance(operation.result, Tensor):
-            node.meta["shape"] = operation.result.shape
-            self._nodes.setdefault(id(operation.result), node)  # one that was written in place keeps its name
-        else:
-            for index, part in enumerate(operation.result or ()):
-                if isinstance(part, Tensor):
-                    self._nodes.setdefault(id(part), self._graph.call_function(operator.getitem, (node, index)))
-
-    def _node_of(self, argument: Any) -> Any:
-        return self._nodes[id(argument)] if isinstance(argument, Tensor) else argument
+def _fields(measured: Any) -> list[Tensor]:
+    """The tensors of what a call gave: a tensor, a dataclass of them, or nothing."""
+    if dataclasses.is_dataclass(measured):
+        return [value for f in dataclasses.fields(measured) if (value := getattr(measured, f.name)) is not None]
+    return [] if measured is None else [measured]
 
 
-def _call(engine: Engine, name: str, call: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-    """Call the engine, with indices in the place of a mask where it takes none: to find them is to look at the mask."""
-    if _by_index(engine, name, arguments):
-        env_ids = arguments[-1].nonzero().squeeze(-1)
-        if not len(env_ids):
-            return
-        rows = CALLS[name]
-        arguments = tuple(a[env_ids] if i in rows and a is not None else a for i, a in enumerate(arguments[:-1]))
-        arguments = (*arguments, env_ids)
-    call(*arguments)
-
-
-def _by_index(engine: Engine, name: str, arguments: tuple[Any, ...]) -> bool:
-    """Whether the last argument is a mask that the method does not take."""
-    return name != "step" and name not in engine.takes_masks and is_mask(arguments[-1])
-
-
-def _nothing() -> tuple[()]:
-    return ()
+def _kept(measured: Any) -> Any:
+    """The same in memory of its own."""
+    if isinstance(measured, Tensor):
+        return measured.clone()
+    names = [f.name for f in dataclasses.fields(measured) if getattr(measured, f.name) is not None]
+    return dataclasses.replace(measured, **{name: getattr(measured, name).clone() for name in names})
 
 
 def _decides(function: Any, arguments: tuple[Any, ...]) -> bool:
@@ -333,7 +199,7 @@ def _decides(function: Any, arguments: tuple[Any, ...]) -> bool:
 
 
 def _comes_from_host(taken: Any, result: Any) -> bool:
-    tensors = _tensors(taken)
+    tensors = tensors_of(taken)
     on_device = isinstance(result, Tensor) and result.device.type != "cpu"
     return on_device and bool(tensors) and all(tensor.device.type == "cpu" for tensor in tensors)
 
@@ -349,16 +215,3 @@ def _without_copy(function: Any, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
     if value.dim() or any(index is not None and index.dtype == torch.bool for index in indices):
         return arguments
     return (target, indices, value.to(target.device), *rest)
-
-
-def _tensors(tree: Any) -> list[Tensor]:
-    return [leaf for leaf in tree_leaves(tree) if isinstance(leaf, Tensor)]
-
-
-def _results(stage: Stage) -> list[Tensor]:
-    return [tensor for operation in stage.operations for tensor in _tensors(operation.result)]
-
-
-def _address(tensor: Tensor) -> int:
-    """Of the memory that the tensor lies in; an empty one has its own name for it."""
-    return tensor.untyped_storage().data_ptr() or -id(tensor)

@@ -20,8 +20,9 @@ if TYPE_CHECKING:
         approximate,
         unsupported,
     )
+    from orbit_core.interfaces.capture import CaptureFacet
     from orbit_core.interfaces.divergence import MAX_DISTANCE, MAX_SPEED, diverged, divergence_error, first_few
-    from orbit_core.interfaces.engine import Approximation, Engine, RayHits
+    from orbit_core.interfaces.engine import Approximation, Engine
     from orbit_core.interfaces.errors import (
         ArgumentError,
         AssetError,
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     )
     from orbit_core.interfaces.names import find_name, match_names, match_values
     from orbit_core.interfaces.node import Node, Port
+    from orbit_core.interfaces.rays import RayHits
     from orbit_core.interfaces.renderer import Image, Renderer, albedo_table, drawn_shapes
     from orbit_core.interfaces.requirements import IMAGES, required_capabilities
     from orbit_core.interfaces.sensor import Sensor
@@ -58,8 +60,9 @@ _MODULES = {
     "backend": ("Backend",),
     "built": ("BuiltModel",),
     "capabilities": ("EXACT", "Capabilities", "Capability", "Level", "Support", "approximate", "unsupported"),
+    "capture": ("CaptureFacet",),
     "divergence": ("MAX_DISTANCE", "MAX_SPEED", "diverged", "divergence_error", "first_few"),
-    "engine": ("Approximation", "Engine", "RayHits"),
+    "engine": ("Approximation", "Engine"),
     "errors": (
         "ArgumentError", "AssetError", "BackendNotInstalledError", "BuildError", "ClosedError", "ConfigurationError",
         "NonFiniteError", "OrbitError", "ShapeError", "SimulationError", "StorageError", "UnknownNameError",
@@ -70,6 +73,7 @@ _MODULES = {
     "layout": ("BACKGROUND", "TERRAIN", "ContactQuery", "EntityLayout", "JointParameters", "SceneLayout"),
     "names": ("find_name", "match_names", "match_values"),
     "node": ("Node", "Port"),
+    "rays": ("RayHits",),
     "renderer": ("Image", "Renderer", "albedo_table", "drawn_shapes"),
     "requirements": ("IMAGES", "required_capabilities"),
     "sensor": ("Sensor",),
@@ -80,6 +84,7 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 __all__ = [
     "BACKGROUND", "EXACT", "IMAGES", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation", "ArgumentError",
     "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities", "Capability",
+    "CaptureFacet",
     "ClosedError", "ConfigurationError", "ContactQuery", "Engine", "EntityLayout", "Gap", "Image", "JointParameters",
     "Level", "Marker", "Node", "NonFiniteError", "Object", "OrbitError", "Port", "RayHits", "Renderer", "Robot",
     "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError", "Support", "UnknownNameError",

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from orbit_core.interfaces.built import BuiltModel
+from orbit_core.interfaces.capture import Watched, changes, measures, reads_state
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.layout import SceneLayout
+from orbit_core.interfaces.rays import RayHits, cast_past
 
 _COMMANDS = ("position_targets", "velocity_targets", "efforts")
 
@@ -27,19 +28,7 @@ class Approximation:
     why: str
 
 
-@dataclass(frozen=True)
-class RayHits:
-    """Where rays met the scene."""
-
-    distances: Tensor
-    """(n, R) metres; infinite for a miss."""
-    normals: Tensor
-    """(n, R, 3) unit normals in world axes; zero for a miss."""
-    links: Tensor
-    """(n, R) int64 link index, TERRAIN or BACKGROUND."""
-
-
-class Engine(ABC):
+class Engine(Watched, ABC):
     """N environments of one scene in one physics engine.
 
     N = ``num_envs``, J movable joints and L links as numbered by ``layout``; n = ``len(env_ids)``, all environments
@@ -50,11 +39,9 @@ class Engine(ABC):
     visible to the next read.
 
     The engine trusts its caller: the core has checked names, shapes and finiteness.
-    """
 
-    takes_masks: ClassVar[frozenset[str]] = frozenset()
-    """Names of the methods whose ``env_ids`` may also be a mask (N,) bool; n is then N, and rows outside of the mask
-    count for nothing. An engine whose :meth:`record` records needs them for resets within a recording."""
+    What it does for steps that are captured is its :attr:`capture`.
+    """
 
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device) -> None:
         self.layout = layout
@@ -72,6 +59,7 @@ class Engine(ABC):
     # Time ------------------------------------------------------------------------------------------------------------
 
     @abstractmethod
+    @changes()
     def step(self, steps: int) -> None:
         """Advance by ``steps`` physics steps of ``scene.physics_dt`` with commands held.
 
@@ -79,68 +67,54 @@ class Engine(ABC):
             SimulationError: the engine diverged (:mod:`orbit_core.interfaces.divergence`); names the environments.
         """
 
-    def record(self, operations: Callable[[], None]) -> Callable[[], None]:
-        """What does the same as ``operations``, where the engine can without Python: recorded once, then replayed.
-
-        ``operations`` steps the engine and works on tensors of ``device``, and no step of it waits for the device.
-        What it remembers it writes in place. Its calls on the host happen when it is recorded, and when it is replayed
-        do not. It may be called again from the start where recording fails.
-
-        An engine that records nothing gives back ``operations`` itself.
-        """
-        return operations
-
     # State -----------------------------------------------------------------------------------------------------------
 
     @property
     @abstractmethod
+    @reads_state
     def joint_positions(self) -> Tensor:
         """(N, J) rad or m."""
 
     @property
     @abstractmethod
+    @reads_state
     def joint_velocities(self) -> Tensor:
         """(N, J) rad/s or m/s."""
 
     @property
     @abstractmethod
+    @reads_state
     def joint_efforts(self) -> Tensor:
         """(N, J) efforts that drives and commands applied in the last step, after limits."""
 
     @property
     @abstractmethod
+    @reads_state
     def link_poses(self) -> Tensor:
         """(N, L, 7) position and quaternion (w, x, y, z), w >= 0, of each link frame."""
 
     @property
     @abstractmethod
+    @reads_state
     def link_velocities(self) -> Tensor:
         """(N, L, 6) linear velocity of the link frame's origin, then angular velocity, both in world axes."""
 
-    def expression(self, name: str) -> Tensor | None:
-        """A state tensor, by name, as operations of torch on memory of the engine's that always stays at its place.
-
-        So that a trace of a step takes them in, and computes what it needs of the tensor and no more. None where there
-        is nothing to gain. What they compute is current after :meth:`settle`.
-        """
-        return None
-
-    def settle(self) -> None:
-        """Bring what :meth:`expression` reads up to date, after a step or a write."""
-
     @abstractmethod
+    @changes("positions", "velocities")
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
         """Set state (n, k) of the joints (k,) of some environments. Mimic joints follow when the engine next steps."""
 
     @abstractmethod
+    @changes("pose", "velocity")
     def write_root_state(
         self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
         """Set pose (n, 7) and velocity (n, 6) of an entity's root link; a fixed base takes a pose, and no velocity."""
 
     @abstractmethod
+    @changes()
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Put environments into the scene's initial state, with every memory of the past cleared.
 
@@ -151,6 +125,7 @@ class Engine(ABC):
     # Measurements ----------------------------------------------------------------------------------------------------
 
     @property
+    @reads_state
     def contact_forces(self) -> Tensor:
         """(N, K, 3) newtons, world axes, per query of ``layout.contact_queries``, averaged over the last ``step`` call.
 
@@ -159,6 +134,7 @@ class Engine(ABC):
         raise self._unsupported("contact forces")
 
     @property
+    @reads_state
     def joint_wrenches(self) -> Tensor:
         """(N, W, 6) force and torque that each of ``layout.wrench_links`` receives from its parent (or the world).
 
@@ -166,50 +142,71 @@ class Engine(ABC):
         """
         raise self._unsupported("joint wrenches")
 
+    @measures("origins", "directions")
     def cast_rays(
         self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None = None
     ) -> RayHits:
         """Meet rays (n, R, 3), unit directions in world axes, with collision shapes."""
         raise self._unsupported("ray casts")
 
+    @measures("origins", "directions")
+    def cast_rays_past(
+        self, origins: Tensor, directions: Tensor, max_distance: float, links: range, env_ids: Tensor | None = None
+    ) -> RayHits:
+        """As :meth:`cast_rays`, where rays pass through the shapes of some links, a range of the layout's.
+
+        A miss, or a hit beyond ``max_distance``, is BACKGROUND. This one casts again past each surface of those links,
+        as often as any ray needs it, and so waits for the device.
+        """
+        return cast_past(self.cast_rays, origins, directions, max_distance, links, env_ids)
+
     # Parameters per environment --------------------------------------------------------------------------------------
 
+    @changes("wrenches")
     def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
         """Apply (n, k, 6) force at the centre of mass and torque, world axes, to links (k,) until set again."""
         raise self._unsupported("external wrenches")
 
+    @changes("masses")
     def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
         """Masses (n, k) in kg of links (k,); inertias scale with them."""
         raise self._unsupported("mass per environment")
 
+    @changes("centers")
     def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
         """Centres of mass (n, k, 3) in the link frame of links (k,)."""
         raise self._unsupported("centre of mass per environment")
 
+    @changes("coefficients")
     def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
         """Static and dynamic friction (n, k) of all shapes of links (k,); index TERRAIN sets the terrain's."""
         raise self._unsupported("friction per environment")
 
+    @changes("stiffness", "damping")
     def set_drive_gains(
         self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
     ) -> None:
         """Gains (n, k) of the native drives of joints (k,)."""
         raise self._unsupported("drive gains per environment")
 
+    @changes("gravity")
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         """Gravity (n, 3) in m/s^2."""
         raise self._unsupported("gravity per environment")
 
     # Deformables -----------------------------------------------------------------------------------------------------
 
+    @measures()
     def particle_positions(self, deformable: int) -> Tensor:
         """(N, P, 3) of the scene's deformable of that index."""
         raise self._unsupported("deformables")
 
+    @measures()
     def particle_velocities(self, deformable: int) -> Tensor:
         """(N, P, 3)"""
         raise self._unsupported("deformables")
 
+    @changes("positions", "velocities")
     def write_particles(
         self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None = None
     ) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from orbit_core.interfaces.capture import Watched, measures
 from orbit_core.interfaces.layout import TERRAIN, SceneLayout
 from orbit_core.scene import CameraSpec, Channel, Shape
 
@@ -30,10 +31,11 @@ class Image:
     """(n, H, W, 3) uint8: the shapes' own colours, unlit; black beyond everything."""
 
 
-class Renderer(ABC):
+class Renderer(Watched, ABC):
     """Draws visual shapes (collision shapes where a link has none), terrain and markers."""
 
     @abstractmethod
+    @measures("camera_poses", "link_poses", "marker_poses")
     def render(
         self,
         camera: CameraSpec,
@@ -52,7 +54,8 @@ class Renderer(ABC):
             channels: what to draw. POSITION is not among them: the camera sensor has it from depth.
             marker_poses: (n, M, 7) of the scene's markers; None draws none.
             env_ids: (n,) which environments these are, for objects differ between them where the scene has variants;
-                None stands for the first n.
+                None stands for the first n. A renderer whose ``capture`` takes masks for this method also takes one
+                (N,) bool, with poses of all environments; pictures outside of the mask may hold anything.
         """
 
     def close(self) -> None:

@@ -25,8 +25,8 @@ from orbit_core.interfaces import (
     first_few,
 )
 from orbit_mjmodel.readback import read_back
+from orbit_mujoco.capture import MujocoCapture
 from orbit_mujoco.config import MujocoConfig
-from orbit_mujoco.expressions import Expressions
 from orbit_mujoco.model import build_models
 from orbit_mujoco.parameters import Parameters
 from orbit_mujoco.probes import ContactMeter, WrenchMeter
@@ -61,7 +61,7 @@ class MujocoEngine(Engine):
         self._report = tuple(dict.fromkeys(line for kind in kinds for line in kind.report))
         self._batch = mujoco.batch.Batch(built.model, num_envs, config.threads, persistent=True)
         self._state = State(self._batch, built.addresses)
-        self._expressions: Expressions | None = None
+        self.capture = MujocoCapture(self._batch, built.addresses, self._state)
         self._parameters = Parameters(self._batch, built.addresses, [kind.model for kind in kinds])
         self._sensordata = self._batch.bind("sensordata")
         self._contacts = ContactMeter(layout, self._sensordata)
@@ -155,14 +155,6 @@ class MujocoEngine(Engine):
     @property
     def link_velocities(self) -> Tensor:
         return self._state.link_velocities
-
-    def expression(self, name: str) -> Tensor | None:
-        self._expressions = self._expressions or Expressions(self._batch, self._addresses)
-        method = getattr(self._expressions, name, None)
-        return None if method is None else method()
-
-    def settle(self) -> None:
-        self._state.derive()
 
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None

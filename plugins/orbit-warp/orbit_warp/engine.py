@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -16,6 +15,7 @@ from torch import Tensor
 
 from orbit_core.interfaces import Approximation, BuiltModel, Engine, RayHits, SceneLayout
 from orbit_warp.buffers import BufferSizes, buffer_sizes
+from orbit_warp.capture import WarpCapture
 from orbit_warp.config import WarpConfig
 from orbit_warp.contacts import ContactMeter
 from orbit_warp.faults import Faults
@@ -24,7 +24,6 @@ from orbit_warp.kernels import reset_state, reset_tensors, write_commands
 from orbit_warp.model import build_models, on_device, read_back_kinds
 from orbit_warp.parameters import Parameters
 from orbit_warp.rays import RayCaster
-from orbit_warp.recording import Recording
 from orbit_warp.rows import rows_of
 from orbit_warp.state import State
 
@@ -56,8 +55,6 @@ class WarpEngine(Engine):
     velocities up to date. Nothing in it waits for the host.
     """
 
-    takes_masks = frozenset({"reset", "write_joint_state", "write_root_state"})
-
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: WarpConfig) -> None:
         super().__init__(layout, num_envs, device)
         wp.config.log_level = wp.LOG_WARNING  # Graphs tells what the user should know
@@ -66,7 +63,6 @@ class WarpEngine(Engine):
         built, addresses = kinds[0], kinds[0].addresses
         self._addresses = addresses
         self._report = tuple(dict.fromkeys(line for kind in kinds for line in kind.report))
-        self._capture = config.capture
         self._looped = any(entity.spec.articulation.loops for entity in layout.entities)
         self._graphs = Graphs(device, config.capture)
         with self._graphs.stream():
@@ -75,6 +71,7 @@ class WarpEngine(Engine):
             self._data = mjw.make_data(built.model, nworld=num_envs, nconmax=sizes.nconmax, njmax=sizes.njmax)
             self._native = Native(built.model, self._model, self._data)
             self._state = State(layout, addresses, self._native, self._graphs)
+            self.capture = WarpCapture(self._graphs, self._state, self.prepare, config.capture)
             self._contacts = ContactMeter(layout, addresses, self._model, self._data)
             self._faults = Faults(self._data, sizes, config)
             self._home_qpos = wp.array(built.model.key_qpos[0], dtype=float)
@@ -97,7 +94,7 @@ class WarpEngine(Engine):
 
     def step(self, steps: int) -> None:
         if not self._graphs.recording:
-            self._prepare()
+            self.prepare()
         if self.device.type != "cpu" and steps <= _MOST_RECORDED:
             self._graphs.run(("step", steps), lambda: self._take(steps))
         else:
@@ -106,20 +103,10 @@ class WarpEngine(Engine):
         if self.device.type == "cpu":
             self._faults.report()
 
-    def record(self, operations: Callable[[], None]) -> Callable[[], None]:
-        if self.device.type == "cpu" or not self._capture:
-            return operations
-        return Recording(self._graphs, operations, self._prepare_recording, self._state.mark_stepped)
-
-    def _prepare(self) -> None:
-        """What a step needs the host for."""
+    def prepare(self) -> None:
+        """Do what a step needs the host for."""
         self._faults.report()  # on a GPU: of the step before
         self._parameters.settle()
-
-    def _prepare_recording(self) -> None:
-        self._prepare()
-        self._state.refresh()  # so that a recording need not
-        self._state.mark_stepped()  # and so that it derives bodies itself, whatever was asked for meanwhile
 
     def _take(self, steps: int) -> None:
         self._begin()

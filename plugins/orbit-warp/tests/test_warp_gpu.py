@@ -84,7 +84,7 @@ def test_what_cannot_be_recorded_is_run_each_time() -> None:
         engine.step(2)
         seen.append(engine.joint_positions.sum().item())  # waits, which no recording can
 
-    repeated = engine.record(operations)
+    repeated = engine.capture.record(operations)
     repeated()
     with pytest.warns(RuntimeWarning, match="not recorded as one graph"):
         repeated()

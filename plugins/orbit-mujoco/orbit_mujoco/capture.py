@@ -12,10 +12,29 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
+from orbit_core.interfaces import CaptureFacet
 from orbit_mjmodel.addresses import Addresses, Indices, columns
+from orbit_mujoco.state import State
 
 
-class Expressions:
+class MujocoCapture(CaptureFacet):
+    """Offers the state that MuJoCo derives as expressions."""
+
+    def __init__(self, batch: Batch, addresses: Addresses, state: State) -> None:
+        self._parts = batch, addresses
+        self._state = state
+        self._expressions: _Expressions | None = None
+
+    def expression(self, name: str) -> Tensor | None:
+        self._expressions = self._expressions or _Expressions(*self._parts)
+        method = getattr(self._expressions, name, None)
+        return None if method is None else method()
+
+    def settle(self) -> None:
+        self._state.derive()
+
+
+class _Expressions:
     """Each method computes what :class:`orbit_mujoco.state.State` fills a tensor with, from fields that are current."""
 
     def __init__(self, batch: Batch, addresses: Addresses) -> None:

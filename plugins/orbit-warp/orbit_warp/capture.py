@@ -5,10 +5,38 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 
+from orbit_core.interfaces import CaptureFacet
 from orbit_warp.graphs import Graphs
+from orbit_warp.state import State
 
 
-class Recording:
+class WarpCapture(CaptureFacet):
+    """Records a caller's step with the engine's own launches.
+
+    Args:
+        graphs: the engine's recordings.
+        state: the engine's.
+        prepare: what the engine must do on the host before a step.
+        enabled: whether the user wants recordings.
+    """
+
+    takes_masks = frozenset({"reset", "write_joint_state", "write_root_state"})
+
+    def __init__(self, graphs: Graphs, state: State, prepare: Callable[[], None], enabled: bool) -> None:
+        self._graphs, self._state, self._prepare_step, self._enabled = graphs, state, prepare, enabled
+
+    def record(self, operations: Callable[[], None]) -> Callable[[], None]:
+        if not self._graphs.device.is_cuda or not self._enabled:
+            return operations
+        return _Recording(self._graphs, operations, self._prepare, self._state.mark_stepped)
+
+    def _prepare(self) -> None:
+        self._prepare_step()
+        self._state.refresh()  # so that a recording need not
+        self._state.mark_stepped()  # and so that it derives bodies itself, whatever was asked for meanwhile
+
+
+class _Recording:
     """Runs ``operations`` the first time, records them the second, and replays them from then on.
 
     Where recording fails it says why, once, and runs them each time.

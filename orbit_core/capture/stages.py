@@ -1,0 +1,193 @@
+"""A traced step put together again: a function of each stage's operations, and calls between them."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, fx
+from torch.utils._pytree import tree_map
+
+from orbit_core.capture.trace import NotTraceable, Operation, Stage, tensors_of
+from orbit_core.interfaces import Engine
+
+Build = Callable[[fx.GraphModule, list[Tensor], bool], Callable[..., Sequence[Tensor]]]
+
+
+class Trace:
+    """A step that was traced, to be run again. Tensors are told apart by their addresses, while the stages hold them.
+
+    Args:
+        engine: that was used.
+        stages: as a :class:`Tracer` noted them.
+        outputs: tensors of the traced step; running the trace gives their new values, which hold until the next run.
+        build: makes a stage's graph and the tensors that it takes, always these or others like them, into a function.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        stages: Sequence[Stage],
+        outputs: Sequence[Tensor],
+        build: Build,
+    ) -> None:
+        self._engine = engine
+        memory = _Memory(stages)
+        maker = {id(t): number for number, stage in enumerate(stages) for t in _results(stage)}
+        wanted: list[dict[int, Tensor]] = [{} for _ in stages]
+        self._outputs = [id(tensor) for tensor in outputs]
+        for tensor in outputs:
+            wanted[-1 if memory.lasts(tensor) else maker[id(tensor)]][id(tensor)] = tensor
+        for number, stage in enumerate(stages):
+            taken = [(number, t) for op in stage.operations for t in tensors_of((op.arguments, op.keywords))]
+            taken += [
+                (number + 1, t) for t in (() if stage.call is None else stage.call.taken)
+            ]  # the call comes after the operations
+            for place, tensor in taken:
+                made = maker.get(id(tensor), place)
+                if made < place and not memory.lasts(tensor):
+                    wanted[made][id(tensor)] = tensor
+        self._stages = [
+            _BuiltStage(stage, memory, list(need.values()), build) for stage, need in zip(stages, wanted, strict=True)
+        ]
+
+    def __call__(self) -> tuple[Tensor, ...]:
+        engine, values = self._engine, {}
+        for stage in self._stages:
+            stage.run(engine, values)
+        return tuple([values[name] for name in self._outputs])
+
+
+class _Memory:
+    """Which tensors stay when a step is over, told by the memory that they lie in."""
+
+    def __init__(self, stages: Sequence[Stage]) -> None:
+        self._lasting: set[int] = set()
+        made: set[int] = set()
+        for stage in stages:
+            for operation in stage.operations:
+                taken = {_address(t) for t in tensors_of((operation.arguments, operation.keywords))}
+                self._lasting |= taken - made
+                made |= {_address(t) for t in tensors_of(operation.result)} - self._lasting
+
+    def lasts(self, tensor: Tensor) -> bool:
+        """Whether the tensor lies in memory that was there before the step."""
+        return _address(tensor) in self._lasting
+
+
+class _BuiltStage:
+    """One stage, ready to run."""
+
+    def __init__(
+        self,
+        stage: Stage,
+        memory: _Memory,
+        wanted: list[Tensor],
+        build: Build,
+    ) -> None:
+        self._reads = tuple(stage.reads.items())
+        self._settles = bool(stage.expressed)
+        self._call = stage.call
+        self._results = [id(tensor) for tensor in wanted]
+        graph = _StageGraph(stage, memory, wanted)
+        self._inputs = graph.inputs
+        self._passed = graph.passed
+        some = stage.operations or wanted
+        self._function = build(graph.module, graph.inputs, not graph.passed) if some else _nothing
+
+    def run(self, engine: Engine, values: dict[int, Tensor]) -> None:
+        if self._settles:
+            engine.capture.settle()
+        for name, taken in self._reads:
+            if (value := getattr(engine, name)) is not taken:
+                taken.copy_(value)  # the engine hands out another tensor each time
+        inputs = self._inputs
+        for position, name in self._passed:
+            inputs[position] = values[name]
+        values.update(zip(self._results, self._function(*inputs), strict=True))
+        if self._call is not None:
+            self._call.repeat(values)
+
+
+class _StageGraph:
+    """A stage's operations as a graph whose inputs share no memory with each other.
+
+    Where several tensors lie in the same memory, the input is that memory as a whole, and they are views made of it.
+    """
+
+    def __init__(self, stage: Stage, memory: _Memory, wanted: list[Tensor]) -> None:
+        self.inputs: list[Tensor] = []
+        self.passed: list[tuple[int, int]] = []
+        """Position and name of the inputs that an earlier stage made."""
+        self._graph = fx.Graph()
+        self._nodes: dict[int, fx.Node] = {}
+        self._add_inputs(stage, memory, wanted)
+        for operation in stage.operations:
+            self._add(operation)
+        outputs = [self._nodes[id(tensor)] for tensor in wanted]
+        copied = [
+            self._graph.call_function(torch.ops.aten.clone.default, (node,)) if memory.lasts(tensor) else node
+            for node, tensor in zip(outputs, wanted, strict=True)
+        ]
+        self._graph.output(tuple(copied))
+        self.module = fx.GraphModule({}, self._graph)
+
+    def _add_inputs(self, stage: Stage, memory: _Memory, wanted: list[Tensor]) -> None:
+        groups: dict[int, dict[int, Tensor]] = {}
+        made: set[int] = set()
+
+        def take(tensors: list[Tensor]) -> None:
+            for tensor in tensors:
+                if id(tensor) not in made:
+                    groups.setdefault(_address(tensor), {})[id(tensor)] = tensor
+
+        for operation in stage.operations:
+            take(tensors_of((operation.arguments, operation.keywords)))
+            made |= {id(tensor) for tensor in tensors_of(operation.result)}
+        take(wanted)
+        placeholders = [self._graph.placeholder(f"memory_{i}") for i in range(len(groups))]
+        for node, group in zip(placeholders, groups.values(), strict=True):
+            first = next(iter(group.values()))
+            if len(group) == 1:
+                self._nodes[id(first)] = node
+                node.meta["shape"] = first.shape
+                if not memory.lasts(first):
+                    self.passed.append((len(self.inputs), id(first)))
+                self.inputs.append(first)
+                continue
+            if not memory.lasts(first) or len({tensor.dtype for tensor in group.values()}) > 1:
+                raise NotTraceable("tensors made in one stage share memory in the next")
+            self.inputs.append(torch.empty(0, dtype=first.dtype, device=first.device).set_(first.untyped_storage()))
+            for name, tensor in group.items():
+                view = (node, list(tensor.shape), list(tensor.stride()), tensor.storage_offset())
+                self._nodes[name] = self._graph.call_function(torch.ops.aten.as_strided.default, view)
+                self._nodes[name].meta["shape"] = tensor.shape
+
+    def _add(self, operation: Operation) -> None:
+        arguments, keywords = tree_map(self._node_of, (operation.arguments, operation.keywords))
+        node = self._graph.call_function(operation.function, arguments, keywords)
+        if isinstance(operation.result, Tensor):
+            node.meta["shape"] = operation.result.shape
+            self._nodes.setdefault(id(operation.result), node)  # one that was written in place keeps its name
+        else:
+            for index, part in enumerate(operation.result or ()):
+                if isinstance(part, Tensor):
+                    self._nodes.setdefault(id(part), self._graph.call_function(operator.getitem, (node, index)))
+
+    def _node_of(self, argument: Any) -> Any:
+        return self._nodes[id(argument)] if isinstance(argument, Tensor) else argument
+
+
+def _nothing() -> tuple[()]:
+    return ()
+
+
+def _results(stage: Stage) -> list[Tensor]:
+    return [tensor for operation in stage.operations for tensor in tensors_of(operation.result)]
+
+
+def _address(tensor: Tensor) -> int:
+    """Of the memory that the tensor lies in; an empty one has its own name for it."""
+    return tensor.untyped_storage().data_ptr() or -id(tensor)

@@ -1,0 +1,176 @@
+"""What an engine, or a renderer, does for a step that is captured: watched once, then repeated without its Python.
+
+The interface's methods say themselves what they are to such a step: a *read* of the state, or a *call* that changes or
+measures something. While a :class:`Watcher` watches they go through it, whatever class overrides them.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, TypeVar
+
+from torch import Tensor
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_MARK = "_use_in_a_captured_step"
+
+
+class CaptureFacet:
+    """What one engine or renderer does for captured steps; this one does nothing special, which is always right."""
+
+    takes_masks: ClassVar[frozenset[str]] = frozenset()
+    """Names of the methods whose ``env_ids`` may also be a mask (N,) bool; n is then N, and rows outside of the mask
+    count for nothing. An engine whose :meth:`record` records needs them for what happens within a recording."""
+
+    def record(self, operations: Callable[[], None]) -> Callable[[], None]:
+        """What does the same as ``operations``, where the engine can without Python: recorded once, then replayed.
+
+        ``operations`` steps the engine and works on tensors of its device, and no step of it waits for the device.
+        What it remembers it writes in place. Its calls on the host happen when it is recorded, and when it is replayed
+        do not. It may be called again from the start where recording fails.
+
+        An engine that records nothing gives back ``operations`` itself.
+        """
+        return operations
+
+    def expression(self, name: str) -> Tensor | None:
+        """A state tensor, by name, as operations of torch on memory of the engine's that always stays at its place.
+
+        So that a trace of a step takes them in, and computes what it needs of the tensor and no more. None where there
+        is nothing to gain. What they compute is current after :meth:`settle`.
+        """
+        return None
+
+    def settle(self) -> None:
+        """Bring what :meth:`expression` reads up to date, after a step or a write."""
+
+
+@dataclass(frozen=True)
+class Call:
+    """What a method is to a captured step: a change, or a measurement that gives tensors."""
+
+    rows: tuple[str, ...] = ()
+    """Names of the arguments with a row for each environment of ``env_ids``."""
+    measures: bool = False
+    """Whether it gives tensors, with a row for each environment."""
+
+
+@dataclass(frozen=True)
+class Use:
+    """One call, as a watcher is told of it."""
+
+    owner: Watched
+    name: str
+    kind: Call
+    function: Callable[..., Any]
+    """Bound to its owner, and watched no more."""
+    arguments: Mapping[str, Any]
+    """All of them by name, defaults with them."""
+
+
+class Watcher(Protocol):
+    """Is told of reads and calls, and makes them."""
+
+    def read(self, owner: Watched, name: str, function: Callable[[], Tensor]) -> Tensor:
+        """The value of a property that reads the state."""
+        ...
+
+    def call(self, use: Use) -> Any:
+        """What the call gives."""
+        ...
+
+
+class _Watching(threading.local):
+    watcher: Watcher | None = None
+
+
+_watching = _Watching()
+
+
+@contextmanager
+def watched_by(watcher: Watcher) -> Iterator[None]:
+    """Tell the watcher of every read and call in this thread."""
+    before, _watching.watcher = _watching.watcher, watcher
+    try:
+        yield
+    finally:
+        _watching.watcher = before
+
+
+def reads_state(function: _Function) -> _Function:
+    """Mark the getter of a property that a captured step may read."""
+    setattr(function, _MARK, None)
+    return function
+
+
+def changes(*rows: str) -> Callable[[_Function], _Function]:
+    """Mark a method that a captured step may call; ``rows`` name the arguments with a row for each of ``env_ids``."""
+    return _marking(Call(rows))
+
+
+def measures(*rows: str) -> Callable[[_Function], _Function]:
+    """As :func:`changes`, for a method that gives tensors with such rows."""
+    return _marking(Call(rows, measures=True))
+
+
+class Watched:
+    """A class whose marked methods, and what overrides them, tell the watcher of their use."""
+
+    capture: CaptureFacet = CaptureFacet()
+    """What it does for captured steps."""
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        for name, member in list(vars(cls).items()):
+            marks = [mark for kind in cls.__mro__ if (mark := _mark_of(vars(kind).get(name))) is not None]
+            if not marks:
+                continue
+            if isinstance(member, property):
+                assert member.fget is not None
+                setattr(cls, name, property(_watched_read(name, member.fget), doc=member.__doc__))
+            elif inspect.isfunction(member) and marks[0][0] is not None:
+                setattr(cls, name, _watched_call(name, marks[0][0], member))
+
+
+def _marking(kind: Call) -> Callable[[_Function], _Function]:
+    def mark(function: _Function) -> _Function:
+        setattr(function, _MARK, kind)
+        return function
+
+    return mark
+
+
+def _mark_of(member: object) -> tuple[Call | None] | None:
+    """The mark in a tuple, for that of a read is None."""
+    function = member.fget if isinstance(member, property) else member
+    return (getattr(function, _MARK),) if hasattr(function, _MARK) else None
+
+
+def _watched_read(name: str, read: Callable[[Any], Tensor]) -> Callable[[Any], Tensor]:
+    @functools.wraps(read)
+    def watched(owner: Watched) -> Tensor:
+        watcher = _watching.watcher
+        return read(owner) if watcher is None else watcher.read(owner, name, functools.partial(read, owner))
+
+    return watched
+
+
+def _watched_call(name: str, kind: Call, call: Callable[..., Any]) -> Callable[..., Any]:
+    signature = inspect.signature(call)
+
+    @functools.wraps(call)
+    def watched(owner: Watched, *arguments: Any, **keywords: Any) -> Any:
+        watcher = _watching.watcher
+        if watcher is None:
+            return call(owner, *arguments, **keywords)
+        bound = signature.bind(owner, *arguments, **keywords)
+        bound.apply_defaults()
+        given = dict(list(bound.arguments.items())[1:])
+        return watcher.call(Use(owner, name, kind, functools.partial(call, owner), given))
+
+    return watched

@@ -1,0 +1,59 @@
+"""What rays meet, and rays that pass through what carries them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces.layout import BACKGROUND
+
+_MOST_SURFACES = 16  # a ray may cross that many surfaces to be passed before it counts as a miss
+_PAST_SURFACE = 1e-4  # metres
+
+
+@dataclass(frozen=True)
+class RayHits:
+    """Where rays met the scene."""
+
+    distances: Tensor
+    """(n, R) metres; infinite for a miss."""
+    normals: Tensor
+    """(n, R, 3) unit normals in world axes; zero for a miss."""
+    links: Tensor
+    """(n, R) int64 link index, TERRAIN or BACKGROUND."""
+
+
+def cast_past(
+    cast: Callable[[Tensor, Tensor, float, Tensor | None], RayHits],
+    origins: Tensor,
+    directions: Tensor,
+    max_distance: float,
+    links: range,
+    env_ids: Tensor | None,
+) -> RayHits:
+    """Rays (n, R, 3) through the shapes of some links: those that met one are cast again from behind it."""
+    hits = cast(origins, directions, max_distance, env_ids)
+    distances, normals, met = hits.distances.clone(), hits.normals.clone(), hits.links.clone()
+    own = _among(met, links)
+    for _ in range(_MOST_SURFACES):
+        if not own.any():
+            break
+        rays = own.any(0).nonzero().squeeze(-1)
+        start = torch.where(own[:, rays], distances[:, rays] + _PAST_SURFACE, 0.0)
+        moved = origins[:, rays] + start[..., None] * directions[:, rays]
+        hits = cast(moved, directions[:, rays].contiguous(), max_distance, env_ids)
+        distances[:, rays] = start + hits.distances
+        normals[:, rays], met[:, rays] = hits.normals, hits.links
+        own = _among(met, links)
+    missed = own | (distances > max_distance)
+    distances[missed] = torch.inf
+    normals[missed] = 0.0
+    met[missed] = BACKGROUND
+    return RayHits(distances, normals, met)
+
+
+def _among(met: Tensor, links: range) -> Tensor:
+    return (met >= links.start) & (met < links.stop)
