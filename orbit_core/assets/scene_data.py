@@ -9,11 +9,27 @@ from collections.abc import Sequence
 from orbit_core.interfaces.divergence import MAX_DISTANCE, MAX_SPEED
 from orbit_core.interfaces.errors import ArgumentError
 from orbit_core.interfaces.typed import Typed, wrong
-from orbit_core.scene import Box, CameraSpec, Capsule, Cylinder, Link, PhysicsMaterial, Pose, Scene, Sphere
+from orbit_core.scene import (
+    AmbientLight,
+    Box,
+    CameraSpec,
+    Capsule,
+    Cylinder,
+    DirectionalLight,
+    Link,
+    PhysicsMaterial,
+    Pose,
+    Scene,
+    Sky,
+    Sphere,
+)
+from orbit_core.scene.lights import MAX_DIRECTIONAL_LIGHTS
 
 _UNIT = 1e-3
 """By how much a quaternion's length may differ from 1; written ones have few digits."""
 
+_BRIGHTEST = 1e3
+"""Of a light, in pictures' full brightness."""
 _HEAVIEST = 1e9
 """Kilograms of a link; beyond, single precision holds little of what it touches."""
 
@@ -69,9 +85,29 @@ def _check_link(link: Link, where: str) -> None:
     _within(f"{where}.mass", (link.mass,), 0.0, _HEAVIEST, "kg")
 
 
+def _check_ambient_light(light: AmbientLight, where: str) -> None:
+    _within(f"{where}.color", light.color, 0.0, _BRIGHTEST)
+
+
+def _check_directional_light(light: DirectionalLight, where: str) -> None:
+    _within(f"{where}.direction", light.direction, -_BRIGHTEST, _BRIGHTEST)
+    if math.hypot(*light.direction) < _UNIT:
+        raise wrong(f"{where}.direction", light.direction, "where the light travels to, a vector that is not zero")
+    _within(f"{where}.color", light.color, 0.0, _BRIGHTEST)
+    _within(f"{where}.intensity", (light.intensity,), 0.0, _BRIGHTEST)
+
+
+def _check_sky(sky: Sky, where: str) -> None:
+    _within(f"{where}.above", sky.above, 0.0, 1.0)
+    _within(f"{where}.below", sky.below, 0.0, 1.0)
+
+
 def _check_scene(scene: Scene, where: str) -> None:
     _within(f"{where}.gravity", scene.gravity, -MAX_SPEED, MAX_SPEED, "m/s^2")
     _within(f"{where}.physics_dt", (scene.physics_dt,), 1e-7, 1.0, "s")
+    count = len(scene.directional_lights)
+    if count > MAX_DIRECTIONAL_LIGHTS:
+        raise ArgumentError(f"{where}.lights has {count} directional lights: give {MAX_DIRECTIONAL_LIGHTS} at most")
 
 
 _SCENES = Typed(
@@ -84,6 +120,9 @@ _SCENES = Typed(
         Cylinder: _check_size,
         CameraSpec: _check_camera,
         Link: _check_link,
+        AmbientLight: _check_ambient_light,
+        DirectionalLight: _check_directional_light,
+        Sky: _check_sky,
         Scene: _check_scene,
     }
 )

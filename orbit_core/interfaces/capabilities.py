@@ -78,6 +78,8 @@ class Capability(Enum):
     SNAPSHOTS = "snapshots whose continuation repeats"
     DETERMINISTIC = "the same run twice, whatever the number of environments"
     RGB = "colour images"
+    LIGHTING = "colour images lit by the scene's lights"
+    SHADOWS = "shadows of the scene's lights"
     DEPTH = "depth images"
     NORMALS = "surface normal images"
     ALBEDO = "albedo images"

@@ -27,7 +27,7 @@ from orbit_core.scene import (
 
 IMAGES = (
     Capability.RGB, Capability.DEPTH, Capability.NORMALS, Capability.ALBEDO, Capability.SEGMENTATION,
-    Capability.RAY_TRACED_RGB,
+    Capability.RAY_TRACED_RGB, Capability.LIGHTING, Capability.SHADOWS,
 )  # fmt: skip
 """What scenes need of whatever draws them; all else they need of the engine."""
 

@@ -7,6 +7,7 @@ from orbit_core.scene.actuators import ActuatorConfig, DcMotor, IdealPd, Implici
 from orbit_core.scene.articulation import Articulation, Frame, Joint, JointType, Link, LoopJoint, Mimic, single_link
 from orbit_core.scene.deformables import Cloth, SoftBody
 from orbit_core.scene.entities import EndEffector, Entity, Gripper, ObjectSpec, RobotSpec
+from orbit_core.scene.lights import AmbientLight, DirectionalLight, Light, Rgb, Sky
 from orbit_core.scene.markers import MarkerShape, MarkerSpec
 from orbit_core.scene.materials import Color, Compliance, PhysicsMaterial
 from orbit_core.scene.pose import Pose, look_at
@@ -37,10 +38,10 @@ from orbit_core.scene.shapes import (
 )
 
 __all__ = [
-    "ActuatorConfig", "Articulation", "Box", "CameraSpec", "Capsule", "Channel", "Cloth", "Color", "Compliance",
-    "ContactSensorSpec", "Cylinder", "DcMotor", "EndEffector", "Entity", "ForceTorqueSpec", "Frame",
-    "FrameSensorSpec", "Geometry", "Gripper", "HeightField", "IdealPd", "ImplicitPd", "ImuSpec", "Joint",
-    "JointSensorSpec", "JointType", "Link", "LoopJoint", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision", "Mimic",
-    "Noise", "ObjectSpec", "PhysicsMaterial", "Plane", "Pose", "RayCasterSpec", "RobotSpec", "Scene", "SensorSpec",
-    "Shape", "SoftBody", "Sphere", "look_at", "single_link",
+    "ActuatorConfig", "AmbientLight", "Articulation", "Box", "CameraSpec", "Capsule", "Channel", "Cloth", "Color",
+    "Compliance", "ContactSensorSpec", "Cylinder", "DcMotor", "DirectionalLight", "EndEffector", "Entity",
+    "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField", "IdealPd", "ImplicitPd",
+    "ImuSpec", "Joint", "JointSensorSpec", "JointType", "Light", "Link", "LoopJoint", "MarkerShape", "MarkerSpec",
+    "Mesh", "MeshCollision", "Mimic", "Noise", "ObjectSpec", "PhysicsMaterial", "Plane", "Pose", "RayCasterSpec",
+    "Rgb", "RobotSpec", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere", "look_at", "single_link",
 ]  # fmt: skip

@@ -12,8 +12,10 @@ from orbit_core.assets.objects import box, capsule, cylinder, sphere, table
 from orbit_core.assets.scene_data import check_data
 from orbit_core.interfaces import ArgumentError, AssetError
 from orbit_core.scene import (
+    AmbientLight,
     Box,
     CameraSpec,
+    DirectionalLight,
     ImuSpec,
     MarkerSpec,
     Mesh,
@@ -22,6 +24,7 @@ from orbit_core.scene import (
     RayCasterSpec,
     Scene,
     Shape,
+    Sky,
 )
 
 CUBE = box("cube", (0.1, 0.1, 0.1))
@@ -36,6 +39,10 @@ def placed(*pose: Any) -> Scene:
     return scene(objects=(replace(CUBE, pose=Pose(*pose)),))
 
 
+def lit(*lights: Any) -> Scene:
+    return scene(lights=lights)
+
+
 def made_of(**coefficients: Any) -> Scene:
     return scene(objects=(box("cube", (0.1, 0.1, 0.1), material=PhysicsMaterial(**coefficients)),))
 
@@ -47,6 +54,14 @@ BAD = [
     (scene(gravity=(0.0, 0.0, -1e30)), r"scene\.gravity is -1e\+30: give -10000 to 10000 m/s\^2"),
     (scene(physics_dt=-0.1), r"scene\.physics_dt is -0\.1: give 1e-07 to 1 s"),
     (scene(physics_dt=INF), r"scene\.physics_dt is inf"),
+    (lit(DirectionalLight((0.0, 0.0, 0.0))), r"scene\.lights\[0\]\.direction is .*: give where the light travels to"),
+    (lit(DirectionalLight((0.0, 0.0, NAN))), r"scene\.lights\[0\]\.direction\[2\] is nan: give a number"),
+    (lit(DirectionalLight(color=(1.0, -0.1, 0.0))), r"scene\.lights\[0\]\.color is -0\.1: give 0 to 1000"),
+    (lit(DirectionalLight(intensity=-1.0)), r"scene\.lights\[0\]\.intensity is -1\.0: give 0 to 1000"),
+    (lit(AmbientLight((0.1, INF, 0.1))), r"scene\.lights\[0\]\.color is inf: give 0 to 1000"),
+    (lit(AmbientLight(), "sun"), r"scene\.lights\[1\] is 'sun': give AmbientLight or DirectionalLight"),
+    (lit(*4 * [DirectionalLight()]), r"scene\.lights has 4 directional lights: give 3 at most"),
+    (scene(sky=Sky(above=(0.0, 0.0, 1.1))), r"scene\.sky\.above is 1\.1: give 0 to 1"),
     (scene(objects=CUBE), r"scene\.objects is .*give a tuple"),
     (scene(objects=("cube",)), r"scene\.objects\[0\] is 'cube': give a ObjectSpec"),
     (placed((0.0, NAN, 0.0)), r"scene\.objects\[0\]\.pose\.position\[1\] is nan"),
@@ -96,3 +111,14 @@ def test_solids_have_lengths_and_masses_above_zero(length: Any) -> None:
     ):
         with pytest.raises((AssetError, ArgumentError), match="'solid'"):
             make()
+
+
+def test_lights_of_one_kind_add_up_and_a_direction_has_any_length() -> None:
+    dim, bright = AmbientLight((0.1, 0.0, 0.2)), AmbientLight((0.2, 0.3, 0.0))
+    lamp = DirectionalLight((0.0, -3.0, -4.0), (1.0, 0.5, 0.0), 0.5)
+    made = lit(dim, lamp, bright)
+    assert made.ambient == pytest.approx((0.3, 0.3, 0.2))
+    assert made.directional_lights == (lamp,)
+    assert lamp.unit_direction == pytest.approx((0.0, -0.6, -0.8))
+    assert lamp.radiance == (0.5, 0.25, 0.0)
+    assert lit().ambient == (0.0, 0.0, 0.0)

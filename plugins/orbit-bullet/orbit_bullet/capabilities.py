@@ -56,6 +56,8 @@ CAPABILITIES = Capabilities(
         Capability.SNAPSHOTS: EXACT,
         Capability.DETERMINISTIC: EXACT,
         Capability.RGB: EXACT,
+        Capability.LIGHTING: unsupported("this backend draws with a light of its own"),
+        Capability.SHADOWS: unsupported("this backend draws with a light of its own"),
         Capability.DEPTH: EXACT,
         Capability.NORMALS: approximate("computed from the depth image: blurred at the edges of things"),
         Capability.ALBEDO: EXACT,

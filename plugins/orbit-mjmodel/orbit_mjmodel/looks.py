@@ -11,19 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout
-from orbit_core.scene import Box, Capsule, Cylinder, Entity, HeightField, Mesh, Plane, Shape, Sphere
-
-SUN = np.array([-0.35, 0.45, -1.0]) / np.linalg.norm([-0.35, 0.45, -1.0])
-"""Direction of the light that casts shadows."""
-
-CHECKER_SIZE = 1.0
-"""Metres of a plane's squares."""
-CHECKER_CONTRAST = 0.07
-"""Of the way to white that every other square is lighter."""
-SKY_HIGH, SKY_LOW = (0.55, 0.68, 0.82), (0.88, 0.91, 0.94)
-"""Colours straight above and below."""
+from orbit_core.scene import Box, Capsule, Cylinder, Entity, HeightField, Mesh, Plane, Scene, Shape, Sky, Sphere
 
 _HEIGHT_FIELD_BASE = 0.01
+_SKY_SIZE = 256
+"""Pixels along a side of the cube that shows the sky."""
+_DARK = (0.0, 0.0, 0.0)
 _GEOM = mujoco.mjtGeom
 
 
@@ -59,7 +52,7 @@ def _seen(entity: Entity) -> list[tuple[Shape, ...]]:
 def looks_spec(layout: SceneLayout) -> mujoco.MjSpec:
     """What to compile and draw. Body ``i + 1`` is link ``i`` and has mocap index ``i``; body 0 carries the terrain."""
     spec = mujoco.MjSpec()
-    _set_lights(spec)
+    _set_lights(spec, layout.scene)
     looks = _Looks(spec)
     for shape in layout.scene.terrain:
         looks.add(spec.worldbody, shape)
@@ -70,26 +63,39 @@ def looks_spec(layout: SceneLayout) -> mujoco.MjSpec:
     return spec
 
 
-def _set_lights(spec: mujoco.MjSpec) -> None:
+def _set_lights(spec: mujoco.MjSpec, scene: Scene) -> None:
+    """The scene's own lights alone; MuJoCo keeps ambient light in the headlight, which otherwise stays dark."""
     headlight = spec.visual.headlight
-    headlight.ambient, headlight.diffuse = (0.38, 0.38, 0.40), (0.20, 0.20, 0.20)
-    headlight.specular = (0.05, 0.05, 0.05)
-    spec.add_texture(
+    headlight.ambient, headlight.diffuse, headlight.specular = scene.ambient, _DARK, _DARK
+    for light in scene.directional_lights:
+        spec.worldbody.add_light(
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            dir=light.unit_direction,
+            castshadow=light.shadows,
+            ambient=_DARK,
+            diffuse=light.radiance,
+            specular=_DARK,
+        )
+    faces = _sky_faces(scene.sky)
+    texture = spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=SKY_HIGH,
-        rgb2=SKY_LOW,
-        width=256,
-        height=1536,
+        width=faces.shape[2],
+        height=faces.shape[0] * faces.shape[1],
+        nchannel=faces.shape[3],
     )
-    directional = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    spec.worldbody.add_light(
-        type=directional, dir=SUN, castshadow=True, diffuse=(0.52, 0.50, 0.47), specular=(0.25, 0.25, 0.25)
-    )
-    spec.worldbody.add_light(
-        type=directional, dir=(0.6, -0.5, -0.4), castshadow=False, diffuse=(0.12, 0.14, 0.17), specular=(0, 0, 0)
-    )
+    texture.data = faces.tobytes()
+
+
+def _sky_faces(sky: Sky) -> npt.NDArray[np.uint8]:
+    """(6, size, size, 3) of the cube round the scene: right, left, up, down, front, back; top rows first."""
+    along = (np.arange(_SKY_SIZE) + 0.5) * (2.0 / _SKY_SIZE) - 1.0
+    across, height = np.meshgrid(along, -along)
+    length = np.sqrt(1.0 + across**2 + height**2)
+    side, up = height / length, 1.0 / length
+    sine = np.stack((side, side, up, -up, side, side))[..., None]
+    above, below = np.asarray(sky.above), np.asarray(sky.below)
+    return (255.0 * (below + 0.5 * (1.0 + sine) * (above - below)) + 0.5).astype(np.uint8)
 
 
 class _Looks:
@@ -98,10 +104,9 @@ class _Looks:
     def __init__(self, spec: mujoco.MjSpec) -> None:
         self._spec = spec
         self._meshes: dict[Mesh, str] = {}
-        self._grounds: dict[tuple[float, ...], str] = {}
         self._height_fields = 0
         # MuJoCo takes a geom's own colour for unset, and the material's instead, if it equals the default grey.
-        spec.add_material(name="surface", rgba=(0.5, 0.5, 0.5, 1.0), specular=0.35, shininess=0.45)
+        spec.add_material(name="surface", rgba=(0.5, 0.5, 0.5, 1.0), specular=0.0)
 
     def add(self, body: mujoco.MjsBody, shape: Shape) -> None:
         """Draw ``shape`` as part of ``body``."""
@@ -124,8 +129,7 @@ class _Looks:
             case Cylinder(radius, half_length):
                 geom.type, geom.size = _GEOM.mjGEOM_CYLINDER, (radius, half_length, 0)
             case Plane():
-                geom.type, geom.size = _GEOM.mjGEOM_PLANE, (0, 0, CHECKER_SIZE)
-                geom.material, geom.rgba = self._ground(shape.color), (1, 1, 1, shape.color[3])
+                geom.type, geom.size = _GEOM.mjGEOM_PLANE, (0, 0, 1.0)
             case Mesh() as mesh:
                 geom.type, geom.meshname = _GEOM.mjGEOM_MESH, self._mesh(mesh)
             case HeightField() as field:
@@ -142,25 +146,6 @@ class _Looks:
                 inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
             )
         return self._meshes[mesh]
-
-    def _ground(self, color: tuple[float, float, float, float]) -> str:
-        if color not in self._grounds:
-            name = self._grounds[color] = f"ground{len(self._grounds)}"
-            base = np.asarray(color[:3])
-            self._spec.add_texture(
-                name=name,
-                type=mujoco.mjtTexture.mjTEXTURE_2D,
-                builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-                rgb1=base,
-                rgb2=base + CHECKER_CONTRAST * (1.0 - base),
-                width=256,
-                height=256,
-            )
-            material = self._spec.add_material(
-                name=name, texuniform=True, texrepeat=(1 / CHECKER_SIZE, 1 / CHECKER_SIZE), specular=0.1
-            )
-            material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-        return self._grounds[color]
 
     def _set_height_field(self, geom: mujoco.MjsGeom, shape: Shape, field: HeightField) -> None:
         heights = np.asarray(field.heights, dtype=np.float64)

@@ -58,6 +58,10 @@ CAPABILITIES = Capabilities(
         Capability.SNAPSHOTS: EXACT,
         Capability.DETERMINISTIC: EXACT,
         Capability.RGB: EXACT,
+        Capability.LIGHTING: EXACT,
+        Capability.SHADOWS: approximate(
+            "from a map of 6 mm squares that reaches 3 m around the middle of what moves; beyond, all is lit"
+        ),
         Capability.DEPTH: EXACT,
         Capability.NORMALS: EXACT,
         Capability.ALBEDO: EXACT,

@@ -26,7 +26,7 @@ from orbit_core.interfaces import (
     albedo_table,
 )
 from orbit_core.scene import CameraSpec, Channel
-from orbit_mjmodel.looks import SUN, all_variants
+from orbit_mjmodel.looks import all_variants
 from orbit_mujoco.config import MujocoConfig
 from orbit_mujoco.renderer_context import create_context
 from orbit_mujoco.renderer_markers import MAX_GEOMS, add_markers
@@ -35,7 +35,7 @@ from orbit_mujoco.renderer_rays import HIDDEN_GROUP, trace
 
 _COLOR_FLAGS = (mujoco.mjtRndFlag.mjRND_SKYBOX, mujoco.mjtRndFlag.mjRND_CULL_FACE)
 _ID_FLAGS = (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR, mujoco.mjtRndFlag.mjRND_CULL_FACE)
-_SUN_DISTANCE = 6.0
+_LIGHT_DISTANCE = 6.0
 
 _Array = npt.NDArray[Any]
 _open_renderers: weakref.WeakSet[MujocoRenderer] = weakref.WeakSet()
@@ -194,11 +194,11 @@ class MujocoRenderer(Renderer):
             eye.frustum_near, eye.frustum_far, eye.frustum_center = camera.near, camera.far, 0.0
             eye.frustum_top, eye.frustum_bottom = top, -top
             eye.frustum_width = top * camera.width / camera.height
-        # Shadows reach around the sun's axis: point it at the middle of what moves.
+        # Shadows reach around a light's axis: point it at the middle of what moves.
         middle = self._data.mocap_pos.mean(0) if self._model.nmocap else np.zeros(3)
         for light in self._scene.lights[: self._scene.nlight]:
             if light.castshadow:
-                light.pos = middle - _SUN_DISTANCE * SUN
+                light.pos = middle - _LIGHT_DISTANCE * np.asarray(light.dir)
 
     def _update_scene(self) -> None:
         everything = mujoco.mjtCatBit.mjCAT_ALL

@@ -4,6 +4,8 @@ from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, 
 
 _TRACED = {
     Capability.RGB: EXACT,
+    Capability.LIGHTING: unsupported("this backend draws with lights of its own"),
+    Capability.SHADOWS: unsupported("this backend draws with lights of its own"),
     Capability.DEPTH: EXACT,
     Capability.NORMALS: EXACT,
     Capability.ALBEDO: EXACT,

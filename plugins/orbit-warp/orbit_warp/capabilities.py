@@ -60,6 +60,8 @@ CAPABILITIES = Capabilities(
             "bit for bit on a CPU; on a GPU only with WarpConfig(deterministic=True), for sums run in any order"
         ),
         Capability.RGB: EXACT,
+        Capability.LIGHTING: EXACT,
+        Capability.SHADOWS: EXACT,
         Capability.DEPTH: EXACT,
         Capability.NORMALS: EXACT,
         Capability.ALBEDO: EXACT,

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout, drawn_shapes
-from orbit_core.scene import Color, MarkerShape, MarkerSpec, Plane
-from orbit_mjmodel.looks import CHECKER_CONTRAST, all_variants, looks_spec
+from orbit_core.scene import Color, MarkerShape, MarkerSpec
+from orbit_mjmodel.looks import all_variants, looks_spec
 
 _AXIS_COLORS = ((0.9, 0.2, 0.2), (0.2, 0.8, 0.25), (0.2, 0.4, 0.95))
 _ARROW = ((0.0, 0.035), (0.75, 0.035), (0.75, 0.08), (1.0, 0.0))
@@ -32,6 +32,7 @@ class PictureModel:
         spec = looks_spec(layout)
         shapes = drawn_shapes(layout)
         self.links = len(layout.links)
+        self.sky = layout.scene.sky
         self._colors = [shape.color for shape, _ in shapes]
         for marker in layout.scene.markers:
             self._add_marker(spec, marker)
@@ -44,9 +45,6 @@ class PictureModel:
         self.colors[:, : len(shapes), 3] *= shown
         self.is_marker = np.arange(self.colors.shape[1]) >= len(shapes)
         self.link_of_geom = np.array([*(link for _, link in shapes), *[0] * markers], dtype=np.int32)
-        planes = [isinstance(shape.geometry, Plane) for shape, _ in shapes] + [False] * markers
-        self.contrast = np.where(planes, np.float32(CHECKER_CONTRAST), np.float32(0.0))
-        """(geoms,) how much lighter a checker's other squares are; zero draws none."""
         self.geom_types = tuple(sorted({int(kind) for kind in self.model.geom_type}))
 
     def _add_marker(self, spec: mujoco.MjSpec, marker: MarkerSpec) -> None:

@@ -31,7 +31,6 @@ class StageArrays:
     """The same, with markers invisible."""
     shadow_colors: wp.array2d[wp.vec4]
     """The same, with all that casts no shadow invisible."""
-    contrast: wp.array[float]
     link_of_geom: wp.array[int]
     xpos: wp.array2d[wp.vec3]
     xmat: wp.array2d[wp.mat33]
@@ -46,7 +45,8 @@ class StageArrays:
     mesh_facenormal: wp.array[wp.vec3i]
     mesh_normal: wp.array[wp.vec3]
     ambient: wp.vec3
-    headlight: wp.vec3
+    sky_above: wp.vec3
+    sky_below: wp.vec3
     light_dir: wp.array[wp.vec3]
     light_color: wp.array[wp.vec3]
     light_casts: wp.array[bool]
@@ -178,7 +178,6 @@ class Stage:
         arrays.geom_dataid = wp.array(mjm.geom_dataid[None], dtype=int)
         arrays.geom_size = wp.array(mjm.geom_size[None], dtype=wp.vec3)
         arrays.geom_matid = wp.full((1, self._geoms), -1, dtype=int)  # colours are the table's
-        arrays.contrast = wp.array(model.contrast, dtype=float)
         arrays.link_of_geom = wp.array(model.link_of_geom, dtype=int)
         arrays.geoms, arrays.every_geom = self._geoms, wp.array(np.arange(self._geoms), dtype=int)
         arrays.mesh_ids, arrays.hfield_ids = meshes.mesh_bvh_id, meshes.hfield_bvh_id
@@ -186,7 +185,8 @@ class Stage:
         arrays.mesh_normaladr = wp.array(mjm.mesh_normaladr, dtype=int)
         arrays.mesh_facenormal = meshes.mesh_facenormal
         arrays.mesh_normal = wp.array(mjm.mesh_normal, dtype=wp.vec3)
-        arrays.ambient, arrays.headlight = meshes.headlight_ambient, meshes.headlight_diffuse
+        arrays.ambient = wp.vec3(*mjm.vis.headlight.ambient)
+        arrays.sky_above, arrays.sky_below = wp.vec3(*model.sky.above), wp.vec3(*model.sky.below)
         arrays.light_dir = wp.array(mjm.light_dir, dtype=wp.vec3)
         arrays.light_color = wp.array(mjm.light_diffuse, dtype=wp.vec3)
         arrays.light_casts = wp.array(mjm.light_castshadow, dtype=bool)

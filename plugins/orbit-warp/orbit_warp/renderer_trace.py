@@ -18,7 +18,6 @@ from mujoco_warp._src.render import _make_cast_ray, vertex_normal
 from mujoco_warp._src.types import GeomType
 
 from orbit_core.interfaces import BACKGROUND
-from orbit_mjmodel.looks import CHECKER_SIZE, SKY_HIGH, SKY_LOW
 from orbit_warp.renderer_stage import StageArrays
 
 EVERY_TYPE = tuple(range(GeomType.MESH + 1))
@@ -27,9 +26,7 @@ _LAYERS = 4
 _LIFT = wp.constant(1e-4)
 """Metres, and share of the distance, that a ray starts above the surface that it leaves."""
 _FAR_AWAY = wp.constant(1e6)
-_SQUARE = wp.constant(CHECKER_SIZE)
 _BACKGROUND = wp.constant(BACKGROUND)
-_SKY_LOW, _SKY_HIGH = wp.constant(wp.vec3(*SKY_LOW)), wp.constant(wp.vec3(*SKY_HIGH))
 
 
 @wp.struct
@@ -45,22 +42,14 @@ class Hit:
 
 
 @wp.func
-def surface_color(stage: StageArrays, env: int, geom: int, point: wp.vec3) -> wp.vec3:
-    """The geom's colour; a checkered plane's with every other square a little lighter."""
+def surface_color(stage: StageArrays, env: int, geom: int) -> wp.vec3:
     rgba = stage.colors[env % stage.colors.shape[0], geom]
-    color = wp.vec3(rgba[0], rgba[1], rgba[2])
-    contrast = stage.contrast[geom]
-    if contrast > 0.0:
-        local = wp.transpose(stage.xmat[env, geom]) @ (point - stage.xpos[env, geom])
-        square = wp.floor(local[0] / _SQUARE) + wp.floor(local[1] / _SQUARE)
-        if square - 2.0 * wp.floor(0.5 * square) < 0.5:
-            color += contrast * (wp.vec3(1.0) - color)
-    return color
+    return wp.vec3(rgba[0], rgba[1], rgba[2])
 
 
 @wp.func
-def sky(direction: wp.vec3) -> wp.vec3:
-    return wp.lerp(_SKY_LOW, _SKY_HIGH, 0.5 + wp.asin(wp.clamp(direction[2], -1.0, 1.0)) / wp.pi)
+def sky(stage: StageArrays, direction: wp.vec3) -> wp.vec3:
+    return wp.lerp(stage.sky_below, stage.sky_above, 0.5 + 0.5 * direction[2])
 
 
 @wp.func
@@ -110,9 +99,9 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool) -
     nearest, blocking = _cast(geom_types, first_hit=False), _cast(geom_types, first_hit=True)
 
     @wp.func
-    def light(stage: StageArrays, env: int, hit: Hit, point: wp.vec3, forward: wp.vec3) -> wp.vec3:
-        """What of each colour's light reaches the point: from around, from the camera, and from the lights."""
-        total = stage.ambient + stage.headlight * wp.max(0.0, -wp.dot(hit.smooth, forward))
+    def light(stage: StageArrays, env: int, hit: Hit, point: wp.vec3) -> wp.vec3:
+        """What of each colour's light reaches the point: from around, and from the lights."""
+        total = stage.ambient
         for i in range(stage.light_dir.shape[0]):
             toward = -stage.light_dir[i]
             share = wp.dot(hit.smooth, toward)
@@ -126,7 +115,7 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool) -
 
     @wp.func
     def color_along(
-        stage: StageArrays, env: int, first: Hit, origin: wp.vec3, direction: wp.vec3, reach: float, forward: wp.vec3
+        stage: StageArrays, env: int, first: Hit, origin: wp.vec3, direction: wp.vec3, reach: float
     ) -> wp.vec3:
         """The colour that comes along a ray, through what is transparent."""
         color, through = wp.vec3(0.0), wp.float32(1.0)
@@ -136,7 +125,7 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool) -
                 break
             point = start + hit.distance * direction
             opacity = stage.colors[env % stage.colors.shape[0], hit.geom][3]
-            seen = wp.cw_mul(surface_color(stage, env, hit.geom, point), light(stage, env, hit, point, forward))
+            seen = wp.cw_mul(surface_color(stage, env, hit.geom), light(stage, env, hit, point))
             color += through * opacity * seen
             through *= 1.0 - opacity
             if through < 0.01:
@@ -145,7 +134,7 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool) -
             start += step * direction
             left -= step
             hit = nearest(stage, stage.colors, env, start, direction, left)
-        return color + through * sky(direction)
+        return color + through * sky(stage, direction)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def trace(
@@ -188,10 +177,9 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool) -
                 if seen:
                     albedo[env, pixel, i] = byte(stage.colors[env % stage.colors.shape[0], hit.geom][i])
         if wp.static(with_color):
-            forward = rot_vec_quat(wp.vec3(0.0, 0.0, -1.0), q)
             if with_markers:
                 hit = nearest(stage, stage.colors, env, origin, direction, reach)
-            color = color_along(stage, env, hit, origin, direction, reach, forward)
+            color = color_along(stage, env, hit, origin, direction, reach)
             for i in range(3):
                 rgb[env, pixel, i] = byte(color[i])
 

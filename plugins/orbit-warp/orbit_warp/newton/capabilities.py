@@ -32,6 +32,8 @@ _COMMON = {
     Capability.SNAPSHOTS: EXACT,
     Capability.DETERMINISTIC: approximate(_ORDER),
     Capability.RGB: unsupported(_NO_IMAGES),
+    Capability.LIGHTING: unsupported(_NO_IMAGES),
+    Capability.SHADOWS: unsupported(_NO_IMAGES),
     Capability.DEPTH: unsupported(_NO_IMAGES),
     Capability.NORMALS: unsupported(_NO_IMAGES),
     Capability.SEGMENTATION: unsupported(_NO_IMAGES),
