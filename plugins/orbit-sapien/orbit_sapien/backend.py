@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from orbit_core.interfaces import Backend, Capabilities, ConfigurationError, Gap, UnsupportedCapabilityError
-from orbit_sapien.capabilities import CAPABILITIES, RASTERIZED_IMAGES, TRACED_IMAGES
+from orbit_sapien.capabilities import CAPABILITIES, FAST_IMAGES, PBR_IMAGES, TRACED_IMAGES
 from orbit_sapien.config import PathConfig, RasterConfig, SapienConfig
 from orbit_sapien.gaps import GAPS
 
@@ -59,7 +59,7 @@ class _Tier(SapienBackend):
     config_type: ClassVar[type] = RasterConfig
 
     def capabilities(self) -> Capabilities:
-        return RASTERIZED_IMAGES
+        return FAST_IMAGES
 
     def create_engine(self, layout: SceneLayout, num_envs: int, device: torch.device, config: SapienConfig) -> Engine:
         raise UnsupportedCapabilityError(f"'{self.name}' draws and simulates nothing: use backend 'sapien' for physics")
@@ -71,7 +71,7 @@ class _Tier(SapienBackend):
 
 
 class SapienFast(_Tier):
-    """Rasterised, one sun with shadows."""
+    """Rasterised, by Lambert's law, with shadows."""
 
     name, tier = "sapien-fast", "fast"
 
@@ -80,6 +80,9 @@ class SapienPbr(_Tier):
     """Rasterised with physically based materials."""
 
     name, tier = "sapien-pbr", "pbr"
+
+    def capabilities(self) -> Capabilities:
+        return PBR_IMAGES
 
 
 class SapienRt(_Tier):

@@ -2,23 +2,42 @@
 
 from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
 
-_TRACED = {
+_SHADOW_MAP = "from a map of 6 mm squares that reaches 3 m around the middle of what moves; beyond, all is lit"
+_LINEAR = "reckons in linear light: right within 4 of 255 where no directional light falls, elsewhere 8 to 33 brighter"
+
+_IMAGES = {
     Capability.RGB: EXACT,
-    Capability.LIGHTING: unsupported("this backend draws with lights of its own"),
-    Capability.SHADOWS: unsupported("this backend draws with lights of its own"),
+    Capability.LIGHTING: EXACT,
+    Capability.SHADOWS: approximate(_SHADOW_MAP),
     Capability.DEPTH: EXACT,
     Capability.NORMALS: EXACT,
     Capability.ALBEDO: EXACT,
     Capability.SEGMENTATION: EXACT,
-    Capability.RAY_TRACED_RGB: EXACT,
+    Capability.RAY_TRACED_RGB: unsupported("this tier rasterises: choose renderer 'sapien-rt'"),
 }
 
-TRACED_IMAGES = Capabilities(_TRACED)
-"""Of the path tracer alone."""
-RASTERIZED_IMAGES = Capabilities(
-    {**_TRACED, Capability.RAY_TRACED_RGB: unsupported("this tier rasterises: choose renderer 'sapien-rt'")}
+FAST_IMAGES = Capabilities(_IMAGES)
+"""Of the plain rasteriser alone."""
+PBR_IMAGES = Capabilities(
+    _IMAGES
+    | {
+        Capability.LIGHTING: approximate(f"{_LINEAR}, with highlights"),
+        Capability.SHADOWS: approximate(f"{_SHADOW_MAP}; edges are blurred over 5 squares"),
+    }
 )
-"""Of the rasterisers alone."""
+"""Of the rasteriser with physically based materials."""
+TRACED_IMAGES = Capabilities(
+    _IMAGES
+    | {
+        Capability.LIGHTING: approximate(
+            f"{_LINEAR}, with highlights, light from other surfaces and none of the ambient light where they hide the "
+            "sky, which is of the ambient light's colour"
+        ),
+        Capability.SHADOWS: approximate("what surfaces throw back falls into them"),
+        Capability.RAY_TRACED_RGB: EXACT,
+    }
+)
+"""Of the path tracer alone."""
 
 CAPABILITIES = Capabilities(
     {
@@ -87,7 +106,7 @@ CAPABILITIES = Capabilities(
             "a run repeats bit for bit with the same number of environments; with another, PhysX's TGS solver sums "
             "contacts in another order, and they differ in the last bit"
         ),
-        **_TRACED,
+        **(_IMAGES | {Capability.RAY_TRACED_RGB: EXACT}),
         Capability.GPU: unsupported(
             "untested: PhysX's GPU library is no part of SAPIEN's package and was never at hand; where it is installed "
             "(python -m orbit_sapien.physx_gpu), device 'cuda' runs code that no GPU has run"

@@ -20,15 +20,13 @@ from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image
 from orbit_core.scene import CameraSpec, Channel
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.native import NativePose, sapien
+from orbit_sapien.renderer_lights import Lights
 from orbit_sapien.renderer_shaders import shader_pack
 from orbit_sapien.renderer_shapes import marker_shapes, render_shape
 
 _Array = npt.NDArray[Any]
 _AWAY = NativePose([0.0, 0.0, -1e4])
 """Where markers are while they are not drawn."""
-_SUN = (-0.35, 0.45, -0.8)
-_SUN_DISTANCE = 10.0
-_SUN_REACH = 3.0
 
 
 class SapienRenderer(Renderer):
@@ -55,7 +53,7 @@ class SapienRenderer(Renderer):
         self._link_of_id: dict[int, int] = {}
         self._links = self._add_links(reach)
         self._markers = [self._add(marker_shapes(marker), None) for marker in layout.scene.markers]
-        self._add_lights()
+        self._lights = Lights(self._scene, layout.scene, config)
         self._cameras: dict[tuple[CameraSpec, str], tuple[sapien.Entity, Any]] = {}
         self._lookup = np.full(max(self._link_of_id, default=0) + 2, BACKGROUND, np.int32)
         for number, link in self._link_of_id.items():
@@ -86,13 +84,6 @@ class SapienRenderer(Renderer):
         if link is not None:
             self._link_of_id[entity.per_scene_id] = link
         return entity
-
-    def _add_lights(self) -> None:
-        self._scene.set_ambient_light([0.42, 0.44, 0.48])
-        self._sun = self._scene.add_directional_light(
-            _SUN, [1.9, 1.8, 1.65], shadow=self._config.shadow_size > 0, shadow_scale=_SUN_REACH, shadow_near=0.1,
-            shadow_far=2.5 * _SUN_DISTANCE, shadow_map_size=max(self._config.shadow_size, 1),
-        )  # fmt: skip
 
     # Pictures --------------------------------------------------------------------------------------------------------
 
@@ -177,7 +168,9 @@ class SapienRenderer(Renderer):
                 sapien.render.set_ray_tracing_samples_per_pixel(self._config.samples_per_pixel)
                 sapien.render.set_ray_tracing_path_depth(self._config.path_depth)
                 sapien.render.set_ray_tracing_denoiser(self._config.denoiser)
-            eye = sapien.render.RenderCameraComponent(camera.width, camera.height, shader_pack(tier))
+            eye = sapien.render.RenderCameraComponent(
+                camera.width, camera.height, shader_pack(tier, self._layout.scene.sky)
+            )
             focal = 0.5 * camera.height / math.tan(0.5 * camera.vertical_fov)
             eye.set_perspective_parameters(
                 camera.near, camera.far, focal, focal, 0.5 * camera.width, 0.5 * camera.height, 0.0
@@ -192,12 +185,7 @@ class SapienRenderer(Renderer):
         for number, entity in self._links:
             pose = links[number]
             entity.set_pose(NativePose(pose[:3], pose[3:]))
-        # Shadows reach around the sun's axis: point it at the middle of what moves.
-        middle = links[:, :3].mean(0) if len(links) else np.zeros(3)
-        direction = np.asarray(_SUN) / np.linalg.norm(_SUN)
-        self._sun.entity.set_pose(
-            NativePose((middle - _SUN_DISTANCE * direction).astype(np.float32), self._sun.entity.pose.q)
-        )
+        self._lights.point_at(links[:, :3].mean(0) if len(links) else np.zeros(3))
 
     def _place_markers(self, poses: _Array | None) -> None:
         for number, entity in enumerate(self._markers):
@@ -207,7 +195,7 @@ class SapienRenderer(Renderer):
         if not self._closed:
             self._closed = True
             self._cameras.clear()
-            del self._links, self._markers, self._sun, self._scene, self._system
+            del self._links, self._markers, self._lights, self._scene, self._system
 
 
 def _render_system() -> sapien.render.RenderSystem:

@@ -17,6 +17,7 @@ import tempfile
 from pathlib import Path
 
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.scene import Rgb, Sky
 from orbit_sapien.native import sapien
 
 _OWN = Path(__file__).parent / "shaders"
@@ -32,8 +33,8 @@ _FIT = """
 
 
 @functools.cache
-def shader_pack(tier: str) -> str:
-    """The folder of a tier's shaders, made once a process.
+def shader_pack(tier: str, sky: Sky) -> str:
+    """The folder of a tier's shaders under a sky, made once a process.
 
     Raises:
         ConfigurationError: the installed SAPIEN has other shaders than those that this was written for.
@@ -46,9 +47,12 @@ def shader_pack(tier: str) -> str:
         shutil.copytree(installed / "common", folder / "common")
         shadows = folder / "common" / "shadow.glsl"
         shadows.write_text(shadows.read_text().replace(_SHADOW, f"{_LIT_OUTSIDE}\n  {_SHADOW}"))
-    pack = folder / tier
-    shutil.copytree(installed / "minimal", pack)
-    shutil.copy(_OWN / "composite0.frag", pack)
+    pack = Path(tempfile.mkdtemp(prefix=f"{tier}-", dir=folder))
+    shutil.copytree(installed / "minimal", pack, dirs_exist_ok=True)
+    composite = (_OWN / "composite0.frag").read_text()
+    (pack / "composite0.frag").write_text(
+        composite.replace("SKY_ABOVE", _vector(sky.above)).replace("SKY_BELOW", _vector(sky.below))
+    )
     if tier == "fast":
         shutil.copy(_OWN / "gbuffer.frag", pack)
     else:
@@ -59,6 +63,11 @@ def shader_pack(tier: str) -> str:
             )
         (pack / "gbuffer.frag").write_text(_TABLE.sub("", source).replace(_LOOK_UP, _FIT))
     return str(pack)
+
+
+def _vector(color: Rgb) -> str:
+    red, green, blue = (float(part) for part in color)
+    return f"vec3({red!r}, {green!r}, {blue!r})"
 
 
 @functools.cache

@@ -1,6 +1,7 @@
 #version 450
-// Colour under one sun and a sky, and the exact surface at each pixel's centre: position in the camera's frame, the
-// normal in the world's axes, and the entity's number. Binding places are those that SAPIEN's renderer fills.
+// Colour in the scene's lights, by Lambert's law in the picture's own numbers (sRGB), and the exact surface at each
+// pixel's centre: position in the camera's frame, the normal in the world's axes, and the entity's number. Binding
+// places are those that SAPIEN's renderer fills.
 
 layout (constant_id = 0) const int NUM_DIRECTIONAL_LIGHTS = 0;
 layout (constant_id = 1) const int NUM_DIRECTIONAL_LIGHT_SHADOWS = 0;
@@ -117,19 +118,18 @@ void main() {
 
   vec3 normal = normalize(inTbn[2]);
   vec3 worldNormal = mat3(cameraBuffer.viewMatrixInverse) * normal;
-  // A sky above and a ground that throws half of it back.
-  vec3 light = sceneBuffer.ambientLight.rgb * (0.75 + 0.25 * worldNormal.z);
+  vec3 light = sceneBuffer.ambientLight.rgb;
   for (int i = 0; i < NUM_DIRECTIONAL_LIGHTS; ++i) {
     vec3 direction = mat3(cameraBuffer.viewMatrix) * sceneBuffer.directionalLights[i].direction.xyz;
     float facing = max(dot(normal, -direction), 0.0);
     float reached = i < NUM_DIRECTIONAL_LIGHT_SHADOWS ? lit(i, inPosition.xyz) : 1.0;
-    light += reached * facing * sceneBuffer.directionalLights[i].emission.rgb / 3.14159265;
+    light += reached * facing * sceneBuffer.directionalLights[i].emission.rgb;
   }
-  vec3 color = materialBuffer.emission.rgb + albedo.rgb * light;
-  outColorRaw = vec4(pow(clamp(color, 0.0, 1.0), vec3(1 / 2.2)), albedo.a);
+  vec3 own = pow(clamp(albedo.rgb, 0.0, 1.0), vec3(1 / 2.2));
+  outColorRaw = vec4(clamp(own * light, 0.0, 1.0), albedo.a);
   // The fourth part is opacity: SAPIEN blends what is not whole numbers.
   outPosition = vec4(inPosition.xyz, 1);
   outNormal = vec4(worldNormal, 1);
   outSegmentation = inSegmentation;
-  outAlbedo = vec4(pow(clamp(albedo.rgb, 0.0, 1.0), vec3(1 / 2.2)), 1);
+  outAlbedo = vec4(own, 1);
 }
