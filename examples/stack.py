@@ -9,7 +9,7 @@ from torch import Tensor
 
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import box
-from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, Task, make
+from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task, make
 from orbit_core.mdp import common
 from orbit_core.scene import Scene
 from orbit_core.world import SimulatedWorld
@@ -66,12 +66,17 @@ def over_blue(world: SimulatedWorld, task: Stack, height: float) -> Tensor:
 
 
 @dataclass
-class StackObservations:
+class StackState(ObservationGroup):
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     red: ObservationTerm | None = ObservationTerm(red)
     blue: ObservationTerm | None = ObservationTerm(blue)
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class StackObservations:
+    policy: StackState = field(default_factory=StackState)
 
 
 @dataclass

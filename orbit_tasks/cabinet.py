@@ -10,7 +10,7 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import SolidOptions, box, cabinet
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import EventTerm, EventTime, Expert, ObservationTerm, Phase, RewardTerm, Task
+from orbit_core.envs import EventTerm, EventTime, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import World
@@ -100,7 +100,7 @@ def _moved_in(handle: Tensor, position: Tensor, distance: Tensor) -> Tensor:
 
 
 @dataclass
-class CabinetObservations:
+class CabinetState(ObservationGroup):
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
@@ -108,6 +108,12 @@ class CabinetObservations:
     drawer: ObservationTerm | None = ObservationTerm(drawer_position)
     goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal[:, None])
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class CabinetObservations:
+    policy: CabinetState = field(default_factory=CabinetState)
+    critic: ObservationGroup | None = None
 
 
 @dataclass
@@ -177,7 +183,7 @@ class Cabinet(Task):
         friction = randomize.friction((common.ROBOT, "cabinet"), Range(0.6, 1.2))
         self.events.friction = EventTerm(friction, EventTime.STARTUP)
         self.events.gains = EventTerm(gains, EventTime.STARTUP)
-        common.add_noise(self.observations, joint_positions=0.005, joint_velocities=0.05, drawer=0.002)
+        common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, drawer=0.002)
 
     def success(self, world: World) -> Tensor:
         return goal_distance(world, self) < self.tolerance

@@ -13,7 +13,17 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import box, table
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import EventTerm, EventTime, Expert, ObservationTerm, Phase, RewardTerm, Task, TerminationTerm
+from orbit_core.envs import (
+    EventTerm,
+    EventTime,
+    Expert,
+    ObservationGroup,
+    ObservationTerm,
+    Phase,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+)
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import World
@@ -169,7 +179,7 @@ def _facing_down(agent: str, yaw: Tensor) -> Tensor:
 
 
 @dataclass
-class HandoverObservations:
+class HandoverState(ObservationGroup):
     giver_joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions, agent=GIVER)
     giver_joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities, agent=GIVER)
     giver_to_grip: ObservationTerm | None = ObservationTerm(hand_to_grip, agent=GIVER)
@@ -180,6 +190,12 @@ class HandoverObservations:
     receiver_last_action: ObservationTerm | None = ObservationTerm(common.last_action, agent=RECEIVER)
     rod_pose: ObservationTerm | None = ObservationTerm(rod_pose)
     goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
+
+
+@dataclass
+class HandoverObservations:
+    policy: HandoverState = field(default_factory=HandoverState)
+    critic: ObservationGroup | None = None
 
 
 @dataclass
@@ -286,7 +302,7 @@ class Handover(Task):
         self.events.receiver_gains = EventTerm(receiver_gains, EventTime.STARTUP)
         positions = {f"{agent}_joint_positions": 0.005 for agent in self.agents}
         velocities = {f"{agent}_joint_velocities": 0.05 for agent in self.agents}
-        common.add_noise(self.observations, rod_pose=0.002, **positions, **velocities)
+        common.add_noise(self.observations.policy, rod_pose=0.002, **positions, **velocities)
 
     def success(self, world: World) -> Tensor:
         return goal_distance(world, self) < self.tolerance

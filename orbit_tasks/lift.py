@@ -10,7 +10,17 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import box
-from orbit_core.envs import EventTerm, EventTime, Expert, ObservationTerm, Phase, RewardTerm, Task, TerminationTerm
+from orbit_core.envs import (
+    EventTerm,
+    EventTime,
+    Expert,
+    ObservationGroup,
+    ObservationTerm,
+    Phase,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+)
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import World
@@ -106,13 +116,19 @@ def at_goal(world: World, task: Lift) -> Tensor:
 
 
 @dataclass
-class LiftObservations:
+class LiftState(ObservationGroup):
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     cube_pose: ObservationTerm | None = ObservationTerm(cube_pose)
     hand_to_cube: ObservationTerm | None = ObservationTerm(hand_to_cube)
     goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class LiftObservations:
+    policy: LiftState = field(default_factory=LiftState)
+    critic: ObservationGroup | None = None
 
 
 @dataclass
@@ -187,7 +203,7 @@ class Lift(Task):
         friction = randomize.friction((common.ROBOT, "cube", "table"), Range(0.5, 1.2))
         self.events.friction = EventTerm(friction, EventTime.STARTUP)
         self.events.gains = EventTerm(gains, EventTime.STARTUP)
-        common.add_noise(self.observations, joint_positions=0.005, joint_velocities=0.05, cube_pose=0.002)
+        common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, cube_pose=0.002)
 
     def success(self, world: World) -> Tensor:
         return goal_distance(world, self) < self.tolerance

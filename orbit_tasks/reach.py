@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.dynamics.transforms import pose_error, quat_from_euler, quat_multiply
-from orbit_core.envs import EventTerm, EventTime, Expert, ObservationTerm, Phase, RewardTerm, Task
+from orbit_core.envs import EventTerm, EventTime, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import World
@@ -53,12 +53,18 @@ def sample_goal(world: World, task: Reach, env_ids: Tensor) -> None:
 
 
 @dataclass
-class ReachObservations:
+class ReachState(ObservationGroup):
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class ReachObservations:
+    policy: ReachState = field(default_factory=ReachState)
+    critic: ObservationGroup | None = None
 
 
 @dataclass
@@ -124,7 +130,7 @@ class Reach(Task):
         gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
         self.events.masses = EventTerm(masses, EventTime.STARTUP)
         self.events.gains = EventTerm(gains, EventTime.STARTUP)
-        common.add_noise(self.observations, joint_positions=0.005, joint_velocities=0.05)
+        common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05)
 
     def success(self, world: World) -> Tensor:
         near_enough = position_error(world, self) < self.position_tolerance

@@ -12,7 +12,16 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.dynamics.transforms import quat_rotate_inverse
-from orbit_core.envs import CurriculumTerm, EventTerm, EventTime, ObservationTerm, RewardTerm, Task, TerminationTerm
+from orbit_core.envs import (
+    CurriculumTerm,
+    EventTerm,
+    EventTime,
+    ObservationGroup,
+    ObservationTerm,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+)
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import World
@@ -125,7 +134,7 @@ def sample_command(world: World, task: VelocityFlat, env_ids: Tensor) -> None:
 
 
 @dataclass
-class VelocityObservations:
+class VelocityState(ObservationGroup):
     linear_velocity: ObservationTerm | None = ObservationTerm(linear_velocity)
     angular_velocity: ObservationTerm | None = ObservationTerm(angular_velocity)
     projected_gravity: ObservationTerm | None = ObservationTerm(projected_gravity)
@@ -133,6 +142,12 @@ class VelocityObservations:
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities, scale=0.05)
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class VelocityObservations:
+    policy: VelocityState = field(default_factory=VelocityState)
+    critic: ObservationGroup | None = None
 
 
 @dataclass
@@ -246,7 +261,7 @@ class VelocityFlat(Task):
         push = randomize.push(common.ROBOT, Range(0.0, 0.7, easy=0.0))
         self.events.push = EventTerm(push, EventTime.INTERVAL, interval=(3.0, 6.0))
         common.add_noise(
-            self.observations,
+            self.observations.policy,
             linear_velocity=0.1,
             angular_velocity=0.2,
             projected_gravity=0.03,

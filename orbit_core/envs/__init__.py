@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         CurriculumTerm,
         EventTerm,
         EventTime,
+        ObservationGroup,
         ObservationTerm,
         RewardTerm,
         TerminationTerm,
@@ -34,6 +35,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "CurriculumTerm",
         "EventTerm",
         "EventTime",
+        "ObservationGroup",
         "ObservationTerm",
         "RewardTerm",
         "TerminationTerm",
@@ -43,9 +45,9 @@ _MODULES: dict[str, tuple[str, ...]] = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "CurriculumTerm", "Environment", "EventTerm", "EventTime", "Expert", "ObservationTerm", "Phase", "PpoSettings",
-    "RewardTerm", "Task", "TaskEntry", "TaskRegistry", "TerminationTerm", "make", "once_per_state", "task_entries",
-    "task_entry",
+    "CurriculumTerm", "Environment", "EventTerm", "EventTime", "Expert", "ObservationGroup", "ObservationTerm",
+    "Phase", "PpoSettings", "RewardTerm", "Task", "TaskEntry", "TaskRegistry", "TerminationTerm", "make",
+    "once_per_state", "task_entries", "task_entry",
 ]  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -11,7 +11,8 @@ from torch.utils._pytree import keystr, tree_leaves_with_path
 
 from orbit_core.agent import Cut
 from orbit_core.capture.replay import CapturedFunction
-from orbit_core.envs.episode import EpisodeEnd, Observation, StepInfo
+from orbit_core.envs.episode import EpisodeEnd, StepInfo
+from orbit_core.envs.observation_layout import Observation, leaves_of, observation_of
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import World
 
@@ -33,7 +34,9 @@ class CapturedStep:
 
     def __init__(self, environment: Environment, compile: bool, whole: bool) -> None:
         self._environment = environment
-        self._observed = torch.zeros(environment.num_envs, environment.observation_size, device=environment.device)
+        self._observed: list[Tensor] = [torch.empty_like(leaf) for leaf in leaves_of(environment.observer())]
+        """The last observation of all environments, for the part that renews it where episodes begin."""
+        self._leaves = len(self._observed)
         self._metrics: tuple[str, ...] = ()
         self._ended = environment.done if whole else environment.done.numpy()
         parts = (self._play_and_renew,) if whole else (self._play, self._renew)
@@ -48,26 +51,31 @@ class CapturedStep:
         outputs = self.parts[0]()
         environment.cut.acted(count)
         environment.world.repeated(steps + decimation - clock.steps)
-        if len(self.parts) > 1 and self.parts[1].ready and not self._ended.any():
-            observation, reward, terminated, truncated = [output.clone() for output in outputs[:4]]
-            return {"policy": observation}, reward, terminated, truncated, {}
-        observation, reward, terminated, truncated, *end = [output.clone() for output in outputs]
+        running = len(self.parts) > 1 and self.parts[1].ready and not self._ended.any()
+        copies = [output.clone() for output in (outputs[: self._leaves + 3] if running else outputs)]
+        seen, (reward, terminated, truncated, *end) = copies[: self._leaves], copies[self._leaves :]
+        if running:
+            return self._tree(seen), reward, terminated, truncated, {}
         if len(self.parts) > 1:
-            end.append(observation)
-            observation = self.parts[1]()[0].clone()
+            end += seen
+            seen = [output.clone() for output in self.parts[1]()]
             environment.world.repeated(0)
-        return {"policy": observation}, reward, terminated, truncated, self._info(end)
+        return self._tree(seen), reward, terminated, truncated, self._info(end)
 
     @property
     def refusal(self) -> str:
         """Why the step cannot be repeated without Python; empty if it can, as far as is known."""
         return next((part.refusal for part in self.parts if part.refusal), "")
 
+    def _tree(self, leaves: Sequence[Tensor]) -> Observation:
+        return observation_of(self._environment.observation, leaves)
+
     def _info(self, end: list[Tensor]) -> StepInfo:
-        done, success, steps, rewards, *metrics, last = end
+        done, success, steps, rewards = end[:4]
+        metrics, last = end[4 : -self._leaves], end[-self._leaves :]
         everyone = EpisodeEnd(
             env_ids=self._environment.all_ids,
-            observation={"policy": last},
+            observation=self._tree(last),
             success=success,
             metrics=dict(zip(self._metrics, metrics, strict=True)),
             rewards=dict(zip(self._environment.reward_terms, rewards.unbind(), strict=True)),
@@ -79,27 +87,33 @@ class CapturedStep:
         """A step before resets: observation, reward, terminated, truncated, then what :meth:`_info` needs."""
         environment, task, world = self._environment, self._environment.task, self._environment.world
         outcome = environment.advance()
-        observation = environment.observer()
-        self._observed.copy_(observation)
+        seen = leaves_of(environment.observer())
+        for observed, leaf in zip(self._observed, seen, strict=True):
+            observed.copy_(leaf)
         metrics = environment.metrics()
         self._metrics = tuple(metrics)
         # Copies, for resets write the same memory before anyone looks.
         end = (environment.done, task.success(world), task.episode_step, environment.reward_sums, *metrics.values())
-        return (observation, *outcome, *(tensor.clone() for tensor in end))
+        return (*seen, *outcome, *(tensor.clone() for tensor in end))
 
-    def _renew(self) -> tuple[Tensor]:
+    def _renew(self) -> tuple[Tensor, ...]:
         """New episodes where one ended, and the observation with theirs."""
         environment, done = self._environment, self._environment.done
         environment.progress()
         environment.begin(done)
         with environment.world.masking.only(done):
-            observation = environment.observer()
-        return (torch.where(done[:, None], observation, self._observed),)
+            seen = leaves_of(environment.observer())
+        return tuple(_where(done, new, last) for new, last in zip(seen, self._observed, strict=True))
 
     def _play_and_renew(self) -> tuple[Tensor, ...]:
         """What :meth:`_play` gives with the new observation in the place of the last, which comes at the end."""
-        last, *rest = self._play()
-        return (*self._renew(), *rest, last)
+        played = self._play()
+        return (*self._renew(), *played[self._leaves :], *played[: self._leaves])
+
+
+def _where(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
+    """Rows (N, ...) of ``values`` where the mask (N,) is set."""
+    return torch.where(mask.view(-1, *(1 for _ in values.shape[1:])), values, otherwise)
 
 
 def remembered(task: Task, cut: Cut) -> dict[str, Tensor]:

@@ -27,9 +27,11 @@ from orbit_core.dynamics.indexing import write_rows
 from orbit_core.envs.action_manager import action_parts, driven_scene, generators_of
 from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered
 from orbit_core.envs.configuration import configure
-from orbit_core.envs.episode import EpisodeEnd, Observation
+from orbit_core.envs.episode import EpisodeEnd
 from orbit_core.envs.event_manager import EventManager
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
+from orbit_core.envs.observation_groups import POLICY, with_sensors_of_terms
+from orbit_core.envs.observation_layout import Observation, leaf_shapes, leaves_of, observation_of
 from orbit_core.envs.observation_manager import ObservationManager
 from orbit_core.envs.registry import task_entry
 from orbit_core.envs.task import Task
@@ -45,8 +47,8 @@ from orbit_core.world.threads import SingleThreaded
 class Environment:
     """N environments of a task, stepped together, each reset as soon as its episode ends (same-step autoreset).
 
-    Observations are groups by name; every task has the group ``"policy"`` (N, O). Actions are (N, A) in [-1, 1]; what
-    lies outside is clipped. All tensors are on ``device``.
+    Observations are groups by name, as :attr:`observation` says; every task has the group ``"policy"``. Actions are
+    (N, A) in [-1, 1]; what lies outside is clipped. All tensors are on ``device``.
 
     Args:
         task: copied, so that one configuration may start many environments.
@@ -84,7 +86,7 @@ class Environment:
         self.max_episode_steps = _whole_steps(task)
         preset = task.backend_presets.get(backend, {}) if isinstance(backend, str) else {}
         merged = {**preset, **settings_table(settings, f"backend '{backend}'")}
-        scene = driven_scene(task)
+        scene = with_sensors_of_terms(driven_scene(task), task)
         self.world = SimulatedWorld(scene, num_envs, backend, merged, device, seed, renderer, renderer_settings)
         self.num_envs = num_envs
         self.device = self.world.device
@@ -109,10 +111,12 @@ class Environment:
         task.action_before = torch.zeros_like(self._action)
         task.start(self.world)
         self.observer = ObservationManager(self.world, task)
-        self._seen: tuple[int, Tensor] | None = None
+        self.observation = self.observer.layouts
+        """What each group of the observation is like, by name."""
+        self._seen: tuple[int, Observation] | None = None
         """Version of the world's state, and the observation of it that the closed step made."""
-        self.observation_size = self._observation().shape[1]
-        self.multi_agent = MultiAgentView(self.world, task, self.step_dt) if len(task.agents) > 1 else None
+        several = len(task.agents) > 1
+        self.multi_agent = MultiAgentView(task, self.observation[POLICY], self.step_dt) if several else None
         """Whose each part of observation, action and reward is, where several robots act."""
         self.cut = self._build_agent()
         self._compile = compile
@@ -145,6 +149,15 @@ class Environment:
                 return self._observe(), {}
             return self._observe_new(torch.zeros_like(self.done).index_fill_(0, env_ids, True)), {}
 
+    @property
+    def observation_size(self) -> int:
+        """Components of the group ``"policy"``.
+
+        Raises:
+            ConfigurationError: it is a dictionary of its terms.
+        """
+        return self.observation[POLICY].size
+
     def step(self, action: Tensor) -> StepResult:
         """One step of all environments.
 
@@ -172,7 +185,7 @@ class Environment:
         if not bool(self.done.any()):
             return self._observe(), reward, terminated, truncated, {}
         ended = self.done.nonzero().squeeze(-1)
-        final = self._everyone(self._observe()["policy"]).only(ended)
+        final = self._everyone(self._observe()).only(ended)
         self.progress()
         self.begin(ended)
         return self._observe_new(self.done), reward, terminated, truncated, {"final": final}
@@ -196,7 +209,7 @@ class Environment:
     def _build_agent(self) -> Cut:
         """observation -> policy (the cut) -> one motion generator per part of the action -> joint commands."""
         sizes = [generator.command_size for generator in self.task.generators]
-        observation = Port("observation", (self.observation_size,))
+        seen = tuple(Port(name, shape) for name, shape in leaf_shapes(self.observation).items())
         action = Port("action", (self.action_size,))
         commands = tuple(
             Port(generator.name, (size,)) for generator, size in zip(self.task.generators, sizes, strict=True)
@@ -208,12 +221,16 @@ class Environment:
             parts = inputs["action"].split_with_sizes(sizes, dim=1)
             return {port.name: part for port, part in zip(commands, parts, strict=True)}
 
+        def observe(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+            return {port.name: leaf for port, leaf in zip(seen, leaves_of(self._observation()), strict=True)}
+
         nodes: list[Node] = [
-            FunctionNode("observation", lambda inputs: {"observation": self._observation()}, outputs=(observation,)),
-            FunctionNode("policy", _no_policy, inputs=(observation,), outputs=(action,)),
+            FunctionNode("observation", observe, outputs=seen),
+            FunctionNode("policy", _no_policy, inputs=seen, outputs=(action,)),
             FunctionNode("split", split, inputs=(action,), outputs=commands),
         ]
-        edges = [Edge("observation.observation", "policy.observation"), Edge("policy.action", "split.action")]
+        edges = [Edge(f"observation.{port.name}", f"policy.{port.name}") for port in seen]
+        edges.append(Edge("policy.action", "split.action"))
         for generator in self.task.generators:
             actuate = Actuate(generator.robot, generator)
             nodes += [generator, actuate]
@@ -234,7 +251,7 @@ class Environment:
 
     def _step_closed(self, closed: CapturedStep) -> StepResult:
         result = closed()
-        self._seen = (self.world.clock.version, result[0]["policy"])
+        self._seen = (self.world.clock.version, result[0])
         if closed.refusal:
             if self._compile:
                 raise ConfigurationError(f"the step cannot be compiled: {closed.refusal}; or leave compile out")
@@ -266,9 +283,9 @@ class Environment:
         return action
 
     def _observe(self) -> Observation:
-        return {"policy": self.cut.observe()["observation"]}
+        return observation_of(self.observation, list(self.cut.observe().values()))
 
-    def _observation(self) -> Tensor:
+    def _observation(self) -> Observation:
         if self._seen is not None and self._seen[0] == self.world.clock.version:
             return self._seen[1]
         return self.observer()
@@ -293,11 +310,11 @@ class Environment:
         ends = [term.function(self.world, self.task) for term in self.termination_terms.values()]
         return functools.reduce(torch.logical_or, ends) if ends else self._never.clone()
 
-    def _everyone(self, observation: Tensor) -> EpisodeEnd:
+    def _everyone(self, observation: Observation) -> EpisodeEnd:
         """What all episodes would have come to, ended now."""
         return EpisodeEnd(
             env_ids=self.all_ids,
-            observation={"policy": observation},
+            observation=observation,
             success=self.task.success(self.world),
             metrics=self.metrics(),
             rewards=dict(zip(self.reward_terms, self.reward_sums.unbind(), strict=True)),

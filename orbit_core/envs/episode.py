@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-Observation = dict[str, Tensor]
+from orbit_core.envs.observation_layout import Observation, map_leaves
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class EpisodeEnd:
     env_ids: Tensor
     """(n,)"""
     observation: Observation
-    """(n, O) of the last state, before the reset."""
+    """Of the last state, before the reset, with n rows."""
     success: Tensor
     """(n,) bool"""
     metrics: dict[str, Tensor]
@@ -31,7 +31,7 @@ class EpisodeEnd:
         """Those of the rows (k,), by index."""
         return EpisodeEnd(
             env_ids=self.env_ids[rows],
-            observation=_rows_of(self.observation, rows),
+            observation=map_leaves(lambda value: value[rows], self.observation),
             success=self.success[rows],
             metrics=_rows_of(self.metrics, rows),
             rewards=_rows_of(self.rewards, rows),

@@ -8,9 +8,11 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.arguments import check_shape
+from orbit_core.envs.observation_groups import POLICY, groups_of, terms_of_group
+from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.envs.task import Task
-from orbit_core.envs.terms import ObservationTerm, RewardTerm, terms_of
-from orbit_core.interfaces import UnknownNameError, World
+from orbit_core.envs.terms import RewardTerm, terms_of
+from orbit_core.interfaces import UnknownNameError
 
 
 class MultiAgentView:
@@ -20,26 +22,30 @@ class MultiAgentView:
     agents' rewards, the shared terms counted once.
 
     Args:
-        world: that the terms look at.
         task: whose agents they are; it has started.
+        layout: of the group ``"policy"``, which is concatenated.
         step_dt: seconds in a step of the environment.
+
+    Raises:
+        ConfigurationError: that group is a dictionary of its terms.
     """
 
-    def __init__(self, world: World, task: Task, step_dt: float) -> None:
+    def __init__(self, task: Task, layout: GroupLayout, step_dt: float) -> None:
         self.agents = task.agents
         self._actions = task.actions
-        observations = terms_of(task.observations, ObservationTerm).values()
         rewards = terms_of(task.rewards, RewardTerm).values()
-        owners = [term.agent for term in observations for _ in range(term.function(world, task).shape[1])]
+        sizes = {name: columns.stop - columns.start for name, columns in layout.columns.items()}
+        terms = terms_of_group(groups_of(task)[POLICY])
+        owners: list[str | None] = [term.agent for name, term in terms.items() for _ in range(sizes[name])]
         self._columns = {
-            agent: torch.tensor([i for i, owner in enumerate(owners) if owner in (None, agent)], device=world.device)
+            agent: torch.tensor([i for i, owner in enumerate(owners) if owner in (None, agent)], device=task.device)
             for agent in self.agents
         }
         weights = [
             [term.weight * step_dt if term.agent in (None, agent) else 0.0 for term in rewards] for agent in self.agents
         ]
-        self._weights = torch.tensor(weights, device=world.device)
-        self._rewards = torch.zeros(len(self.agents), world.num_envs, device=world.device)
+        self._weights = torch.tensor(weights, device=task.device)
+        self._rewards = torch.zeros(len(self.agents), task.num_envs, device=task.device)
 
     @property
     def observation_sizes(self) -> dict[str, int]:
@@ -52,7 +58,7 @@ class MultiAgentView:
         return {agent: part.stop - part.start for agent, part in self._actions.items()}
 
     def observations(self, observation: Tensor) -> dict[str, Tensor]:
-        """What each agent sees (N, O_agent) of the whole observation (N, O)."""
+        """What each agent sees (N, O_agent) of the whole group ``"policy"`` (N, O)."""
         return {agent: observation[:, columns] for agent, columns in self._columns.items()}
 
     def action(self, actions: Mapping[str, Tensor]) -> Tensor:
@@ -83,7 +89,7 @@ def check_owners(task: Task) -> None:
     Raises:
         UnknownNameError: names it.
     """
-    observations, rewards = terms_of(task.observations, ObservationTerm), terms_of(task.rewards, RewardTerm)
-    for term in (*observations.values(), *rewards.values()):
+    seen = [term for group in groups_of(task).values() for term in terms_of_group(group).values()]
+    for term in (*seen, *terms_of(task.rewards, RewardTerm).values()):
         if term.agent is not None and term.agent not in task.agents:
             raise UnknownNameError("agent", term.agent, task.agents, f"a term of task {type(task).__name__}")

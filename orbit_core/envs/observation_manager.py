@@ -1,85 +1,191 @@
-"""What a policy sees: a task's observation terms, with the noise, bias and delay that they ask for."""
+"""What is seen of a world: a task's observation groups, each term measured once and corrupted as it asks."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.indexing import write_rows
+from orbit_core.envs.observation_corruption import Corruption
+from orbit_core.envs.observation_groups import groups_of, terms_of_group
+from orbit_core.envs.observation_history import Past
+from orbit_core.envs.observation_layout import GroupLayout, Observation, TermLayout
 from orbit_core.envs.task import Task
-from orbit_core.envs.terms import ObservationTerm, terms_of
-from orbit_core.interfaces import ConfigurationError, World
+from orbit_core.envs.terms import ObservationGroup, ObservationTerm
+from orbit_core.interfaces import ConfigurationError, ShapeError, World
+
+_DTYPES = (torch.float32, torch.uint8, torch.int32, torch.int64, torch.bool)
 
 
 class ObservationManager:
-    """Computes the observation (N, O) of a world's present state, once per step.
+    """Computes the observation of a world's present state, once per step.
+
+    Terms that share function and agent are measured once; those that share their corruption as well, once corrupted.
+
+    Args:
+        world: that is observed.
+        task: whose groups they are; it has started. Each term is evaluated once, to learn its shape and dtype.
 
     Raises:
-        ConfigurationError: a term's delay cannot be.
+        ConfigurationError: a group or term cannot be; names it.
+        ShapeError: a term gives no tensor (N, ...).
     """
 
     def __init__(self, world: World, task: Task) -> None:
         self._world = world
         self._task = task
-        self.terms = terms_of(task.observations, ObservationTerm)
-        self._biases: dict[str, Tensor] = {}
-        self._lines: dict[str, _DelayLine] = {}
-        for name, term in self.terms.items():
-            if term.bias_std:
-                value = term.function(world, task)
-                self._biases[name] = torch.zeros_like(value)
-            if term.delay != (0, 0):
-                self._lines[name] = _DelayLine(name, term, world, task)
+        self._measurements: list[_Measurement] = []
+        self._corruptions: list[tuple[int, Corruption]] = []
+        """With which of the measurements each is of."""
+        self._corrupted: list[ObservationTerm] = []
+        self._groups = {name: self._group(name, group) for name, group in groups_of(task).items()}
+        self.layouts = {name: group.layout for name, group in self._groups.items()}
+        """What each group is like, by name."""
 
-    def __call__(self) -> Tensor:
-        return torch.cat([self._observe(name, term) for name, term in self.terms.items()], dim=1)
-
-    def _observe(self, name: str, term: ObservationTerm) -> Tensor:
-        value = term.function(self._world, self._task)
-        if term.scale != 1.0:
-            value = value * term.scale
-        if term.bias_std:
-            value = value + self._biases[name]
-        if term.noise_std:
-            value = value + self._world.random.normal(tuple(value.shape[1:]), term.noise_std)
-        return self._lines[name].push(value) if name in self._lines else value
+    def __call__(self) -> Observation:
+        """Everything that is seen now; the tensors are new ones."""
+        measured = [measurement.read(self._world, self._task) for measurement in self._measurements]
+        seen = [corruption(measured[index]) for index, corruption in self._corruptions]
+        return {name: group.show(seen) for name, group in self._groups.items()}
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Draw what holds for an episode, by index or mask."""
-        for name, bias in self._biases.items():
-            drawn = self._world.random.normal(tuple(bias.shape[1:]), self.terms[name].bias_std, env_ids)
-            write_rows(bias, drawn, env_ids)
-        for line in self._lines.values():
-            line.reset(env_ids)
+        for _, corruption in self._corruptions:
+            corruption.draw_bias(env_ids)
+        for _, corruption in self._corruptions:
+            corruption.draw_delay(env_ids)
+        for group in self._groups.values():
+            for term in group.terms:
+                if term.past is not None:
+                    term.past.reset(env_ids)
+
+    def _group(self, name: str, group: ObservationGroup) -> _Group:
+        terms: list[_Term] = []
+        layouts: dict[str, TermLayout] = {}
+        for term_name, term in terms_of_group(group).items():
+            what = f"observation term '{term_name}' of group '{name}'"
+            index = self._corruption(term, what)
+            value = self._measurements[self._corruptions[index][0]].example
+            if group.concatenate:
+                _check_concatenable(value, what)
+            steps = group.history if term.history is None else term.history
+            past = Past(self._world, value, steps) if steps > 1 else None
+            terms.append(_Term(index, past))
+            layouts[term_name] = _layout(term, value, steps, group.concatenate)
+        return _Group(tuple(terms), GroupLayout(name, group.concatenate, layouts))
+
+    def _corruption(self, term: ObservationTerm, what: str) -> int:
+        """Index of the term's corruption, which an equal term may have brought already."""
+        alike = replace(term, history=None, sensors=())
+        if alike in self._corrupted:
+            return self._corrupted.index(alike)
+        measurement = self._measurement(term, what)
+        example = self._measurements[measurement].example
+        self._corrupted.append(alike)
+        self._corruptions.append((measurement, Corruption(term, example, self._world, what)))
+        return len(self._corruptions) - 1
+
+    def _measurement(self, term: ObservationTerm, what: str) -> int:
+        for index, known in enumerate(self._measurements):
+            if (known.term.function, known.term.agent) == (term.function, term.agent):
+                return index
+        self._measurements.append(_Measurement(term, what, self._world, self._task))
+        return len(self._measurements) - 1
 
 
-class _DelayLine:
-    """Holds measurements back by the steps that each environment draws at reset."""
+class _Measurement:
+    """A term's function, and what it gave when it was evaluated first."""
 
-    def __init__(self, name: str, term: ObservationTerm, world: World, task: Task) -> None:
-        self._fewest, self._most = term.delay
-        if not 0 <= self._fewest <= self._most:
-            raise ConfigurationError(
-                f"the delay of observation '{name}' must be 0 <= fewest <= most steps, not {term.delay}"
+    def __init__(self, term: ObservationTerm, what: str, world: World, task: Task) -> None:
+        self.term = term
+        self._what = what
+        value = self._value(world, task)
+        if not isinstance(value, Tensor):
+            raise ConfigurationError(f"{what} gives a {type(value).__name__}: its function must return a torch.Tensor")
+        if value.ndim == 0 or len(value) != world.num_envs:
+            expected = f"({world.num_envs}, ...), a row for each environment"
+            raise ShapeError(f"{what} has shape {tuple(value.shape)}, but must have {expected}")
+        if value.dtype not in _DTYPES:
+            raise ConfigurationError(f"{what} gives {value.dtype}: convert it to one of {', '.join(map(str, _DTYPES))}")
+        if value.device != world.device:
+            raise ConfigurationError(f"{what} is on device {value.device}, the world on {world.device}")
+        self.example = value.new_empty(()).expand(value.shape)
+        """(N, ...) like all later values; its memory is one number's."""
+        self._shape, self._dtype = value.shape, value.dtype
+
+    def read(self, world: World, task: Task) -> Tensor:
+        """(N, ...)
+
+        Raises:
+            ShapeError: shape or dtype are not those of the first time.
+        """
+        value = self._value(world, task)
+        if value.shape != self._shape or value.dtype != self._dtype:
+            raise ShapeError(
+                f"{self._what} has shape {tuple(value.shape)} and {value.dtype}, but had {tuple(self._shape)} and "
+                f"{self._dtype} when the environment was made: it must give the same at every step"
             )
-        self._world = world
-        value = term.function(world, task)
-        self._history = value.new_zeros(len(value), self._most + 1, value.shape[1])
-        """(N, steps, k), the newest first."""
-        self._steps = torch.zeros(len(value), dtype=torch.int64, device=value.device)
-        self._fresh = torch.ones(len(value), dtype=torch.bool, device=value.device)
-        """(N,) whose episode has measured nothing yet."""
+        return value
 
-    def reset(self, env_ids: Tensor | None) -> None:
-        drawn = self._world.random.integers(self._fewest, self._most, env_ids)
-        write_rows(self._steps, drawn, env_ids)
-        write_rows(self._fresh, 1.0, env_ids)
+    def _value(self, world: World, task: Task) -> Tensor:
+        term = self.term
+        return term.function(world, task) if term.agent is None else term.function(world, task, term.agent)
 
-    def push(self, value: Tensor) -> Tensor:
-        newest = value[:, None]
-        shifted = torch.cat((newest, self._history[:, :-1]), dim=1)
-        history = torch.where(self._fresh[:, None, None], newest, shifted)
-        rows = self._world.masking.rows(None)  # the others have measured in this step already
-        write_rows(self._history, history, rows)
-        write_rows(self._fresh, 0.0, rows)
-        return self._history.gather(1, self._steps[:, None, None].expand_as(newest)).squeeze(1)
+
+@dataclass(frozen=True)
+class _Term:
+    """A term's place in a group."""
+
+    index: int
+    """Among the corruptions."""
+    past: Past | None
+
+    def show(self, seen: list[Tensor]) -> Tensor:
+        """(N, ...), or (N, k, ...) with a history of k, the oldest first."""
+        value = seen[self.index]
+        return value if self.past is None else self.past.push(value).flip(1)
+
+
+@dataclass(frozen=True)
+class _Group:
+    terms: tuple[_Term, ...]
+    layout: GroupLayout
+
+    def show(self, seen: list[Tensor]) -> Tensor | dict[str, Tensor]:
+        values = [term.show(seen) for term in self.terms]
+        if self.layout.concatenated:
+            return torch.cat([_flat(value) for value in values], dim=1)
+        # Copies, for what a function gave may be the engine's own memory.
+        return {name: value.clone() for name, value in zip(self.layout.terms, values, strict=True)}
+
+
+def _flat(value: Tensor) -> Tensor:
+    """(N, D) float32"""
+    if value.dtype != torch.float32:
+        value = value.float()
+    return value if value.ndim == 2 else value.reshape(len(value), -1)
+
+
+def _check_concatenable(value: Tensor, what: str) -> None:
+    if value.dtype == torch.uint8 or value.ndim > 3:
+        raise ConfigurationError(
+            f"{what} is a picture, of shape {tuple(value.shape)} and {value.dtype}, which does not go into one vector "
+            "with other terms: give the group concatenate=False"
+        )
+
+
+def _layout(term: ObservationTerm, value: Tensor, steps: int, concatenated: bool) -> TermLayout:
+    low, high = _bounds(value.dtype) if term.bounds is None else term.bounds
+    shape = tuple(value.shape[1:])
+    if concatenated:
+        return TermLayout((steps * value[0].numel(),), torch.float32, low, high)
+    return TermLayout((steps, *shape) if steps > 1 else shape, value.dtype, low, high)
+
+
+def _bounds(dtype: torch.dtype) -> tuple[float, float]:
+    if dtype == torch.bool:
+        return 0.0, 1.0
+    if dtype.is_floating_point:
+        return -torch.inf, torch.inf
+    return torch.iinfo(dtype).min, torch.iinfo(dtype).max

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -26,12 +26,15 @@ ROBOT = "robot"
 class Task(ABC):
     """A goal over a world. Subclasses are dataclasses: their fields are the task's configuration.
 
-    ``observations``, ``rewards``, ``terminations``, ``events`` and ``curriculum`` are dataclasses of terms. The
-    attributes that are set by :meth:`start` hold what a task remembers while it runs; terms read and write them.
+    ``rewards``, ``terminations``, ``events`` and ``curriculum`` are dataclasses of terms, ``observations`` is one of
+    :class:`~orbit_core.envs.ObservationGroup`. The attributes that are set by :meth:`start` hold what a task remembers
+    while it runs; terms read and write them.
     """
 
     agents: ClassVar[tuple[str, ...]] = (ROBOT,)
     """Names of the scene's robots that act, in the order of the action."""
+    observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {}
+    """Other observations, by the word that takes the place of ``observations``; ``"state"`` stands for the default."""
     robot: str
     """Name of a robot in the catalogue."""
     action: str

@@ -13,6 +13,7 @@ from torch import Tensor
 if TYPE_CHECKING:
     from orbit_core.envs.task import Task
     from orbit_core.interfaces import World
+    from orbit_core.scene import SensorSpec
 
 TermFunction = Callable[..., Tensor]
 """(world, task) -> (N, ...); of a term that names an agent, (world, task, agent) -> (N, ...)"""
@@ -22,10 +23,10 @@ EventFunction = Callable[["World", Any, Tensor], None]
 
 @dataclass(frozen=True)
 class ObservationTerm:
-    """``function`` gives (N, k); the observation is the terms of a task side by side, in the order of their fields.
+    """``function`` gives (N, ...) of any shape, as float32, uint8, int32, int64 or bool.
 
     ``scale`` comes first, and all that follows is in the scaled value's unit. Noise, bias and delay are drawn from each
-    environment's own stream.
+    environment's own stream. Scale, noise and bias need float32.
     """
 
     function: TermFunction
@@ -39,6 +40,26 @@ class ObservationTerm:
     first counts as measured ever since."""
     agent: str | None = None
     """Who sees it, where several robots act; the name is the function's third argument. None: all see it."""
+    history: int | None = None
+    """Steps that are seen, the oldest first; an episode's first value stands for those before it. None: the group's."""
+    sensors: tuple[SensorSpec, ...] = ()
+    """What the function reads that the scene need not have by itself, such as a camera: added to the scene."""
+    bounds: tuple[float, float] | None = None
+    """Least and most that the term shows, where noise and bias saturate; None takes the dtype's."""
+
+
+@dataclass(kw_only=True)
+class ObservationGroup:
+    """A named part of an observation. Derive a dataclass from it, whose fields are terms, each ``ObservationTerm |
+    None``; a term set to None is switched off.
+
+    A concatenated group is one tensor (N, K) float32, its terms flattened side by side in the order of their fields;
+    else it is a dictionary of the terms as they are.
+    """
+
+    concatenate: bool = True
+    history: int = 1
+    """Steps that each term shows, where it does not say itself: (N, k, ...), or flattened if concatenated."""
 
 
 @dataclass(frozen=True)

@@ -60,13 +60,12 @@ class PolicyDescription:
         environment: Environment, task: str, library: str, iteration: int, versions: Mapping[str, str] | None = None
     ) -> PolicyDescription:
         """Of a policy for this environment."""
-        terms, world = environment.observer.terms, environment.world
         return PolicyDescription(
             task=task,
             robot=environment.task.robot,
             action=environment.task.action,
             observation_parts=tuple(
-                Part(name, term.function(world, environment.task).shape[1]) for name, term in terms.items()
+                Part(name, part.stop - part.start) for name, part in environment.observation["policy"].columns.items()
             ),
             action_parts=tuple(Part(g.name, g.command_size) for g in environment.task.generators),
             step_dt=environment.step_dt,

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
+from orbit_core.envs.observation_layout import map_leaves, one_tensor
 
 
 def all_ends(info: Mapping[str, EpisodeEnd], count: int) -> tuple[EpisodeEnd, Tensor] | None:
@@ -37,7 +38,7 @@ def true_next(observation: Tensor, info: Mapping[str, EpisodeEnd]) -> Tensor:
     if found is None:
         return observation
     end, ended = found
-    return torch.where(ended[:, None], end.observation["policy"], observation)
+    return torch.where(ended[:, None], one_tensor(end.observation), observation)
 
 
 class EpisodeTally:
@@ -78,7 +79,7 @@ def _spread(end: EpisodeEnd, count: int) -> tuple[EpisodeEnd, Tensor]:
 
     everyone = EpisodeEnd(
         env_ids=torch.arange(count, device=device),
-        observation={name: spread(group) for name, group in end.observation.items()},
+        observation=map_leaves(spread, end.observation),
         success=spread(end.success),
         metrics={name: spread(value) for name, value in end.metrics.items()},
         rewards={name: spread(value) for name, value in end.rewards.items()},

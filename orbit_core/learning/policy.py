@@ -78,17 +78,23 @@ def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
 
 
 class PolicyNode(Node):
-    """A learned policy as a node: observation (N, O) -> action (N, A)."""
+    """A learned policy as a node: observation group ``policy`` (N, O) -> action (N, A).
 
-    def __init__(self, policy: Policy, name: str = "policy") -> None:
+    Args:
+        policy: that acts.
+        name: of the node.
+        inputs: what its place in an agent offers, other groups too; the policy's own alone if None.
+    """
+
+    def __init__(self, policy: Policy, name: str = "policy", inputs: tuple[Port, ...] | None = None) -> None:
         self.name = name
-        self.inputs = (Port("observation", (policy.description.observation_size,)),)
+        self.inputs = (Port("policy", (policy.description.observation_size,)),) if inputs is None else inputs
         self.outputs = (Port("action", (policy.description.action_size,)),)
         self._module = policy.module
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         with torch.no_grad():
-            return {"action": self._module(inputs["observation"])}
+            return {"action": self._module(inputs["policy"])}
 
 
 def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
@@ -102,7 +108,9 @@ def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
         ConfigurationError: the policy was learned for another environment.
     """
     policy.description.check(environment)
-    return environment.cut.graph.replace(environment.cut.node.name, PolicyNode(policy))
+    return environment.cut.graph.replace(
+        environment.cut.node.name, PolicyNode(policy, inputs=environment.cut.node.inputs)
+    )
 
 
 class PolicyActor:

@@ -10,7 +10,7 @@ from torch import Tensor
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import table
 from orbit_core.envs.task import ROBOT, Task
-from orbit_core.envs.terms import once_per_state
+from orbit_core.envs.terms import ObservationGroup, once_per_state
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.scene import ObjectSpec, Plane, Pose, RobotSpec, Shape
 
@@ -99,11 +99,11 @@ def joint_speed(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     return squared_norm(robot_of(world, agent).joint_velocities)
 
 
-def add_noise(observations: object, **deviations: float) -> None:
-    """Give some of a task's observation terms white noise, by name; a term that is switched off stays so."""
+def add_noise(group: ObservationGroup, **deviations: float) -> None:
+    """Give some terms of an observation group white noise, by name; those that it does not show stay out."""
     for name, deviation in deviations.items():
-        if (term := getattr(observations, name)) is not None:
-            setattr(observations, name, replace(term, noise_std=deviation))
+        if (term := getattr(group, name, None)) is not None:
+            setattr(group, name, replace(term, noise_std=deviation))
 
 
 def squared_norm(vectors: Tensor) -> Tensor:

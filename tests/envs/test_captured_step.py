@@ -24,7 +24,7 @@ STEPS = 30
 def lift(**changes: object) -> Lift:
     """Episodes that end often, at different times, with noise that every environment draws for itself."""
     task = Lift(episode_length=0.2, **changes)  # pyright: ignore[reportArgumentType]
-    task.observations.cube_pose = replace(task.observations.cube_pose, noise_std=0.01)
+    task.observations.policy.cube_pose = replace(task.observations.policy.cube_pose, noise_std=0.01)
     task.terminations.dropped = TerminationTerm(lambda world, task: task.last_action[:, 0] > 0.9)
     return task
 
@@ -85,7 +85,8 @@ def restless() -> VelocityFlat:
     push = randomize.push("robot", randomize.Range(0.0, 1.0, easy=0.3))
     task.events.push = EventTerm(push, EventTime.INTERVAL, interval=(0.04, 0.1))
     task.events.gains = EventTerm(randomize.gains("robot", *[randomize.Range(0.8, 1.2)] * 2))
-    task.observations.angular_velocity = replace(task.observations.angular_velocity, delay=(0, 3), bias_std=0.1)
+    seen = task.observations.policy
+    seen.angular_velocity = replace(seen.angular_velocity, delay=(0, 3), bias_std=0.1)
     skill = CurriculumTerm(lambda world, task: 0.2 - 0.3 * task.last_action[:, 0].abs())
     task.curriculum = replace(task.curriculum, skill=skill)
     return task
@@ -103,7 +104,7 @@ def test_a_compiled_step_is_the_same_step() -> None:
 
 def test_what_looks_at_values_cannot_be_compiled() -> None:
     task = lift()
-    task.observations.goal = ObservationTerm(lambda world, task: task.goal * float(task.goal.sum() > 1.0))
+    task.observations.policy.goal = ObservationTerm(lambda world, task: task.goal * float(task.goal.sum() > 1.0))
     environment = Environment(task, 2, BACKEND, compile=True)
     action = torch.zeros(2, environment.action_size)
     environment.step(action)

@@ -74,9 +74,9 @@ def test_pushes_come_when_they_are_due_and_not_else() -> None:
 
 def test_a_delay_shows_what_was_and_a_bias_stays() -> None:
     task = Lift(action="joint_position_relative")
-    late = replace(task.observations.joint_positions, delay=(3, 3))
-    off = replace(task.observations.joint_velocities, bias_std=0.5)
-    task.observations = replace(task.observations, joint_positions=late, joint_velocities=off)
+    late = replace(task.observations.policy.joint_positions, delay=(3, 3))
+    off = replace(task.observations.policy.joint_velocities, bias_std=0.5)
+    task.observations.policy = replace(task.observations.policy, joint_positions=late, joint_velocities=off)
     environment = Environment(task, 4, default_backend())
     robot = environment.world.robots["robot"]
     joints = len(robot.joint_names)
@@ -160,6 +160,6 @@ def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="has no curriculum: leave curriculum_enabled out"):
         make("Lift", 1, default_backend(), curriculum_enabled=True)
     late = Lift()
-    late.observations.goal = replace(late.observations.goal, delay=(2, 1))
-    with pytest.raises(ConfigurationError, match="delay of observation 'goal'"):
+    late.observations.policy.goal = replace(late.observations.policy.goal, delay=(2, 1))
+    with pytest.raises(ConfigurationError, match="delay of observation term 'goal'"):
         Environment(late, 1, default_backend())

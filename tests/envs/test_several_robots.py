@@ -97,7 +97,7 @@ def test_whoever_is_not_there_is_named(handover: Environment) -> None:
     with pytest.raises(UnknownNameError, match=r"unknown agent 'reciever' in a term of task Handover.*'receiver'"):
         Environment(task, 1, BACKEND)
     lift = Lift()
-    lift.observations.goal = ObservationTerm(common.last_action, agent=GIVER)
+    lift.observations.policy.goal = ObservationTerm(common.last_action, agent=GIVER)
     with pytest.raises(UnknownNameError, match="unknown agent 'giver' in a term of task Lift"):
         Environment(lift, 1, BACKEND)
     with pytest.raises(UnknownNameError, match=r"unknown agent 'receiver'.*each needs an action"):

@@ -85,7 +85,7 @@ def test_the_whole_agent_moves_the_robot_as_the_environments_step_does(task: str
             stepped.step(policy.module(stepped.observe()["policy"]))
         agent.step()
         whole.world.step(whole.task.decimation)
-        assert torch.equal(whole.observer(), stepped.observe()["policy"])
+        assert torch.equal(whole.observer()["policy"], stepped.observe()["policy"])
     assert (stepped.observe()["policy"] - start).abs().max() > 0.1
     stepped.close()
     whole.close()
