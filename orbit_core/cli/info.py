@@ -56,6 +56,7 @@ def main(words: Sequence[str]) -> None:
 
 def _show_task(console: Console, name: str) -> None:
     from orbit_core.envs.configuration import configure
+    from orbit_core.envs.observation_groups import groups_of, terms_of_group
     from orbit_core.interfaces.requirements import required_capabilities
 
     entry = task_entries()[name]
@@ -64,7 +65,10 @@ def _show_task(console: Console, name: str) -> None:
     console.print(Text(f"\n{inspect.getdoc(type(task))}\n"))
     fields = {field.name: field.default for field in dataclasses.fields(task) if field.init and _is_plain(field)}
     _rows(console, "field", "default", fields.items())
-    for part in ("observations", "rewards", "terminations", "events"):
+    for name, group in groups_of(task).items():
+        kind = "one tensor" if group.concatenate else "a dictionary"
+        _line(console, f"observations, {name} ({kind})", ", ".join(terms_of_group(group)))
+    for part in ("rewards", "terminations", "events"):
         _line(console, part, _terms(task, part))
     _line(console, "robots", _robots_like(task.robot))
     needs = required_capabilities(task.scene())

@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from torch import Tensor
 
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
-from orbit_core.envs import Environment, ObservationTerm, PpoSettings, RewardTerm
+from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, PpoSettings, RewardTerm
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.learning.checkpoint import read_checkpoint
 from orbit_core.learning.policy import PolicyActor, load_policy
@@ -57,10 +57,15 @@ class Alive:
 
 
 @dataclass
+class Nothing(ObservationGroup):
+    one: ObservationTerm | None = ObservationTerm(lambda world, task: torch.ones(world.num_envs, 1))
+
+
+@dataclass
 class Blind:
     """The same number always, so that the worth of a state is the worth of all."""
 
-    one: ObservationTerm | None = ObservationTerm(lambda world, task: torch.ones(world.num_envs, 1))
+    policy: Nothing = field(default_factory=Nothing)
 
 
 def reach(num_envs: int) -> Environment:

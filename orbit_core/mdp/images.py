@@ -1,0 +1,63 @@
+"""Observation terms of pictures, each with the camera that takes them, for groups with ``concatenate=False``."""
+
+from __future__ import annotations
+
+from typing import cast
+
+from torch import Tensor
+
+from orbit_core.envs.task import Task
+from orbit_core.envs.terms import ObservationTerm
+from orbit_core.interfaces import ConfigurationError, World
+from orbit_core.scene import CameraSpec, Channel
+from orbit_core.sensors.camera import CameraSensor
+
+
+def camera_color(camera: CameraSpec) -> ObservationTerm:
+    """(N, H, W, 3) uint8, red, green and blue.
+
+    Raises:
+        ConfigurationError: the camera has no such channel.
+    """
+    return _picture(camera, Channel.RGB)
+
+
+def camera_depth(camera: CameraSpec) -> ObservationTerm:
+    """(N, H, W, 1) float32, metres along the optical axis; ``camera.far`` where nothing nearer is seen.
+
+    Raises:
+        ConfigurationError: the camera has no such channel.
+    """
+    _check_channel(camera, Channel.DEPTH)
+
+    def depth(world: World, task: Task) -> Tensor:
+        return _camera(world, camera).image(Channel.DEPTH).clamp(0.0, camera.far)
+
+    return ObservationTerm(depth, sensors=(camera,), bounds=(0.0, camera.far))
+
+
+def camera_segmentation(camera: CameraSpec, channel: Channel = Channel.SEMANTIC) -> ObservationTerm:
+    """(N, H, W, 1) int32 of semantic labels, or of entities with ``Channel.INSTANCE``.
+
+    Raises:
+        ConfigurationError: the camera has no such channel, or it is no segmentation.
+    """
+    if channel not in (Channel.SEMANTIC, Channel.INSTANCE):
+        raise ConfigurationError(f"channel {channel} is no segmentation: take Channel.SEMANTIC or Channel.INSTANCE")
+    return _picture(camera, channel)
+
+
+def _picture(camera: CameraSpec, channel: Channel) -> ObservationTerm:
+    _check_channel(camera, channel)
+    return ObservationTerm(lambda world, task: _camera(world, camera).image(channel), sensors=(camera,))
+
+
+def _camera(world: World, camera: CameraSpec) -> CameraSensor:
+    return cast(CameraSensor, world.sensors[camera.name])
+
+
+def _check_channel(camera: CameraSpec, channel: Channel) -> None:
+    if channel not in camera.channels:
+        raise ConfigurationError(
+            f"camera '{camera.name}' has no {channel.value} channel: add Channel.{channel.name} to its channels"
+        )
