@@ -1,5 +1,6 @@
 """Timed measurements over what an engine provides: rates, delays and noise, rays, images and point clouds."""
 
+from orbit_core.sensors.boxes import BoundingBoxes2d, BoundingBoxes3d
 from orbit_core.sensors.camera import CameraSensor
 from orbit_core.sensors.contact import ContactSensor, ContactTimer
 from orbit_core.sensors.context import SensorContext
@@ -14,7 +15,7 @@ from orbit_core.sensors.rays import RayCaster
 from orbit_core.sensors.timed import TimedSensor
 
 __all__ = [
-    "CameraSensor", "ContactSensor", "ContactTimer", "ForceTorqueSensor", "FrameSensor", "ImuSensor", "JointSensor",
-    "RayCaster", "SensorContext", "TimedSensor", "create_sensor", "grid_pattern", "intrinsic_matrix", "lidar_pattern",
-    "point_cloud", "project",
+    "BoundingBoxes2d", "BoundingBoxes3d", "CameraSensor", "ContactSensor", "ContactTimer", "ForceTorqueSensor",
+    "FrameSensor", "ImuSensor", "JointSensor", "RayCaster", "SensorContext", "TimedSensor", "create_sensor",
+    "grid_pattern", "intrinsic_matrix", "lidar_pattern", "point_cloud", "project",
 ]  # fmt: skip

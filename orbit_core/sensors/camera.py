@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.transforms import pose_inverse, pose_multiply
 from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image, SceneLayout
 from orbit_core.scene import CameraSpec, Channel
+from orbit_core.sensors.boxes import BoundingBoxes2d, BoundingBoxes3d
 from orbit_core.sensors.context import SensorContext
+from orbit_core.sensors.entity_boxes import EntityBoxes
 from orbit_core.sensors.mount import Mount, pose_tensor
 from orbit_core.sensors.points import intrinsic_matrix, point_cloud
 from orbit_core.sensors.timed import TimedSensor, Values
@@ -37,6 +41,7 @@ class CameraSensor(TimedSensor):
         if (spec.noise.std or spec.noise.bias_std) and Channel.DEPTH not in self._drawn:
             raise ConfigurationError(f"camera '{spec.name}' has noise, which is that of depth, but no depth channel")
         self._camera = spec
+        self._layout = context.layout
         self._renderer = context.renderer
         self._mount: Mount | None = None
         if spec.entity is not None and spec.frame is not None:
@@ -82,6 +87,43 @@ class CameraSensor(TimedSensor):
             raise self._lacks(Channel.POSITION)
         return point_cloud(self._read(Channel.DEPTH.value), self.intrinsics, self.pose)
 
+    def bounding_boxes_2d(self, entities: Sequence[str] = (".*",)) -> BoundingBoxes2d:
+        """Where entities are in the pictures: tight around the pixels that show them, and loose around all of them.
+
+        Args:
+            entities: regular expressions over the names of entities (full match).
+
+        Raises:
+            ConfigurationError: the camera has no instance channel.
+            UnknownNameError: one of ``entities`` matches no entity that has a shape.
+        """
+        if Channel.INSTANCE not in self._drawn:
+            raise self._lacks(Channel.INSTANCE)
+        instances, link_poses = self._read(Channel.INSTANCE.value), self._read("link_poses")
+        return self._boxes.in_pictures(tuple(entities), self._camera, self.intrinsics, self.pose, link_poses, instances)
+
+    def bounding_boxes_3d(
+        self, entities: Sequence[str] = (".*",), *, of_links: bool = False, in_camera_frame: bool = False
+    ) -> BoundingBoxes3d:
+        """Oriented boxes around entities as they stood when the pictures were taken, seen or not.
+
+        Args:
+            entities: regular expressions over the names of entities (full match).
+            of_links: a box for each link that has a shape, instead of one for each entity.
+            in_camera_frame: in the camera's frame (-z forward, y up), instead of the environment's.
+
+        Raises:
+            UnknownNameError: one of ``entities`` matches no entity that has a shape.
+        """
+        link_poses = self._read("link_poses")
+        if in_camera_frame:
+            link_poses = pose_multiply(pose_inverse(self.pose)[:, None], link_poses)
+        return self._boxes.in_space(tuple(entities), link_poses, of_links)
+
+    @cached_property
+    def _boxes(self) -> EntityBoxes:
+        return EntityBoxes(self._layout, self.num_envs, self.device)
+
     def _lacks(self, channel: Channel) -> ConfigurationError:
         name = getattr(channel, "value", channel)
         return ConfigurationError(
@@ -93,9 +135,10 @@ class CameraSensor(TimedSensor):
             pose = self._fixed_pose if env_ids is None else self._fixed_pose[env_ids]
         else:
             pose = self._mount.pose(env_ids)
-        link_poses = self.engine.link_poses if env_ids is None else self.engine.link_poses[env_ids]
+        link_poses = self.engine.link_poses.clone() if env_ids is None else self.engine.link_poses[env_ids]
         image = self._renderer().render(self._camera, pose, link_poses, self._drawn, env_ids=env_ids)
-        return {"pose": pose} | {channel.value: self._channel(image, channel) for channel in self._drawn}
+        held = {"pose": pose, "link_poses": link_poses}
+        return held | {channel.value: self._channel(image, channel) for channel in self._drawn}
 
     def _channel(self, image: Image, channel: Channel) -> Tensor:
         if channel in self._tables:
