@@ -12,6 +12,7 @@ from orbit_core.conformance.scenarios import (
     friction,
     grasp,
     gyroscopes,
+    image_boxes,
     images,
     impact,
     joints,
@@ -49,6 +50,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     *sensing.SCENARIOS,
     *rays.SCENARIOS,
     *images.SCENARIOS,
+    *image_boxes.SCENARIOS,
     *parameters.SCENARIOS,
     *repeatability.SCENARIOS,
 )
