@@ -24,7 +24,7 @@ from orbit_core.dynamics.arguments import (
     whole_number,
 )
 from orbit_core.dynamics.indexing import write_rows
-from orbit_core.envs.action_manager import action_parts, driven_scene, generators_of
+from orbit_core.envs.action_manager import ActionManager, driven_scene
 from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered
 from orbit_core.envs.configuration import configure
 from orbit_core.envs.episode import EpisodeEnd
@@ -38,7 +38,6 @@ from orbit_core.envs.task import Task
 from orbit_core.envs.terms import CurriculumTerm, RewardTerm, TerminationTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 from orbit_core.interfaces.fields import settings_table
-from orbit_core.motion import Actuate
 from orbit_core.world import SimulatedWorld
 from orbit_core.world.closing import close_for_good
 from orbit_core.world.threads import SingleThreaded
@@ -103,9 +102,8 @@ class Environment:
         self.done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         """(N,) whose episode ended in the last step."""
         self._never = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
-        task.generators = generators_of(self.world, task)
-        task.actions = action_parts(task.generators)
-        self.action_size = sum(generator.command_size for generator in task.generators)
+        self.actions = ActionManager(self.world, task)
+        self.action_size = self.actions.size
         self._action = torch.zeros(num_envs, self.action_size, device=self.device)
         task.last_action = torch.zeros_like(self._action)
         task.action_before = torch.zeros_like(self._action)
@@ -207,19 +205,9 @@ class Environment:
     # The agent ------------------------------------------------------------------------------------------------------
 
     def _build_agent(self) -> Cut:
-        """observation -> policy (the cut) -> one motion generator per part of the action -> joint commands."""
-        sizes = [generator.command_size for generator in self.task.generators]
+        """observation -> policy (the cut) -> what turns actions into joint commands."""
         seen = tuple(Port(name, shape) for name, shape in leaf_shapes(self.observation).items())
         action = Port("action", (self.action_size,))
-        commands = tuple(
-            Port(generator.name, (size,)) for generator, size in zip(self.task.generators, sizes, strict=True)
-        )
-
-        def split(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-            self.task.action_before.copy_(self.task.last_action)
-            self.task.last_action.copy_(inputs["action"])
-            parts = inputs["action"].split_with_sizes(sizes, dim=1)
-            return {port.name: part for port, part in zip(commands, parts, strict=True)}
 
         def observe(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
             return {port.name: leaf for port, leaf in zip(seen, leaves_of(self._observation()), strict=True)}
@@ -227,15 +215,10 @@ class Environment:
         nodes: list[Node] = [
             FunctionNode("observation", observe, outputs=seen),
             FunctionNode("policy", _no_policy, inputs=seen, outputs=(action,)),
-            FunctionNode("split", split, inputs=(action,), outputs=commands),
+            *self.actions.nodes,
         ]
         edges = [Edge(f"observation.{port.name}", f"policy.{port.name}") for port in seen]
-        edges.append(Edge("policy.action", "split.action"))
-        for generator in self.task.generators:
-            actuate = Actuate(generator.robot, generator)
-            nodes += [generator, actuate]
-            edges.append(Edge(f"split.{generator.name}", f"{generator.name}.command"))
-            edges += [Edge(f"{generator.name}.{port.name}", f"{actuate.name}.{port.name}") for port in actuate.inputs]
+        edges += self.actions.edges("policy.action")
         return AgentGraph(nodes, edges, rate=1.0 / self.step_dt).cut("policy")
 
     # One step -------------------------------------------------------------------------------------------------------

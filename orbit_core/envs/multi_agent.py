@@ -32,7 +32,7 @@ class MultiAgentView:
 
     def __init__(self, task: Task, layout: GroupLayout, step_dt: float) -> None:
         self.agents = task.agents
-        self._actions = task.actions
+        self._actions = task.action_slices
         rewards = terms_of(task.rewards, RewardTerm).values()
         sizes = {name: columns.stop - columns.start for name, columns in layout.columns.items()}
         terms = terms_of_group(groups_of(task)[POLICY])

@@ -68,7 +68,7 @@ class Task(ABC):
     device: torch.device = field(init=False, default_factory=lambda: torch.device("cpu"))
     generators: tuple[MotionGenerator, ...] = field(init=False, default=())
     """What turns actions into joint commands, in the order of the action's components."""
-    actions: Mapping[str, slice] = field(init=False, default_factory=dict)
+    action_slices: Mapping[str, slice] = field(init=False, default_factory=dict)
     """Which components of the action are each agent's."""
     last_action: Tensor = field(init=False)
     """(N, A) the action in effect; zero after a reset."""

@@ -78,7 +78,7 @@ def joint_velocities(world: World, task: Task, agent: str = ROBOT) -> Tensor:
 
 def last_action(world: World, task: Task, agent: str | None = None) -> Tensor:
     """(N, A) the action in effect; an agent's own part of it where one is named."""
-    return task.last_action if agent is None else task.last_action[:, task.actions[agent]]
+    return task.last_action if agent is None else task.last_action[:, task.action_slices[agent]]
 
 
 @once_per_state
@@ -91,7 +91,7 @@ def hand_pose(world: World, task: Task, agent: str = ROBOT) -> Tensor:
 def action_rate(world: World, task: Task, agent: str | None = None) -> Tensor:
     """(N,) squared change of the action since the step before; of an agent's own part of it where one is named."""
     change = task.last_action - task.action_before
-    return squared_norm(change if agent is None else change[:, task.actions[agent]])
+    return squared_norm(change if agent is None else change[:, task.action_slices[agent]])
 
 
 def joint_speed(world: World, task: Task, agent: str = ROBOT) -> Tensor:
