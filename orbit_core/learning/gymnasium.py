@@ -9,31 +9,24 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 import torch
-from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
 from orbit_core.envs.environment import Environment, make
-from orbit_core.envs.episode import EpisodeEnd, Observation
+from orbit_core.envs.episode import EpisodeEnd
+from orbit_core.envs.observation_layout import Observation, map_leaves
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ArgumentError, ConfigurationError
 from orbit_core.learning.episodes import all_ends
+from orbit_core.learning.spaces import action_space, observation_space
 from orbit_core.viewer.pictures import OverviewCamera
 from orbit_core.world.closing import close_for_good
 
-
-def observation_space(environment: Environment) -> spaces.Space[Any]:
-    """Of one environment: a box per observation group."""
-    box = spaces.Box(-np.inf, np.inf, (environment.observation_size,), np.float32)
-    return spaces.Dict({"policy": box})
+Arrays = dict[str, npt.NDArray[Any] | dict[str, npt.NDArray[Any]]]
+"""Observation groups by name, each an array or a dictionary of its terms' arrays."""
 
 
-def action_space(environment: Environment) -> spaces.Space[Any]:
-    """Of one environment: components in [-1, 1]."""
-    return spaces.Box(-1.0, 1.0, (environment.action_size,), np.float32)
-
-
-class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Tensor]):
+class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor]):
     """N environments, with torch tensors on the environment's device, reset in the same step as they end.
 
     Keywords are those of :func:`orbit_core.envs.make`: backend, device, seed, and the task's own fields. Where an
@@ -62,7 +55,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
 
     def reset(  # pyright: ignore[reportIncompatibleMethodOverride] - Gymnasium types infos loosely
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    ) -> tuple[Observation, dict[str, Any]]:
         """Begin new episodes, in all environments or where ``options["reset_mask"]`` (N,) bool is true.
 
         Raises:
@@ -76,7 +69,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
 
     def step(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, actions: Tensor | npt.ArrayLike
-    ) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Any]]:
+    ) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
         action = as_tensor(actions, torch.float32, self.device, "action")
         observation, reward, terminated, truncated, info = self.environment.step(action)
         found = all_ends(info, self.num_envs)
@@ -93,7 +86,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Tensor], Tensor, Te
         close_for_good(self, "the environment")
 
 
-class SingleEnvironment(gymnasium.Env[dict[str, npt.NDArray[np.float32]], npt.NDArray[np.float32]]):
+class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
     """One environment, with NumPy arrays; it waits for ``reset`` after an episode, as Gymnasium's do."""
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
@@ -106,23 +99,19 @@ class SingleEnvironment(gymnasium.Env[dict[str, npt.NDArray[np.float32]], npt.ND
         self.action_space = action_space(self.environment)
         self._spectator = Spectator(self.environment, self.render_mode)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, npt.NDArray[np.float32]], dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
         refuse_options(options, "none")
         observation, info = self.environment.reset(seed)
         super().reset(seed=seed)
-        return _arrays(observation), info
+        return arrays_of(observation), info
 
-    def step(
-        self, action: npt.NDArray[np.float32]
-    ) -> tuple[dict[str, npt.NDArray[np.float32]], float, bool, bool, dict[str, Any]]:
+    def step(self, action: npt.NDArray[np.float32]) -> tuple[Arrays, float, bool, bool, dict[str, Any]]:
         batch = as_tensor(action, torch.float32, self.environment.device, "action")[None]
         observation, reward, terminated, truncated, info = self.environment.step(batch)
         end: EpisodeEnd | None = info.get("final")
         if end is not None:  # the batch has begun the next episode already: show the end of this one
             observation = end.observation
-        return _arrays(observation), float(reward), bool(terminated), bool(truncated), outcome(end, 0)
+        return arrays_of(observation), float(reward), bool(terminated), bool(truncated), outcome(end, 0)
 
     def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         pictures = self._spectator.pictures()
@@ -211,5 +200,10 @@ def outcome(end: EpisodeEnd | None, row: int) -> dict[str, Any]:
     return {"success": bool(end.success[row]), **metrics}
 
 
-def _arrays(observation: Observation) -> dict[str, npt.NDArray[np.float32]]:
-    return {name: group[0].cpu().numpy() for name, group in observation.items()}
+def arrays_of(observation: Observation, row: int = 0) -> Arrays:
+    """One environment's observation as NumPy arrays."""
+    arrays = map_leaves(lambda value: value[row].cpu(), observation)
+    return {
+        name: {term: value.numpy() for term, value in group.items()} if isinstance(group, dict) else group.numpy()
+        for name, group in arrays.items()
+    }

@@ -1,0 +1,43 @@
+"""An environment's observation and action as Gymnasium's spaces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+
+from orbit_core.envs.environment import Environment
+from orbit_core.envs.observation_layout import GroupLayout, TermLayout
+
+_DTYPES: Mapping[torch.dtype, type[np.generic]] = {
+    torch.float32: np.float32, torch.uint8: np.uint8, torch.int32: np.int32, torch.int64: np.int64, torch.bool: np.bool_,
+}  # fmt: skip
+
+
+def observation_space(environment: Environment) -> spaces.Dict:
+    """Of one environment: groups by name, each a box, or a dictionary of its terms' boxes."""
+    return spaces.Dict({name: group_space(layout) for name, layout in environment.observation.items()})
+
+
+def group_space(layout: GroupLayout) -> spaces.Space[Any]:
+    """Of one observation group, with its terms' dtypes and bounds."""
+    if not layout.concatenated:
+        return spaces.Dict({name: _term_space(term) for name, term in layout.terms.items()})
+    low, high = (
+        np.concatenate([np.full(term.shape, getattr(term, side), np.float32) for term in layout.terms.values()])
+        for side in ("low", "high")
+    )
+    return spaces.Box(low, high, dtype=np.float32)
+
+
+def action_space(environment: Environment) -> spaces.Box:
+    """Of one environment: components in [-1, 1]."""
+    return spaces.Box(-1.0, 1.0, (environment.action_size,), np.float32)
+
+
+def _term_space(term: TermLayout) -> spaces.Box:
+    dtype: Any = _DTYPES[term.dtype]
+    return spaces.Box(dtype(term.low), dtype(term.high), term.shape, dtype)
