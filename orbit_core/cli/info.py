@@ -55,7 +55,7 @@ def main(words: Sequence[str]) -> None:
 
 
 def _show_task(console: Console, name: str) -> None:
-    from orbit_core.envs.configuration import configure
+    from orbit_core.envs.configuration import DEFAULT_PRESET, configure
     from orbit_core.envs.observation_groups import groups_of, terms_of_group
     from orbit_core.interfaces.requirements import required_capabilities
 
@@ -68,6 +68,8 @@ def _show_task(console: Console, name: str) -> None:
     for name, group in groups_of(task).items():
         kind = "one tensor" if group.concatenate else "a dictionary"
         _line(console, f"observations, {name} ({kind})", ", ".join(terms_of_group(group)))
+    presets = ", ".join((f"{DEFAULT_PRESET} (default)", *task.observation_presets))
+    _line(console, "presets of observations, --set observations=NAME", presets)
     for part in ("rewards", "terminations", "events"):
         _line(console, part, _terms(task, part))
     _line(console, "robots", _robots_like(task.robot))

@@ -29,7 +29,7 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environmen
     drawing = renderer(settings.renderer or name)  # an unknown name is worth knowing before the task is built
     import torch
 
-    from orbit_core.envs.environment import make
+    from orbit_core.envs.making import make
 
     try:
         device = torch.device(settings.device)
@@ -41,27 +41,37 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environmen
         # The layer's tensors are small: more threads gain nothing at 64 environments, and where the engine's own
         # threads or other programs hold the cores, waiting for each other makes them several times slower.
         torch.set_num_threads(1)
-    fields = _merged(settings, settings.fields, settings.set, entry.task_type(), "field", f"task {entry.name}")
-    own = _merged(settings, settings.settings, settings.setting, plugin.config_type, "setting", f"backend '{name}'")
+    fields = _merged(
+        settings, settings.fields, settings.set, _task_defaults(entry.task_type()), "field", f"task {entry.name}"
+    )
+    own = _merged(
+        settings, settings.settings, settings.setting, defaults_of(plugin.config_type), "setting", f"backend '{name}'"
+    )
     looks = _merged(
-        settings, settings.renderer_settings, settings.renderer_setting, drawing.config_type, "renderer_setting",
+        settings, settings.renderer_settings, settings.renderer_setting, defaults_of(drawing.config_type), "renderer_setting",
         f"renderer '{drawing.name}'",
     )  # fmt: skip
     chosen = {"robot": settings.robot, "action": settings.action}
     fields.update({key: value for key, value in chosen.items() if value is not None})
-    common = (settings.seed, settings.renderer, own, looks, settings.compile)
+    common = (settings.seed, settings.renderer, own, looks, settings.compile, settings.check_finite)
     return make(entry.name, num_envs, name, device, *common, **fields)
+
+
+def _task_defaults(task_type: type) -> dict[str, Any]:
+    """Its plain fields, and the word that stands for its observations."""
+    from orbit_core.envs.configuration import DEFAULT_PRESET, OBSERVATIONS
+
+    return {**defaults_of(task_type), OBSERVATIONS: DEFAULT_PRESET}
 
 
 def _merged(
     settings: EnvironmentSettings,
     from_file: Mapping[str, Any],
     pairs: Sequence[str],
-    owner_type: type,
+    defaults: Mapping[str, Any],
     kind: str,
     owner: str,
 ) -> dict[str, Any]:
     """The command line's ``key=value`` over the file's table."""
-    defaults = defaults_of(owner_type)
     table = check_values(from_file, defaults, kind, f"{owner}, table [{kind}s] of {settings.config}")
     return {**table, **parse_values(pairs, defaults, kind.replace("_", " "), owner)}

@@ -32,6 +32,8 @@ class EnvironmentSettings:
     """Torch device that holds all state, such as 'cpu' or 'cuda:0'."""
     compile: bool = False
     """Compile the layer's part of a step: seconds at the first steps, and less time in all that follow."""
+    check_finite: bool = False
+    """On a GPU too, stop at an observation that is NaN or infinite: each step then waits for the device."""
     seed: int = 0
     """Of every environment's random stream."""
     set: KeyValues = ()

@@ -9,8 +9,9 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from orbit_core.envs.environment import Environment, make
+    from orbit_core.envs.environment import Environment
     from orbit_core.envs.expert import Expert, Phase
+    from orbit_core.envs.making import make
     from orbit_core.envs.ppo import PpoSettings
     from orbit_core.envs.registry import TaskEntry, TaskRegistry, task_entries, task_entry
     from orbit_core.envs.task import Task
@@ -26,8 +27,9 @@ if TYPE_CHECKING:
     )
 
 _MODULES: dict[str, tuple[str, ...]] = {
-    "environment": ("Environment", "make"),
+    "environment": ("Environment",),
     "expert": ("Expert", "Phase"),
+    "making": ("make",),
     "ppo": ("PpoSettings",),
     "registry": ("TaskEntry", "TaskRegistry", "task_entries", "task_entry"),
     "task": ("Task",),

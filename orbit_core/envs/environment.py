@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
-from orbit_core.backends import default_backend
 from orbit_core.dynamics.arguments import (
     FINITE,
     MOST_ENVIRONMENTS,
@@ -26,16 +25,16 @@ from orbit_core.dynamics.arguments import (
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.envs.action_manager import ActionManager, driven_scene
 from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered
-from orbit_core.envs.configuration import configure
-from orbit_core.envs.episode import EpisodeEnd
+from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.event_manager import EventManager
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
+from orbit_core.envs.observation_check import check_finite as check_observation
 from orbit_core.envs.observation_groups import POLICY, with_sensors_of_terms
 from orbit_core.envs.observation_layout import Observation, leaf_shapes, leaves_of, observation_of
 from orbit_core.envs.observation_manager import ObservationManager
-from orbit_core.envs.registry import task_entry
+from orbit_core.envs.reward_manager import RewardManager
 from orbit_core.envs.task import Task
-from orbit_core.envs.terms import CurriculumTerm, RewardTerm, TerminationTerm, terms_of
+from orbit_core.envs.terms import CurriculumTerm, TerminationTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 from orbit_core.interfaces.fields import settings_table
 from orbit_core.world import SimulatedWorld
@@ -59,9 +58,12 @@ class Environment:
         settings: of the physics backend, by field name, over the task's preset.
         renderer_settings: of the renderer, by field name.
         compile: whether to compile the layer's part of a step; the first step then takes seconds.
+        check_finite: whether to look for observations that are NaN or infinite on a GPU too, where each step then waits
+            for the device; on a CPU they always are.
 
     Raises:
         ConfigurationError: among others, nothing compiles here, or the task's step cannot be compiled.
+        NonFiniteError: a term gives what is not finite; names it. :meth:`reset` and :meth:`step` raise it too.
     """
 
     def __init__(
@@ -75,6 +77,7 @@ class Environment:
         settings: Mapping[str, Any] | None = None,
         renderer_settings: Mapping[str, Any] | None = None,
         compile: bool = False,
+        check_finite: bool = False,
     ) -> None:
         if not isinstance(task, Task):
             raise ConfigurationError(f"an environment needs a Task, not a {type(task).__name__}: orbit_core.envs.make")
@@ -91,13 +94,10 @@ class Environment:
         self.device = self.world.device
         self.step_dt = task.physics_dt * task.decimation
         check_owners(task)
-        self.reward_terms = terms_of(task.rewards, RewardTerm)
+        self._rewards = RewardManager(self.world, task, self.step_dt)
+        self.reward_terms, self.reward_sums = self._rewards.terms, self._rewards.sums
         self.termination_terms = terms_of(task.terminations, TerminationTerm)
         self._curriculum = _curriculum(task)
-        self._weights = self._reward_weights()
-        self._column_of_weights = self._weights[:, None]
-        self.reward_sums = torch.zeros(len(self.reward_terms), num_envs, device=self.device)
-        """(terms, N) each reward term's contribution to the episode so far."""
         self.all_ids = torch.arange(num_envs, device=self.device)
         self.done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         """(N,) whose episode ended in the last step."""
@@ -111,6 +111,7 @@ class Environment:
         self.observer = ObservationManager(self.world, task)
         self.observation = self.observer.layouts
         """What each group of the observation is like, by name."""
+        self._checks = check_finite or self.device.type == "cpu"
         self._seen: tuple[int, Observation] | None = None
         """Version of the world's state, and the observation of it that the closed step made."""
         several = len(task.agents) > 1
@@ -234,7 +235,9 @@ class Environment:
 
     def _step_closed(self, closed: CapturedStep) -> StepResult:
         result = closed()
-        self._seen = (self.world.clock.version, result[0])
+        self._seen = (self.world.clock.version, self._checked_observation(result[0]))
+        if isinstance(info := result[4], StepInfo):
+            self._checked_observation(info.everyone.observation)
         if closed.refusal:
             if self._compile:
                 raise ConfigurationError(f"the step cannot be compiled: {closed.refusal}; or leave compile out")
@@ -266,7 +269,12 @@ class Environment:
         return action
 
     def _observe(self) -> Observation:
-        return observation_of(self.observation, list(self.cut.observe().values()))
+        return self._checked_observation(observation_of(self.observation, list(self.cut.observe().values())))
+
+    def _checked_observation(self, observation: Observation) -> Observation:
+        if self._checks:
+            check_observation(observation, self.observation)
+        return observation
 
     def _observation(self) -> Observation:
         if self._seen is not None and self._seen[0] == self.world.clock.version:
@@ -278,16 +286,11 @@ class Environment:
         with self.world.masking.only(began):
             return self._observe()
 
-    def _reward_weights(self) -> Tensor:
-        weights = [term.weight * self.step_dt for term in self.reward_terms.values()]
-        return torch.tensor(weights, device=self.device)
-
     def _reward(self) -> Tensor:
-        values = torch.stack([term.function(self.world, self.task) for term in self.reward_terms.values()])
-        self.reward_sums.addcmul_(values, self._column_of_weights)
+        values = self._rewards.values()
         if self.multi_agent is not None:
             self.multi_agent.earn(values)
-        return self._weights @ values
+        return self._rewards.total(values)
 
     def _terminated(self) -> Tensor:
         ends = [term.function(self.world, self.task) for term in self.termination_terms.values()]
@@ -322,7 +325,7 @@ class Environment:
         self.task.reset(env_ids)
         self.cut.graph.reset(env_ids)
         self.observer.reset(env_ids)
-        write_rows(self.reward_sums.T, 0.0, env_ids)
+        self._rewards.reset(env_ids)
         self._events.reset(env_ids)
 
 
@@ -356,28 +359,3 @@ def _whole_steps(task: Task) -> int:
             f"decimation): use {max(1, steps) * step_dt:g}"
         )
     return steps
-
-
-def make(
-    task: str | Task,
-    num_envs: int = 1,
-    backend: str | None = None,
-    device: str | torch.device = "cpu",
-    seed: int = 0,
-    renderer: str | None = None,
-    settings: Mapping[str, Any] | None = None,
-    renderer_settings: Mapping[str, Any] | None = None,
-    compile: bool = False,
-    **fields: Any,
-) -> Environment:
-    """The environment of a task, given by name or configured; ``fields`` set the task's own, such as ``robot``.
-
-    Raises:
-        UnknownNameError: no such task, field, robot, action space or backend.
-    """
-    if isinstance(task, str):
-        task = configure(task_entry(task).task_type(), fields)
-    elif fields:
-        raise ConfigurationError(f"set {', '.join(fields)} on the task itself: it is given configured")
-    chosen = default_backend() if backend is None else backend
-    return Environment(task, num_envs, chosen, device, seed, renderer, settings, renderer_settings, compile)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.arguments import check_shape
 from orbit_core.envs.observation_groups import POLICY, groups_of, terms_of_group
-from orbit_core.envs.observation_layout import GroupLayout
+from orbit_core.envs.observation_layout import GroupLayout, Observation
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import RewardTerm, terms_of
 from orbit_core.interfaces import UnknownNameError
@@ -23,23 +24,22 @@ class MultiAgentView:
 
     Args:
         task: whose agents they are; it has started.
-        layout: of the group ``"policy"``, which is concatenated.
+        layout: of the group ``"policy"``.
         step_dt: seconds in a step of the environment.
-
-    Raises:
-        ConfigurationError: that group is a dictionary of its terms.
     """
 
     def __init__(self, task: Task, layout: GroupLayout, step_dt: float) -> None:
         self.agents = task.agents
         self._actions = task.action_slices
         rewards = terms_of(task.rewards, RewardTerm).values()
-        sizes = {name: columns.stop - columns.start for name, columns in layout.columns.items()}
-        terms = terms_of_group(groups_of(task)[POLICY])
-        owners: list[str | None] = [term.agent for name, term in terms.items() for _ in range(sizes[name])]
-        self._columns = {
-            agent: torch.tensor([i for i, owner in enumerate(owners) if owner in (None, agent)], device=task.device)
+        owners = {name: term.agent for name, term in terms_of_group(groups_of(task)[POLICY]).items()}
+        self.layouts = {
+            agent: replace(layout, terms={n: t for n, t in layout.terms.items() if owners[n] in (None, agent)})
             for agent in self.agents
+        }
+        """What each agent's part of the group ``"policy"`` is like."""
+        self._columns = {
+            agent: _columns(layout, own).to(task.device) for agent, own in self.layouts.items() if layout.concatenated
         }
         weights = [
             [term.weight * step_dt if term.agent in (None, agent) else 0.0 for term in rewards] for agent in self.agents
@@ -49,17 +49,23 @@ class MultiAgentView:
 
     @property
     def observation_sizes(self) -> dict[str, int]:
-        """Components of what each agent sees."""
-        return {agent: len(columns) for agent, columns in self._columns.items()}
+        """Components of what each agent sees.
+
+        Raises:
+            ConfigurationError: it is a dictionary of terms.
+        """
+        return {agent: layout.size for agent, layout in self.layouts.items()}
 
     @property
     def action_sizes(self) -> dict[str, int]:
         """Components of each agent's action."""
         return {agent: part.stop - part.start for agent, part in self._actions.items()}
 
-    def observations(self, observation: Tensor) -> dict[str, Tensor]:
-        """What each agent sees (N, O_agent) of the whole group ``"policy"`` (N, O)."""
-        return {agent: observation[:, columns] for agent, columns in self._columns.items()}
+    def observations(self, policy: Tensor | dict[str, Tensor]) -> Observation:
+        """What each agent sees of the whole group ``"policy"``: its columns (N, O_agent), or its terms by name."""
+        if isinstance(policy, dict):
+            return {agent: {name: policy[name] for name in own.terms} for agent, own in self.layouts.items()}
+        return {agent: policy[:, columns] for agent, columns in self._columns.items()}
 
     def action(self, actions: Mapping[str, Tensor]) -> Tensor:
         """The whole action (N, A) of all agents' actions (N, A_agent).
@@ -81,6 +87,12 @@ class MultiAgentView:
     def earn(self, values: Tensor) -> None:
         """Take in a step's reward terms, unweighted (terms, N)."""
         self._rewards.copy_(self._weights @ values)
+
+
+def _columns(layout: GroupLayout, own: GroupLayout) -> Tensor:
+    """Which components of a concatenated group are those of one agent's part of it."""
+    chosen = [layout.columns[name] for name in own.terms]
+    return torch.tensor([i for columns in chosen for i in range(columns.start, columns.stop)], dtype=torch.int64)
 
 
 def check_owners(task: Task) -> None:

@@ -12,8 +12,9 @@ import torch
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
-from orbit_core.envs.environment import Environment, make
+from orbit_core.envs.environment import Environment
 from orbit_core.envs.episode import EpisodeEnd
+from orbit_core.envs.making import make
 from orbit_core.envs.observation_layout import Observation, map_leaves
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ArgumentError, ConfigurationError

@@ -11,11 +11,13 @@ import torch
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from orbit_core.envs.environment import make
 from orbit_core.envs.episode import EpisodeEnd
+from orbit_core.envs.making import make
+from orbit_core.envs.observation_layout import Observation
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ArgumentError, ConfigurationError
-from orbit_core.learning.gymnasium import Spectator, as_tensor, checked_mode, outcome
+from orbit_core.learning.gymnasium import Spectator, arrays_of, as_tensor, checked_mode, outcome
+from orbit_core.learning.spaces import group_space
 from orbit_core.world.closing import close_for_good
 
 Array = npt.NDArray[np.float32]
@@ -51,14 +53,12 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
         self.metadata = {**ParallelEnvironment.metadata, "name": f"orbit/{name}", "render_fps": fps}
         self.possible_agents = list(shares.agents)
         self.agents: list[str] = []
-        self.observation_spaces = {
-            agent: spaces.Box(-np.inf, np.inf, (size,), np.float32) for agent, size in shares.observation_sizes.items()
-        }
+        self.observation_spaces = {agent: group_space(layout) for agent, layout in shares.layouts.items()}
         self.action_spaces = {
             agent: spaces.Box(-1.0, 1.0, (size,), np.float32) for agent, size in shares.action_sizes.items()
         }
-        self.state_space = spaces.Box(-np.inf, np.inf, (self.environment.observation_size,), np.float32)
-        self._state = np.zeros(self.state_space.shape, np.float32)
+        self.state_space = group_space(self.environment.observation["policy"])
+        self._state: Any = None
         self._spectator = Spectator(self.environment, self.render_mode)
 
     def observation_space(self, agent: str) -> spaces.Space[Array]:
@@ -73,7 +73,7 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
         """Begin an episode. Options are not used: PettingZoo's own test gives some to every environment."""
         observation, _ = self.environment.reset(seed)
         self.agents = list(self.possible_agents)
-        return self._observed(observation["policy"]), {agent: {} for agent in self.agents}
+        return self._observed(observation), {agent: {} for agent in self.agents}
 
     def step(
         self, actions: dict[str, Array]
@@ -96,10 +96,16 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
         infos = {agent: outcome(end, 0) for agent in self.agents}
         if end is not None:
             self.agents = []
-        return self._observed(seen["policy"]), rewards, terminations, truncations, infos
+        return self._observed(seen), rewards, terminations, truncations, infos
 
-    def state(self) -> Array:
-        """(O,) the whole observation."""
+    def state(self) -> Any:
+        """The whole group ``"policy"``: (O,), or its terms by name.
+
+        Raises:
+            ConfigurationError: no episode has begun.
+        """
+        if self._state is None:
+            raise ConfigurationError("there is no state before the first episode: reset the environment")
         return self._state
 
     def render(self) -> npt.NDArray[np.uint8] | None:
@@ -111,6 +117,7 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
         self.environment.close()
         close_for_good(self, "the environment")
 
-    def _observed(self, observation: torch.Tensor) -> dict[str, Array]:
-        self._state = observation[0].cpu().numpy()
-        return {agent: part[0].cpu().numpy() for agent, part in self._shares.observations(observation).items()}
+    def _observed(self, observation: Observation) -> dict[str, Any]:
+        policy = observation["policy"]
+        self._state = arrays_of({"policy": policy})["policy"]
+        return dict(arrays_of(self._shares.observations(policy)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,19 +14,20 @@ from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import GroupLayout, TermLayout
 
 _DTYPES: Mapping[torch.dtype, type[np.generic]] = {
-    torch.float32: np.float32, torch.uint8: np.uint8, torch.int32: np.int32, torch.int64: np.int64, torch.bool: np.bool_,
+    torch.float32: np.float32, torch.uint8: np.uint8, torch.int32: np.int32, torch.int64: np.int64,
+    torch.bool: np.bool_,
 }  # fmt: skip
 
 
-def observation_space(environment: Environment) -> spaces.Dict:
+def observation_space(environment: Environment) -> spaces.Space[Any]:
     """Of one environment: groups by name, each a box, or a dictionary of its terms' boxes."""
-    return spaces.Dict({name: group_space(layout) for name, layout in environment.observation.items()})
+    return _ordered({name: group_space(layout) for name, layout in environment.observation.items()})
 
 
 def group_space(layout: GroupLayout) -> spaces.Space[Any]:
     """Of one observation group, with its terms' dtypes and bounds."""
     if not layout.concatenated:
-        return spaces.Dict({name: _term_space(term) for name, term in layout.terms.items()})
+        return _ordered({name: _term_space(term) for name, term in layout.terms.items()})
     low, high = (
         np.concatenate([np.full(term.shape, getattr(term, side), np.float32) for term in layout.terms.values()])
         for side in ("low", "high")
@@ -33,9 +35,14 @@ def group_space(layout: GroupLayout) -> spaces.Space[Any]:
     return spaces.Box(low, high, dtype=np.float32)
 
 
-def action_space(environment: Environment) -> spaces.Box:
+def action_space(environment: Environment) -> spaces.Space[Any]:
     """Of one environment: components in [-1, 1]."""
     return spaces.Box(-1.0, 1.0, (environment.action_size,), np.float32)
+
+
+def _ordered(boxes: Mapping[str, spaces.Space[Any]]) -> spaces.Dict:
+    """In the order of an observation: Gymnasium sorts plain dictionaries by name."""
+    return spaces.Dict(OrderedDict(boxes))
 
 
 def _term_space(term: TermLayout) -> spaces.Box:

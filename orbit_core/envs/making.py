@@ -1,0 +1,42 @@
+"""From a task's name to its environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from orbit_core.backends import default_backend
+from orbit_core.envs.configuration import configure
+from orbit_core.envs.environment import Environment
+from orbit_core.envs.registry import task_entry
+from orbit_core.envs.task import Task
+from orbit_core.interfaces import ConfigurationError
+
+
+def make(
+    task: str | Task,
+    num_envs: int = 1,
+    backend: str | None = None,
+    device: str | torch.device = "cpu",
+    seed: int = 0,
+    renderer: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+    renderer_settings: Mapping[str, Any] | None = None,
+    compile: bool = False,
+    check_finite: bool = False,
+    **fields: Any,
+) -> Environment:
+    """The environment of a task, given by name or configured; ``fields`` set the task's own, such as ``robot``.
+
+    Raises:
+        UnknownNameError: no such task, field, robot, action space, preset of observations or backend.
+    """
+    if isinstance(task, str):
+        task = configure(task_entry(task).task_type(), fields)
+    elif fields:
+        raise ConfigurationError(f"set {', '.join(fields)} on the task itself: it is given configured")
+    chosen = default_backend() if backend is None else backend
+    common = (device, seed, renderer, settings, renderer_settings, compile, check_finite)
+    return Environment(task, num_envs, chosen, *common)

@@ -1,0 +1,50 @@
+"""Observations that no policy can take are refused, with the term and the environments named."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from orbit_core.envs.observation_layout import GroupLayout, Observation
+from orbit_core.interfaces import NonFiniteError, first_few
+
+
+def check_finite(observation: Observation, layouts: Mapping[str, GroupLayout]) -> None:
+    """Refuse numbers that are NaN or infinite; this waits for the device.
+
+    Raises:
+        NonFiniteError: names group, term, environments and component.
+    """
+    for name, group in observation.items():
+        layout = layouts[name]
+        if isinstance(group, dict):
+            for term, value in group.items():
+                if not _finite(value):
+                    _refuse(name, term, value.flatten(1))
+        elif not _finite(group):
+            for term, columns in layout.columns.items():
+                _refuse(name, term, group[:, columns])
+
+
+def _finite(value: Tensor) -> bool:
+    """Whether all numbers are finite, for sure: a sum that overflows says no, and is looked into."""
+    return not value.is_floating_point() or math.isfinite(float(value.sum()))
+
+
+def _refuse(group: str, term: str, values: Tensor) -> None:
+    """Raise where one of the values (N, D) of a term is not finite."""
+    wrong = ~torch.isfinite(values)
+    environments = wrong.any(1).nonzero().squeeze(-1).tolist()
+    if not environments:
+        return
+    component = int(wrong[environments[0]].nonzero()[0])
+    number = float(values[environments[0], component])
+    plural = "s" if len(environments) > 1 else ""
+    raise NonFiniteError(
+        f"observation term '{term}' of group '{group}' is not finite in environment{plural} "
+        f"{first_few(environments)}: component {component} of environment {environments[0]} is {number}. A term must "
+        "give finite numbers: bound what divides or measures, as orbit_core.mdp.images.camera_depth does"
+    )
