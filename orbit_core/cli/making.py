@@ -41,15 +41,13 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environmen
         # The layer's tensors are small: more threads gain nothing at 64 environments, and where the engine's own
         # threads or other programs hold the cores, waiting for each other makes them several times slower.
         torch.set_num_threads(1)
-    fields = _merged(
-        settings, settings.fields, settings.set, _task_defaults(entry.task_type()), "field", f"task {entry.name}"
-    )
-    own = _merged(
-        settings, settings.settings, settings.setting, defaults_of(plugin.config_type), "setting", f"backend '{name}'"
-    )
+    defaults = _task_defaults(entry.task_type())
+    fields = _merged(settings, settings.fields, settings.set, defaults, "field", f"task {entry.name}")
+    defaults = defaults_of(plugin.config_type)
+    own = _merged(settings, settings.settings, settings.setting, defaults, "setting", f"backend '{name}'")
     looks = _merged(
-        settings, settings.renderer_settings, settings.renderer_setting, defaults_of(drawing.config_type), "renderer_setting",
-        f"renderer '{drawing.name}'",
+        settings, settings.renderer_settings, settings.renderer_setting, defaults_of(drawing.config_type),
+        "renderer_setting", f"renderer '{drawing.name}'",
     )  # fmt: skip
     chosen = {"robot": settings.robot, "action": settings.action}
     fields.update({key: value for key, value in chosen.items() if value is not None})
