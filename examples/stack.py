@@ -10,19 +10,19 @@ from torch import Tensor
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import box
 from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task, make
+from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.scene import Scene
-from orbit_core.world import SimulatedWorld
 
 EDGE = 0.05
 
 
-def red(world: SimulatedWorld, task: Stack) -> Tensor:
+def red(world: World, task: Stack) -> Tensor:
     """(N, 7) of the cube that moves."""
     return world.objects["red"].root_pose
 
 
-def blue(world: SimulatedWorld, task: Stack) -> Tensor:
+def blue(world: World, task: Stack) -> Tensor:
     """(N, 7) of the cube that stays."""
     return world.objects["blue"].root_pose
 
@@ -32,17 +32,17 @@ def raised(pose: Tensor, height: float) -> Tensor:
     return pose + torch.tensor([0, 0, height, 0, 0, 0, 0], device=pose.device)
 
 
-def distance(world: SimulatedWorld, task: Stack) -> Tensor:
+def distance(world: World, task: Stack) -> Tensor:
     """(N,) metres between the red cube and its place on the blue one."""
     return (raised(blue(world, task), EDGE)[:, :3] - red(world, task)[:, :3]).norm(dim=1)
 
 
-def reach(world: SimulatedWorld, task: Stack) -> Tensor:
+def reach(world: World, task: Stack) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the red cube."""
     return 1.0 - torch.tanh(5.0 * (red(world, task)[:, :3] - common.hand_pose(world, task)[:, :3]).norm(dim=1))
 
 
-def place_cubes(world: SimulatedWorld, task: Stack, env_ids: Tensor) -> None:
+def place_cubes(world: World, task: Stack, env_ids: Tensor) -> None:
     """The red cube to the right of the robot, the blue one to its left."""
     for name, low, high in (("red", -0.25, -0.1), ("blue", 0.1, 0.25)):
         pose = torch.zeros(len(env_ids), 7, device=world.device)
@@ -52,13 +52,13 @@ def place_cubes(world: SimulatedWorld, task: Stack, env_ids: Tensor) -> None:
         world.objects[name].set_root_pose(pose, env_ids)
 
 
-def at_red(world: SimulatedWorld, task: Stack) -> Tensor:
+def at_red(world: World, task: Stack) -> Tensor:
     """(N, 7) the hand around the red cube, pointing down."""
     position = red(world, task)[:, :3]
     return torch.cat((position, common.facing_down(torch.zeros_like(position[:, 0]))), dim=1)
 
 
-def over_blue(world: SimulatedWorld, task: Stack, height: float) -> Tensor:
+def over_blue(world: World, task: Stack, height: float) -> Tensor:
     """(N, 7) the hand where the red cube comes to lie ``height`` above its place, as it sits in the hand now."""
     hand = common.hand_pose(world, task)[:, :3]
     position = hand + raised(blue(world, task), EDGE + height)[:, :3] - red(world, task)[:, :3]
@@ -122,14 +122,14 @@ class Stack(Task):
             physics_dt=self.physics_dt,
         )
 
-    def success(self, world: SimulatedWorld) -> Tensor:
+    def success(self, world: World) -> Tensor:
         away = (common.hand_pose(world, self)[:, :3] - red(world, self)[:, :3]).norm(dim=1) > EDGE
         return (distance(world, self) < self.tolerance) & away
 
-    def metrics(self, world: SimulatedWorld) -> dict[str, Tensor]:
+    def metrics(self, world: World) -> dict[str, Tensor]:
         return {"distance_m": distance(world, self)}
 
-    def expert(self, world: SimulatedWorld) -> Expert:
+    def expert(self, world: World) -> Expert:
         phases = (
             Phase(lambda world, task: raised(at_red(world, task), 0.1), position_tolerance=0.02),
             Phase(at_red, position_tolerance=0.006, timeout=1.5),

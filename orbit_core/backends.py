@@ -8,8 +8,6 @@ the extras of the distribution ``orbit-core`` that bring a distribution ``orbit-
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
 import functools
 import os
 import re
@@ -18,6 +16,7 @@ from typing import Any
 
 import importlib_metadata
 
+from orbit_core.configuration import configured
 from orbit_core.interfaces.backend import Backend
 from orbit_core.interfaces.capabilities import Capability
 from orbit_core.interfaces.errors import (
@@ -27,9 +26,8 @@ from orbit_core.interfaces.errors import (
     UnknownNameError,
     UnsupportedCapabilityError,
 )
-from orbit_core.interfaces.fields import check_kind, settings_table
+from orbit_core.interfaces.fields import settings_table
 from orbit_core.interfaces.requirements import IMAGES, required_capabilities
-from orbit_core.interfaces.typed import Typed
 from orbit_core.registry import Registry, faults_named
 from orbit_core.scene import Scene
 
@@ -149,25 +147,8 @@ def backend_config(backend: Backend, values: Mapping[str, Any] | None = None) ->
     Raises:
         ConfigurationError: a field that the backend does not have, or a value that it refuses.
     """
-    fields = [field.name for field in dataclasses.fields(backend.config_type)]
-    given = settings_table(values, f"'{backend.name}'")
-    for name in given:
-        if name not in fields:
-            near = difflib.get_close_matches(str(name), fields, n=3, cutoff=0.5)
-            hint = f"did you mean {' or '.join(repr(field) for field in near)}? " if near else ""
-            raise ConfigurationError(
-                f"'{backend.name}' has no setting '{name}': {hint}it has {', '.join(fields) or 'none'}"
-            )
-    arguments = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
-    defaults = {field.name: field.default for field in dataclasses.fields(backend.config_type)}
-    for name, value in arguments.items():
-        check_kind(f"setting '{name}' of '{backend.name}'", value, defaults[name])
-    try:
-        config = backend.config_type(**arguments)
-        Typed().check(config, "settings")
-    except (TypeError, ValueError) as error:
-        raise ConfigurationError(f"settings of '{backend.name}': {error}") from error
-    return config
+    owner = f"backend '{backend.name}'"
+    return configured(backend.config_type(), settings_table(values, owner), owner, "setting")
 
 
 @functools.cache

@@ -216,7 +216,7 @@ def test_settings_are_typed(install: Install) -> None:
     plain = backends.backend("plain")
     assert backends.backend_config(plain) == PlainConfig()
     assert backends.backend_config(plain, {"threads": 3, "solver": [1, 2]}) == PlainConfig(3, (1, 2))
-    with pytest.raises(ConfigurationError, match=r"no setting 'thread': did you mean 'threads'"):
+    with pytest.raises(UnknownNameError, match=r"unknown setting 'thread' in backend 'plain': did you mean 'threads'"):
         backends.backend_config(plain, {"thread": 3})
     with pytest.raises(ConfigurationError, match="threads must not be negative"):
         backends.backend_config(plain, {"threads": -1})

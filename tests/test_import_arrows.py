@@ -19,6 +19,7 @@ RANKS = {
     "interfaces": 1,
     "files": 1.5,
     "registry": 1.5,
+    "configuration": 1.5,
     "backends": 2,
     "pretrained": 2,
     "dynamics": 2,

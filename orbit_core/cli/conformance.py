@@ -16,7 +16,7 @@ from orbit_core.cli.checks import check_positive
 from orbit_core.cli.output import console, new_table, progress_bar
 from orbit_core.cli.parsing import parse_words
 from orbit_core.cli.settings import KeyValues
-from orbit_core.cli.values import defaults_of, parse_values
+from orbit_core.configuration import assignments, configured
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -120,8 +120,6 @@ def _run(words: Sequence[str]) -> int:
 
 def _backend_settings(pairs: Sequence[str], backends: Sequence[str]) -> dict[str, dict[str, Any]]:
     """``backend.key=value`` by backend; ``key=value`` is that of the only one."""
-    from orbit_core.backends import backend
-
     grouped: dict[str, list[str]] = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")
@@ -129,10 +127,16 @@ def _backend_settings(pairs: Sequence[str], backends: Sequence[str]) -> dict[str
         if not dot and len(backends) != 1:
             raise ConfigurationError(f"say of which backend the setting '{pair}' is: BACKEND.{pair}, or one --backend")
         grouped.setdefault(name if dot else backends[0], []).append(f"{field}{equals}{value}")
-    return {
-        name: parse_values(own, defaults_of(backend(name).config_type), "setting", f"backend '{name}'")
-        for name, own in grouped.items()
-    }
+    return {name: _typed_settings(name, own) for name, own in grouped.items()}
+
+
+def _typed_settings(name: str, pairs: Sequence[str]) -> dict[str, Any]:
+    from orbit_core.backends import backend
+
+    owner = f"backend '{name}'"
+    values = assignments(pairs, owner, "setting")
+    config = configured(backend(name).config_type(), values, owner, "setting")
+    return {key: getattr(config, key) for key in values}
 
 
 def _pool(settings: RunSettings) -> Pool:

@@ -7,14 +7,14 @@ import dataclasses
 import io
 import re
 import tomllib
-import types
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 import tyro
 
 from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.configuration import configured, field_types
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 
 _Settings = TypeVar("_Settings", bound=EnvironmentSettings)
@@ -34,7 +34,7 @@ def parse_settings(settings_type: type[_Settings], words: Sequence[str], program
     settings = parse_words(settings_type, words, program)
     if settings.config is None:
         return settings
-    return parse_words(settings_type, words, program, settings_type(**read_file(settings_type, settings.config)))
+    return parse_words(settings_type, words, program, read_file(settings_type, settings.config))
 
 
 def parse_words(kind: type[_Parsed], words: Sequence[str], program: str, default: Any = None) -> _Parsed:
@@ -53,8 +53,8 @@ def parse_words(kind: type[_Parsed], words: Sequence[str], program: str, default
     return parsed
 
 
-def read_file(settings_type: type[EnvironmentSettings], path: Path) -> dict[str, Any]:
-    """The keys of a TOML file, checked against the fields of ``settings_type``."""
+def read_file(settings_type: type[_Settings], path: Path) -> _Settings:
+    """The settings of a TOML file over the defaults of ``settings_type``."""
     try:
         with path.open("rb") as file:
             values = tomllib.load(file)
@@ -62,18 +62,15 @@ def read_file(settings_type: type[EnvironmentSettings], path: Path) -> dict[str,
         raise ConfigurationError(f"cannot read configuration file {path}: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"configuration file {path} is not TOML: {error}") from error
-    hints = {name: hint for name, hint in _hints(settings_type).items() if name not in _COMMAND_LINE_ONLY}
-    for key, value in values.items():
-        if key not in hints:
-            raise UnknownNameError("key", key, hints, f"configuration file {path}")
-        if not _fits(value, hints[key]):
-            raise ConfigurationError(f"configuration file {path}: {key} = {value!r} must be {_words(hints[key])}")
-    return {key: _converted(value, hints[key]) for key, value in values.items()}
+    known = field_types(settings_type).keys() - {*_COMMAND_LINE_ONLY}
+    for key in values.keys() - known:
+        raise UnknownNameError("key", key, known, f"configuration file {path}")
+    return configured(settings_type(), values, f"configuration file {path}", "key")
 
 
 def _check_options(kind: type, words: Sequence[str], program: str) -> None:
     """Refuse an option that the dataclass does not have, with the nearest that it has."""
-    known = {f"--{name.replace('_', '-')}" for name, hint in _hints(kind, True).items() if _is_option(hint)}
+    known = {f"--{name.replace('_', '-')}" for name, hint in _hints(kind).items() if _is_option(hint)}
     known.add("--help")
     for word in words:
         option = word.partition("=")[0].replace("_", "-")
@@ -88,50 +85,12 @@ def _one_line(complaint: str) -> str:
     return sentence.rstrip(".") or "malformed command line"
 
 
-def _hints(kind: type, annotated: bool = False) -> dict[str, Any]:
-    """The types of a dataclass's fields, with the parser's marks or without."""
-    hints = get_type_hints(kind, include_extras=annotated)
+def _hints(kind: type) -> dict[str, Any]:
+    """The types of a dataclass's fields, with the parser's marks."""
+    hints = get_type_hints(kind, include_extras=True)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
 
 
 def _is_option(hint: Any) -> bool:
     marks = getattr(hint, "__metadata__", ())
     return tyro.conf.Positional not in marks and tyro.conf.Suppress not in marks
-
-
-def _members(hint: Any) -> tuple[Any, ...]:
-    return get_args(hint) if get_origin(hint) in (types.UnionType, Union) else (hint,)
-
-
-def _fits(value: Any, hint: Any) -> bool:
-    """Whether a value of a TOML file may stand for a field of that type."""
-    for member in _members(hint):
-        kind = get_origin(member) or member
-        if kind is tuple:
-            fits = isinstance(value, list) and all(_fits(item, get_args(member)[0]) for item in value)
-        elif kind is Mapping:
-            fits = isinstance(value, dict)
-        else:
-            fits = type(value) is (str if kind is Path else kind)
-        if fits:
-            return True
-    return False
-
-
-def _converted(value: Any, hint: Any) -> Any:
-    if isinstance(value, list):
-        return tuple(value)
-    return Path(value) if Path in _members(hint) else value
-
-
-def _words(hint: Any) -> str:
-    """How a message calls a type."""
-    names = {
-        str: "text",
-        Path: "text",
-        int: "a whole number",
-        bool: "true or false",
-        tuple: "a list of whole numbers",
-        Mapping: "a table",
-    }
-    return " or ".join(names[get_origin(m) or m] for m in _members(hint) if m is not types.NoneType)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.table import Table
 from tyro.conf import arg
@@ -20,7 +20,7 @@ from orbit_core.cli.output import console, new_table, progress_bar
 from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.runner import versions_of
 from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues
-from orbit_core.cli.values import defaults_of, parse_values
+from orbit_core.configuration import assignments, configured
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -123,10 +123,10 @@ def _processes() -> int:
 
 def _algorithm(settings: TrainSettings, defaults: PpoSettings) -> PpoSettings:
     """The task's own settings with the user's over them."""
-    values = parse_values(settings.ppo, defaults_of(type(defaults)), "algorithm setting", "PPO")
+    values: dict[str, Any] = dict(assignments(settings.ppo, "PPO", "algorithm setting"))
     if settings.iterations is not None:
         values["iterations"] = settings.iterations
-    chosen = dataclasses.replace(defaults, **values)
+    chosen = configured(defaults, values, "PPO", "algorithm setting")
     check_positive("iterations", chosen.iterations)
     return chosen
 

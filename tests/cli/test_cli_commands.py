@@ -167,7 +167,7 @@ BUILT_MISTAKES = [
     (["--renderer", "crayons"], "unknown renderer 'crayons'"),
     (["--set", "cube_siz=1"], "did you mean 'cube_size'"),
     (["--set", "cube_size"], "key=value"),
-    (["--set", "cube_size=big"], "cube_size = 'big'"),
+    (["--set", "cube_size=big"], "'cube_size' of task Lift is 'big'"),
     (["--setting", "nothing_of_the_kind=1"], "unknown setting 'nothing_of_the_kind'"),
 ]
 

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.runner import run
 from orbit_core.cli.settings import BenchSettings, RunSettings
-from orbit_core.cli.values import check_values, defaults_of, parse_values
-from orbit_core.interfaces import ConfigurationError, OrbitError, UnknownNameError
+from orbit_core.interfaces import ConfigurationError, OrbitError
 
 FILE = """
 task = "Lift"
@@ -78,8 +73,8 @@ def test_a_video_has_a_width_and_a_height(tmp_path: Path):
     path = tmp_path / "run.toml"
     path.write_text("video_size = [64, 48, 3]")
     assert run_settings("--video-size", "208", "160").video_size == (208, 160)
-    with pytest.raises(ConfigurationError, match="video_size must be a width and a height"):
-        run(run_settings("Reach", "--config", str(path)))
+    with pytest.raises(ConfigurationError, match=r"'video_size' of configuration file .* must be a list of 2"):
+        run_settings("Reach", "--config", str(path))
 
 
 @pytest.mark.parametrize(
@@ -127,59 +122,3 @@ def test_a_wrong_option_is_named_in_one_line(words: list[str], named: str):
         run_settings(*words)
     assert named in str(raised.value)
     assert "\n" not in str(raised.value)
-
-
-@dataclass
-class Owner:
-    size: float = 0.5
-    count: int = 3
-    name: str = "a"
-    on: bool = False
-    pair: tuple[float, float] = (1.0, 2.0)
-    free: object = None
-
-
-DEFAULTS = defaults_of(Owner)
-
-
-def test_only_plain_fields_can_be_set():
-    assert set(DEFAULTS) == {"size", "count", "name", "on", "pair"}
-
-
-@pytest.mark.parametrize(
-    ("pair", "value"),
-    [
-        ("size=1", 1.0),
-        ("size=-2.5e-3", -2.5e-3),
-        ("count=-4", -4),
-        ("name=3", "3"),
-        ("name=a=b", "a=b"),
-        ("on=true", True),
-        ("pair=3,4.5", (3.0, 4.5)),
-        ("pair=[3, 4.5]", (3.0, 4.5)),
-    ],
-)
-def test_a_value_takes_its_defaults_type(pair: str, value: object):
-    (parsed,) = parse_values([pair], DEFAULTS, "field", "task T").values()
-    assert parsed == value
-    assert type(parsed) is type(value)
-
-
-@pytest.mark.parametrize("pair", ["size=big", "size=true", "count=1.5", "on=1", "on=yes", "pair=a,b", "size", "size="])
-def test_a_value_of_another_type_is_refused(pair: str):
-    with pytest.raises(ConfigurationError, match="task T"):
-        parse_values([pair], DEFAULTS, "field", "task T")
-
-
-def test_an_unknown_field_is_named_with_the_nearest():
-    with pytest.raises(UnknownNameError, match="'siz' in task T: did you mean 'size'"):
-        parse_values(["siz=1"], DEFAULTS, "field", "task T")
-    with pytest.raises(UnknownNameError, match="'counts' in task T: did you mean 'count'"):
-        check_values({"counts": 1}, DEFAULTS, "field", "task T")
-
-
-@given(st.floats(allow_nan=False, allow_infinity=False), st.integers(-(2**40), 2**40), st.booleans())
-@settings(max_examples=50, deadline=None)
-def test_numbers_survive_the_command_line(size: float, count: int, on: bool):
-    pairs = [f"size={size!r}", f"count={count}", f"on={str(on).lower()}"]
-    assert parse_values(pairs, DEFAULTS, "field", "task T") == {"size": size, "count": count, "on": on}

@@ -158,5 +158,5 @@ def test_fields_of_tasks_are_finite(fields: dict[str, Any], message: str) -> Non
 def test_settings_of_backends_are_of_their_defaults_kind(value: Any) -> None:
     plugin = backend(BACKEND)
     name = next(f.name for f in plugin.config_type.__dataclass_fields__.values() if type(f.default) is int)
-    with pytest.raises(ConfigurationError, match=f"setting '{name}' of '{BACKEND}' is"):
+    with pytest.raises(ConfigurationError, match=f"setting '{name}' of backend '{BACKEND}' is"):
         backend_config(plugin, {name: value})
