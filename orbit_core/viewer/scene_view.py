@@ -15,6 +15,7 @@ from orbit_core.interfaces import SceneLayout
 from orbit_core.scene import Plane, Shape
 from orbit_core.scene.pose import Vector3
 from orbit_core.viewer.geometry import Drawing, marker_shapes
+from orbit_core.viewer.lights import add_lights
 
 if TYPE_CHECKING:
     from viser import BatchedGlbHandle, MeshHandle, ViserServer
@@ -83,7 +84,7 @@ class SceneView:
         self._markers_visible = True
         self._first = 0
         server.scene.set_up_direction("+z")
-        self._light()
+        add_lights(server, layout.scene)
         for index, plane in enumerate(planes):
             self._draw_plane(index, plane)
         self._draw_links()
@@ -210,15 +211,6 @@ class SceneView:
         )
 
     # How it looks
-
-    def _light(self) -> None:
-        scene = self._server.scene
-        scene.configure_default_lights(enabled=False)
-        scene.add_light_directional("/lights/sun", intensity=2.2, cast_shadow=True, position=(1.0, -0.9, 2.4))
-        scene.add_light_directional("/lights/fill", intensity=0.5, position=(-0.5, 1.0, 0.6))
-        scene.configure_environment_map("warehouse", environment_intensity=0.35)
-        sky = np.linspace((150, 178, 206), (226, 232, 238), 256).astype(np.uint8)
-        scene.set_background_image(np.repeat(sky[:, None], 2, axis=1), format="png")
 
     @property
     def _focus(self) -> list[int]:

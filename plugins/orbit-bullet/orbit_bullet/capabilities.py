@@ -56,8 +56,14 @@ CAPABILITIES = Capabilities(
         Capability.SNAPSHOTS: EXACT,
         Capability.DETERMINISTIC: EXACT,
         Capability.RGB: EXACT,
-        Capability.LIGHTING: unsupported("this backend draws with a light of its own"),
-        Capability.SHADOWS: unsupported("this backend draws with a light of its own"),
+        Capability.LIGHTING: approximate(
+            "as the scene says with the software renderer, renderer='tiny'; OpenGL, which 'auto' takes for colour "
+            "images above 128x128 where it loads, has a light of its own, along the first light's direction"
+        ),
+        Capability.SHADOWS: approximate(
+            "from a map of twice the picture's width, over what casts them in it, up to 3 m around the middle of what "
+            "moves; single pixels beside edges differ"
+        ),
         Capability.DEPTH: EXACT,
         Capability.NORMALS: approximate("computed from the depth image: blurred at the edges of things"),
         Capability.ALBEDO: EXACT,

@@ -32,7 +32,7 @@ class BulletConfig:
     """m/s; slower impacts do not rebound."""
     renderer: str = "auto"
     """``tiny`` draws in software; ``egl`` draws with OpenGL, whose depth has 16 bits; ``auto`` takes OpenGL for large
-    colour images where it loads."""
+    colour images where it loads, in a light of its own along that of the scene's first directional light."""
     shadows: bool = True
     """Whether colour images have shadows."""
 

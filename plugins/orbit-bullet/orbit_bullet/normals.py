@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from orbit_bullet.lighting import pixel_rays
 from orbit_bullet.rotations import cross, rotate
 from orbit_core.scene import CameraSpec
 
@@ -35,11 +35,7 @@ def normals_of(depth: _Array, seen: _Array, camera: CameraSpec, poses: _Array) -
 
 def _points(depth: _Array, camera: CameraSpec) -> _Array:
     """Points in the camera's frame, which looks along -z."""
-    half = math.tan(camera.vertical_fov / 2)
-    y = half * (1 - (2 * np.arange(camera.height) + 1) / camera.height)
-    x = half * ((2 * np.arange(camera.width) + 1) / camera.width - 1) * camera.width / camera.height
-    rays = np.stack((*np.meshgrid(x, y), np.full((camera.height, camera.width), -1.0)), -1)
-    return depth.astype(np.float64) * rays
+    return depth.astype(np.float64) * pixel_rays(camera)
 
 
 def _difference(points: _Array, depth: _Array, seen: _Array, axis: int) -> _Array:

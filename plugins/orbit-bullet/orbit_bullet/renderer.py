@@ -16,8 +16,10 @@ from torch import Tensor
 
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.library import Client, refusals, silence
+from orbit_bullet.lighting import add_light, pixel_rays, sky_colors
 from orbit_bullet.normals import normals_of
 from orbit_bullet.rotations import compose, rotate
+from orbit_bullet.shadows import MapCamera, ball_radius, map_camera
 from orbit_bullet.visuals import VisualShapes, marker_shapes
 from orbit_core.interfaces import (
     BACKGROUND,
@@ -31,11 +33,11 @@ from orbit_core.interfaces import (
     drawn_shapes,
 )
 from orbit_core.scene import CameraSpec, Channel, Shape
+from orbit_core.scene.pose import Vector3
 
 _Array = npt.NDArray[Any]
 _TINY_PIXELS = 128 * 128
 """Up to which the software renderer is the faster."""
-_SUN = (0.4, 0.25, 1.0)
 _HIDDEN = (0.0, 0.0, -1e4)
 """Where markers wait while they are not drawn."""
 _egl_owner: list[object] = []
@@ -54,7 +56,7 @@ class BulletRenderer(Renderer):
         Raises:
             ConfigurationError: OpenGL was asked for, and is missing or in use by another renderer of this process.
         """
-        self._config = config
+        self._config, self._scene = config, layout.scene
         self._client = Client()
         self._closed = False
         wanted = config.renderer == "egl" or (config.renderer == "auto" and _suits_opengl(cameras))
@@ -66,6 +68,8 @@ class BulletRenderer(Renderer):
             self._links = np.array([link for _, link in things], dtype=np.int64)
             self._offsets = np.array([_flat(shape) for shape, _ in things]).reshape(-1, 7)
             self._bodies = [shapes.add(shape) for shape, _ in things]
+            radii = np.array([ball_radius(shape.geometry) for shape, _ in things], dtype=np.float64)
+            self._casters = (self._offsets[:, :3].astype(np.float64), radii)
             marks = [(shape, n) for n, spec in enumerate(layout.scene.markers) for shape in marker_shapes(spec)]
             self._marker_of = np.array([number for _, number in marks], dtype=np.int64)
             self._marker_offsets = np.array([_flat(shape) for shape, _ in marks]).reshape(-1, 7)
@@ -76,6 +80,8 @@ class BulletRenderer(Renderer):
         """At a body's number plus one, as the next."""
         self._albedo_of_body = np.zeros((last + 2, 3), dtype=np.uint8)
         self._albedo_of_body[np.array(self._bodies, dtype=np.int64) + 1] = albedo_table(layout)[1:]
+        for body, (shape, _) in zip(self._marker_bodies, marks, strict=True):
+            self._albedo_of_body[body + 1] = [round(255 * part) for part in shape.color[:3]]
         self._link_of_body[np.array(self._bodies, dtype=np.int64) + 1] = self._links
         still = self._links == TERRAIN
         self._place([body for body, here in zip(self._bodies, still, strict=True) if here], self._offsets[still])
@@ -116,12 +122,13 @@ class BulletRenderer(Renderer):
         bodies = np.zeros(shape, np.int64)
         for i, pose in enumerate(cameras):
             self._place_links(links[i])
-            if measured or marks is None:
-                rgb[i], depth[i], bodies[i] = self._draw(camera, pose)
-            if colored and marks is not None:
-                self._place_markers(marks[i])
-                rgb[i] = self._draw(camera, pose)[0]
-                self._place_markers(None)
+            if colored:
+                middle = links[i, :, :3].mean(0) if len(links[i]) else np.zeros(3)
+                rgb[i], depth[i], bodies[i] = self._draw_colors(
+                    camera, pose, middle, None if marks is None else marks[i]
+                )
+            if measured and (marks is not None or not colored):
+                _, depth[i], bodies[i] = self._draw(camera, pose)
         seen = self._link_of_body[bodies][..., None]
         normals = normals_of(depth, seen, camera, cameras) if Channel.NORMALS in wanted else None
         device = link_poses.device
@@ -144,38 +151,81 @@ class BulletRenderer(Renderer):
 
     # One picture -----------------------------------------------------------------------------------------------------
 
-    def _draw(self, camera: CameraSpec, pose: _Array) -> tuple[_Array, _Array, _Array]:
-        client = self._client
-        projection = list(
-            client.computeProjectionMatrixFOV(
-                math.degrees(camera.vertical_fov), camera.width / camera.height, camera.near, camera.far
-            )
-        )
-        if not self._opengl:  # the software renderer looks through a pixel's corner: shift the picture by half of one
-            projection[8] += 1.0 / camera.width
-            projection[9] += 1.0 / camera.height
-        picture = client.getCameraImage(
-            camera.width,
-            camera.height,
-            viewMatrix=_view_matrix(pose),
-            projectionMatrix=projection,
-            lightDirection=_SUN,
-            shadow=int(self._config.shadows),
-            renderer=client.ER_BULLET_HARDWARE_OPENGL if self._opengl else client.ER_TINY_RENDERER,
-        )
-        size = (camera.height, camera.width)
-        rgb = np.asarray(picture[2], dtype=np.uint8).reshape(*size, 4)[..., :3]
-        buffer = np.asarray(picture[3], dtype=np.float64).reshape(*size)
-        bodies = np.asarray(picture[4], dtype=np.int64).reshape(*size)
-        near, far = camera.near, camera.far
-        depth = far * near / np.maximum(far - (far - near) * buffer, 1e-12)
+    def _draw_colors(
+        self, camera: CameraSpec, pose: _Array, middle: _Array, marks: _Array | None
+    ) -> tuple[_Array, _Array, _Array]:
+        """A picture with markers, in the scene's lights; and depth and bodies in it."""
+        lamps = self._scene.directional_lights
+        if marks is not None:
+            self._place_markers(marks)
+        layers = [self._draw(camera, pose, lamp.unit_direction) for lamp in lamps] or [self._draw(camera, pose)]
+        if marks is not None:
+            self._place_markers(None)
+        colors, depth, bodies = layers[0]
+        rays, rotation = pixel_rays(camera), _rotation(pose)
+        if not self._opengl:  # OpenGL's colours are lit already, in its own way
+            colors = self._albedo_of_body[bodies] * np.asarray(self._scene.ambient, np.float32)
+            points = pose[:3] + (np.where(np.isfinite(depth), depth, 0.0) * rays) @ rotation.T
+            for lamp, layer in zip(lamps, layers, strict=False):
+                casts = lamp.shadows and self._config.shadows
+                eye = map_camera(lamp.unit_direction, points[bodies > 0], self._casters, middle, camera)
+                reached = self._reached(eye, lamp.unit_direction, layer[0], points, bodies) if casts else None
+                add_light(colors, layer[0], lamp.radiance, reached)
+        nothing = bodies == 0
+        colors = colors.astype(np.float32)
+        colors[nothing] = sky_colors(self._scene.sky, rays[nothing], rotation)
+        return np.minimum(colors + 0.5, 255.0).astype(np.uint8), depth, bodies
+
+    def _reached(self, eye: MapCamera, direction: Vector3, facing: _Array, points: _Array, bodies: _Array) -> _Array:
+        """(H, W) whether a light reaches the points (H, W, 3) that are seen, of which ``facing`` is lit by it alone."""
+        _, buffer, codes = self._take(eye.size, eye.size, eye.view, eye.vertical_fov, eye.near, eye.far, direction)
+        depths = np.where(codes < 0, np.inf, _metres(buffer, eye.near, eye.far))
+        reached, seen = np.ones(bodies.shape, dtype=bool), bodies > 0
+        cosines = (facing[seen].max(-1) + 0.5) / np.maximum(self._albedo_of_body[bodies[seen]].max(-1), 1.0)
+        reached[seen] = eye.reached(points[seen], cosines, depths)
+        return reached
+
+    def _draw(
+        self, camera: CameraSpec, pose: _Array, direction: Vector3 = (0.0, 0.0, -1.0)
+    ) -> tuple[_Array, _Array, _Array]:
+        """Colours in white light that travels along ``direction``, without any from around; depth and bodies."""
+        near, far, fov = camera.near, camera.far, camera.vertical_fov
+        rgb, buffer, bodies = self._take(camera.width, camera.height, _view_matrix(pose), fov, near, far, direction)
+        depth = _metres(buffer, near, far)
         nothing = (bodies < 0) | (depth >= far * (1 - 1e-6))
         return rgb, np.where(nothing, np.inf, depth)[..., None], np.where(nothing, 0, (bodies & 0xFFFFFF) + 1)
+
+    def _take(
+        self, width: int, height: int, view: list[float], fov: float, near: float, far: float, direction: Vector3
+    ) -> tuple[_Array, _Array, _Array]:
+        """Colours (H, W, 3), depth buffer (H, W) and body codes (H, W) as Bullet has them."""
+        client = self._client
+        projection = list(client.computeProjectionMatrixFOV(math.degrees(fov), width / height, near, far))
+        if not self._opengl:  # the software renderer looks through a pixel's corner: shift the picture by half of one
+            projection[8] += 1.0 / width
+            projection[9] += 1.0 / height
+        picture = client.getCameraImage(
+            width,
+            height,
+            viewMatrix=view,
+            projectionMatrix=projection,
+            lightDirection=[-part for part in direction],
+            lightColor=(1.0, 1.0, 1.0),
+            lightAmbientCoeff=0.0,
+            lightDiffuseCoeff=1.0,
+            lightSpecularCoeff=0.0,
+            shadow=int(self._opengl and self._config.shadows),
+            renderer=client.ER_BULLET_HARDWARE_OPENGL if self._opengl else client.ER_TINY_RENDERER,
+        )
+        rgb = np.asarray(picture[2], dtype=np.uint8).reshape(height, width, 4)[..., :3]
+        buffer = np.asarray(picture[3], dtype=np.float64).reshape(height, width)
+        return rgb, buffer, np.asarray(picture[4], dtype=np.int64).reshape(height, width)
 
     def _place_links(self, links: _Array) -> None:
         if len(self._moving):
             frames = links[self._links[self._moving]]
             position, orientation = compose(frames[:, :3], frames[:, 3:], self._offsets[self._moving])
+            self._casters[0][self._moving] = position
             bodies = [self._bodies[number] for number in self._moving]
             self._place(bodies, np.concatenate((position, orientation), -1))
 
@@ -199,9 +249,18 @@ def _suits_opengl(cameras: Sequence[CameraSpec]) -> bool:
     return largest > _TINY_PIXELS and not measured
 
 
+def _metres(buffer: _Array, near: float, far: float) -> _Array:
+    return far * near / np.maximum(far - (far - near) * buffer, 1e-12)
+
+
+def _rotation(pose: _Array) -> _Array:
+    """(3, 3) whose columns are the camera's axes."""
+    return rotate(np.tile(pose[3:], (3, 1)), np.eye(3)).T
+
+
 def _view_matrix(pose: _Array) -> list[float]:
     """World to camera, column by column."""
-    rotation = rotate(np.tile(pose[3:], (3, 1)), np.eye(3)).T  # columns are the camera's axes
+    rotation = _rotation(pose)
     view = np.eye(4)
     view[:3, :3] = rotation.T
     view[:3, 3] = -rotation.T @ pose[:3]
