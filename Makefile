@@ -8,7 +8,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 BACKENDS := mujoco bullet sapien warp
 LEARNING := rsl-rl,sb3,skrl,rl-games,torchrl,pettingzoo,onnx
-PLUGINS := mjmodel $(BACKENDS)
+# Newton's solvers register as backends only where Newton is installed, which `pip install "orbit-core[newton]"` does.
+PLUGINS := mjmodel warpkit $(BACKENDS) newton
 SOURCES := pyproject.toml constraints.txt $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
 CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
+from typing import Any
 
 from orbit_core.backends import backend
 from orbit_core.conformance.report.declared import declarations_of
@@ -41,10 +42,15 @@ def updated(text: str) -> str:
 
 
 def offered_backends() -> list[str]:
-    """Names of the plugins that an extra of this distribution brings."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = project["optional-dependencies"].items()
-    return [name for name, needs in extras if any(need.startswith(f"orbit-{name} ") for need in needs)]
+    """Names of the backends that an extra of their name brings."""
+    extras = _project(ROOT)["optional-dependencies"].items()
+    brought = [name for name, needs in extras if any(need.startswith(f"orbit-{name} ") for need in needs)]
+    registered = {name: _project(ROOT / f"plugins/orbit-{name}")["entry-points"]["orbit.backends"] for name in brought}
+    return [name for name in brought if name in registered[name]]
+
+
+def _project(folder: Path) -> dict[str, Any]:
+    return tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
 def capability_table() -> str:

@@ -3,7 +3,7 @@
 # Packages are expected unpacked in ~/site, parsed robots (a copy of ~/.cache/orbit) in .gpu/cache.
 site=${ORBIT_SITE:-$HOME/site}
 mkdir -p "$site"
-export PYTHONPATH="$site:$PWD:$PWD/plugins/orbit-mjmodel:$PWD/plugins/orbit-warp" PYTHONUNBUFFERED=1
+export PYTHONPATH="$site:$PWD:$PWD/plugins/orbit-mjmodel:$PWD/plugins/orbit-warpkit:$PWD/plugins/orbit-warp" PYTHONUNBUFFERED=1
 export ORBIT_CACHE_DIR="${ORBIT_CACHE_DIR:-$PWD/.gpu/cache}"
 
 # Plugins, tasks and robots are found through the entry points of installed distributions.

@@ -6,8 +6,8 @@ import warnings
 from collections.abc import Callable
 
 from orbit_core.interfaces import CaptureFacet
-from orbit_warp.graphs import Graphs
 from orbit_warp.state import State
+from orbit_warpkit.graphs import Graphs
 
 
 class WarpCapture(CaptureFacet):

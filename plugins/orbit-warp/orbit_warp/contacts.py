@@ -13,7 +13,7 @@ from mujoco_warp._src.types import vec5f
 
 from orbit_core.interfaces import SceneLayout
 from orbit_mjmodel.addresses import Addresses
-from orbit_warp.queries import ForceMeter, Queries, add_force
+from orbit_warpkit.queries import ForceMeter, Queries, add_force
 
 
 @wp.kernel(enable_backward=False)

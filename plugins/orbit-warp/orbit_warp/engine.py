@@ -19,13 +19,14 @@ from orbit_warp.capture import WarpCapture
 from orbit_warp.config import WarpConfig
 from orbit_warp.contacts import ContactMeter
 from orbit_warp.faults import Faults
-from orbit_warp.graphs import Graphs
-from orbit_warp.kernels import reset_state, reset_tensors, write_commands
+from orbit_warp.kernels import reset_state, write_commands
 from orbit_warp.model import build_models, on_device, read_back_kinds
 from orbit_warp.parameters import Parameters
 from orbit_warp.rays import RayCaster
-from orbit_warp.rows import rows_of
 from orbit_warp.state import State
+from orbit_warpkit.graphs import Graphs
+from orbit_warpkit.kernels import reset_tensors
+from orbit_warpkit.rows import rows_of
 
 _MOST_RECORDED = 16
 """Physics steps that one recording takes on a GPU, where to launch a recording costs more than on a CPU."""

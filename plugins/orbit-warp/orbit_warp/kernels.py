@@ -14,19 +14,12 @@ from __future__ import annotations
 import warp as wp
 from mujoco_warp._src.types import vec10f
 
-from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED
+from orbit_warpkit.kernels import DISTANCE_BOUND, SPEED_BOUND, within
 
 DIVERGED_BIT = 1 << 30
 """Of a fault: a number is beyond the bounds of divergence, or no number. The lower bits are MuJoCo-Warp's
 ``OverflowType``."""
 _DIVERGED = wp.constant(DIVERGED_BIT)
-DISTANCE_BOUND, SPEED_BOUND = wp.constant(MAX_DISTANCE), wp.constant(MAX_SPEED)
-
-
-@wp.func
-def within(value: float, bound: float) -> bool:
-    """Whether a number is no larger than the bound; what is not a number is not."""
-    return wp.abs(value) <= bound
 
 
 @wp.func
@@ -54,20 +47,6 @@ def write_commands(
     bias = biasprm[env % biasprm.shape[0], joint]
     drive = -bias[1] * position_targets[env, joint] - bias[2] * velocity_targets[env, joint]
     ctrl[env, joint] = drive + efforts[env, joint]
-
-
-@wp.kernel(enable_backward=False)
-def read_joints(
-    position_columns: wp.array[int],
-    velocity_columns: wp.array[int],
-    qpos: wp.array2d[float],
-    qvel: wp.array2d[float],
-    positions: wp.array2d[float],
-    velocities: wp.array2d[float],
-):
-    env, joint = wp.tid()
-    positions[env, joint] = qpos[env, position_columns[joint]]
-    velocities[env, joint] = qvel[env, velocity_columns[joint]]
 
 
 @wp.kernel(enable_backward=False)
@@ -147,32 +126,6 @@ def reset_state(
         wrenches[env, i] = wp.spatial_vector()
     time[env] = 0.0
     overflow[env] = 0
-
-
-@wp.kernel(enable_backward=False)
-def reset_tensors(
-    env_ids: wp.array[wp.int64],
-    home_targets: wp.array[float],
-    position_targets: wp.array2d[float],
-    velocity_targets: wp.array2d[float],
-    efforts: wp.array2d[float],
-    joint_efforts: wp.array2d[float],
-    contact_forces: wp.array2d[wp.vec3],
-    wrenches: wp.array2d[float],
-):
-    """Commands to their defaults, measurements to zero."""
-    env = int(env_ids[wp.tid()])
-    if env < 0:
-        return
-    for i in range(home_targets.shape[0]):
-        position_targets[env, i] = home_targets[i]
-        velocity_targets[env, i] = 0.0
-        efforts[env, i] = 0.0
-        joint_efforts[env, i] = 0.0
-    for i in range(contact_forces.shape[1]):
-        contact_forces[env, i] = wp.vec3()
-    for i in range(wrenches.shape[1]):
-        wrenches[env, i] = 0.0
 
 
 @wp.kernel(enable_backward=False)

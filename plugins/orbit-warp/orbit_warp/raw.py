@@ -12,7 +12,7 @@ import warp as wp
 from torch import Tensor
 
 from orbit_warp.engine import WarpEngine
-from orbit_warp.graphs import Graphs
+from orbit_warpkit.graphs import Graphs
 
 Command = Tensor
 """(num_envs, actuators) what MuJoCo's position actuators are told."""

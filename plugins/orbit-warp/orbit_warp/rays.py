@@ -14,7 +14,7 @@ from torch import Tensor
 
 from orbit_core.interfaces import RayHits, SceneLayout
 from orbit_mjmodel.addresses import Addresses
-from orbit_warp.graphs import Graphs
+from orbit_warpkit.graphs import Graphs
 
 if TYPE_CHECKING:
     from orbit_warp.engine import Native

@@ -14,10 +14,10 @@ from torch import Tensor
 from orbit_core.interfaces import ConfigurationError, Image, Renderer, SceneLayout
 from orbit_core.scene import CameraSpec, Channel
 from orbit_warp.config import WarpConfig
-from orbit_warp.graphs import Graphs
 from orbit_warp.renderer_model import PictureModel
 from orbit_warp.renderer_stage import Stage
 from orbit_warp.renderer_trace import EVERY_TYPE, trace_kernel
+from orbit_warpkit.graphs import Graphs
 
 _SEGMENTED = (Channel.INSTANCE, Channel.SEMANTIC)
 

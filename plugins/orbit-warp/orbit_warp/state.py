@@ -18,9 +18,10 @@ from torch import Tensor
 from orbit_core.interfaces import SceneLayout
 from orbit_mjmodel.addresses import Addresses, columns
 from orbit_warp.forward import ForwardKinematics
-from orbit_warp.graphs import Graphs
-from orbit_warp.kernels import read_joints, write_root
-from orbit_warp.rows import array_of
+from orbit_warp.kernels import write_root
+from orbit_warpkit.graphs import Graphs
+from orbit_warpkit.kernels import read_joints
+from orbit_warpkit.rows import array_of
 
 if TYPE_CHECKING:
     from orbit_warp.engine import Native

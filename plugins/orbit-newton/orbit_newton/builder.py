@@ -22,7 +22,7 @@ import warp as wp
 from orbit_core.interfaces import TERRAIN, EntityLayout, SceneLayout
 from orbit_core.scene import Joint, JointType, Link, PhysicsMaterial, Pose
 from orbit_core.scene.pose import Vector3
-from orbit_warp.newton.shapes import ShapeBuilder, transform
+from orbit_newton.shapes import ShapeBuilder, transform
 
 Indices = npt.NDArray[np.int64]
 UNLIMITED = 1e10

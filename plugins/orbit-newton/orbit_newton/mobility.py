@@ -15,7 +15,7 @@ import newton
 import numpy as np
 import warp as wp
 
-from orbit_warp.newton.plant import Plant
+from orbit_newton.plant import Plant
 
 
 @wp.kernel(enable_backward=False)

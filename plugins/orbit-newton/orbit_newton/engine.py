@@ -21,18 +21,18 @@ from orbit_core.interfaces import (
     SimulationError,
     divergence_error,
 )
-from orbit_warp.graphs import Graphs
-from orbit_warp.kernels import reset_tensors
-from orbit_warp.newton.builder import build_model
-from orbit_warp.newton.config import NewtonConfig
-from orbit_warp.newton.contacts import ContactFinder, ContactMeter
-from orbit_warp.newton.kernels import note_divergence, note_overflow
-from orbit_warp.newton.parameters import Parameters
-from orbit_warp.newton.plant import Dynamics, Plant
-from orbit_warp.newton.readback import read_back
-from orbit_warp.newton.report import approximations
-from orbit_warp.newton.state import State
-from orbit_warp.rows import rows_of
+from orbit_newton.builder import build_model
+from orbit_newton.config import NewtonConfig
+from orbit_newton.contacts import ContactFinder, ContactMeter
+from orbit_newton.kernels import note_divergence, note_overflow
+from orbit_newton.parameters import Parameters
+from orbit_newton.plant import Dynamics, Plant
+from orbit_newton.readback import read_back
+from orbit_newton.report import approximations
+from orbit_newton.state import State
+from orbit_warpkit.graphs import Graphs
+from orbit_warpkit.kernels import reset_tensors
+from orbit_warpkit.rows import rows_of
 
 _DIVERGED, _OVERFLOWN = 1, 2
 

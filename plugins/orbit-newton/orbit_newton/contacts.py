@@ -11,9 +11,9 @@ import newton
 import warp as wp
 
 from orbit_core.interfaces import SceneLayout
-from orbit_warp.newton.builder import BuiltModel
-from orbit_warp.newton.config import NewtonConfig
-from orbit_warp.queries import ForceMeter, Queries, add_force
+from orbit_newton.builder import BuiltModel
+from orbit_newton.config import NewtonConfig
+from orbit_warpkit.queries import ForceMeter, Queries, add_force
 
 
 class ContactFinder:

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from orbit_warp.newton.builder import UNLIMITED, joint_limits
-from orbit_warp.newton.plant import Plant
+from orbit_newton.builder import UNLIMITED, joint_limits
+from orbit_newton.plant import Plant
 
 
 @wp.struct

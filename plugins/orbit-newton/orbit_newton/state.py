@@ -18,9 +18,7 @@ import warp as wp
 from torch import Tensor
 
 from orbit_core.scene import Joint, JointType
-from orbit_warp.graphs import Graphs
-from orbit_warp.kernels import read_joints
-from orbit_warp.newton.kernels import (
+from orbit_newton.kernels import (
     mark_articulations,
     read_links,
     reset_state,
@@ -28,8 +26,10 @@ from orbit_warp.newton.kernels import (
     unwrap_joints,
     write_root,
 )
-from orbit_warp.newton.plant import Plant
-from orbit_warp.rows import Rows, array_of, block
+from orbit_newton.plant import Plant
+from orbit_warpkit.graphs import Graphs
+from orbit_warpkit.kernels import read_joints
+from orbit_warpkit.rows import Rows, array_of, block
 
 
 class State:

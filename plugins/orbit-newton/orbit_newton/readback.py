@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbit_core.interfaces import BuiltModel as HeldModel
-from orbit_warp.newton.builder import BuiltModel
+from orbit_newton.builder import BuiltModel
 
 
 def read_back(built: BuiltModel, num_envs: int, maximal: bool) -> HeldModel:

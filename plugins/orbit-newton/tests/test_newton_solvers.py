@@ -14,8 +14,8 @@ import torch
 from orbit_core.conformance.bodies import WEIGHTLESS, cube, pendulum, rotor, scene
 from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout, SimulationError
 from orbit_core.scene import ImplicitPd, JointType
-from orbit_warp.newton.backends import FeatherstoneBackend, NewtonBackend, XpbdBackend
-from orbit_warp.newton.config import FeatherstoneConfig, NewtonConfig, XpbdConfig
+from orbit_newton.backends import FeatherstoneBackend, NewtonBackend, XpbdBackend
+from orbit_newton.config import FeatherstoneConfig, NewtonConfig, XpbdConfig
 
 BACKENDS = [FeatherstoneBackend, XpbdBackend]
 needs_newton = pytest.mark.skipif(
@@ -30,7 +30,7 @@ def engine_of(backend: type[NewtonBackend], num_envs: int = 2, **settings: Any) 
 
 def test_importing_the_backends_imports_no_engine() -> None:
     code = (
-        "import sys, orbit_warp.newton.backends as b; b.XpbdBackend().capabilities(); "
+        "import sys, orbit_newton.backends as b; b.XpbdBackend().capabilities(); "
         "print([m for m in ('newton', 'warp', 'mujoco', 'torch') if m in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"

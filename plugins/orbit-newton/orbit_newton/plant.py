@@ -14,9 +14,9 @@ import warp as wp
 from torch import Tensor
 
 from orbit_core.interfaces import SceneLayout
-from orbit_warp.newton.builder import BuiltModel
-from orbit_warp.newton.contacts import ContactFinder, ContactMeter
-from orbit_warp.newton.kernels import write_body_forces
+from orbit_newton.builder import BuiltModel
+from orbit_newton.contacts import ContactFinder, ContactMeter
+from orbit_newton.kernels import write_body_forces
 
 
 @dataclass(eq=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from orbit_warp.newton.joints import JointTable
+from orbit_newton.joints import JointTable
 
 
 @wp.struct

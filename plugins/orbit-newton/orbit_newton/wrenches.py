@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from orbit_warp.newton.plant import Plant
+from orbit_newton.plant import Plant
 
 
 @wp.kernel(enable_backward=False)

@@ -12,10 +12,10 @@ from newton import ModelFlags
 from newton.solvers import SolverXPBD
 
 from orbit_core.scene import JointType
-from orbit_warp.newton.config import XpbdConfig
-from orbit_warp.newton.joints import drive_arrays, joint_table
-from orbit_warp.newton.plant import Dynamics, Plant
-from orbit_warp.newton.xpbd_kernels import Coefficients, Drives, give_own_surfaces, take_forces, write_drives
+from orbit_newton.config import XpbdConfig
+from orbit_newton.joints import drive_arrays, joint_table
+from orbit_newton.plant import Dynamics, Plant
+from orbit_newton.xpbd_kernels import Coefficients, Drives, give_own_surfaces, take_forces, write_drives
 
 
 class XpbdDynamics(Dynamics):

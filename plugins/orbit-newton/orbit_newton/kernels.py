@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from orbit_warp.kernels import DISTANCE_BOUND, SPEED_BOUND, within
+from orbit_warpkit.kernels import DISTANCE_BOUND, SPEED_BOUND, within
 
 
 @wp.kernel(enable_backward=False)

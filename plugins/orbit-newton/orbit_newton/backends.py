@@ -6,15 +6,15 @@ import importlib.metadata
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from orbit_core.interfaces import Backend, Capabilities, ConfigurationError, Gap
-from orbit_warp.newton.capabilities import FEATHERSTONE, XPBD
-from orbit_warp.newton.config import FeatherstoneConfig, NewtonConfig, XpbdConfig
-from orbit_warp.newton.gaps import FEATHERSTONE_GAPS, XPBD_GAPS
+from orbit_newton.capabilities import FEATHERSTONE, XPBD
+from orbit_newton.config import FeatherstoneConfig, NewtonConfig, XpbdConfig
+from orbit_newton.gaps import FEATHERSTONE_GAPS, XPBD_GAPS
 
 if TYPE_CHECKING:
     import torch
 
     from orbit_core.interfaces import Engine, SceneLayout
-    from orbit_warp.newton.plant import Dynamics
+    from orbit_newton.plant import Dynamics
 
 
 class NewtonBackend(Backend):
@@ -35,7 +35,7 @@ class NewtonBackend(Backend):
     def create_engine(self, layout: SceneLayout, num_envs: int, device: torch.device, config: NewtonConfig) -> Engine:
         if device.type not in ("cpu", "cuda"):
             raise ConfigurationError(f"backend '{self.name}' simulates on devices 'cpu' and 'cuda', not on '{device}'")
-        from orbit_warp.newton.engine import NewtonEngine
+        from orbit_newton.engine import NewtonEngine
 
         return NewtonEngine(layout, num_envs, device, config, self.dynamics(), self.capabilities())
 
@@ -47,13 +47,13 @@ class NewtonBackend(Backend):
 class FeatherstoneBackend(NewtonBackend):
     """Reduced coordinates, explicit contact forces."""
 
-    name: ClassVar[str] = "warp-featherstone"
+    name: ClassVar[str] = "newton-featherstone"
     config_type: ClassVar[type[Any]] = FeatherstoneConfig
     solver_capabilities = FEATHERSTONE
     solver_gaps = FEATHERSTONE_GAPS
 
     def dynamics(self) -> type[Dynamics]:
-        from orbit_warp.newton.featherstone import FeatherstoneDynamics
+        from orbit_newton.featherstone import FeatherstoneDynamics
 
         return FeatherstoneDynamics
 
@@ -61,12 +61,12 @@ class FeatherstoneBackend(NewtonBackend):
 class XpbdBackend(NewtonBackend):
     """Positions of free bodies, corrected constraint by constraint."""
 
-    name: ClassVar[str] = "warp-xpbd"
+    name: ClassVar[str] = "newton-xpbd"
     config_type: ClassVar[type[Any]] = XpbdConfig
     solver_capabilities = XPBD
     solver_gaps = XPBD_GAPS
 
     def dynamics(self) -> type[Dynamics]:
-        from orbit_warp.newton.xpbd import XpbdDynamics
+        from orbit_newton.xpbd import XpbdDynamics
 
         return XpbdDynamics

@@ -14,8 +14,8 @@ import warp as wp
 from newton import ModelFlags
 from newton.solvers import SolverFeatherstone
 
-from orbit_warp.newton.config import FeatherstoneConfig
-from orbit_warp.newton.featherstone_kernels import (
+from orbit_newton.config import FeatherstoneConfig
+from orbit_newton.featherstone_kernels import (
     Bodies,
     ContactSettings,
     Found,
@@ -25,10 +25,10 @@ from orbit_warp.newton.featherstone_kernels import (
     count_contacts,
     write_joint_forces,
 )
-from orbit_warp.newton.joints import drive_arrays, joint_table
-from orbit_warp.newton.mobility import Mobilities
-from orbit_warp.newton.plant import Dynamics, Plant
-from orbit_warp.newton.wrenches import WrenchReader
+from orbit_newton.joints import drive_arrays, joint_table
+from orbit_newton.mobility import Mobilities
+from orbit_newton.plant import Dynamics, Plant
+from orbit_newton.wrenches import WrenchReader
 
 
 class FeatherstoneDynamics(Dynamics):
