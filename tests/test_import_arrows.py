@@ -28,6 +28,7 @@ RANKS = {
     "sensors": 3,
     "agent": 3,
     "motion": 3,
+    "perception": 3.5,
     "capture": 3,
     "world": 4,
     "envs": 5,
