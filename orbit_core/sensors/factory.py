@@ -1,8 +1,17 @@
-"""From a sensor's specification to the sensor."""
+"""From a sensor's specification to the sensor. Packages add theirs through the entry-point group ``orbit.sensors``.
+
+An entry point is named as the specification's class, and its value is the sensor's class::
+
+    [project.entry-points."orbit.sensors"]
+    RadarSpec = "my_package.radar:RadarSensor"
+"""
 
 from __future__ import annotations
 
+from functools import cache
+
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.registry import Registry
 from orbit_core.scene import (
     CameraSpec,
     ContactSensorSpec,
@@ -23,27 +32,45 @@ from orbit_core.sensors.joint import JointSensor
 from orbit_core.sensors.rays import RayCaster
 from orbit_core.sensors.timed import TimedSensor
 
+GROUP = "orbit.sensors"
+_OWN: dict[type[SensorSpec], type[TimedSensor]] = {
+    JointSensorSpec: JointSensor,
+    FrameSensorSpec: FrameSensor,
+    ContactSensorSpec: ContactSensor,
+    ImuSpec: ImuSensor,
+    ForceTorqueSpec: ForceTorqueSensor,
+    RayCasterSpec: RayCaster,
+    CameraSpec: CameraSensor,
+}
+
+
+@cache
+def sensor_types() -> Registry[type[TimedSensor]]:
+    """The classes of sensors, by the name of the class that specifies them.
+
+    A program without a package adds its own: ``sensor_types().add("RadarSpec", RadarSensor)``.
+    """
+    registry = Registry[type[TimedSensor]]("sensor specification", GROUP)
+    for spec, sensor in _OWN.items():
+        registry.add(spec.__name__, sensor)
+    return registry
+
 
 def create_sensor(spec: SensorSpec, context: SensorContext) -> TimedSensor:
-    """The sensor that ``spec`` describes.
+    """The sensor that ``spec`` describes. A specification derived from another has that one's, unless it has its own.
 
     Raises:
-        ConfigurationError: its rate, delay or pattern cannot be, or nothing measures a specification of that type.
-        UnknownNameError: it names what the scene lacks.
+        ConfigurationError: its rate, delay or pattern cannot be, or the package that brings the sensor is broken.
+        UnknownNameError: nothing measures a specification of that type, or it names what the scene lacks.
     """
-    match spec:
-        case JointSensorSpec():
-            return JointSensor(spec, context)
-        case FrameSensorSpec():
-            return FrameSensor(spec, context)
-        case ContactSensorSpec():
-            return ContactSensor(spec, context)
-        case ImuSpec():
-            return ImuSensor(spec, context)
-        case ForceTorqueSpec():
-            return ForceTorqueSensor(spec, context)
-        case RayCasterSpec():
-            return RayCaster(spec, context)
-        case CameraSpec():
-            return CameraSensor(spec, context)
-    raise ConfigurationError(f"nothing measures what sensor '{spec.name}' specifies: {type(spec).__name__}")
+    kinds = [kind.__name__ for kind in type(spec).__mro__ if issubclass(kind, SensorSpec)]
+    registry = sensor_types()
+    known = registry.names
+    name = next((kind for kind in kinds if kind in known), kinds[0])
+    sensor = registry.get(name)
+    if not (isinstance(sensor, type) and issubclass(sensor, TimedSensor)):
+        raise ConfigurationError(
+            f"{registry.origin(name)} of group {GROUP} names {sensor!r}, which is no subclass of "
+            "orbit_core.sensors.TimedSensor: mend or uninstall it"
+        )
+    return sensor(spec, context)
