@@ -74,7 +74,7 @@ class Registry(Generic[Value]):
         Raises:
             ConfigurationError: the package, or this program, has added that name before.
         """
-        self._add(name, lambda: value)
+        self.add_lazily(name, lambda: value)
 
     def get(self, name: str) -> Value:
         """The value of that name.
@@ -94,7 +94,12 @@ class Registry(Generic[Value]):
         """Who brings the value of that name, in words."""
         return self._origins[name]
 
-    def _add(self, name: str, load: Callable[[], Value]) -> None:
+    def add_lazily(self, name: str, load: Callable[[], Value]) -> None:
+        """As :meth:`add`, of a value that is made whenever it is asked for.
+
+        Raises:
+            ConfigurationError: the package, or this program, has added that name before.
+        """
         origin, loads = self._adding
         if name in loads:
             raise ConfigurationError(self._clash(name, self._origins.get(name, origin), origin))

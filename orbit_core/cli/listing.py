@@ -15,9 +15,9 @@ from orbit_core.interfaces.errors import OrbitError, UnknownNameError
 
 @dataclass(frozen=True)
 class ListSettings:
-    """Names of all tasks, robots, backends, renderers or kept policies."""
+    """Names of all tasks, robots, backends, renderers, kept policies or learning libraries."""
 
-    kind: Annotated[Positional[str], arg(metavar="{tasks,robots,backends,renderers,policies}")]
+    kind: Annotated[Positional[str], arg(metavar="{tasks,robots,backends,renderers,policies,libraries}")]
     """What to list."""
 
 
@@ -63,6 +63,12 @@ def _policies() -> list[tuple[str, str]]:
     return [(policy.name, policy.description) for policy in pretrained_policies().values()]
 
 
+def _libraries() -> list[tuple[str, str]]:
+    from orbit_core.learning.learners import library_description, library_names
+
+    return [(name, library_description(name)) for name in library_names()]
+
+
 def _state(name: str) -> str:
     from orbit_core.backends import renderer
 
@@ -78,5 +84,6 @@ _LISTS = {
     "robots": _robots,
     "backends": _backends,
     "renderers": _renderers,
+    "libraries": _libraries,
     "policies": _policies,
 }

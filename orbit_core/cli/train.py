@@ -36,11 +36,15 @@ class TrainSettings(EnvironmentSettings):
     num_envs: int = 64
     """Environments stepped together, on each GPU where there are several."""
     library: Annotated[str, arg(metavar="NAME")] = "rsl-rl"
-    """Learning library: rsl-rl, sb3, rl-games, skrl or torchrl."""
+    """Learning library ('orbit list libraries'); distill imitates a teacher."""
+    teacher: Annotated[str | None, arg(metavar="POLICY")] = None
+    """Of library distill: a kept policy's name ('orbit list policies'), a policy's file, or a training's folder."""
     iterations: Annotated[int | None, arg(metavar="INT")] = None
     """Of collecting and learning, in all; the task's own number if left out."""
     ppo: KeyValues = ()
     """A setting of the algorithm, such as learning_rate=3e-4 ('orbit info TASK')."""
+    distillation: KeyValues = ()
+    """A setting of library distill, such as batch_size=1024."""
     save_every: int = 100
     """Iterations between checkpoints."""
     output: File = None
@@ -61,7 +65,7 @@ def train(settings: TrainSettings) -> Path:
     Raises:
         OrbitError: of many kinds; each names the setting.
     """
-    from orbit_core.learning.trainer import trainer_type
+    from orbit_core.learning.learners import trainer_type
     from orbit_core.learning.training import Training
 
     check_positive("num_envs", settings.num_envs)
@@ -74,7 +78,7 @@ def train(settings: TrainSettings) -> Path:
         raise ConfigurationError(f"library '{settings.library}' trains on one GPU: for several, use --library rsl-rl")
     environment = make_environment(settings, settings.num_envs)
     try:
-        algorithm = _algorithm(settings, environment.task.ppo)
+        algorithm = _algorithm(settings, make_trainer.settings_type, environment.task.ppo)
         folder = settings.resume or settings.output or _new_folder(settings)
         record = {"settings": asdict(settings), "versions": versions_of(environment.world.backend)}
         trainer = make_trainer(environment, algorithm, folder, settings.seed)
@@ -121,12 +125,19 @@ def _processes() -> int:
     return int(os.environ.get("WORLD_SIZE", "1"))
 
 
-def _algorithm(settings: TrainSettings, defaults: PpoSettings) -> PpoSettings:
-    """The task's own settings with the user's over them."""
-    values: dict[str, Any] = dict(assignments(settings.ppo, "PPO", "algorithm setting"))
+def _algorithm(settings: TrainSettings, kind: type[Any], ppo: PpoSettings) -> Any:
+    """The settings that the library takes: the task's own, or its class's, with the user's over them."""
+    learned = isinstance(ppo, kind)
+    defaults, given = (ppo, settings.ppo) if learned else (kind(), settings.distillation)
+    what, refused = ("PPO", "--distillation and --teacher") if learned else ("distillation", "--ppo")
+    if (settings.distillation or settings.teacher) if learned else settings.ppo:
+        raise ConfigurationError(f"library '{settings.library}' takes no {refused}")
+    values: dict[str, Any] = dict(assignments(given, what, "algorithm setting"))
     if settings.iterations is not None:
         values["iterations"] = settings.iterations
-    chosen = configured(defaults, values, "PPO", "algorithm setting")
+    if settings.teacher is not None:
+        values["teacher"] = settings.teacher
+    chosen = configured(defaults, values, what, "algorithm setting")
     check_positive("iterations", chosen.iterations)
     return chosen
 
@@ -137,8 +148,15 @@ def _new_folder(settings: TrainSettings) -> Path:
 
 def _words(settings: TrainSettings, progress: Progress) -> str:
     rate = progress.env_steps / progress.seconds
-    success = "" if math.isnan(progress.success_rate) else f", success {100.0 * progress.success_rate:.0f} %"
+    success = "" if math.isnan(progress.success_rate) else f", success {_success(progress)}"
     return f"{settings.task}: {rate:,.0f} steps/s, return {progress.episode_return:.2f}{success}"
+
+
+def _success(progress: Progress) -> str:
+    """The rate with its interval of 95 %."""
+    from orbit_core.rollout.estimates import proportion
+
+    return proportion(round(progress.success_rate * progress.episodes), progress.episodes).percent()
 
 
 def _left(training: Training) -> str:
@@ -157,6 +175,8 @@ def _table(settings: TrainSettings, last: Progress, folder: Path) -> Table:
     ended = not math.isnan(last.episode_return)
     table.add_row("return of the last episodes", f"{last.episode_return:.3f}" if ended else "none has ended")
     if ended:
-        table.add_row("success of the last episodes, exploring", f"{100.0 * last.success_rate:.1f} %")
+        table.add_row("success of the last episodes, exploring", f"{_success(last)} of {last.episodes}")
+    if not math.isnan(last.loss):
+        table.add_row("mean loss of the last iteration", f"{last.loss:.5f}")
     table.add_row("play it", f"orbit play {folder}")
     return table

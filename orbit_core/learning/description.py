@@ -2,31 +2,65 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.plain import from_plain
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
+    from orbit_core.envs.observation_layout import GroupLayout
 
 FORMAT = 1
 """Of the documents in policies' files; one of another number is refused."""
 _MOST_COMPONENTS = 2**20
+_DTYPES = {
+    str(dtype).removeprefix("torch."): dtype
+    for dtype in (torch.float32, torch.uint8, torch.int32, torch.int64, torch.bool)
+}
 
 
 @dataclass(frozen=True)
 class Part:
-    """A stretch of the observation or of the action."""
+    """A term of the observation, or a stretch of the action."""
 
     name: str
     size: int
+    """Components of one environment."""
+    shape: tuple[int, ...] | None = None
+    """Of one environment; (size,) if None."""
+    dtype: str = "float32"
+    """As torch calls it."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.size <= _MOST_COMPONENTS:
             raise ValueError(f"a part has 0 to {_MOST_COMPONENTS:,} components, not {self.size}")
+        if self.dtype not in _DTYPES:
+            raise ValueError(f"part '{self.name}' is of {self.dtype!r}, which is none of {', '.join(_DTYPES)}")
+        if self.shape is None:
+            object.__setattr__(self, "shape", (self.size,))
+        assert self.shape is not None
+        if any(extent < 0 for extent in self.shape) or math.prod(self.shape) != self.size:
+            raise ValueError(f"part '{self.name}' of shape {self.shape} does not have {self.size} components")
+
+    @property
+    def is_picture(self) -> bool:
+        """Whether it has height, width and channels."""
+        return self.shape is not None and len(self.shape) == 3
+
+    def zeros(self, count: int, device: torch.device | str) -> Tensor:
+        """(count, ...) of its shape and dtype."""
+        return torch.zeros((count, *(self.shape or ())), dtype=_DTYPES[self.dtype], device=device)
+
+    def __str__(self) -> str:
+        shape = "x".join(str(extent) for extent in self.shape or ())
+        return f"{self.name} ({shape})" if self.dtype == "float32" else f"{self.name} ({shape} {self.dtype})"
 
 
 @dataclass(frozen=True)
@@ -38,7 +72,7 @@ class PolicyDescription:
     action: str
     """Name of the action space."""
     observation_parts: tuple[Part, ...]
-    """The task's observation terms, side by side."""
+    """The terms of its observation group, in order."""
     action_parts: tuple[Part, ...]
     """The motion generators' commands, side by side, each component in [-1, 1]."""
     step_dt: float
@@ -50,6 +84,10 @@ class PolicyDescription:
     iteration: int
     versions: dict[str, str] = field(default_factory=dict)
     """Of the distributions that took part in learning."""
+    group: str = "policy"
+    """The observation group that it sees."""
+    concatenated: bool = True
+    """Whether it sees the terms side by side as (N, O), or as a dictionary of them."""
 
     def __post_init__(self) -> None:
         if not (0 < self.observation_size <= _MOST_COMPONENTS and 0 < self.action_size <= _MOST_COMPONENTS):
@@ -59,20 +97,20 @@ class PolicyDescription:
     def of(
         environment: Environment, task: str, library: str, iteration: int, versions: Mapping[str, str] | None = None
     ) -> PolicyDescription:
-        """Of a policy for this environment."""
+        """Of a policy for this environment's group ``policy``."""
+        layout = environment.observation["policy"]
         return PolicyDescription(
             task=task,
             robot=environment.task.robot,
             action=environment.task.action,
-            observation_parts=tuple(
-                Part(name, part.stop - part.start) for name, part in environment.observation["policy"].columns.items()
-            ),
+            observation_parts=group_parts(layout),
             action_parts=tuple(Part(g.name, g.command_size) for g in environment.task.generators),
             step_dt=environment.step_dt,
             backend=environment.world.backend,
             library=library,
             iteration=iteration,
             versions=dict(versions or {}),
+            concatenated=layout.concatenated,
         )
 
     @property
@@ -83,21 +121,79 @@ class PolicyDescription:
     def action_size(self) -> int:
         return sum(part.size for part in self.action_parts)
 
-    def check(self, environment: Environment) -> None:
+    def zeros(self, count: int, device: torch.device | str = "cpu") -> Tensor | dict[str, Tensor]:
+        """An observation of so many environments in which everything is zero."""
+        if self.concatenated:
+            return torch.zeros(count, self.observation_size, device=device)
+        return {part.name: part.zeros(count, device) for part in self.observation_parts}
+
+    def check(self, environment: Environment, group: str | None = None) -> None:
         """Refuse an environment that the policy was not learned for.
+
+        A policy that sees terms side by side needs the same terms in the same order; one that sees a dictionary needs
+        its terms, by name, and does not mind others.
+
+        Args:
+            environment: where it is to act.
+            group: that it is to see; the one it was learned with if None.
 
         Raises:
             ConfigurationError: names what differs.
         """
         other = PolicyDescription.of(environment, self.task, "", 0)
-        for name in ("robot", "action", "observation_parts", "action_parts"):
+        for name in ("robot", "action", "action_parts"):
             learned, given = getattr(self, name), getattr(other, name)
             if learned != given:
-                raise ConfigurationError(f"the policy was learned with {name} {learned}, not with {given}")
+                raise ConfigurationError(
+                    f"the policy was learned with {name} {_told(learned)}, not with {_told(given)}"
+                )
         if abs(self.step_dt - other.step_dt) > 1e-9:
             raise ConfigurationError(
                 f"the policy acts every {self.step_dt:g} s, the environment every {other.step_dt:g} s"
             )
+        fault = self._misfit(environment.observation, group or self.group)
+        if fault:
+            raise ConfigurationError(fault)
+
+    def find_group(self, environment: Environment) -> str:
+        """The group of an environment that holds what the policy sees: the one of its name, else ``teacher``, else any.
+
+        Raises:
+            ConfigurationError: there is none, or the environment differs otherwise; names what each lacks.
+        """
+        groups = environment.observation
+        names = sorted(groups, key=lambda name: (name != self.group, name != "teacher"))
+        faults = {name: self._misfit(groups, name) for name in names}
+        fitting = next((name for name, fault in faults.items() if fault is None), None)
+        if fitting is None:
+            raise ConfigurationError(
+                f"no observation group of the environment shows what the policy of {self.task} was learned with: "
+                + "; ".join(str(fault) for fault in faults.values())
+            )
+        self.check(environment, fitting)
+        return fitting
+
+    def _misfit(self, groups: Mapping[str, GroupLayout], name: str) -> str | None:
+        """In which way a group is not what the policy sees; None if it is."""
+        if name not in groups:
+            return f"the policy sees group '{name}', the environment has {', '.join(groups)}"
+        layout = groups[name]
+        if layout.concatenated != self.concatenated:
+            forms = {True: "terms side by side", False: "a dictionary of terms"}
+            return (
+                f"the policy sees {forms[self.concatenated]}, and group '{name}' is {forms[layout.concatenated]}: "
+                f"choose the observations that it was learned with"
+            )
+        given = group_parts(layout)
+        if not self.concatenated:
+            by_name = {part.name: part for part in given}
+            given = tuple(by_name[part.name] for part in self.observation_parts if part.name in by_name)
+        if given != self.observation_parts:
+            return (
+                f"the policy was learned with observation_parts {_told(self.observation_parts)}, and group '{name}' "
+                f"has {_told(group_parts(layout))}"
+            )
+        return None
 
     def document(self) -> dict[str, Any]:
         """For a file, as plain data."""
@@ -119,3 +215,15 @@ class PolicyDescription:
                 f"{where} is no policy of format {FORMAT}, the one that is read: learn or export it again"
             )
         return from_plain(PolicyDescription, document.get("policy"), f"policy of {where}")
+
+
+def group_parts(layout: GroupLayout) -> tuple[Part, ...]:
+    """The terms of a group as a description lists them."""
+    return tuple(
+        Part(name, math.prod(term.shape), tuple(term.shape), str(term.dtype).removeprefix("torch."))
+        for name, term in layout.terms.items()
+    )
+
+
+def _told(value: Any) -> str:
+    return ", ".join(str(part) for part in value) if isinstance(value, tuple) else f"'{value}'"

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
-from orbit_core.envs.observation_layout import map_leaves, one_tensor
+from orbit_core.envs.observation_layout import Observation, leaves_of, map_leaves
 
 
 def all_ends(info: Mapping[str, EpisodeEnd], count: int) -> tuple[EpisodeEnd, Tensor] | None:
@@ -27,18 +27,24 @@ def all_ends(info: Mapping[str, EpisodeEnd], count: int) -> tuple[EpisodeEnd, Te
     return None if end is None else _spread(end, count)
 
 
-def true_next(observation: Tensor, info: Mapping[str, EpisodeEnd]) -> Tensor:
-    """(N, O) what each step led to: the last observation of an episode where one ended, not the next one's first.
+def true_next(observation: Observation, info: Mapping[str, EpisodeEnd]) -> Observation:
+    """What each step led to: the last observation of an episode where one ended, not the next one's first.
 
     Args:
-        observation: (N, O) that the step returned.
+        observation: that the step returned.
         info: that it returned.
     """
-    found = all_ends(info, len(observation))
+    leaves = leaves_of(observation)
+    found = all_ends(info, len(leaves[0]))
     if found is None:
         return observation
     end, ended = found
-    return torch.where(ended[:, None], one_tensor(end.observation), observation)
+    lasts = iter(leaves_of(end.observation))
+
+    def chosen(value: Tensor) -> Tensor:
+        return torch.where(ended.view(-1, *(1,) * (value.dim() - 1)), next(lasts), value)
+
+    return map_leaves(chosen, observation)
 
 
 class EpisodeTally:
@@ -46,22 +52,30 @@ class EpisodeTally:
 
     def __init__(self, device: torch.device) -> None:
         self._sums = torch.zeros(3, device=device)
-        self._last = (math.nan, math.nan)
+        self._last = (math.nan, math.nan, 0)
 
-    def add(self, info: Mapping[str, EpisodeEnd], count: int) -> None:
-        """Take in a step's episodes; nothing here waits for the device."""
+    def add(self, info: Mapping[str, EpisodeEnd], count: int, counts: Tensor | None = None) -> None:
+        """Take in a step's episodes; nothing here waits for the device.
+
+        Args:
+            info: that the environment's step returned.
+            count: N, of environments.
+            counts: (N,) bool whose episodes count; all if None.
+        """
         found = all_ends(info, count)
         if found is None:
             return
         end, ended = found
+        if counts is not None:
+            ended = ended & counts
         returns = torch.stack(list(end.rewards.values())).sum(0)
         self._sums += (torch.stack([torch.ones_like(returns), returns, end.success.float()]) * ended).sum(1)
 
-    def read(self) -> tuple[float, float]:
-        """Return and success rate, and begin anew; where no episode has ended, what the last reading gave."""
+    def read(self) -> tuple[float, float, int]:
+        """Return, success rate and number of episodes, and begin anew; where no episode has ended, what the last reading gave."""
         episodes, returns, successes = self._sums.tolist()
         if episodes:
-            self._last = (returns / episodes, successes / episodes)
+            self._last = (returns / episodes, successes / episodes, round(episodes))
             self._sums.zero_()
         return self._last
 

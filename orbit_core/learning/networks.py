@@ -27,6 +27,17 @@ _ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tan
 _MOST_LAYERS, _MOST_UNITS = 64, 2**16
 
 
+def activation_type(name: str) -> type[nn.Module]:
+    """The activation of that name.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    if name not in _ACTIVATIONS:
+        raise UnknownNameError("activation", name, _ACTIVATIONS)
+    return _ACTIVATIONS[name]
+
+
 class Network(Protocol):
     """Settings of a network: a frozen dataclass of what :func:`~orbit_core.learning.plain.from_plain` reads."""
 
@@ -34,7 +45,9 @@ class Network(Protocol):
     """As files call it."""
 
     def build(self, observation_size: int, action_size: int) -> nn.Module:
-        """The module that maps an observation (N, O) to an action (N, A) in [-1, 1], for any N.
+        """The module that maps an observation to an action (N, A) in [-1, 1], for any N.
+
+        The observation is what the policy's group gives: one tensor (N, O), or a dictionary of its terms.
 
         All that it knows stands in its ``state_dict``, in float32. Whoever builds it loads that; building must not
         depend on values of tensors, for it also runs on torch's ``meta`` device.
@@ -62,15 +75,14 @@ class Perceptron:
     """Standard deviations from the mean at which the observation is cut off; none if None."""
 
     def __post_init__(self) -> None:
-        if self.activation not in _ACTIVATIONS:
-            raise UnknownNameError("activation", self.activation, _ACTIVATIONS)
+        activation_type(self.activation)
         if len(self.hidden_sizes) > _MOST_LAYERS or not all(0 < size <= _MOST_UNITS for size in self.hidden_sizes):
             raise ValueError(f"it has up to {_MOST_LAYERS} hidden layers of 1 to {_MOST_UNITS} units each")
         if self.observation_limit is not None and self.observation_limit <= 0.0:
             raise ValueError(f"observation_limit is positive, not {self.observation_limit}")
 
     def build(self, observation_size: int, action_size: int) -> nn.Module:
-        layers = perceptron(observation_size, self.hidden_sizes, action_size, _ACTIVATIONS[self.activation])
+        layers = perceptron(observation_size, self.hidden_sizes, action_size, activation_type(self.activation))
         return NormalizedActor(layers, observation_size, self.observation_limit)
 
 
@@ -96,10 +108,20 @@ class NormalizedActor(nn.Module):
         self.layers = layers
 
     def forward(self, observation: Tensor) -> Tensor:
+        return self.unclipped(observation).clamp(-1.0, 1.0)
+
+    def vectors(self, observation: Tensor) -> Tensor:
+        """(N, O) what ``mean`` and ``std`` are of: the observation."""
+        return observation
+
+    def unclipped(self, observation: Tensor) -> Tensor:
+        """(N, A) the action before it is clipped, for learning."""
+        return self.layers(self.encode(observation))
+
+    def encode(self, observation: Tensor) -> Tensor:
+        """(N, O) the observation as the layers see it."""
         seen = (observation - self.mean) / self.std
-        if self.limit is not None:
-            seen = seen.clamp(-self.limit, self.limit)
-        return self.layers(seen).clamp(-1.0, 1.0)
+        return seen if self.limit is None else seen.clamp(-self.limit, self.limit)
 
 
 def perceptron(inputs: int, hidden: Sequence[int], outputs: int, activation: type[nn.Module] = nn.ELU) -> nn.Sequential:
@@ -145,8 +167,11 @@ def _networks() -> Registry[type[Network]]:
             raise ConfigurationError(f"network {kind!r} is no dataclass with a class variable 'name'")
         registry.add(kind.name, kind)
 
+    from orbit_core.learning.convolutional import Convolutional  # which is made of what stands here
+
     registry = Registry[type[Network]]("network", GROUP, read)
     read(Perceptron)
+    read(Convolutional)
     return registry
 
 

@@ -28,7 +28,7 @@ class Policy:
     """A policy with its description."""
 
     module: nn.Module
-    """Observation (N, O) -> action (N, A) in [-1, 1], without exploration."""
+    """Observation, as the description's group gives it, -> action (N, A) in [-1, 1], without exploration."""
     network: Network | None
     """What built the module; None if it was read from ONNX, where a graph stands for it."""
     description: PolicyDescription
@@ -114,15 +114,15 @@ def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
 
 
 class PolicyActor:
-    """A learned policy, acting in the environments that it was learned for."""
+    """A learned policy, acting in any environment of which a group shows what it was learned with."""
 
     def __init__(self, environment: Environment, path: Path) -> None:
         policy = load_policy(path, environment.device)
-        policy.description.check(environment)
+        self._group = policy.description.find_group(environment)
         self._module = policy.module
         self._environment = environment
 
     def act(self) -> Tensor:
         """(N, A) the next action."""
         with torch.no_grad():
-            return self._module(self._environment.observe()["policy"])
+            return self._module(self._environment.observe()[self._group])

@@ -83,9 +83,9 @@ def check_action(module: nn.Module, description: PolicyDescription, path: Path, 
     """
     try:
         with torch.no_grad():
-            action = module(torch.zeros(2, description.observation_size, device=device))
-    except (RuntimeError, TypeError, IndexError) as error:
-        raise ConfigurationError(f"{path} cannot act: {str(error).splitlines()[0]}") from error
+            action = module(description.zeros(2, device))
+    except (RuntimeError, TypeError, IndexError, KeyError) as error:
+        raise ConfigurationError(f"{path} cannot act: {type(error).__name__} {str(error).splitlines()[0]}") from error
     if tuple(action.shape) != (2, description.action_size):
         raise ConfigurationError(
             f"{path} makes actions of shape {tuple(action.shape)} of 2 observations, not (2, {description.action_size})"

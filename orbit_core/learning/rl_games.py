@@ -50,7 +50,7 @@ class RlGamesEnvironment(IVecEnv):
         }
 
 
-class RlGamesTrainer(LoopTrainer):
+class RlGamesTrainer(LoopTrainer[PpoSettings]):
     """PPO with the learning rate following the Kullback-Leibler divergence."""
 
     name: ClassVar[str] = "rl-games"

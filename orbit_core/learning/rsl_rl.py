@@ -63,7 +63,7 @@ class RslRlEnvironment(VecEnv):
         return TensorDict(dict(observation), batch_size=[self.num_envs], device=self.device)
 
 
-class RslRlTrainer(Trainer):
+class RslRlTrainer(Trainer[PpoSettings]):
     """PPO with the learning rate following the Kullback-Leibler divergence."""
 
     name: ClassVar[str] = "rsl-rl"
@@ -111,6 +111,7 @@ class RslRlTrainer(Trainer):
                     seconds=logger.tot_time,
                     episode_return=statistics.mean(logger.rewbuffer) if logger.rewbuffer else math.nan,
                     success_rate=float(torch.cat(successes).mean()) if successes else math.nan,
+                    episodes=sum(len(ended) for ended in successes),
                 )
             )
 

@@ -86,7 +86,7 @@ class Sb3Environment(VecEnv):
         return [seed] * self.num_envs
 
 
-class Sb3Trainer(Trainer):
+class Sb3Trainer(Trainer[PpoSettings]):
     """PPO with a constant learning rate; an update ends early where the policy moves too far."""
 
     name: ClassVar[str] = "sb3"
@@ -186,6 +186,7 @@ class _Callback(BaseCallback):
                 seconds=time.perf_counter() - self._begin,
                 episode_return=float(np.mean([episode["r"] for episode in episodes])) if episodes else math.nan,
                 success_rate=float(np.mean(self._successes)) if self._successes else math.nan,
+                episodes=len(self._successes),
             )
         )
 

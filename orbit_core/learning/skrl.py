@@ -56,7 +56,7 @@ class SkrlEnvironment(Wrapper):
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         observation, reward, terminated, truncated, info = self.environment.step(actions)
         seen = observation["policy"]
-        extras = {"true_next": true_next(seen, info), "ends": info}
+        extras = {"true_next": true_next(observation, info)["policy"], "ends": info}
         return seen, reward[:, None], terminated[:, None], truncated[:, None], extras
 
     def state(self) -> None:
@@ -69,7 +69,7 @@ class SkrlEnvironment(Wrapper):
         """The environment belongs to whoever made it."""
 
 
-class SkrlTrainer(LoopTrainer):
+class SkrlTrainer(LoopTrainer[PpoSettings]):
     """PPO with the learning rate following the Kullback-Leibler divergence."""
 
     name: ClassVar[str] = "skrl"

@@ -63,7 +63,7 @@ class TorchRlEnvironment(EnvBase):
         if self._tally is not None:
             self._tally.add(info, self.environment.num_envs)
         self._begun = terminated | truncated
-        told = self._told(true_next(observation["policy"], info))
+        told = self._told(true_next(observation, info)["policy"])
         flags = {"terminated": terminated, "truncated": truncated, "done": self._begun}
         told.update({name: flag[:, None].clone() for name, flag in flags.items()})
         return told.set("reward", reward[:, None])
@@ -75,7 +75,7 @@ class TorchRlEnvironment(EnvBase):
         return TensorDict({"policy": observation}, batch_size=self.batch_size, device=self.device)
 
 
-class TorchRlTrainer(LoopTrainer):
+class TorchRlTrainer(LoopTrainer[PpoSettings]):
     """PPO with a constant learning rate; an update ends early where the policy moves too far."""
 
     name: ClassVar[str] = "torchrl"

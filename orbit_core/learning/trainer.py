@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.learning.networks import ActorNetwork
 
 if TYPE_CHECKING:
@@ -31,9 +30,30 @@ class Progress:
     """Mean over the last episodes; NaN before any has ended."""
     success_rate: float
     """Of the last episodes; NaN before any has ended."""
+    episodes: int = 0
+    """How many these are."""
+    loss: float = math.nan
+    """Mean of what the iteration has brought down, where that is one number; else NaN."""
 
 
-class Trainer(ABC):
+class LearningSettings(Protocol):
+    """What the settings of every algorithm hold; they are frozen dataclasses."""
+
+    @property
+    def iterations(self) -> int:
+        """Of collecting and learning."""
+        ...
+
+    @property
+    def steps_per_iteration(self) -> int:
+        """Environment steps that every environment contributes to an iteration."""
+        ...
+
+
+Settings = TypeVar("Settings", bound=LearningSettings)
+
+
+class Trainer(ABC, Generic[Settings]):
     """Trains one policy in one environment with one library.
 
     Args:
@@ -47,8 +67,10 @@ class Trainer(ABC):
     """As the user types it."""
     several_gpus: ClassVar[bool] = False
     """Whether processes that torchrun starts, one a GPU, learn one policy together."""
+    settings_type: ClassVar[type[Any]] = PpoSettings
+    """Class of its algorithm's settings."""
 
-    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
+    def __init__(self, environment: Environment, settings: Settings, folder: Path, seed: int) -> None:
         self.environment = environment
         self.settings = settings
         self.folder = folder
@@ -69,36 +91,3 @@ class Trainer(ABC):
     @abstractmethod
     def actor(self) -> ActorNetwork:
         """A copy of the policy on the CPU, without exploration, normalisation included."""
-
-
-_LIBRARIES = {
-    "rsl-rl": "orbit_core.learning.rsl_rl:RslRlTrainer",
-    "sb3": "orbit_core.learning.sb3:Sb3Trainer",
-    "skrl": "orbit_core.learning.skrl:SkrlTrainer",
-    "rl-games": "orbit_core.learning.rl_games:RlGamesTrainer",
-    "torchrl": "orbit_core.learning.torchrl:TorchRlTrainer",
-}
-"""Each is also the name of the extra that installs it."""
-
-
-def library_names() -> tuple[str, ...]:
-    """All libraries that train."""
-    return tuple(_LIBRARIES)
-
-
-def trainer_type(library: str) -> type[Trainer]:
-    """The trainer of that library.
-
-    Raises:
-        UnknownNameError: there is none.
-        ConfigurationError: the library is not installed.
-    """
-    if library not in _LIBRARIES:
-        raise UnknownNameError("learning library", library, _LIBRARIES)
-    module, _, attribute = _LIBRARIES[library].partition(":")
-    try:
-        return getattr(importlib.import_module(module), attribute)
-    except ModuleNotFoundError as error:
-        raise ConfigurationError(
-            f"library '{library}' needs {error.name}, which is not installed: pip install 'orbit-core[{library}]'"
-        ) from error

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from orbit_core.envs.ppo import PpoSettings
 from orbit_core.files import written_whole
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.checkpoint import read_checkpoint, write_checkpoint
@@ -34,7 +35,7 @@ class Training:
         leader: whether this process writes files; of several GPUs, one does.
     """  # fmt: skip
 
-    trainer: Trainer
+    trainer: Trainer[Any]
     task: str
     record: dict[str, Any]
     leader: bool = True
@@ -96,11 +97,15 @@ class Training:
         folder.mkdir(parents=True, exist_ok=True)
         if not begin and (folder / RECORD).exists():
             raise ConfigurationError(f"folder {folder} holds a training already: resume it, or name another")
-        settings = {"task": self.task, "library": self.trainer.name, "ppo": asdict(self.trainer.settings)}
+        settings = {"task": self.task, "library": self.trainer.name, **self._algorithm()}
         with written_whole(folder / RECORD) as record:
             record.write_text(json.dumps({**settings, **self.record}, indent=2, default=str))
         if begin:
             self._continue_curve(begin)
+
+    def _algorithm(self) -> dict[str, Any]:
+        settings = self.trainer.settings
+        return {"ppo" if isinstance(settings, PpoSettings) else "algorithm": asdict(settings)}
 
     def _continue_curve(self, begin: int) -> None:
         """Drop what was done after the checkpoint, for it is done again, and count on from there."""

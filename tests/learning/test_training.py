@@ -22,8 +22,9 @@ from orbit_core.cli import main
 from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, PpoSettings, RewardTerm
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.learning.checkpoint import read_checkpoint
+from orbit_core.learning.learners import library_names, trainer_type
 from orbit_core.learning.policy import PolicyActor, load_policy
-from orbit_core.learning.trainer import Progress, Trainer, library_names, trainer_type
+from orbit_core.learning.trainer import Progress, Trainer
 from orbit_core.learning.training import Training
 from orbit_core.mdp import common
 from orbit_tasks.reach import Reach
