@@ -72,7 +72,10 @@ class EpisodeTally:
         self._sums += (torch.stack([torch.ones_like(returns), returns, end.success.float()]) * ended).sum(1)
 
     def read(self) -> tuple[float, float, int]:
-        """Return, success rate and number of episodes, and begin anew; where no episode has ended, what the last reading gave."""
+        """Return, success rate and number of episodes, and begin anew.
+
+        Where no episode has ended, it tells what the last reading told.
+        """
         episodes, returns, successes = self._sums.tolist()
         if episodes:
             self._last = (returns / episodes, successes / episodes, round(episodes))
