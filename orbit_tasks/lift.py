@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -25,8 +27,10 @@ from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
+from orbit_core.mdp.images import camera_color, camera_depth
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
+from orbit_tasks import pixels
 
 
 def cube_pose(world: World, task: Lift) -> Tensor:
@@ -132,6 +136,30 @@ class LiftObservations:
 
 
 @dataclass
+class LiftPixels(ObservationGroup):
+    """What the arm knows of itself and its goal, and two cameras, which alone see the cube."""
+
+    concatenate: bool = False
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+    hand_color: ObservationTerm | None = camera_color(pixels.HAND)
+    hand_depth: ObservationTerm | None = camera_depth(pixels.HAND)
+    front_color: ObservationTerm | None = camera_color(pixels.FRONT)
+    front_depth: ObservationTerm | None = camera_depth(pixels.FRONT)
+
+
+@dataclass
+class LiftPixelObservations:
+    """Critic and teacher see the state."""
+
+    policy: LiftPixels = field(default_factory=LiftPixels)
+    critic: ObservationGroup | None = field(default_factory=LiftState)
+    teacher: ObservationGroup | None = field(default_factory=LiftState)
+
+
+@dataclass
 class LiftRewards:
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     lift: RewardTerm | None = RewardTerm(lifted, 15.0)
@@ -163,6 +191,7 @@ class Lift(Task):
     Succeeds when the cube's centre is within ``tolerance`` of the goal at the episode's end. Metric: that distance.
     """
 
+    observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {"pixels": LiftPixelObservations}
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 5.0
@@ -173,7 +202,7 @@ class Lift(Task):
     """Kilograms."""
     tolerance: float = 0.02
     """Metres."""
-    observations: LiftObservations = field(default_factory=LiftObservations)
+    observations: LiftObservations | LiftPixelObservations = field(default_factory=LiftObservations)
     rewards: LiftRewards = field(default_factory=LiftRewards)
     terminations: LiftTerminations = field(default_factory=LiftTerminations)
     events: LiftEvents = field(default_factory=LiftEvents)

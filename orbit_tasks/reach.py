@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -14,8 +16,10 @@ from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
+from orbit_core.mdp.images import camera_color, camera_depth
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
+from orbit_tasks import pixels
 
 
 @once_per_state
@@ -68,6 +72,30 @@ class ReachObservations:
 
 
 @dataclass
+class ReachPixels(ObservationGroup):
+    """The arm's joints, its goal, and two cameras, which see where the hand is."""
+
+    concatenate: bool = False
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+    hand_color: ObservationTerm | None = camera_color(pixels.HAND)
+    hand_depth: ObservationTerm | None = camera_depth(pixels.HAND)
+    front_color: ObservationTerm | None = camera_color(pixels.FRONT)
+    front_depth: ObservationTerm | None = camera_depth(pixels.FRONT)
+
+
+@dataclass
+class ReachPixelObservations:
+    """Critic and teacher see the state."""
+
+    policy: ReachPixels = field(default_factory=ReachPixels)
+    critic: ObservationGroup | None = field(default_factory=ReachState)
+    teacher: ObservationGroup | None = field(default_factory=ReachState)
+
+
+@dataclass
 class ReachRewards:
     position: RewardTerm | None = RewardTerm(position_error, -2.0)
     position_finely: RewardTerm | None = RewardTerm(near, 1.0)
@@ -96,6 +124,7 @@ class Reach(Task):
     Succeeds when position and orientation are within tolerance at the episode's end. Metrics: both distances.
     """
 
+    observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {"pixels": ReachPixelObservations}
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 4.0
@@ -104,7 +133,7 @@ class Reach(Task):
     """Metres."""
     rotation_tolerance: float = 0.1
     """Radians."""
-    observations: ReachObservations = field(default_factory=ReachObservations)
+    observations: ReachObservations | ReachPixelObservations = field(default_factory=ReachObservations)
     rewards: ReachRewards = field(default_factory=ReachRewards)
     terminations: ReachTerminations = field(default_factory=ReachTerminations)
     events: ReachEvents = field(default_factory=ReachEvents)

@@ -78,23 +78,45 @@ def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
 
 
 class PolicyNode(Node):
-    """A learned policy as a node: observation group ``policy`` (N, O) -> action (N, A).
+    """A learned policy as a node: its observation group -> action (N, A).
+
+    The ports of its inputs are named as the observation's tensors are: ``policy`` for a concatenated group (N, O),
+    ``policy/<term>`` (N, ...) for each term of a dictionary.
 
     Args:
         policy: that acts.
         name: of the node.
         inputs: what its place in an agent offers, other groups too; the policy's own alone if None.
+        group: that it sees; the one that it was learned with if None.
     """
 
-    def __init__(self, policy: Policy, name: str = "policy", inputs: tuple[Port, ...] | None = None) -> None:
+    def __init__(
+        self,
+        policy: Policy,
+        name: str = "policy",
+        inputs: tuple[Port, ...] | None = None,
+        group: str | None = None,
+    ) -> None:
         self.name = name
-        self.inputs = (Port("policy", (policy.description.observation_size,)),) if inputs is None else inputs
+        self._description = description = policy.description
+        self._group = group or description.group
+        self.inputs = self._own_inputs() if inputs is None else inputs
         self.outputs = (Port("action", (policy.description.action_size,)),)
         self._module = policy.module
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         with torch.no_grad():
-            return {"action": self._module(inputs["policy"])}
+            if self._description.concatenated:
+                return {"action": self._module(inputs[self._group])}
+            terms = {part.name: inputs[f"{self._group}/{part.name}"] for part in self._description.observation_parts}
+            return {"action": self._module(terms)}
+
+    def _own_inputs(self) -> tuple[Port, ...]:
+        if self._description.concatenated:
+            return (Port(self._group, (self._description.observation_size,)),)
+        return tuple(
+            Port(f"{self._group}/{part.name}", part.shape or ()) for part in self._description.observation_parts
+        )
 
 
 def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
@@ -107,10 +129,8 @@ def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
     Raises:
         ConfigurationError: the policy was learned for another environment.
     """
-    policy.description.check(environment)
-    return environment.cut.graph.replace(
-        environment.cut.node.name, PolicyNode(policy, inputs=environment.cut.node.inputs)
-    )
+    group, place = policy.description.find_group(environment), environment.cut.node
+    return environment.cut.graph.replace(place.name, PolicyNode(policy, inputs=place.inputs, group=group))
 
 
 class PolicyActor:

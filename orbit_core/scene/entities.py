@@ -19,6 +19,10 @@ class Gripper:
     closed_position: float
 
 
+END_EFFECTOR = "end_effector"
+"""Stands for the frame of a robot's first end effector, whatever it is called, where a sensor names its frame."""
+
+
 @dataclass(frozen=True)
 class EndEffector:
     """The frame that a task moves, the joints that move it, and the gripper on it.

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from orbit_core.dynamics.transforms import pose_multiply, quat_rotate
 from orbit_core.interfaces import Engine, EntityLayout, SceneLayout, UnknownNameError, find_name
-from orbit_core.scene import Frame, Pose
+from orbit_core.scene import END_EFFECTOR, Frame, Pose, RobotSpec
 
 
 class Mount:
@@ -62,6 +62,8 @@ def pose_tensor(pose: Pose, device: torch.device) -> Tensor:
 
 def _find_frame(entity: EntityLayout, name: str, sensor: str) -> Frame:
     articulation = entity.spec.articulation
+    if name == END_EFFECTOR and isinstance(entity.spec, RobotSpec) and entity.spec.end_effectors:
+        name = entity.spec.end_effector.frame
     try:
         return articulation.frame(name)
     except KeyError:
