@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from orbit_core.files import written_whole
 from orbit_core.interfaces import ConfigurationError, OrbitError
@@ -29,21 +29,28 @@ _KEY = "orbit"
 def write_onnx(path: Path, module: nn.Module, description: PolicyDescription) -> None:
     """Write input ``observation`` (N, O) and output ``action`` (N, A). The file appears whole or not at all.
 
+    Of a policy that sees a dictionary, the inputs are its terms, (N, ...) each, by their names.
+
     Raises:
         ConfigurationError: the exporter is not installed.
     """
     onnx = _onnx()
-    example = torch.zeros(2, description.observation_size)
+    example = description.zeros(2)
+    exported = copy.deepcopy(module).cpu().eval()
+    names = ["observation"]
+    if isinstance(example, dict):
+        names = list(example)
+        exported = _TermByTerm(exported, names)
     with written_whole(path) as written:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of this exporter's age; the newer one needs one more package
             torch.onnx.export(
-                copy.deepcopy(module).cpu().eval(),
-                (example,),
+                exported,
+                tuple(example.values()) if isinstance(example, dict) else (example,),
                 str(written),
-                input_names=["observation"],
+                input_names=names,
                 output_names=["action"],
-                dynamic_axes={"observation": {0: "environments"}, "action": {0: "environments"}},
+                dynamic_axes={name: {0: "environments"} for name in (*names, "action")},
                 dynamo=False,
             )
         model = onnx.load(str(written))
@@ -73,6 +80,17 @@ def read_onnx(path: Path) -> tuple[PolicyDescription, nn.Module]:
     check_action(copy.deepcopy(graph).to("meta"), description, path, "meta")
     check_action(graph, description, path)
     return description, graph
+
+
+class _TermByTerm(nn.Module):
+    """A module of a dictionary as one of its values, in order."""
+
+    def __init__(self, module: nn.Module, names: list[str]) -> None:
+        super().__init__()
+        self._module, self._names = module, names
+
+    def forward(self, *terms: Tensor) -> Tensor:
+        return self._module(dict(zip(self._names, terms, strict=True)))
 
 
 def _onnx() -> Any:
