@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 FORMAT = 1
 """Of the documents in policies' files; one of another number is refused."""
 _MOST_COMPONENTS = 2**20
+_FORMS = {True: "side by side", False: "as a dictionary"}
 _DTYPES = {
     str(dtype).removeprefix("torch."): dtype
     for dtype in (torch.float32, torch.uint8, torch.int32, torch.int64, torch.bool)
@@ -127,15 +128,30 @@ class PolicyDescription:
             return torch.zeros(count, self.observation_size, device=device)
         return {part.name: part.zeros(count, device) for part in self.observation_parts}
 
-    def check(self, environment: Environment, group: str | None = None) -> None:
-        """Refuse an environment that the policy was not learned for.
+    def find_group(self, environment: Environment) -> str:
+        """The group of an environment that shows what the policy sees: the one of its name, else ``teacher``, else any.
 
         A policy that sees terms side by side needs the same terms in the same order; one that sees a dictionary needs
         its terms, by name, and does not mind others.
 
-        Args:
-            environment: where it is to act.
-            group: that it is to see; the one it was learned with if None.
+        Raises:
+            ConfigurationError: there is none, or the environment differs otherwise; names what differs.
+        """
+        self._check_action(environment)
+        groups = environment.observation
+        names = sorted(groups, key=lambda name: (name != self.group, name != "teacher"))
+        faults = {name: self._misfit(groups[name]) for name in names}
+        fitting = next((name for name, fault in faults.items() if fault is None), None)
+        if fitting is None:
+            raise ConfigurationError(
+                f"no observation group of the environment shows what the policy of {self.task} was learned with: "
+                f"{_told(self.observation_parts)} {_FORMS[self.concatenated]}; "
+                + "; ".join(f"group '{name}' {fault}" for name, fault in faults.items())
+            )
+        return fitting
+
+    def _check_action(self, environment: Environment) -> None:
+        """Refuse an environment of another robot, action or rate.
 
         Raises:
             ConfigurationError: names what differs.
@@ -151,49 +167,16 @@ class PolicyDescription:
             raise ConfigurationError(
                 f"the policy acts every {self.step_dt:g} s, the environment every {other.step_dt:g} s"
             )
-        fault = self._misfit(environment.observation, group or self.group)
-        if fault:
-            raise ConfigurationError(fault)
 
-    def find_group(self, environment: Environment) -> str:
-        """The group of an environment that holds what the policy sees: the one of its name, else ``teacher``, else any.
-
-        Raises:
-            ConfigurationError: there is none, or the environment differs otherwise; names what each lacks.
-        """
-        groups = environment.observation
-        names = sorted(groups, key=lambda name: (name != self.group, name != "teacher"))
-        faults = {name: self._misfit(groups, name) for name in names}
-        fitting = next((name for name, fault in faults.items() if fault is None), None)
-        if fitting is None:
-            raise ConfigurationError(
-                f"no observation group of the environment shows what the policy of {self.task} was learned with: "
-                + "; ".join(str(fault) for fault in faults.values())
-            )
-        self.check(environment, fitting)
-        return fitting
-
-    def _misfit(self, groups: Mapping[str, GroupLayout], name: str) -> str | None:
+    def _misfit(self, layout: GroupLayout) -> str | None:
         """In which way a group is not what the policy sees; None if it is."""
-        if name not in groups:
-            return f"the policy sees group '{name}', the environment has {', '.join(groups)}"
-        layout = groups[name]
         if layout.concatenated != self.concatenated:
-            forms = {True: "terms side by side", False: "a dictionary of terms"}
-            return (
-                f"the policy sees {forms[self.concatenated]}, and group '{name}' is {forms[layout.concatenated]}: "
-                f"choose the observations that it was learned with"
-            )
+            return f"gives its terms {_FORMS[layout.concatenated]}"
         given = group_parts(layout)
         if not self.concatenated:
             by_name = {part.name: part for part in given}
             given = tuple(by_name[part.name] for part in self.observation_parts if part.name in by_name)
-        if given != self.observation_parts:
-            return (
-                f"the policy was learned with observation_parts {_told(self.observation_parts)}, and group '{name}' "
-                f"has {_told(group_parts(layout))}"
-            )
-        return None
+        return None if given == self.observation_parts else f"has {_told(group_parts(layout))}"
 
     def document(self) -> dict[str, Any]:
         """For a file, as plain data."""
