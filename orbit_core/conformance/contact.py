@@ -11,9 +11,9 @@ from torch import Tensor
 from orbit_core.assets.inertia import shapes_mass_properties
 from orbit_core.assets.objects import box, cylinder, mesh_object, sphere
 from orbit_core.conformance.bodies import SMOOTH
+from orbit_core.interfaces import World
 from orbit_core.scene import Articulation, Link, Mesh, ObjectSpec, PhysicsMaterial, Plane, Pose, Shape, Sphere
 from orbit_core.sensors import ContactSensor
-from orbit_core.world import SimulatedWorld
 
 RADIUS, HEIGHT = 0.05, 0.05
 """Of every standing solid, in metres: half the width, and the full height. Their frames lie in the middle."""
@@ -51,17 +51,17 @@ def block(name: str, side: float, material: PhysicsMaterial, pose: Pose, mass: f
     return box(name, (side, side, side), mass=mass, material=material, pose=pose)
 
 
-def positions(world: SimulatedWorld) -> Tensor:
+def positions(world: World) -> Tensor:
     """(N, objects, 3) a copy."""
     return torch.stack([thing.root_pose[:, :3] for thing in world.objects.values()], 1)
 
 
-def velocities(world: SimulatedWorld) -> Tensor:
+def velocities(world: World) -> Tensor:
     """(N, objects, 6) a copy."""
     return torch.stack([thing.root_velocity for thing in world.objects.values()], 1)
 
 
-def contact_sensor(world: SimulatedWorld, name: str) -> ContactSensor:
+def contact_sensor(world: World, name: str) -> ContactSensor:
     """The sensor of that name."""
     sensor = world.sensors[name]
     assert isinstance(sensor, ContactSensor)

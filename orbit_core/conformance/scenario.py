@@ -10,9 +10,9 @@ from typing import Any
 
 import torch
 
-from orbit_core.interfaces import Capability
+from orbit_core.interfaces import Capability, World
 from orbit_core.scene import Scene
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 
 SINGLE = "states are told in single precision, and engines that reckon in it round at each step"
 FIRST_ORDER = "integrators of first order err in proportion to the time step; the best one divides the step"
@@ -97,13 +97,13 @@ class Trial:
     """Of all environments together."""
     wall_seconds: float = 0.0
     """Spent in stepping."""
-    _worlds: list[SimulatedWorld] = field(default_factory=list)
-    _stepped: list[SimulatedWorld] = field(default_factory=list)
+    _worlds: list[World] = field(default_factory=list)
+    _stepped: list[World] = field(default_factory=list)
 
-    def world(self, scene: Scene, num_envs: int = 1) -> SimulatedWorld:
+    def world(self, scene: Scene, num_envs: int = 1) -> World:
         """A world of the scene, at this trial's time step; closed with the trial."""
         scene = dataclasses.replace(scene, physics_dt=self.time_step)
-        world = SimulatedWorld(scene, num_envs, self.backend, self.settings, self.device, self.seed)
+        world = simulate(scene, num_envs, self.backend, self.settings, self.device, self.seed)
         self._worlds.append(world)
         world.reset()
         return world
@@ -112,7 +112,7 @@ class Trial:
         """Physics steps in a stretch of time."""
         return round(seconds / self.time_step)
 
-    def step(self, world: SimulatedWorld, steps: int = 1) -> None:
+    def step(self, world: World, steps: int = 1) -> None:
         """Advance a world by physics steps, on the clock; without a world's first step, in which engines compile."""
         if world not in self._stepped:
             self._stepped.append(world)
@@ -126,7 +126,7 @@ class Trial:
         self.wall_seconds += time.perf_counter() - begin
         self.simulated_seconds += steps * self.time_step * world.num_envs
 
-    def advance(self, world: SimulatedWorld, seconds: float, every: float = 0.0) -> Iterator[float]:
+    def advance(self, world: World, seconds: float, every: float = 0.0) -> Iterator[float]:
         """Step a world through a stretch of time: gives the time at its beginning, and again after each ``every``.
 
         ``every`` is a multiple of the time step, or zero for each step.

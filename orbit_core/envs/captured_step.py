@@ -126,10 +126,8 @@ def remembered(task: Task, cut: Cut) -> dict[str, Tensor]:
 
 def needs_python(world: World, cut: Cut) -> str:
     """What of a step Python has to do each time anew; empty if nothing."""
-    for name, reason in world.untraceable_sensors().items():
-        return f"sensor '{name}' {reason}"
-    if world.actuators.delayed:
-        return "an actuator's delay"
+    if reason := world.needs_python:
+        return reason
     for runner in cut.graph.runners:
         if runner.period != 1:
             return f"node '{runner.node.name}' has a rate of its own"

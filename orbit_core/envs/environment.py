@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
+from orbit_core.backends import default_backend
 from orbit_core.dynamics.arguments import (
     FINITE,
     MOST_ENVIRONMENTS,
@@ -20,6 +21,7 @@ from orbit_core.dynamics.arguments import (
     as_floats,
     check_numbers,
     seed_number,
+    usable_device,
     whole_number,
 )
 from orbit_core.dynamics.indexing import write_rows
@@ -37,7 +39,7 @@ from orbit_core.envs.task import Task
 from orbit_core.envs.terms import CurriculumTerm, TerminationTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 from orbit_core.interfaces.fields import settings_table
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import WorldFactory, simulate
 from orbit_core.world.closing import close_for_good
 from orbit_core.world.threads import SingleThreaded
 
@@ -51,7 +53,7 @@ class Environment:
     Args:
         task: copied, so that one configuration may start many environments.
         num_envs: how many.
-        backend: name of the physics backend.
+        backend: name of the physics backend; the default one if None.
         device: where tensors live.
         seed: of every environment's random stream.
         renderer: name of the backend that draws; the physics backend if None.
@@ -60,6 +62,7 @@ class Environment:
         compile: whether to compile the layer's part of a step; the first step then takes seconds.
         check_finite: whether to look for observations that are NaN or infinite on a GPU too, where each step then waits
             for the device; on a CPU they always are.
+        world: makes the world instead of a backend: one of recorded states, or of real robots.
 
     Raises:
         ConfigurationError: among others, nothing compiles here, or the task's step cannot be compiled.
@@ -70,7 +73,7 @@ class Environment:
         self,
         task: Task,
         num_envs: int,
-        backend: str,
+        backend: str | None = None,
         device: str | torch.device = "cpu",
         seed: int = 0,
         renderer: str | None = None,
@@ -78,6 +81,7 @@ class Environment:
         renderer_settings: Mapping[str, Any] | None = None,
         compile: bool = False,
         check_finite: bool = False,
+        world: WorldFactory | None = None,
     ) -> None:
         if not isinstance(task, Task):
             raise ConfigurationError(f"an environment needs a Task, not a {type(task).__name__}: orbit_core.envs.make")
@@ -86,10 +90,16 @@ class Environment:
         if task.domain_randomization:
             task.randomize()
         self.max_episode_steps = _whole_steps(task)
-        preset = task.backend_presets.get(backend, {}) if isinstance(backend, str) else {}
-        merged = {**preset, **settings_table(settings, f"backend '{backend}'")}
         scene = with_sensors_of_terms(driven_scene(task), task)
-        self.world = SimulatedWorld(scene, num_envs, backend, merged, device, seed, renderer, renderer_settings)
+        if world is None:
+            backend = default_backend() if backend is None else backend
+            preset = task.backend_presets.get(backend, {}) if isinstance(backend, str) else {}
+            merged = {**preset, **settings_table(settings, f"backend '{backend}'")}
+            self.world = simulate(scene, num_envs, backend, merged, device, seed, renderer, renderer_settings)
+        else:
+            drawn = {"renderer": renderer, "renderer_settings": renderer_settings}
+            _check_no_backend({"backend": backend, "settings": settings, **drawn})
+            self.world = world(scene, num_envs, usable_device(device), seed)
         self.num_envs = num_envs
         self.device = self.world.device
         self.step_dt = task.physics_dt * task.decimation
@@ -331,6 +341,14 @@ class Environment:
 
 def _no_policy(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
     raise ConfigurationError("the environment's agent is cut at its policy: actions come from outside")
+
+
+def _check_no_backend(given: Mapping[str, object]) -> None:
+    named = [name for name, value in given.items() if value is not None]
+    if named:
+        raise ConfigurationError(
+            f"{' and '.join(named)} given beside a world of your own: only what is simulated has any; leave one out"
+        )
 
 
 def _curriculum(task: Task) -> dict[str, CurriculumTerm]:

@@ -7,12 +7,12 @@ from typing import Any
 
 import torch
 
-from orbit_core.backends import default_backend
 from orbit_core.envs.configuration import configure
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.registry import task_entry
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.world import WorldFactory
 
 
 def make(
@@ -26,6 +26,7 @@ def make(
     renderer_settings: Mapping[str, Any] | None = None,
     compile: bool = False,
     check_finite: bool = False,
+    world: WorldFactory | None = None,
     **fields: Any,
 ) -> Environment:
     """The environment of a task, given by name or configured; ``fields`` set the task's own, such as ``robot``.
@@ -37,6 +38,5 @@ def make(
         task = configure(task_entry(task).task_type(), fields)
     elif fields:
         raise ConfigurationError(f"set {', '.join(fields)} on the task itself: it is given configured")
-    chosen = default_backend() if backend is None else backend
-    common = (device, seed, renderer, settings, renderer_settings, compile, check_finite)
-    return Environment(task, num_envs, chosen, *common)
+    common = (device, seed, renderer, settings, renderer_settings, compile, check_finite, world)
+    return Environment(task, num_envs, backend, *common)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from orbit_core.interfaces.capture import CaptureFacet
     from orbit_core.interfaces.divergence import MAX_DISTANCE, MAX_SPEED, diverged, divergence_error, first_few
     from orbit_core.interfaces.engine import Approximation, Engine
+    from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
     from orbit_core.interfaces.errors import (
         ArgumentError,
         AssetError,
@@ -48,13 +49,13 @@ if TYPE_CHECKING:
         JointParameters,
         SceneLayout,
     )
-    from orbit_core.interfaces.names import find_name, match_names, match_values
+    from orbit_core.interfaces.names import NamedThings, find_name, match_names, match_values
     from orbit_core.interfaces.node import Node, Port
     from orbit_core.interfaces.rays import RayHits
     from orbit_core.interfaces.renderer import Image, Renderer, albedo_table, drawn_shapes
     from orbit_core.interfaces.requirements import IMAGES, required_capabilities
     from orbit_core.interfaces.sensor import Sensor
-    from orbit_core.interfaces.world import Marker, Object, Robot, World
+    from orbit_core.interfaces.world import World, WorldClock, WorldMasking, WorldRandom
 
 _MODULES = {
     "backend": ("Backend",),
@@ -63,6 +64,7 @@ _MODULES = {
     "capture": ("CaptureFacet",),
     "divergence": ("MAX_DISTANCE", "MAX_SPEED", "diverged", "divergence_error", "first_few"),
     "engine": ("Approximation", "Engine"),
+    "entities": ("Deformable", "Marker", "Object", "Robot"),
     "errors": (
         "ArgumentError", "AssetError", "BackendNotInstalledError", "BuildError", "ClosedError", "ConfigurationError",
         "NonFiniteError", "OrbitError", "ShapeError", "SimulationError", "StorageError", "UnknownNameError",
@@ -71,24 +73,24 @@ _MODULES = {
     "gaps": ("Gap",),
     "kit": ("contact_signs", "velocity_at"),
     "layout": ("BACKGROUND", "TERRAIN", "ContactQuery", "EntityLayout", "JointParameters", "SceneLayout"),
-    "names": ("find_name", "match_names", "match_values"),
+    "names": ("NamedThings", "find_name", "match_names", "match_values"),
     "node": ("Node", "Port"),
     "rays": ("RayHits",),
     "renderer": ("Image", "Renderer", "albedo_table", "drawn_shapes"),
     "requirements": ("IMAGES", "required_capabilities"),
     "sensor": ("Sensor",),
-    "world": ("Marker", "Object", "Robot", "World"),
+    "world": ("World", "WorldClock", "WorldMasking", "WorldRandom"),
 }  # fmt: skip
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "BACKGROUND", "EXACT", "IMAGES", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation", "ArgumentError",
     "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities", "Capability",
-    "CaptureFacet",
-    "ClosedError", "ConfigurationError", "ContactQuery", "Engine", "EntityLayout", "Gap", "Image", "JointParameters",
-    "Level", "Marker", "Node", "NonFiniteError", "Object", "OrbitError", "Port", "RayHits", "Renderer", "Robot",
-    "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError", "Support", "UnknownNameError",
-    "UnsupportedCapabilityError", "World", "albedo_table", "approximate", "contact_signs", "diverged",
+    "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable", "Engine", "EntityLayout", "Gap",
+    "Image", "JointParameters", "Level", "Marker", "NamedThings", "Node", "NonFiniteError", "Object", "OrbitError",
+    "Port", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError",
+    "Support", "UnknownNameError", "UnsupportedCapabilityError", "World", "WorldClock", "WorldMasking", "WorldRandom",
+    "albedo_table", "approximate", "contact_signs", "diverged",
     "divergence_error", "drawn_shapes", "find_name", "first_few", "match_names", "match_values",
     "required_capabilities", "unsupported", "velocity_at",
 ]  # fmt: skip

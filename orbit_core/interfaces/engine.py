@@ -213,6 +213,18 @@ class Engine(Watched, ABC):
         """Set (n, P, 3) positions and velocities."""
         raise self._unsupported("deformables")
 
+    @changes()
+    def anchor_particles(
+        self, deformable: int, particles: Tensor, link: int | None, env_ids: Tensor | None = None
+    ) -> None:
+        """Hold particles (k,) where they are to a link of the scene, or to the world; kept over resets."""
+        raise self._unsupported("anchors of particles")
+
+    @changes()
+    def release_particles(self, deformable: int, particles: Tensor, env_ids: Tensor | None = None) -> None:
+        """Let particles (k,) go, of which some may not be anchored."""
+        raise self._unsupported("anchors of particles")
+
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
     @abstractmethod

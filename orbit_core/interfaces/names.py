@@ -4,8 +4,45 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from typing import NoReturn, TypeVar
 
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+
+_Thing = TypeVar("_Thing")
+
+
+class NamedThings(dict[str, _Thing]):
+    """Things by name, read only; a name that none bears raises an UnknownNameError with the nearest.
+
+    It is a dictionary, for tasks look their robots up several times a step, and nothing is faster.
+
+    Args:
+        things: by name.
+        kind: of thing, in the singular.
+        where: the attribute that holds them.
+        beside: collections of the same owner, which know each other: a name is looked for among all of them.
+    """
+
+    def __init__(self, things: Mapping[str, _Thing], kind: str, where: str, beside: list[NamedThings]) -> None:
+        super().__init__(things)
+        self.kind = kind
+        self.where = where
+        self._beside = beside
+        beside.append(self)
+
+    def __missing__(self, name: str) -> NoReturn:
+        for other in self._beside:
+            if isinstance(name, str) and name in other:
+                article = "an" if other.kind[0] in "aeiou" else "a"
+                note = f"'{name}' is {article} {other.kind}: {other.where}['{name}']"
+                raise UnknownNameError(self.kind, name, self, self.where, note)
+        raise UnknownNameError(self.kind, name, self, self.where)
+
+    def _read_only(self, *_: object, **__: object) -> NoReturn:
+        raise ConfigurationError(f"{self.where} is read only: what a world holds is its scene's")
+
+    __setitem__ = __delitem__ = __ior__ = _read_only  # pyright: ignore[reportAssignmentType, reportIncompatibleMethodOverride]
+    clear = pop = popitem = setdefault = update = _read_only  # pyright: ignore[reportAssignmentType, reportIncompatibleMethodOverride]
 
 
 def find_name(name: str, names: Sequence[str], kind: str, where: str = "") -> int:

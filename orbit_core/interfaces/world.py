@@ -1,175 +1,113 @@
-"""What tasks, nodes and learning code see of a world, simulated or real."""
+"""What tasks, nodes, viewers and learning code see of a world: simulated, recorded or real."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
+from orbit_core.interfaces.engine import Approximation, Engine
+from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
+from orbit_core.interfaces.errors import UnsupportedCapabilityError
+from orbit_core.interfaces.layout import SceneLayout
+from orbit_core.interfaces.renderer import Renderer
 from orbit_core.interfaces.sensor import Sensor
-from orbit_core.scene import Entity, Joint, MarkerSpec, RobotSpec
+from orbit_core.scene import CameraSpec, Scene
+
+Bound = float | tuple[float, ...] | Tensor
 
 
-class Object(ABC):
-    """An articulation in N environments; a rigid object is one with a single link.
+class WorldClock(Protocol):
+    """Counts the changes of a world's state, so that what is derived from it is computed once per state."""
 
-    Poses are (..., 7): position, quaternion (w, x, y, z); velocities (..., 6): linear of the frame's origin, then
-    angular, world axes. Tensors read are valid until the next step or write: clone what you keep.
-    """
+    version: int
+    """Differs whenever the state may have changed."""
+    steps: int
+    """Physics steps made."""
 
-    name: str
-    link_names: tuple[str, ...]
-    joint_names: tuple[str, ...]
-
-    @property
-    @abstractmethod
-    def spec(self) -> Entity:
-        """What it was made from."""
-
-    # Reading
-
-    @property
-    @abstractmethod
-    def root_pose(self) -> Tensor:
-        """(N, 7)"""
-
-    @property
-    @abstractmethod
-    def root_velocity(self) -> Tensor:
-        """(N, 6)"""
-
-    @property
-    @abstractmethod
-    def link_poses(self) -> Tensor:
-        """(N, links, 7)"""
-
-    @property
-    @abstractmethod
-    def link_velocities(self) -> Tensor:
-        """(N, links, 6)"""
-
-    @property
-    @abstractmethod
-    def joint_positions(self) -> Tensor:
-        """(N, joints)"""
-
-    @property
-    @abstractmethod
-    def joint_velocities(self) -> Tensor:
-        """(N, joints)"""
-
-    @property
-    @abstractmethod
-    def joint_efforts(self) -> Tensor:
-        """(N, joints) applied in the last physics step."""
-
-    @abstractmethod
-    def frame_pose(self, name: str) -> Tensor:
-        """(N, 7) of a link or named frame."""
-
-    @abstractmethod
-    def frame_velocity(self, name: str) -> Tensor:
-        """(N, 6) of a link or named frame."""
-
-    @abstractmethod
-    def jacobian(self, frame: str, joints: Sequence[int] | None = None) -> Tensor:
-        """(N, 6, k) geometric Jacobian of a link or named frame: linear, angular; world axes; columns are joints."""
-
-    # Looking up
-
-    @abstractmethod
-    def find_joints(self, *patterns: str) -> list[int]:
-        """Indices of the joints whose names a regular expression matches in full, in joint order."""
-
-    @abstractmethod
-    def find_links(self, *patterns: str) -> list[int]:
-        """Indices of the links whose names a regular expression matches in full, in link order."""
-
-    @property
-    @abstractmethod
-    def joints(self) -> tuple[Joint, ...]:
-        """The movable joints' descriptions."""
-
-    @property
-    @abstractmethod
-    def home_positions(self) -> Tensor:
-        """(joints,) positions at reset."""
-
-    @property
-    @abstractmethod
-    def position_limits(self) -> Tensor:
-        """(joints, 2) lower, upper."""
-
-    # Writing state
-
-    @abstractmethod
-    def set_root_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
-        """(n, 7)"""
-
-    @abstractmethod
-    def set_root_velocity(self, velocity: Tensor, env_ids: Tensor | None = None) -> None:
-        """(n, 6)"""
-
-    @abstractmethod
-    def set_joint_state(
-        self,
-        positions: Tensor | None = None,
-        velocities: Tensor | None = None,
-        joints: Sequence[int] | None = None,
-        env_ids: Tensor | None = None,
-    ) -> None:
-        """(n, k) each; position targets follow the positions."""
+    def touch(self) -> None:
+        """The state was written."""
+        ...
 
 
-class Robot(Object):
-    """An articulation with actuator groups that take commands."""
+class WorldMasking(Protocol):
+    """Which environments a call is for; while a mask is set, those of the mask alone."""
 
-    @property
-    @abstractmethod
-    def spec(self) -> RobotSpec:
-        """What it was made from."""
+    traced: bool
+    """Whether a step is being traced: nothing may look at what tensors hold."""
 
-    @abstractmethod
-    def set_position_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
-        """(N, k) rad or m."""
+    def only(self, mask: Tensor) -> AbstractContextManager[None]:
+        """Set a mask (N,) bool for a while."""
+        ...
 
-    @abstractmethod
-    def set_velocity_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
-        """(N, k) rad/s or m/s."""
-
-    @abstractmethod
-    def set_effort_targets(self, efforts: Tensor, joints: Sequence[int] | None = None) -> None:
-        """(N, k) N m or N, added to the actuators' PD law."""
+    def rows(self, env_ids: Tensor | None) -> Tensor | None:
+        """The environments that ``env_ids`` means: checked indices (n,), a mask (N,) bool, or None for all."""
+        ...
 
 
-class Marker(ABC):
-    """Something drawn for people, with no physics."""
+class WorldRandom(Protocol):
+    """One random stream per environment: each draws the same numbers whatever the number of environments."""
 
-    spec: MarkerSpec
+    def seed(self, seed: int, env_ids: Tensor | None = None) -> None:
+        """Start the streams of some environments anew."""
+        ...
 
-    @property
-    @abstractmethod
-    def pose(self) -> Tensor:
-        """(N, 7)"""
+    def uniform(
+        self, shape: tuple[int, ...], low: Bound = 0.0, high: Bound = 1.0, env_ids: Tensor | None = None
+    ) -> Tensor:
+        """(n, *shape) float32 in [low, high); bounds are numbers, or tuples or tensors that broadcast to ``shape``."""
+        ...
 
-    @abstractmethod
-    def set_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
-        """(n, 7)"""
+    def normal(self, shape: tuple[int, ...], std: float | Tensor = 1.0, env_ids: Tensor | None = None) -> Tensor:
+        """(n, *shape) float32 of mean zero."""
+        ...
+
+    def integers(self, low: int, high: int, env_ids: Tensor | None = None) -> Tensor:
+        """(n,) int64 in [low, high]."""
+        ...
+
+    def save_state(self) -> Any:
+        """Detached copy of all streams."""
+        ...
+
+    def load_state(self, state: Any) -> None:
+        """Return to a saved state."""
+        ...
 
 
 class World(ABC):
-    """N environments stepped together."""
+    """N environments of a scene, stepped together.
 
+    What every world has is abstract or plain data. What only some have (pictures, snapshots, parameters of physics, an
+    engine) raises an UnsupportedCapabilityError that says so, until a subclass provides it.
+
+    The mappings by name raise an UnknownNameError with the nearest name
+    (:class:`~orbit_core.interfaces.names.NamedThings`).
+    """
+
+    scene: Scene
+    """What the world is of, as it was built."""
+    layout: SceneLayout
+    """Numbers of the scene's links and joints."""
+    backend: str
+    """Name of the backend, or what else the world comes from."""
     num_envs: int
     device: torch.device
     physics_dt: float
     robots: Mapping[str, Robot]
     objects: Mapping[str, Object]
+    deformables: Mapping[str, Deformable]
     sensors: Mapping[str, Sensor]
     markers: Mapping[str, Marker]
+    clock: WorldClock
+    random: WorldRandom
+    masking: WorldMasking
+
+    # Time
 
     @abstractmethod
     def step(self, steps: int = 1) -> None:
@@ -180,13 +118,76 @@ class World(ABC):
         """Return environments to the scene's initial state, sensors, actuators and random streams included."""
 
     @abstractmethod
-    def save_state(self) -> Any:
-        """Everything that the continuation depends on."""
-
-    @abstractmethod
-    def load_state(self, state: Any) -> None:
-        """Return to a saved state."""
-
-    @abstractmethod
     def close(self) -> None:
         """Free what the world holds; idempotent."""
+
+    def save_state(self) -> Any:
+        """Everything that the continuation depends on."""
+        raise self._unsupported("snapshots")
+
+    def load_state(self, state: Any) -> None:
+        """Return to a saved state."""
+        raise self._unsupported("snapshots")
+
+    # The whole scene at a glance, for who draws it
+
+    @property
+    def link_poses(self) -> Tensor:
+        """(N, L, 7) of every link of the scene, in the layout's order."""
+        entities = (*self.robots.values(), *self.objects.values())
+        poses = [entity.link_poses for entity in entities]
+        return torch.cat(poses, 1) if poses else torch.zeros(self.num_envs, 0, 7, device=self.device)
+
+    @property
+    def marker_poses(self) -> Tensor:
+        """(N, M, 7) of every marker, in the scene's order."""
+        poses = [marker.pose for marker in self.markers.values()]
+        return torch.stack(poses, 1) if poses else torch.zeros(self.num_envs, 0, 7, device=self.device)
+
+    @property
+    def renderer(self) -> Renderer:
+        """Draws the scene's cameras."""
+        raise self._unsupported("renderer")
+
+    def create_renderer(self, cameras: tuple[CameraSpec, ...]) -> Renderer:
+        """Another renderer of this scene, for cameras that are no sensors. The caller closes it."""
+        raise self._unsupported("renderer")
+
+    # Physics of environments
+
+    def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
+        """Gravity (n, 3) in m/s^2 of some environments, for good."""
+        raise self._unsupported("gravity to set")
+
+    def set_terrain_friction(self, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
+        """Friction (n,), static and dynamic alike, of all terrain shapes."""
+        raise self._unsupported("friction to set")
+
+    # What lies below
+
+    @property
+    def build_report(self) -> tuple[Approximation, ...]:
+        """What differs from the scene as asked."""
+        return ()
+
+    @property
+    def engine(self) -> Engine:
+        """The physics engine, past this interface: for measurements of engines, not for tasks."""
+        raise self._unsupported("engine")
+
+    @property
+    def native(self) -> Any:
+        """The engine's own objects, for users who know why."""
+        raise self._unsupported("native objects")
+
+    @property
+    def needs_python(self) -> str:
+        """Why a step of this world cannot be captured (:mod:`orbit_core.capture`); empty if it can."""
+        return f"{type(self).__name__} has no engine"
+
+    def repeated(self, steps: int) -> None:
+        """A call of :meth:`step` was repeated without its Python: count it."""
+        raise self._unsupported("captured steps")
+
+    def _unsupported(self, what: str) -> UnsupportedCapabilityError:
+        return UnsupportedCapabilityError(f"this world has no {what}: {type(self).__name__} provides none")

@@ -18,8 +18,7 @@ from torch import Tensor
 
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import EventFunction, TermFunction
-from orbit_core.interfaces import ConfigurationError, UnknownNameError, World
-from orbit_core.world.entities import SimulatedObject
+from orbit_core.interfaces import ConfigurationError, Object, UnknownNameError, World
 
 TERRAIN = "terrain"
 
@@ -138,9 +137,8 @@ def by_success(raised: float = 0.05, lowered: float = 0.02) -> TermFunction:
     return change
 
 
-def _entity(world: World, name: str) -> SimulatedObject:
+def _entity(world: World, name: str) -> Object:
     thing = world.robots.get(name) or world.objects.get(name)
     if thing is None:
         raise UnknownNameError("entity", name, [*world.robots, *world.objects], "the scene")
-    assert isinstance(thing, SimulatedObject)  # a simulated world has no others
     return thing

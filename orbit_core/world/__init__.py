@@ -1,7 +1,5 @@
-"""Simulated worlds: the contract's World, Robot and Object over any backend's engine."""
+"""Worlds that are simulated: the contract's World, Robot and Object over any backend's engine."""
 
-from orbit_core.world.entities import SimulatedObject
-from orbit_core.world.robots import SimulatedRobot
-from orbit_core.world.world import SimulatedWorld
+from orbit_core.world.simulation import WorldFactory, simulate
 
-__all__ = ["SimulatedObject", "SimulatedRobot", "SimulatedWorld"]
+__all__ = ["WorldFactory", "simulate"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -218,7 +218,7 @@ class SimulatedObject(Object):
         return torch.tensor([link.mass > 0.0 for link in links], device=self._engine.device)
 
     @cached_property
-    def nominal_gains(self) -> dict[int, tuple[float, float]]:
+    def nominal_gains(self) -> Mapping[int, tuple[float, float]]:
         """Stiffness and damping in the scene, by joint, of those that have an actuator."""
         gains: dict[int, tuple[float, float]] = {}
         for group in self.spec.actuators:

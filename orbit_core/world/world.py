@@ -34,9 +34,10 @@ from orbit_core.interfaces import (
     ArgumentError,
     BuildError,
     ConfigurationError,
+    Engine,
+    NamedThings,
     Renderer,
     SceneLayout,
-    Sensor,
     World,
 )
 from orbit_core.interfaces.fields import settings_table
@@ -46,6 +47,7 @@ from orbit_core.world.build_check import check_build
 from orbit_core.world.capacity import check_capacity
 from orbit_core.world.clock import Clock
 from orbit_core.world.closing import close_for_good, leave_to_parent
+from orbit_core.world.deformables import SimulatedDeformable
 from orbit_core.world.entities import SimulatedObject
 from orbit_core.world.forking import give_up_in_forks
 from orbit_core.world.markers import SimulatedMarker, identity_poses
@@ -71,22 +73,13 @@ class WorldState:
 class SimulatedWorld(World):
     """N environments of a scene in one physics engine.
 
-    Args:
-        scene: what to simulate.
-        num_envs: how many copies.
-        backend: name of an installed backend.
-        settings: the backend's own settings, by field name.
-        device: where state tensors live.
-        seed: of the environments' random streams.
-        renderer: name of the renderer, or backend, that draws; the one that simulates if None.
-        renderer_settings: the renderer's own, by field name; over ``settings`` where one backend simulates and draws.
-
-    Raises:
-        UnknownNameError, BackendNotInstalledError: no such backend.
-        UnsupportedCapabilityError: the backend lacks what the scene needs, or the renderer what its cameras need.
-        AssetError: an articulation cannot be simulated.
-        BuildError: what the engine built is not what the scene describes.
+    What it takes and raises is told at :func:`~orbit_core.world.simulate`.
     """
+
+    # Never replaced, so that what a reader of World expects holds.
+    clock: Clock
+    masking: Masking
+    random: RandomStreams
 
     def __init__(
         self,
@@ -118,39 +111,48 @@ class SimulatedWorld(World):
         own = settings_table(renderer_settings, "the renderer")
         self._renderer_config = backend_config(self._renderer_plugin, {**shared, **own})
         check_capacity(self.layout, num_envs, self.device)
-        self.engine = plugin.create_engine(self.layout, num_envs, self.device, config)
+        self._engine = plugin.create_engine(self.layout, num_envs, self.device, config)
         try:
-            check_build(self.engine, backend)
+            check_build(self._engine, backend)
         except BuildError:
-            self.engine.close()
+            self._engine.close()
             raise
-        self.masking = Masking(num_envs, self.device)
+        self.masking = Masking(num_envs, self.device)  # pyright: ignore[reportIncompatibleVariableOverride]
         """Which environments a call is for."""
-        self.random = RandomStreams(num_envs, seed, self.device, self.masking)
+        self.random = RandomStreams(num_envs, seed, self.device, self.masking)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.random.reset()
-        self.actuators = Actuators(self.engine, self.layout, self.random)
-        self.clock = Clock()
+        self.actuators = Actuators(self._engine, self.layout, self.random)
+        self.clock = Clock()  # pyright: ignore[reportIncompatibleVariableOverride]
         self._renderer: Renderer | None = None
+        self._names: list[NamedThings] = []
         self._add_entities()
         self._add_sensors()
         give_up_in_forks(self)
 
     def _add_entities(self) -> None:
-        parts = (self.engine, self.actuators, self.clock, self.masking)
+        parts = (self._engine, self.actuators, self.clock, self.masking)
         count = len(self.scene.robots)
-        self.robots = {e.name: SimulatedRobot(e, *parts) for e in self.layout.entities[:count]}
-        self.objects = {e.name: SimulatedObject(e, *parts) for e in self.layout.entities[count:]}
-        self.marker_poses = identity_poses(self.num_envs, len(self.scene.markers), self.device)
-        self.markers = {
-            spec.name: SimulatedMarker(spec, self.marker_poses[:, i], self.masking)
+        robots = {e.name: SimulatedRobot(e, *parts) for e in self.layout.entities[:count]}
+        objects = {e.name: SimulatedObject(e, *parts) for e in self.layout.entities[count:]}
+        deformables = {
+            spec.name: SimulatedDeformable(i, spec, self._engine, self.masking, self.clock)
+            for i, spec in enumerate(self.scene.deformables)
+        }
+        self._marker_poses = identity_poses(self.num_envs, len(self.scene.markers), self.device)
+        markers = {
+            spec.name: SimulatedMarker(spec, self._marker_poses[:, i], self.masking)
             for i, spec in enumerate(self.scene.markers)
         }
+        self.robots = NamedThings(robots, "robot", "world.robots", self._names)
+        self.objects = NamedThings(objects, "object", "world.objects", self._names)
+        self.deformables = NamedThings(deformables, "deformable", "world.deformables", self._names)
+        self.markers = NamedThings(markers, "marker", "world.markers", self._names)
 
     def _add_sensors(self) -> None:
-        parts = (self.engine, self.layout, self.physics_dt, self.random, lambda: self.renderer)
+        parts = (self._engine, self.layout, self.physics_dt, self.random, lambda: self.renderer)
         self._sensing = SensorContext(*parts)
         self._timed = {spec.name: create_sensor(spec, self._sensing) for spec in self.scene.sensors}
-        self.sensors: Mapping[str, Sensor] = self._timed
+        self.sensors = NamedThings(self._timed, "sensor", "world.sensors", self._names)
         # The engine runs in stretches that end where a sensor is due.
         periods = [sensor.period for sensor in self._timed.values() if sensor.period is not None]
         if self.actuators.explicit and self.layout.contact_queries:
@@ -159,8 +161,11 @@ class SimulatedWorld(World):
 
     @property
     def link_poses(self) -> Tensor:
-        """(N, L, 7) of every link of the scene, in the layout's order."""
-        return self.engine.link_poses
+        return self._engine.link_poses
+
+    @property
+    def marker_poses(self) -> Tensor:
+        return self._marker_poses
 
     @property
     def renderer(self) -> Renderer:
@@ -171,7 +176,6 @@ class SimulatedWorld(World):
         return self._renderer
 
     def create_renderer(self, cameras: tuple[CameraSpec, ...]) -> Renderer:
-        """Another renderer of this scene, for cameras that are no sensors. The caller closes it."""
         return self._renderer_plugin.create_renderer(self.layout, cameras, self._renderer_config)
 
     @property
@@ -182,12 +186,15 @@ class SimulatedWorld(World):
             for entity in self.scene.entities
             for note in entity.articulation.notes
         )
-        return notes + self.engine.build_report
+        return notes + self._engine.build_report
+
+    @property
+    def engine(self) -> Engine:
+        return self._engine
 
     @property
     def native(self) -> Any:
-        """The engine's own objects."""
-        return self.engine.native
+        return self._engine.native
 
     def step(self, steps: int = 1) -> None:
         steps = whole_number(steps, "steps", 1, MOST_STEPS)
@@ -205,18 +212,20 @@ class SimulatedWorld(World):
 
     def _step_engine(self, steps: int) -> None:
         if not self.actuators.explicit:
-            self.engine.step(steps)
+            self._engine.step(steps)
             return
         for _ in range(steps):
             self.actuators.apply()
-            self.engine.step(1)
+            self._engine.step(1)
 
-    def untraceable_sensors(self) -> dict[str, str]:
-        """Sensors for which Python has something to do at each step, and what."""
-        return {name: sensor.untraceable for name, sensor in self._timed.items() if sensor.untraceable}
+    @property
+    def needs_python(self) -> str:
+        for name, sensor in self._timed.items():
+            if sensor.untraceable:
+                return f"sensor '{name}' {sensor.untraceable}"
+        return "an actuator's delay" if self.actuators.delayed else ""
 
     def repeated(self, steps: int) -> None:
-        """A call of :meth:`step` was repeated without its Python: count it."""
         self.clock.advance(steps)
         for sensor in self._timed.values():
             sensor.repeated()
@@ -229,7 +238,7 @@ class SimulatedWorld(World):
         """
         chosen = self.masking.choose(env_ids)
         gravity = chosen.values(gravity, (3,), "gravity", ACCELERATIONS)
-        self.engine.set_gravity(gravity, chosen.rows)
+        self._engine.set_gravity(gravity, chosen.rows)
         write_rows(self._sensing.gravity, gravity, chosen.rows)
 
     def set_terrain_friction(self, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
@@ -240,7 +249,7 @@ class SimulatedWorld(World):
         """
         chosen = self.masking.choose(env_ids)
         coefficients = chosen.values(coefficients, (), "friction of the terrain", FRICTIONS)
-        self.engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], chosen.rows)
+        self._engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], chosen.rows)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Begin anew in some environments, by index or by mask (N,) bool.
@@ -250,7 +259,7 @@ class SimulatedWorld(World):
         """
         env_ids = self.masking.rows(env_ids)
         self.random.reset(env_ids)
-        self.engine.reset(env_ids)
+        self._engine.reset(env_ids)
         self.actuators.reset(env_ids)
         for sensor in self._timed.values():
             sensor.reset(env_ids)
@@ -259,11 +268,11 @@ class SimulatedWorld(World):
     def save_state(self) -> WorldState:
         sensors = {name: sensor.save_state() for name, sensor in self._timed.items()}
         return WorldState(
-            self.engine.save_state(),
+            self._engine.save_state(),
             self.actuators.save_state(),
             sensors,
             self.random.save_state(),
-            self.marker_poses.clone(),
+            self._marker_poses.clone(),
             self.clock.steps,
             self._identity,
         )
@@ -279,12 +288,12 @@ class SimulatedWorld(World):
                 "the state is not one that save_state() of such a world gave: the backend, the number of environments "
                 "and the names of all things in the scene must be the same"
             )
-        self.engine.load_state(state.engine)
+        self._engine.load_state(state.engine)
         self.actuators.load_state(state.actuators)
         for name, sensor in self._timed.items():
             sensor.load_state(state.sensors[name])
         self.random.load_state(state.random)
-        self.marker_poses.copy_(state.markers)
+        self._marker_poses.copy_(state.markers)
         self.clock.steps = state.steps
         self.clock.touch()
 
@@ -293,7 +302,7 @@ class SimulatedWorld(World):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-        self.engine.close()
+        self._engine.close()
         for thing in self._parts:
             close_for_good(thing, "the world")
 
@@ -304,12 +313,11 @@ class SimulatedWorld(World):
 
     @property
     def _parts(self) -> tuple[object, ...]:
-        things = (*self.robots.values(), *self.objects.values(), *self.sensors.values(), *self.markers.values())
-        return (*things, self.random, self.engine, self)
+        return (*(thing for things in self._names for thing in things.values()), self.random, self._engine, self)
 
     @property
     def _identity(self) -> tuple[str, int, tuple[str, ...]]:
-        specs = (*self.scene.entities, *self.scene.sensors, *self.scene.markers)
+        specs = (*self.scene.entities, *self.scene.deformables, *self.scene.sensors, *self.scene.markers)
         return self.backend, self.num_envs, tuple(spec.name for spec in specs)
 
 

@@ -34,7 +34,7 @@ from orbit_core.scene import (
     look_at,
 )
 from orbit_core.sensors import intrinsic_matrix, point_cloud, project
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 
 GROUND = Shape(Plane(), color=(0.2, 0.3, 0.4, 1.0))
 TETRAHEDRON = Mesh(
@@ -271,7 +271,7 @@ def test_positions_lie_on_the_surfaces_that_are_seen(backend, device):
     camera = eye((1.5, -0.8, 0.9), (0.2, 0.1, 0.0), channels=(Channel.POSITION, Channel.INSTANCE), far=3.0)
     center, radius = torch.tensor((0.2, 0.1, 0.2)), 0.2
     ball = replace(entity("ball", (Shape(Sphere(radius)),)), pose=Pose(tuple(center.tolist())), fixed_base=True)
-    world = SimulatedWorld(Scene(objects=(ball,), terrain=(GROUND,), sensors=(camera,)), 2, backend.name, device=device)
+    world = simulate(Scene(objects=(ball,), terrain=(GROUND,), sensors=(camera,)), 2, backend.name, device=device)
     sensor = world.sensors["eye"]
     points, seen = sensor.image(Channel.POSITION).cpu(), sensor.image(Channel.INSTANCE)[..., 0].cpu()
     assert points.shape == (2, 48, 64, 3)

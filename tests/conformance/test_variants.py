@@ -10,13 +10,13 @@ import torch
 
 from orbit_core.assets.objects import box, cylinder, mesh_object, sphere
 from orbit_core.conformance.bodies import cube
-from orbit_core.interfaces import Backend, Capability
+from orbit_core.interfaces import Backend, Capability, World
 from orbit_core.scene import CameraSpec, Channel, ContactSensorSpec, Mesh, ObjectSpec, Pose, Scene, look_at
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 
 from .conftest import Needs
 
-MakeWorld = Callable[[Scene, int], SimulatedWorld]
+MakeWorld = Callable[[Scene, int], World]
 G = 9.81
 RED, GREEN, BLUE, WHITE = ((1.0, 0, 0, 1), (0, 1.0, 0, 1), (0, 0, 1.0, 1), (1.0, 1, 1, 1))
 HEIGHTS = (0.05, 0.1, 0.03, 0.02)
@@ -38,10 +38,10 @@ def thing(height: float = 0.12) -> ObjectSpec:
 @pytest.fixture
 def make_world(backend: Backend, device: torch.device) -> Iterator[MakeWorld]:
     """``make_world(scene, num_envs)`` on the device of ``--device``; closed after the test."""
-    made: list[SimulatedWorld] = []
+    made: list[World] = []
 
-    def make(scene: Scene, num_envs: int) -> SimulatedWorld:
-        made.append(SimulatedWorld(scene, num_envs, backend.name, device=device))
+    def make(scene: Scene, num_envs: int) -> World:
+        made.append(simulate(scene, num_envs, backend.name, device=device))
         return made[-1]
 
     yield make

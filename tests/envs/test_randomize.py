@@ -11,10 +11,9 @@ from torch import Tensor
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.envs import CurriculumTerm, EventTerm, EventTime, Task, make
 from orbit_core.envs.environment import Environment
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.interfaces import ConfigurationError, UnknownNameError, World
 from orbit_core.mdp import randomize
 from orbit_core.mdp.randomize import Range
-from orbit_core.world import SimulatedWorld
 from orbit_tasks.lift import Lift
 from orbit_tasks.velocity_flat import VelocityFlat
 
@@ -107,7 +106,7 @@ def test_each_environment_draws_for_itself_whatever_their_number() -> None:
     many.close(), few.close()
 
 
-def bold(world: SimulatedWorld, task: Task) -> Tensor:
+def bold(world: World, task: Task) -> Tensor:
     return torch.where(task.last_action[:, 0] > 0.0, 0.3, -0.2)
 
 

@@ -28,7 +28,7 @@ from orbit_core.scene import (
     RayCasterSpec,
     Scene,
 )
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 from tests.fuzz.pool import Pool
 
 N = 3
@@ -63,7 +63,7 @@ class Doors:
 
     def __init__(self, backend_name: str) -> None:
         self.backend = backend_name
-        self.world = SimulatedWorld(SCENE, N, backend_name)
+        self.world = simulate(SCENE, N, backend_name)
         self.start = self.world.save_state()
         self.vector = VectorEnvironment("Lift", 2, backend=backend_name)
         self.single = SingleEnvironment("Reach", backend=backend_name)
@@ -178,7 +178,7 @@ class Doors:
 
     def _live(self, scene: Any, settings: Any = None) -> None:
         """Build a world and step it twice, after which its state must be finite."""
-        world = SimulatedWorld(scene, 1, self.backend, settings)
+        world = simulate(scene, 1, self.backend, settings)
         try:
             world.step(2)
             assert bool(torch.isfinite(world.link_poses).all()), "a world with a state that is not finite"

@@ -10,7 +10,7 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.interfaces import ConfigurationError, UnknownNameError, World
 from orbit_core.scene import (
     Articulation,
     Box,
@@ -33,7 +33,7 @@ from orbit_core.scene import (
 )
 from orbit_core.scene.shapes import Geometry
 from orbit_core.sensors import CameraSensor
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 
 SIZE, FOV = 128, 0.8
 FOCAL = 0.5 * SIZE / math.tan(0.5 * FOV)
@@ -81,11 +81,11 @@ SCREEN = thing("screen", Box((0.01, 0.4, 0.4)), Pose((1.0, 0.5, 0.0)))  # hides 
 @pytest.fixture
 def look() -> Iterator:
     """``look(scene, backend, num_envs)``: the camera of a world; closed after the test."""
-    made: list[SimulatedWorld] = []
+    made: list[World] = []
 
     def make(*things: ObjectSpec, backend: str = "mujoco", num_envs: int = 2, **settings: object) -> CameraSensor:
         scene = Scene(objects=things, sensors=(camera(**settings),), terrain=())
-        made.append(SimulatedWorld(scene, num_envs, backend))
+        made.append(simulate(scene, num_envs, backend))
         sensor = made[-1].sensors["camera"]
         assert isinstance(sensor, CameraSensor)
         return sensor

@@ -49,11 +49,11 @@ _PROGRAM = """
 import theirs
 from orbit_core.assets.objects import box
 from orbit_core.scene import Pose, Scene
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 
 crate = box("crate", size=(0.1, 0.1, 0.1), pose=Pose((0.0, 0.0, 0.7)))
 spec = theirs.{spec}(name="it", entity="crate", frame="crate")
-world = SimulatedWorld(Scene(objects=(crate,), sensors=(spec,)), 2, "mujoco")
+world = simulate(Scene(objects=(crate,), sensors=(spec,)), 2, "mujoco")
 sensor = world.sensors["it"]
 print(type(sensor).__name__, getattr(sensor, "height", None))
 """

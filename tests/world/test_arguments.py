@@ -13,9 +13,17 @@ from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import box
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.dynamics.random import RandomStreams
-from orbit_core.interfaces import ArgumentError, ClosedError, ConfigurationError, NonFiniteError, OrbitError, ShapeError
+from orbit_core.interfaces import (
+    ArgumentError,
+    ClosedError,
+    ConfigurationError,
+    NonFiniteError,
+    OrbitError,
+    ShapeError,
+    World,
+)
 from orbit_core.scene import CameraSpec, JointSensorSpec, MarkerSpec, Pose, Scene
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 
 N = 3
 CUBE = box("cube", size=(0.1, 0.1, 0.1), mass=0.5, pose=Pose((0.6, 0.0, 0.05)))
@@ -29,8 +37,8 @@ POSE = torch.tensor([0.5, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0])
 
 
 @pytest.fixture(scope="module")
-def world() -> Iterator[SimulatedWorld]:
-    world = SimulatedWorld(SCENE, N, default_backend())
+def world() -> Iterator[World]:
+    world = simulate(SCENE, N, default_backend())
     yield world
     world.close()
 
@@ -51,7 +59,7 @@ BAD_IDS = [
 
 @pytest.mark.parametrize(("env_ids", "error", "message"), BAD_IDS)
 def test_environments_that_are_not_there_are_refused(
-    world: SimulatedWorld, env_ids: Any, error: type[OrbitError], message: str
+    world: World, env_ids: Any, error: type[OrbitError], message: str
 ) -> None:
     before = world.link_poses.clone()
     draws = world.random.save_state()
@@ -73,7 +81,7 @@ def test_environments_that_are_not_there_are_refused(
         assert torch.equal(one, other)
 
 
-def test_indices_that_change_after_they_were_found_good_are_looked_at_anew(world: SimulatedWorld) -> None:
+def test_indices_that_change_after_they_were_found_good_are_looked_at_anew(world: World) -> None:
     env_ids = torch.tensor([1])
     world.reset(env_ids)
     env_ids += 7
@@ -81,7 +89,7 @@ def test_indices_that_change_after_they_were_found_good_are_looked_at_anew(world
         world.reset(env_ids)
 
 
-def test_a_mask_stands_for_its_environments_and_takes_their_rows(world: SimulatedWorld) -> None:
+def test_a_mask_stands_for_its_environments_and_takes_their_rows(world: World) -> None:
     world.reset()
     poses = POSE.repeat(N, 1)
     poses[:, 2] = torch.tensor([torch.nan, 0.7, 0.8])
@@ -101,7 +109,7 @@ def rows(*shape: int) -> torch.Tensor:
     return torch.full((N, *shape), 0.5)
 
 
-Call = Callable[[SimulatedWorld, torch.Tensor], object]
+Call = Callable[[World, torch.Tensor], object]
 VALUES: dict[str, tuple[Call, torch.Tensor, bool]] = {
     "root pose": (lambda w, v: w.objects["cube"].set_root_pose(v), POSE.repeat(N, 1), False),
     "root velocity": (lambda w, v: w.objects["cube"].set_root_velocity(v), rows(6), False),
@@ -123,7 +131,7 @@ VALUES: dict[str, tuple[Call, torch.Tensor, bool]] = {
 
 
 @pytest.mark.parametrize("what", VALUES)
-def test_numbers_that_cannot_be_are_refused_with_the_environment(world: SimulatedWorld, what: str) -> None:
+def test_numbers_that_cannot_be_are_refused_with_the_environment(world: World, what: str) -> None:
     call, good, positive = VALUES[what]
     for number in (torch.nan, torch.inf, -torch.inf):
         with pytest.raises(NonFiniteError, match=f"{what}.* of environment 2 is {number}"):
@@ -146,7 +154,7 @@ def test_numbers_that_cannot_be_are_refused_with_the_environment(world: Simulate
 
 
 @pytest.mark.parametrize("what", VALUES)
-def test_other_dtypes_and_gradients_work(world: SimulatedWorld, what: str) -> None:
+def test_other_dtypes_and_gradients_work(world: World, what: str) -> None:
     call, good, _ = VALUES[what]
     call(world, good.double())
     call(world, good.clone().requires_grad_())
@@ -157,7 +165,7 @@ def test_other_dtypes_and_gradients_work(world: SimulatedWorld, what: str) -> No
 
 
 @pytest.mark.parametrize(("scale", "length"), [(0.0, "0"), (0.5, "0.5")])
-def test_quaternions_have_length_one(world: SimulatedWorld, scale: float, length: str) -> None:
+def test_quaternions_have_length_one(world: World, scale: float, length: str) -> None:
     poses = POSE.repeat(N, 1)
     poses[1, 3:] *= scale
     for call in (world.objects["cube"].set_root_pose, world.markers["goal"].set_pose):
@@ -165,13 +173,13 @@ def test_quaternions_have_length_one(world: SimulatedWorld, scale: float, length
             call(poses)
 
 
-def test_a_moving_link_keeps_a_mass(world: SimulatedWorld) -> None:
+def test_a_moving_link_keeps_a_mass(world: World) -> None:
     with pytest.raises(ArgumentError, match=r"masses of 'cube'.* is 0: give 1e-09 to 1e\+09 kg"):
         world.objects["cube"].set_masses(torch.zeros(N, 1))
 
 
 @pytest.mark.parametrize("joints", [[99], [-1], [0, 0], ["panda_joint1"], [0.5], 3, torch.tensor([0])])
-def test_joints_and_links_are_indices(world: SimulatedWorld, joints: Any) -> None:
+def test_joints_and_links_are_indices(world: World, joints: Any) -> None:
     arm = world.robots["arm"]
     some = torch.zeros(N, 2 if joints == [0, 0] else 1)
     calls: list[Callable[[], object]] = [
@@ -187,7 +195,7 @@ def test_joints_and_links_are_indices(world: SimulatedWorld, joints: Any) -> Non
 
 
 @pytest.mark.parametrize("steps", [0, -1, 1.0, True, None, "1", 10**12])
-def test_steps_are_counted_in_whole_numbers(world: SimulatedWorld, steps: Any) -> None:
+def test_steps_are_counted_in_whole_numbers(world: World, steps: Any) -> None:
     with pytest.raises(ArgumentError, match="steps must be"):
         world.step(steps)
 
@@ -199,8 +207,8 @@ def test_seeds_are_whole_numbers_of_63_bits(seed: Any) -> None:
         streams.seed(seed)
 
 
-def test_the_state_of_another_world_is_refused(world: SimulatedWorld) -> None:
-    other = SimulatedWorld(SCENE, N + 1, default_backend())
+def test_the_state_of_another_world_is_refused(world: World) -> None:
+    other = simulate(SCENE, N + 1, default_backend())
     with pytest.raises(ArgumentError, match="not one that save_state"):
         world.load_state(other.save_state())
     with pytest.raises(ArgumentError, match="not one that save_state"):
@@ -209,7 +217,7 @@ def test_the_state_of_another_world_is_refused(world: SimulatedWorld) -> None:
 
 
 def test_a_closed_world_says_so_at_every_use() -> None:
-    world = SimulatedWorld(SCENE, 1, default_backend())
+    world = simulate(SCENE, 1, default_backend())
     cube, arm, marker, sensor = (
         world.objects["cube"],
         world.robots["arm"],
@@ -242,21 +250,21 @@ def test_a_closed_world_says_so_at_every_use() -> None:
 
 def test_worlds_beyond_memory_say_how_many_fit() -> None:
     with pytest.raises(ConfigurationError, match=r"2000000000 environments take .* GiB or more, .* at most \d+ fit"):
-        SimulatedWorld(SCENE, 2_000_000_000, default_backend())
+        simulate(SCENE, 2_000_000_000, default_backend())
     camera = CameraSpec(name="eye", width=20_000, height=20_000)
     with pytest.raises(ConfigurationError, match=r"GiB of it for the cameras' pictures.*\d+ fit.*smaller pictures"):
-        SimulatedWorld(replace(SCENE, sensors=(camera,)), 1000, default_backend())
+        simulate(replace(SCENE, sensors=(camera,)), 1000, default_backend())
 
 
 @pytest.mark.parametrize("device", ["quantum", "cuda:99", 3.5])
 def test_devices_that_are_not_there_are_refused(device: Any) -> None:
     with pytest.raises(ConfigurationError, match=r"device .* cannot be used"):
-        SimulatedWorld(SCENE, 1, default_backend(), device=device)
+        simulate(SCENE, 1, default_backend(), device=device)
 
 
 @pytest.mark.parametrize("backend", backend_names())
 def test_no_environments_are_a_choice_too(backend: str) -> None:
-    world = SimulatedWorld(Scene(objects=(CUBE,)), 2, backend)
+    world = simulate(Scene(objects=(CUBE,)), 2, backend)
     cube, none = world.objects["cube"], torch.tensor([], dtype=torch.int64)
     world.step()
     before = world.link_poses.clone()

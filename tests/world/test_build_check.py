@@ -13,7 +13,7 @@ from orbit_core import backends
 from orbit_core.conformance.bodies import pendulum, scene
 from orbit_core.interfaces import BuildError, BuiltModel, Engine, SceneLayout
 from orbit_core.scene import Joint, JointType, RobotSpec
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 from orbit_core.world.build_check import check_build
 
 JointChange = Callable[[Joint], Joint]
@@ -104,4 +104,4 @@ def test_a_world_that_was_built_wrong_is_not_made(monkeypatch: pytest.MonkeyPatc
     engine.built_model = lambda: (replace(right(engine.layout), masses=np.ones(3) * 77),)
     monkeypatch.setattr(type(plugin), "create_engine", lambda *_: engine)
     with pytest.raises(BuildError, match="77 kg"):
-        SimulatedWorld(scene(limited()), 2, "mujoco")
+        simulate(scene(limited()), 2, "mujoco")

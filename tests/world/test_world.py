@@ -12,7 +12,14 @@ from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import box
 from orbit_core.backends import default_backend
 from orbit_core.dynamics.kinematics import KinematicTree
-from orbit_core.interfaces import AssetError, ConfigurationError, NonFiniteError, ShapeError, UnknownNameError
+from orbit_core.interfaces import (
+    AssetError,
+    ConfigurationError,
+    NonFiniteError,
+    ShapeError,
+    UnknownNameError,
+    World,
+)
 from orbit_core.scene import (
     ContactSensorSpec,
     IdealPd,
@@ -23,19 +30,19 @@ from orbit_core.scene import (
     Scene,
 )
 from orbit_core.sensors import ContactSensor, ImuSensor, JointSensor
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 
 BACKEND = default_backend()
-MakeWorld = Callable[..., SimulatedWorld]
+MakeWorld = Callable[..., World]
 CUBE = box("cube", size=(0.1, 0.1, 0.1), mass=0.5, pose=Pose((0.6, 0.0, 0.05)))
 
 
 @pytest.fixture
 def make_world() -> Iterator[MakeWorld]:
-    made: list[SimulatedWorld] = []
+    made: list[World] = []
 
-    def make(scene: Scene, num_envs: int = 2) -> SimulatedWorld:
-        made.append(SimulatedWorld(scene, num_envs, BACKEND))
+    def make(scene: Scene, num_envs: int = 2) -> World:
+        made.append(simulate(scene, num_envs, BACKEND))
         return made[-1]
 
     yield make

@@ -18,9 +18,8 @@ from orbit_core.conformance.contact import (
     velocities,
 )
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
-from orbit_core.interfaces import Capability
+from orbit_core.interfaces import Capability, World
 from orbit_core.scene import PhysicsMaterial, Pose
-from orbit_core.world import SimulatedWorld
 
 FRICTIONS = (0.3, 0.8)
 RADIUS = 0.05
@@ -30,7 +29,7 @@ def _downhill(angle: float) -> Tensor:
     return torch.tensor([math.cos(angle), 0.0, -math.sin(angle)])
 
 
-def _solids_on_slope(trial: Trial, angle: float, material: PhysicsMaterial) -> SimulatedWorld:
+def _solids_on_slope(trial: Trial, angle: float, material: PhysicsMaterial) -> World:
     solids = standing_solids(material, on_slope(angle, 0.0))
     return trial.world(scene(*solids, terrain=(slope(angle, SMOOTH),)))
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from orbit_core.conformance.bodies import G, scene
 from orbit_core.conformance.contact import SMOOTH_GROUND, block, smooth_material
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
-from orbit_core.interfaces import Capability
+from orbit_core.interfaces import Capability, World
 from orbit_core.scene import (
     Articulation,
     Box,
@@ -25,7 +25,6 @@ from orbit_core.scene import (
     RobotSpec,
     Shape,
 )
-from orbit_core.world import SimulatedWorld
 
 MASS, FRICTION, HALF = 1.0, 0.5, 0.03
 GAP = 0.002
@@ -60,7 +59,7 @@ def gripper(material: PhysicsMaterial, tip: Geometry | None = None) -> RobotSpec
     )  # fmt: skip
 
 
-def _offset(world: SimulatedWorld) -> Tensor:
+def _offset(world: World) -> Tensor:
     """(N,) height of the box above the fingers' middle, in metres."""
     fingers = world.robots["gripper"].link_poses[:, 2:, 2].mean(-1)
     return world.objects["box"].root_pose[:, 2] - fingers
@@ -91,7 +90,7 @@ def _grasp(trial: Trial) -> Mapping[str, float]:
     }
 
 
-def lift(trial: Trial, world: SimulatedWorld) -> None:
+def lift(trial: Trial, world: World) -> None:
     """Raise the hand by :data:`LIFT` within 0.6 s, smoothly."""
     for time in trial.advance(world, 0.6):
         share = time / 0.6
@@ -99,7 +98,7 @@ def lift(trial: Trial, world: SimulatedWorld) -> None:
         world.robots["gripper"].set_position_targets(torch.full((world.num_envs, 1), height), [0])
 
 
-def squeeze(world: SimulatedWorld, loads: Tensor) -> None:
+def squeeze(world: World, loads: Tensor) -> None:
     """Close the fingers with such efforts that the weight is ``loads`` (N,) times what they can hold."""
     force = MASS * G / (2 * FRICTION * loads)
     world.robots["gripper"].set_effort_targets(force[:, None].expand(-1, 2), [1, 2])

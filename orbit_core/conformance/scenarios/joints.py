@@ -13,9 +13,8 @@ import torch
 from orbit_core.conformance.bodies import WEIGHTLESS, pendulum, rotor, scene, slider
 from orbit_core.conformance.reference import FloatArray, PlanarChain, trajectory
 from orbit_core.conformance.scenario import FIRST_ORDER, SINGLE, Metric, Scenario, Trial
-from orbit_core.interfaces import Capability
+from orbit_core.interfaces import Capability, World
 from orbit_core.scene import IdealPd, ImplicitPd, RobotSpec
-from orbit_core.world import SimulatedWorld
 
 _INERTIA, _MASS = 0.5, 2.0
 _MOTOR = (IdealPd(joints=(".*",)),)
@@ -26,12 +25,12 @@ def named(name: str, robot: RobotSpec, x: float = 0.0) -> RobotSpec:
     return replace(robot, name=name, pose=replace(robot.pose, position=(x, 0.0, robot.pose.position[2])))
 
 
-def speeds(world: SimulatedWorld) -> torch.Tensor:
+def speeds(world: World) -> torch.Tensor:
     """(N, robots) velocity of each robot's only joint."""
     return torch.cat([robot.joint_velocities for robot in world.robots.values()], -1).double().cpu()
 
 
-def push(world: SimulatedWorld, efforts: list[list[float]]) -> None:
+def push(world: World, efforts: list[list[float]]) -> None:
     """Efforts (N, robots) on each robot's only joint."""
     given = torch.tensor(efforts, device=world.device)
     for column, robot in enumerate(world.robots.values()):

@@ -11,10 +11,8 @@ from torch import Tensor
 
 from orbit_core.conformance.bodies import WEIGHTLESS, G, ball, cube, rotor, scene
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
-from orbit_core.interfaces import Capability
+from orbit_core.interfaces import Capability, Object, World
 from orbit_core.scene import ImplicitPd, Pose
-from orbit_core.world import SimulatedWorld
-from orbit_core.world.entities import SimulatedObject
 
 _GROUP = "Randomised parameters"
 _ON_ITS_SIDE = Pose((0.0, 0.0, 1.0), (math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0))
@@ -23,10 +21,8 @@ _PLACES = torch.tensor([0, 2, 1])
 """Values are given out of order, so that a mix-up of environments shows."""
 
 
-def _thing(world: SimulatedWorld, name: str) -> SimulatedObject:
-    thing = world.robots.get(name) or world.objects[name]
-    assert isinstance(thing, SimulatedObject)
-    return thing
+def _thing(world: World, name: str) -> Object:
+    return world.robots.get(name) or world.objects[name]
 
 
 def _relative(measured: Tensor, truth: Tensor) -> float:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from orbit_core.conformance.bodies import cube, pendulum, scene
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
-from orbit_core.interfaces import Capability
+from orbit_core.interfaces import Capability, World
 from orbit_core.scene import (
     ContactSensorSpec,
     FrameSensorSpec,
@@ -21,7 +21,6 @@ from orbit_core.scene import (
     SensorSpec,
 )
 from orbit_core.sensors import ContactSensor, FrameSensor, ImuSensor, JointSensor
-from orbit_core.world import SimulatedWorld
 
 _STATE = ("joint_positions", "joint_velocities", "joint_efforts", "link_poses", "link_velocities")
 _STEPS = 4
@@ -36,9 +35,7 @@ def _busy_scene(*sensors: SensorSpec) -> Scene:
     return scene(arm, *cubes, sensors=sensors)
 
 
-def _drive(
-    trial: Trial, world: SimulatedWorld, seconds: float, begin: int = 0, numbers: Sequence[int] | None = None
-) -> None:
+def _drive(trial: Trial, world: World, seconds: float, begin: int = 0, numbers: Sequence[int] | None = None) -> None:
     """Commands that depend on the time and the environment's number alone, or on ``numbers`` in its place."""
     given = range(world.num_envs) if numbers is None else numbers
     factors = torch.tensor([[1.0 + number] for number in given], device=world.device)
@@ -48,7 +45,7 @@ def _drive(
         trial.step(world, _STEPS)
 
 
-def _state(world: SimulatedWorld) -> dict[str, Tensor]:
+def _state(world: World) -> dict[str, Tensor]:
     state = {name: getattr(world.engine, name).clone() for name in _STATE}
     forces = {name: sensor.forces for name, sensor in world.sensors.items() if isinstance(sensor, ContactSensor)}
     return state | {name: force.clone() for name, force in forces.items()}
@@ -126,7 +123,7 @@ _SENSORS = (
 )
 
 
-def _told(world: SimulatedWorld) -> dict[str, Tensor]:
+def _told(world: World) -> dict[str, Tensor]:
     """The state, and all that the sensors tell."""
     touch, frame, imu, joints = (world.sensors[spec.name] for spec in _SENSORS)
     assert isinstance(touch, ContactSensor)

@@ -18,14 +18,13 @@ from orbit_core.conformance.contact import (
     velocities,
 )
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
-from orbit_core.interfaces import Capability
+from orbit_core.interfaces import Capability, World
 from orbit_core.scene import Box, ContactSensorSpec, PhysicsMaterial, Pose, Shape
-from orbit_core.world import SimulatedWorld
 
 _HALF = 0.05
 
 
-def _kinetic_energy(world: SimulatedWorld, mass: float, inertia: float) -> float:
+def _kinetic_energy(world: World, mass: float, inertia: float) -> float:
     """Joule, of all objects of the first environment, each of one mass and one moment of inertia."""
     linear, angular = velocities(world)[0].split(3, dim=-1)
     return float(0.5 * mass * linear.square().sum() + 0.5 * inertia * angular.square().sum())

@@ -13,7 +13,7 @@ from torch import Tensor
 from orbit_core.conformance.bodies import WEIGHTLESS, G, body, cube, pendulum, scene
 from orbit_core.conformance.scenario import SINGLE, Metric, Scenario, Trial
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.interfaces import Capability, Sensor
+from orbit_core.interfaces import Capability, Sensor, World
 from orbit_core.scene import (
     Articulation,
     ForceTorqueSpec,
@@ -33,7 +33,6 @@ from orbit_core.sensors.force_torque import ForceTorqueSensor
 from orbit_core.sensors.frame import FrameSensor
 from orbit_core.sensors.imu import ImuSensor
 from orbit_core.sensors.joint import JointSensor
-from orbit_core.world import SimulatedWorld
 
 _Kind = TypeVar("_Kind", bound=Sensor)
 
@@ -54,7 +53,7 @@ def _spinning_arm() -> RobotSpec:
     return RobotSpec(name="arm", articulation=Articulation("arm", links, joints, frames=frames), fixed_base=True)
 
 
-def _spin(trial: Trial, *sensors: SensorSpec, seconds: float = 0.5) -> SimulatedWorld:
+def _spin(trial: Trial, *sensors: SensorSpec, seconds: float = 0.5) -> World:
     """The arm after half a second at a steady speed, under gravity along its axis."""
     world = trial.world(scene(_spinning_arm(), sensors=sensors, terrain=()), num_envs=2)
     world.robots["arm"].set_joint_state(velocities=torch.full((2, 1), _SPIN, device=world.device))
@@ -63,7 +62,7 @@ def _spin(trial: Trial, *sensors: SensorSpec, seconds: float = 0.5) -> Simulated
     return world
 
 
-def _sensor(world: SimulatedWorld, name: str, kind: type[_Kind]) -> _Kind:
+def _sensor(world: World, name: str, kind: type[_Kind]) -> _Kind:
     sensor = world.sensors[name]
     assert isinstance(sensor, kind)
     return sensor

@@ -15,9 +15,8 @@ from orbit_core.conformance.reference import trajectory
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
 from orbit_core.conformance.scenarios.grasp import gripper
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.interfaces import Capability
+from orbit_core.interfaces import Capability, World
 from orbit_core.scene import Box, ObjectSpec, PhysicsMaterial, Pose, Shape, Sphere, single_link
-from orbit_core.world import SimulatedWorld
 
 # Friction that is asked for ------------------------------------------------------------------------------------------
 
@@ -80,7 +79,7 @@ _LOADS = (0.5, 0.8, 0.95, 1.25, 2.0)
 """Of each environment, the weight's torque over what both fingers resist: ``m g l / (2 mu F)``."""
 
 
-def _held_bar(trial: Trial, torsional: float, forces: tuple[float, ...]) -> SimulatedWorld:
+def _held_bar(trial: Trial, torsional: float, forces: tuple[float, ...]) -> World:
     """A bar along x, gripped at one end along y by two round tips, at rest and level; an environment for each force."""
     material = PhysicsMaterial(1.0, 1.0, torsional, 0.0)
     half = 0.03
@@ -99,7 +98,7 @@ def _held_bar(trial: Trial, torsional: float, forces: tuple[float, ...]) -> Simu
     return world
 
 
-def _dip(world: SimulatedWorld) -> torch.Tensor:
+def _dip(world: World) -> torch.Tensor:
     """(N,) rad that the bar points below the level."""
     ahead = torch.tensor([1.0, 0.0, 0.0], device=world.device).expand(world.num_envs, 3)
     along = quat_rotate(world.objects["bar"].root_pose[:, 3:], ahead)

@@ -12,12 +12,11 @@ from orbit_core.conformance.contact import SMOOTH_GROUND, block, smooth_material
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
 from orbit_core.conformance.scenarios.grasp import FRICTION, HALF, MASS, gripper, lift, squeeze
 from orbit_core.dynamics.transforms import pose_error
-from orbit_core.interfaces import Capability
+from orbit_core.interfaces import Capability, World
 from orbit_core.scene import Pose
-from orbit_core.world import SimulatedWorld
 
 
-def _poses_and_velocities(world: SimulatedWorld) -> tuple[Tensor, Tensor]:
+def _poses_and_velocities(world: World) -> tuple[Tensor, Tensor]:
     """(bodies, 7) and (bodies, 6) of every link of every thing, in double precision."""
     things = [*world.objects.values(), *world.robots.values()]
     poses = torch.cat([thing.link_poses[0] for thing in things])
@@ -25,7 +24,7 @@ def _poses_and_velocities(world: SimulatedWorld) -> tuple[Tensor, Tensor]:
     return poses.double().cpu(), velocities.double().cpu()
 
 
-def _untruth(trial: Trial, world: SimulatedWorld, steps: int) -> float:
+def _untruth(trial: Trial, world: World, steps: int) -> float:
     """Largest distance of a velocity told, the mean of a step's begin and end, from how far a link moved in the step.
 
     In m/s, and rad/s, whichever is more.

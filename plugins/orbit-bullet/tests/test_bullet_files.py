@@ -27,7 +27,7 @@ from orbit_core.scene import (
     RobotSpec,
     Scene,
 )
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 
 
 def robot_layout(spec: RobotSpec) -> SceneLayout:
@@ -57,7 +57,7 @@ def test_robots_stand_as_described(file: str) -> None:
     """Poses, masses, centres of mass, inertias and limits: a world of another is refused when it is made."""
     articulation = load_articulation(sources.model_folder("example-robot-data") / "robots" / file)
     spec = RobotSpec(name="robot", articulation=articulation, fixed_base=True)
-    SimulatedWorld(Scene(robots=(spec,), terrain=()), num_envs=1, backend="bullet").close()
+    simulate(Scene(robots=(spec,), terrain=()), num_envs=1, backend="bullet").close()
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_a_number_that_bullet_reads_otherwise_is_found(
     swing = Joint("swing", JointType.REVOLUTE, "base", "rod", lower_limit=-1.0, upper_limit=2.0, axis=(0.0, 0.0, 1.0))
     spec = RobotSpec(name="robot", articulation=Articulation("robot", (Link("base"), rod), (swing,)), fixed_base=True)
     with pytest.raises(BuildError, match=message):
-        SimulatedWorld(Scene(robots=(spec,), terrain=()), num_envs=1, backend="bullet")
+        simulate(Scene(robots=(spec,), terrain=()), num_envs=1, backend="bullet")
 
 
 def test_armatures_are_read_back_from_the_wheels(tmp_path: Path) -> None:

@@ -11,8 +11,9 @@ import torch
 from orbit_core.assets.catalogue import robot
 from orbit_core.backends import backend_names
 from orbit_core.conformance.bodies import WEIGHTLESS, rotor, scene
+from orbit_core.interfaces import World
 from orbit_core.scene import ImplicitPd, Scene
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 
 STEP, INERTIA = 0.005, 0.5
 BACKENDS = [name for name in ("mujoco", "warp") if name in backend_names()]
@@ -23,13 +24,13 @@ def gains(frequency: float, ratio: float) -> tuple[float, float]:
     return INERTIA * (frequency / STEP) ** 2, 2 * ratio * INERTIA * frequency / STEP
 
 
-def world_of(stiffness: float, damping: float, backend: str, num_envs: int = 1, **settings: object) -> SimulatedWorld:
+def world_of(stiffness: float, damping: float, backend: str, num_envs: int = 1, **settings: object) -> World:
     drive = ImplicitPd(joints=(".*",), stiffness=stiffness, damping=damping)
     spec = rotor(inertia=INERTIA, actuators=(drive,))
-    return SimulatedWorld(scene(spec, gravity=WEIGHTLESS, terrain=()), num_envs, backend, settings=settings)
+    return simulate(scene(spec, gravity=WEIGHTLESS, terrain=()), num_envs, backend, settings=settings)
 
 
-def positions_of(world: SimulatedWorld, steps: int) -> torch.Tensor:
+def positions_of(world: World, steps: int) -> torch.Tensor:
     """(steps, N) of the joint on its way to one."""
     (rotor,) = world.robots.values()
     rotor.set_position_targets(torch.ones(world.num_envs, 1))
@@ -88,7 +89,7 @@ def test_a_stiff_arm_comes_to_rest(backend: str) -> None:
     """Seven drives of 3 to 30 radians per step that share one mass matrix, without effort limits."""
     arm = robot("franka_panda")
     drive = ImplicitPd(joints=("panda_joint[1-7]",), stiffness=1e5, damping=50.0, effort_limit=1e9)
-    world = SimulatedWorld(Scene(robots=(replace(arm, actuators=(drive,)),), terrain=()), 1, backend)
+    world = simulate(Scene(robots=(replace(arm, actuators=(drive,)),), terrain=()), 1, backend)
     (panda,) = world.robots.values()
     targets = panda.joint_positions.clone()
     targets[:, :7] += torch.tensor([0.3, -0.2, 0.25, 0.3, -0.3, 0.2, 0.4])

@@ -35,7 +35,7 @@ from orbit_core.scene import (
     Scene,
     Shape,
 )
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.geometry import height_field_triangles
 from orbit_sapien.isolation import color, grid_offset
@@ -179,7 +179,7 @@ def sagging_chain() -> RobotSpec:
 def test_a_stiff_drive_sags_as_much_as_its_declaration_says() -> None:
     for iterations, expected in ((24, 1.42), (48, 1.20)):
         scene = Scene(robots=(sagging_chain(),), physics_dt=0.005)
-        world = SimulatedWorld(scene, 1, "sapien", {"position_iterations": iterations})
+        world = simulate(scene, 1, "sapien", {"position_iterations": iterations})
         world.step(600)
         sag = world.robots["chain"].joint_positions[0, 0].item()
         assert 1e3 * sag == pytest.approx(expected, abs=0.05), "declared in capabilities.py and README.md"

@@ -9,7 +9,7 @@ import torch
 
 from orbit_core.assets.objects import box
 from orbit_core.scene import Plane, Pose, Scene, Shape
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 from orbit_sapien.motion import moved_velocities
 
 _DT = 0.005
@@ -22,7 +22,7 @@ def test_a_loaded_body_moves_as_its_velocity_tells(masses: tuple[float, ...]) ->
         box(f"box{number}", size=(0.1, 0.1, 0.1), mass=mass, pose=Pose((0.0, 0.0, 0.05 + 0.1 * number)))
         for number, mass in enumerate(masses)
     )
-    world = SimulatedWorld(Scene(objects=boxes, terrain=(Shape(Plane()),), physics_dt=_DT), 1, "sapien")
+    world = simulate(Scene(objects=boxes, terrain=(Shape(Plane()),), physics_dt=_DT), 1, "sapien")
     world.step(200)
     for _ in range(50):
         before = world.link_poses[..., :3].clone()

@@ -30,7 +30,7 @@ from orbit_core.scene import (
     Sphere,
     look_at,
 )
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 from orbit_sapien.native import sapien
 from orbit_sapien.renderer_shapes import shaded
 
@@ -74,7 +74,7 @@ def test_markers_are_in_colour_alone_and_only_when_asked() -> None:
 def test_a_world_of_another_backend_is_drawn() -> None:
     if "mujoco" not in backends.backend_names():
         pytest.skip("no other backend is installed")
-    world = SimulatedWorld(scene(), 2, "mujoco", renderer="sapien-fast")
+    world = simulate(scene(), 2, "mujoco", renderer="sapien-fast")
     world.step(10)
     renderer = world.create_renderer((CAMERA,))
     image = renderer.render(CAMERA, EYE.expand(2, 7), world.link_poses, (Channel.INSTANCE,))
@@ -120,7 +120,7 @@ def test_a_renderers_settings_reach_it_and_no_others_do() -> None:
 
     def noise(samples: int) -> float:
         settings = {"samples_per_pixel": samples}
-        world = SimulatedWorld(scene(), 1, "sapien", renderer="sapien-rt", renderer_settings=settings)
+        world = simulate(scene(), 1, "sapien", renderer="sapien-rt", renderer_settings=settings)
         image = world.renderer.render(CAMERA, EYE, world.link_poses, (Channel.RGB,))
         world.close()
         ground = image.rgb[0, -8:].float()
@@ -130,15 +130,15 @@ def test_a_renderers_settings_reach_it_and_no_others_do() -> None:
     foreign = (("sapien-fast", "samples_per_pixel"), ("sapien-rt", "shadow_size"), ("sapien-rt", "workers"))
     for renderer, wrong in foreign:
         with pytest.raises(UnknownNameError, match=f"unknown setting '{wrong}' in backend '{renderer}'"):
-            SimulatedWorld(scene(), 1, "sapien", renderer=renderer, renderer_settings={wrong: 1})
+            simulate(scene(), 1, "sapien", renderer=renderer, renderer_settings={wrong: 1})
     with pytest.raises(ConfigurationError, match="denoiser 'magic'"):
-        SimulatedWorld(scene(), 1, "sapien", renderer_settings={"denoiser": "magic"})
+        simulate(scene(), 1, "sapien", renderer_settings={"denoiser": "magic"})
 
 
 def test_a_denoiser_without_a_gpu_is_refused() -> None:
     if sapien.render.RenderSystem().device.is_cuda():
         pytest.skip("this machine draws on an NVIDIA GPU")
-    world = SimulatedWorld(scene(), 1, "sapien", renderer="sapien-rt", renderer_settings={"denoiser": "oidn"})
+    world = simulate(scene(), 1, "sapien", renderer="sapien-rt", renderer_settings={"denoiser": "oidn"})
     with pytest.raises(ConfigurationError, match="denoiser 'oidn' needs an NVIDIA GPU"):
         world.create_renderer((CAMERA,))
     world.close()

@@ -10,7 +10,7 @@ import torch
 
 from orbit_core.conformance.bodies import WEIGHTLESS, body, scene
 from orbit_core.scene import Articulation, IdealPd, Joint, JointType, Mimic, RobotSpec
-from orbit_core.world import SimulatedWorld
+from orbit_core.world import simulate
 
 _INERTIAS = (0.1, 0.05, 0.2)
 
@@ -28,7 +28,7 @@ def _chain(multiplier: float, second_axis: tuple[float, float, float] = (0.0, 0.
 @pytest.mark.parametrize("multiplier", [-2.0, 0.5])
 def test_a_joint_between_feels_only_inertia(multiplier: float) -> None:
     """``P^T M P a = P^T tau`` with the coupling ``q = P (q0, q1)``; 2 %, for the coupling is a spring."""
-    world = SimulatedWorld(scene(_chain(multiplier), gravity=WEIGHTLESS, terrain=()), 1, "sapien")
+    world = simulate(scene(_chain(multiplier), gravity=WEIGHTLESS, terrain=()), 1, "sapien")
     robot = world.robots["chain"]
     robot.set_effort_targets(torch.tensor([[1.0, 0.0, 0.0]]))
     world.step(40)
@@ -43,6 +43,6 @@ def test_a_joint_between_feels_only_inertia(multiplier: float) -> None:
 
 def test_a_chain_that_no_tendon_follows_is_reported() -> None:
     for axis, lines in (((0.0, 0.0, 1.0), 0), ((1.0, 0.0, 0.0), 1)):
-        world = SimulatedWorld(scene(_chain(1.0, axis), terrain=()), 1, "sapien")
+        world = simulate(scene(_chain(1.0, axis), terrain=()), 1, "sapien")
         assert len([line for line in world.build_report if "leader alone" in line.asked]) == lines
         world.close()

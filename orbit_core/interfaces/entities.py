@@ -1,0 +1,253 @@
+"""What a world holds: robots, objects, deformables and markers, simulated, recorded or real."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+from torch import Tensor
+
+from orbit_core.interfaces.errors import UnsupportedCapabilityError
+from orbit_core.scene import Cloth, Entity, Joint, MarkerSpec, RobotSpec, SoftBody
+
+
+class Object(ABC):
+    """An articulation in N environments; a rigid object is one with a single link.
+
+    Poses are (..., 7): position, quaternion (w, x, y, z); velocities (..., 6): linear of the frame's origin, then
+    angular, world axes. Tensors read are valid until the next step or write: clone what you keep.
+    """
+
+    name: str
+    link_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+
+    @property
+    @abstractmethod
+    def spec(self) -> Entity:
+        """What it was made from."""
+
+    # Reading
+
+    @property
+    @abstractmethod
+    def root_pose(self) -> Tensor:
+        """(N, 7)"""
+
+    @property
+    @abstractmethod
+    def root_velocity(self) -> Tensor:
+        """(N, 6)"""
+
+    @property
+    @abstractmethod
+    def link_poses(self) -> Tensor:
+        """(N, links, 7)"""
+
+    @property
+    @abstractmethod
+    def link_velocities(self) -> Tensor:
+        """(N, links, 6)"""
+
+    @property
+    @abstractmethod
+    def joint_positions(self) -> Tensor:
+        """(N, joints)"""
+
+    @property
+    @abstractmethod
+    def joint_velocities(self) -> Tensor:
+        """(N, joints)"""
+
+    @property
+    @abstractmethod
+    def joint_efforts(self) -> Tensor:
+        """(N, joints) applied in the last physics step."""
+
+    @abstractmethod
+    def frame_pose(self, name: str) -> Tensor:
+        """(N, 7) of a link or named frame."""
+
+    @abstractmethod
+    def frame_velocity(self, name: str) -> Tensor:
+        """(N, 6) of a link or named frame."""
+
+    @abstractmethod
+    def jacobian(self, frame: str, joints: Sequence[int] | None = None) -> Tensor:
+        """(N, 6, k) geometric Jacobian of a link or named frame: linear, angular; world axes; columns are joints."""
+
+    # Looking up
+
+    @abstractmethod
+    def find_joints(self, *patterns: str) -> list[int]:
+        """Indices of the joints whose names a regular expression matches in full, in joint order."""
+
+    @abstractmethod
+    def find_links(self, *patterns: str) -> list[int]:
+        """Indices of the links whose names a regular expression matches in full, in link order."""
+
+    @property
+    @abstractmethod
+    def joints(self) -> tuple[Joint, ...]:
+        """The movable joints' descriptions."""
+
+    @property
+    @abstractmethod
+    def home_positions(self) -> Tensor:
+        """(joints,) positions at reset."""
+
+    @property
+    @abstractmethod
+    def position_limits(self) -> Tensor:
+        """(joints, 2) lower, upper."""
+
+    # Writing state
+
+    @abstractmethod
+    def set_root_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
+        """(n, 7)"""
+
+    @abstractmethod
+    def set_root_velocity(self, velocity: Tensor, env_ids: Tensor | None = None) -> None:
+        """(n, 6)"""
+
+    @abstractmethod
+    def set_joint_state(
+        self,
+        positions: Tensor | None = None,
+        velocities: Tensor | None = None,
+        joints: Sequence[int] | None = None,
+        env_ids: Tensor | None = None,
+    ) -> None:
+        """(n, k) each; position targets follow the positions."""
+
+    # Parameters per environment; they outlast resets. Only what is simulated has them.
+
+    @cached_property
+    def nominal_masses(self) -> Tensor:
+        """(N, links) in kg, of the scene; what :meth:`set_masses` sets does not change them.
+
+        Raises:
+            UnsupportedCapabilityError: as all parameters do where there are none to set.
+        """
+        raise self._unsupported("nominal masses")
+
+    @cached_property
+    def nominal_gains(self) -> Mapping[int, tuple[float, float]]:
+        """Stiffness and damping in the scene, by joint, of those that have an actuator."""
+        raise self._unsupported("nominal gains")
+
+    def set_masses(self, masses: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
+        """Masses (n, k) in kg of some links; inertias scale with them."""
+        raise self._unsupported("masses to set")
+
+    def set_centers_of_mass(
+        self, centers: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None
+    ) -> None:
+        """Centres of mass (n, k, 3) of some links, in their own frames."""
+        raise self._unsupported("centres of mass to set")
+
+    def set_friction(
+        self, coefficients: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None
+    ) -> None:
+        """Friction (n, k), static and dynamic alike, of all shapes of some links."""
+        raise self._unsupported("friction to set")
+
+    def set_wrenches(self, wrenches: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
+        """Force at the centre of mass and torque, (n, k, 6), world axes, on some links until set again or reset."""
+        raise self._unsupported("wrenches to set")
+
+    def set_gains(
+        self, stiffness: Tensor, damping: Tensor, joints: Sequence[int] | None = None, env_ids: Tensor | None = None
+    ) -> None:
+        """Stiffness and damping (n, k) of the actuators of some joints, implicit and explicit alike."""
+        raise self._unsupported("gains to set")
+
+    def _unsupported(self, what: str) -> UnsupportedCapabilityError:
+        return UnsupportedCapabilityError(f"'{self.name}' has no {what}: {type(self).__name__} provides none")
+
+
+class Robot(Object):
+    """An articulation with actuator groups that take commands."""
+
+    @property
+    @abstractmethod
+    def spec(self) -> RobotSpec:
+        """What it was made from."""
+
+    @abstractmethod
+    def set_position_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
+        """(N, k) rad or m."""
+
+    @abstractmethod
+    def set_velocity_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
+        """(N, k) rad/s or m/s."""
+
+    @abstractmethod
+    def set_effort_targets(self, efforts: Tensor, joints: Sequence[int] | None = None) -> None:
+        """(N, k) N m or N, added to the actuators' PD law."""
+
+
+class Deformable(ABC):
+    """Cloth or a soft body in N environments: P particles, one at each vertex of its mesh.
+
+    Tensors read are valid until the next step or write: clone what you keep.
+    """
+
+    spec: Cloth | SoftBody
+
+    @property
+    @abstractmethod
+    def positions(self) -> Tensor:
+        """(N, P, 3) in m, in the environment's world frame."""
+
+    @property
+    @abstractmethod
+    def velocities(self) -> Tensor:
+        """(N, P, 3) in m/s."""
+
+    @abstractmethod
+    def set_state(self, positions: Tensor, velocities: Tensor | None = None, env_ids: Tensor | None = None) -> None:
+        """Put the particles (n, P, 3) somewhere, at rest if no velocities (n, P, 3) are given.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot set velocities of particles, or particles at all.
+        """
+
+    @abstractmethod
+    def anchor(self, points: Sequence[int], to: tuple[str, str] | None = None, env_ids: Tensor | None = None) -> None:
+        """Hold particles where they now are, until released; resets keep them held, from the initial state on.
+
+        Args:
+            points: indices of particles.
+            to: names of a robot or an object and of its link, which then carries them; the world if None.
+            env_ids: indices (n,) or a mask (N,) bool; all environments if None.
+
+        Raises:
+            UnknownNameError: no such robot, object or link.
+            UnsupportedCapabilityError: the engine holds no particles.
+        """
+
+    @abstractmethod
+    def release(self, points: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
+        """Let particles go that :meth:`anchor` holds, all of them if ``points`` is None; others are left alone.
+
+        Raises:
+            UnsupportedCapabilityError: the engine holds no particles.
+        """
+
+
+class Marker(ABC):
+    """Something drawn for people, with no physics."""
+
+    spec: MarkerSpec
+
+    @property
+    @abstractmethod
+    def pose(self) -> Tensor:
+        """(N, 7)"""
+
+    @abstractmethod
+    def set_pose(self, pose: Tensor, env_ids: Tensor | None = None) -> None:
+        """(n, 7)"""
