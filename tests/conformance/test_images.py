@@ -14,12 +14,14 @@ from orbit_core import backends
 from orbit_core.dynamics.transforms import pose_inverse, transform_points
 from orbit_core.interfaces import BACKGROUND, TERRAIN, Backend, Capability, Image, Renderer, SceneLayout
 from orbit_core.scene import (
+    AmbientLight,
     Articulation,
     Box,
     CameraSpec,
     Capsule,
     Channel,
     Cylinder,
+    DirectionalLight,
     HeightField,
     Link,
     MarkerShape,
@@ -311,3 +313,30 @@ def test_albedo_is_the_shapes_own_colour_in_light_and_shade(draw):
     assert set(nearest.indices[links == TERRAIN].tolist()) == {2}
     assert (image.albedo[0][~seen] == 0).all()
     assert (image.rgb[0][links == 0].float().std(0) > 5.0).any(), "the light on the same pixels does vary"
+
+
+def test_lights_add_up_and_only_darken_where_there_is_a_shadow(backend, device):
+    """A level lid above the ground: its top, and the ground in its shade and beside it, from straight above."""
+    for need in (Capability.LIGHTING, Capability.SHADOWS):
+        if not backend.capabilities().has(need):
+            pytest.skip(f"{backend.name}: {backend.capabilities()[need].reason}")
+    camera = eye((0, 0, 4.0), (0, 1e-4, 0), width=48, height=48, vertical_fov=0.8)
+    lid = entity("lid", (Shape(Box((0.3, 0.3, 0.05)), color=(0.5, 0.4, 0.2, 1.0)),))
+    sun, lamp = DirectionalLight((0.0, 1.0, -1.0), (1.0, 0.5, 0.5), 0.5), DirectionalLight((0, 0, -1), intensity=0.2)
+    lights = (AmbientLight((0.1, 0.2, 0.3)), sun, replace(lamp, shadows=False))
+    layout = SceneLayout.of(Scene(objects=(lid,), terrain=(GROUND,), sensors=(camera,), lights=lights))
+    renderer = backend.create_renderer(layout, (camera,), backends.backend_config(backend))
+    links = poses(Pose((0, 0, 0.65)))[None].to(device)
+    rgb = renderer.render(camera, poses(camera.pose).to(device), links, (Channel.RGB,)).rgb[0].cpu().float()
+    renderer.close()
+    pixel = 2 * np.tan(0.4) * 4.0 / 48  # metres on the ground
+    around, straight = torch.tensor((0.1, 0.2, 0.3)), 0.2 * torch.tensor(lamp.color)
+    slanted = 0.5 * np.sqrt(0.5) * torch.tensor(sun.color)
+    ground = 255 * torch.tensor(GROUND.color[:3])
+    top = 255 * torch.tensor((0.5, 0.4, 0.2))
+    torch.testing.assert_close(rgb[24, 24], top * (around + straight + slanted), atol=2.0, rtol=0)
+    torch.testing.assert_close(rgb[44, 24], ground * (around + straight + slanted), atol=2.0, rtol=0)
+    # The upper edge of the lid's farther side, 0.7 m above the ground, has its shadow at y = 0.3 + 0.7.
+    edge = int(24 - 1.0 / pixel)  # the row that it falls in; y is largest in the uppermost
+    torch.testing.assert_close(rgb[edge + 1, 24], ground * (around + straight), atol=2.0, rtol=0)
+    torch.testing.assert_close(rgb[edge - 1, 24], ground * (around + straight + slanted), atol=2.0, rtol=0)

@@ -29,7 +29,7 @@ _REACH = 3.0
 """Metres around the middle beyond which all is lit."""
 _SLACK = 0.002
 """Metres that a surface may lie behind what the light reaches, besides what its slant over half a square comes to."""
-_GRAZING = 0.2
+_GRAZING = 0.05
 """Cosine between surface and light, the least that the slack is reckoned with."""
 
 

@@ -31,11 +31,13 @@ from orbit_mujoco.config import MujocoConfig
 from orbit_mujoco.renderer_context import create_context
 from orbit_mujoco.renderer_markers import MAX_GEOMS, add_markers
 from orbit_mujoco.renderer_model import build_model, quaternion_matrix, shape_count
-from orbit_mujoco.renderer_rays import HIDDEN_GROUP, trace
+from orbit_mujoco.renderer_rays import HIDDEN_GROUP, sky_colors, trace
 
 _COLOR_FLAGS = (mujoco.mjtRndFlag.mjRND_SKYBOX, mujoco.mjtRndFlag.mjRND_CULL_FACE)
 _ID_FLAGS = (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR, mujoco.mjtRndFlag.mjRND_CULL_FACE)
 _LIGHT_DISTANCE = 6.0
+_SKY = 2.0
+"""Of the farthest camera's range, where colours are drawn up to: the cube of the sky then hides nothing in range."""
 
 _Array = npt.NDArray[Any]
 _open_renderers: weakref.WeakSet[MujocoRenderer] = weakref.WeakSet()
@@ -63,7 +65,7 @@ class MujocoRenderer(Renderer):
         self._size = (max((c.width for c in cameras), default=1), max((c.height for c in cameras), default=1))
         self._far = max((camera.far for camera in cameras), default=1.0)
         self._shadows = config.shadow_size > 0
-        self._model = build_model(layout, self._size, self._far, max(config.shadow_size, 1), config.antialiasing)
+        self._model = build_model(layout, self._size, _SKY * self._far, max(config.shadow_size, 1), config.antialiasing)
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
         bodies = self._model.geom_bodyid
@@ -150,12 +152,12 @@ class MujocoRenderer(Renderer):
         colors, heights = self._canvas(camera, len(cameras))
         for i, pose in enumerate(cameras):
             self._place(links[i], kinds[i])
-            self._aim(camera, pose)
+            self._aim(camera, pose, camera.far)
             self._draw(camera, _ID_FLAGS, colors[i], heights[i])
         # An id is spread over the three colours; OpenGL's rows count from below.
         codes = colors[:, ::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
         geoms = [self._geoms_of_codes[kind][code] for kind, code in zip(kinds, codes, strict=True)]
-        return _metric_depth(heights, camera), *self._looks(np.array(geoms).reshape(codes.shape))
+        return _metric_depth(heights, camera, camera.far), *self._looks(np.array(geoms).reshape(codes.shape))
 
     def _looks(self, geoms: _Array) -> tuple[_Array, _Array]:
         """Links and albedo of geoms (n, H, W) that count from one."""
@@ -168,11 +170,15 @@ class MujocoRenderer(Renderer):
         colors, heights = self._canvas(camera, len(cameras))
         for i, pose in enumerate(cameras):
             self._place(links[i], kinds[i])
-            self._aim(camera, pose)
+            self._aim(camera, pose, _SKY * self._far)
             if markers is not None:
                 add_markers(self._scene, self._layout.scene.markers, markers[i])
             self._draw(camera, flags, colors[i], heights[i])
-        return np.ascontiguousarray(colors[:, ::-1]), _metric_depth(heights, camera)
+        depth = _metric_depth(heights, camera, _SKY * self._far)
+        colors = np.ascontiguousarray(colors[:, ::-1])
+        for picture, beyond, pose in zip(colors, np.isinf(depth[..., 0]), cameras, strict=True):
+            picture[beyond] = sky_colors(self._layout.scene.sky, camera, pose, beyond)
+        return colors, depth
 
     # One environment -------------------------------------------------------------------------------------------------
 
@@ -185,13 +191,13 @@ class MujocoRenderer(Renderer):
     def _show(self, kind: int) -> None:
         self._model.geom_group = np.where(self._shown[kind], 0, HIDDEN_GROUP)
 
-    def _aim(self, camera: CameraSpec, pose: _Array) -> None:
+    def _aim(self, camera: CameraSpec, pose: _Array, far: float) -> None:
         self._update_scene()
         rotation = quaternion_matrix(pose[3:])
         top = camera.near * math.tan(0.5 * camera.vertical_fov)
         for eye in self._scene.camera:
             eye.pos, eye.forward, eye.up = pose[:3], -rotation[:, 2], rotation[:, 1]
-            eye.frustum_near, eye.frustum_far, eye.frustum_center = camera.near, camera.far, 0.0
+            eye.frustum_near, eye.frustum_far, eye.frustum_center = camera.near, far, 0.0
             eye.frustum_top, eye.frustum_bottom = top, -top
             eye.frustum_width = top * camera.width / camera.height
         # Shadows reach around a light's axis: point it at the middle of what moves.
@@ -238,11 +244,12 @@ class MujocoRenderer(Renderer):
             )
 
 
-def _metric_depth(heights: _Array, camera: CameraSpec) -> _Array:
-    """Metres (n, H, W, 1) from OpenGL's reversed depth: 1 at the near plane, 0 at the far plane and beyond it."""
-    near, far = np.float32(camera.near), np.float32(camera.far)
+def _metric_depth(heights: _Array, camera: CameraSpec, drawn: float) -> _Array:
+    """Metres (n, H, W, 1) from OpenGL's reversed depth: 1 at the near plane, 0 at ``drawn`` and beyond it."""
+    near, far = np.float32(camera.near), np.float32(drawn)
     heights = heights[:, ::-1, :, None]
-    return np.where(heights > 0.0, near * far / (near + heights * (far - near)), np.float32(np.inf))
+    depth = near * far / (near + heights * (far - near))
+    return np.where((heights > 0.0) & (depth <= camera.far), depth, np.float32(np.inf))
 
 
 def _numpy(poses: Tensor) -> npt.NDArray[np.float64]:

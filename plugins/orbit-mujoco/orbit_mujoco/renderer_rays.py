@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.scene import CameraSpec
+from orbit_core.scene import CameraSpec, Sky
 from orbit_mujoco.renderer_model import quaternion_matrix
 
 _Array = npt.NDArray[Any]
@@ -59,6 +59,16 @@ def trace(
     depth[...] = np.where(nothing, np.inf, z).reshape(depth.shape)
     normals[...] = np.where(nothing[:, None], 0.0, hit_normals).reshape(normals.shape)
     geoms[...] = np.where(nothing, -1, hit_geoms).reshape(geoms.shape)
+
+
+def sky_colors(
+    sky: Sky, camera: CameraSpec, pose: npt.NDArray[np.float64], where: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.uint8]:
+    """(P, 3) what the camera sees of the sky at its pixels ``where`` (H, W)."""
+    rays = _pixel_rays(camera.width, camera.height, camera.vertical_fov)[where.ravel()]
+    height = (rays @ quaternion_matrix(pose[3:])[2]) / np.linalg.norm(rays, axis=-1)
+    above, below = np.asarray(sky.above), np.asarray(sky.below)
+    return (255.0 * (below + 0.5 * (1.0 + height[:, None]) * (above - below)) + 0.5).astype(np.uint8)
 
 
 @lru_cache(maxsize=16)

@@ -84,6 +84,17 @@ def test_depth_is_the_same_with_and_without_colour(make, settings):
     torch.testing.assert_close(alone.depth, together.depth)
 
 
+def test_the_sky_hides_nothing_within_range_and_is_infinitely_far_with_colour_too(make):
+    level = CameraSpec(name="level", width=64, height=48, pose=look_at((0.0, 0, 1.0), (1.0, 0, 1.0)), far=4.0)
+    pose = torch.tensor([(*level.pose.position, *level.pose.orientation)])
+    renderer = MujocoRenderer(SceneLayout.of(scene()), (level,), MujocoConfig())
+    images = [renderer.render(level, pose, HERE, what) for what in ((Channel.DEPTH,), (Channel.DEPTH, Channel.RGB))]
+    renderer.close()
+    assert images[0].depth.isinf().any()
+    assert images[0].depth[images[0].depth.isfinite()].max() > 3.5
+    torch.testing.assert_close(images[1].depth, images[0].depth, atol=1e-3, rtol=1e-3)
+
+
 def test_rays_and_rasteriser_agree(make):
     renderer = make(scene())
     cast = renderer.render(CAMERA, CAMERA_POSE, HERE, (Channel.DEPTH, Channel.INSTANCE, Channel.NORMALS))
