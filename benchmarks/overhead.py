@@ -67,7 +67,7 @@ def _print(figures: list[Throughput], title: str) -> None:
     for f in figures:
         rate = f"{f.env_steps_per_second:,.0f}"
         if f.raw is None:
-            table.add_row(f"{f.num_envs:,}", "", "", rate, "", "no module raw")
+            table.add_row(f"{f.num_envs:,}", "", "", rate, "", "no native baseline")
             continue
         quartiles = f"{f.raw.ratio_quartiles[0]:.3f} to {f.raw.ratio_quartiles[1]:.3f}"
         table.add_row(

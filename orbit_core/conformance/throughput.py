@@ -4,8 +4,8 @@ The environment takes random actions and does all that it does in learning: acti
 observations, rewards, terminations, resets (episodes are staggered, so that some end in most blocks). After each block
 of its steps, the raw stepper starts from the state that the block began in and takes the very commands that the
 environment gave, so that both simulate the same motions and contacts; every way of stepping that the backend's package
-offers in its module ``raw`` is tried, and the fastest is the yardstick. Blocks alternate, and the median of their
-ratios counts. A package without that module is measured alone.
+offers in its module ``native_baseline`` is tried, and the fastest is the yardstick. Blocks alternate, and the median of
+their ratios counts. A package without that module is measured alone.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Throughput:
     milliseconds_per_step: float
     """Of all environments together."""
     raw: RawRate | None
-    """None where the backend's package has no module ``raw``."""
+    """None where the backend's package has no module ``native_baseline``."""
     parts_milliseconds: dict[str, float]
     """Own time of each part in one step, by a stopwatch that itself costs some microseconds."""
     picture_milliseconds: float | None
@@ -193,8 +193,8 @@ def _raw_rate(num_envs: int, blocks: list[dict[str, float]]) -> RawRate:
 
 
 def _raw_steppers(environment: Environment) -> dict[str, Any]:
-    """The ways of stepping in the module ``raw`` of the backend's package, by name; empty if there is none."""
-    name = f"{type(find_backend(environment.world.backend)).__module__.partition('.')[0]}.raw"
+    """The ways of stepping in the module ``native_baseline`` of the backend's package, by name; empty without it."""
+    name = f"{type(find_backend(environment.world.backend)).__module__.partition('.')[0]}.native_baseline"
     if importlib.util.find_spec(name) is None:
         return {}
     return importlib.import_module(name).raw_steppers(environment.world.engine)

@@ -16,15 +16,14 @@ from orbit_bullet.deformables import Deformables
 from orbit_bullet.gyroscopic import Gyroscopes
 from orbit_bullet.library import Client, refusals, silence
 from orbit_bullet.loads import Loads
-from orbit_bullet.materials import PairProducts, nominal, rolling_friction
 from orbit_bullet.rays import cast_rays
 from orbit_bullet.readback import read_model
 from orbit_bullet.readings import Readings
 from orbit_bullet.rotations import compose, cross
 from orbit_bullet.stage import SceneFiles, Stage
+from orbit_bullet.surfaces import Surfaces
 from orbit_bullet.wrenches import WrenchMeter
 from orbit_core.interfaces import (
-    TERRAIN,
     BuiltModel,
     ConfigurationError,
     SceneLayout,
@@ -65,11 +64,7 @@ class Simulation:
             self.deformables = Deformables(self.stage, buffers) if layout.scene.deformables else None
         self.loads = Loads(self.stage)
         self._gyroscopes = Gyroscopes(self.client, self.stage.free_bodies(), layout.scene.physics_dt)
-        self._products = PairProducts(layout)
-        self._torsional, self._rolling = nominal(layout, "torsional_friction"), rolling_friction(layout)
-        self._friction = np.tile(nominal(layout, "dynamic_friction"), (self.count, 1))
-        self._set_restitution()
-        self._apply_friction(np.arange(self.count))
+        self._surfaces = Surfaces(self.client, self.stage, layout, self.count)
         self._contacts = ContactMeter(self.client, layout.contact_queries, self.stage.places, buffers.contact_forces)
         self._readings = readings
         self._nominal_inertias = self._inertias()
@@ -314,41 +309,7 @@ class Simulation:
 
     def set_friction(self, rows: Rows, links: Rows, coefficients: FloatArray) -> None:
         """(n, k) of links (k,); TERRAIN stands for all terrain shapes."""
-        count = len(self.layout.links)
-        for column, link in enumerate(links):
-            chosen = slice(count, None) if link == TERRAIN else slice(link, link + 1)
-            self._friction[rows, chosen] = coefficients[:, column, None]
-        self._apply_friction(rows)
-
-    def _apply_friction(self, rows: Rows) -> None:
-        for slot in rows:
-            factors = self._products.factors(self._friction[slot])
-            torsional = self._products.lengths(self._torsional, factors)
-            rolling = self._products.lengths(self._rolling, factors)
-            for body, link, number in self._contact_bodies(slot):
-                self.client.changeDynamics(
-                    body,
-                    link,
-                    lateralFriction=factors[number],
-                    spinningFriction=torsional[number],
-                    rollingFriction=rolling[number],
-                )
-
-    def _set_restitution(self) -> None:
-        factors = self._products.factors(nominal(self.layout, "restitution"))
-        for slot in range(self.count):
-            for body, link, number in self._contact_bodies(slot):
-                self.client.changeDynamics(body, link, restitution=factors[number])
-
-    def _contact_bodies(self, slot: int) -> list[tuple[int, int, int]]:
-        """Body, Bullet link and number among the materials of each link that collides, then of each terrain shape."""
-        found = []
-        for entity in self.layout.entities:
-            for offset, index in enumerate(self.stage.links[entity.index]):
-                if index in self.stage.colliding[entity.index]:
-                    found.append((self.stage.bodies[slot][entity.index], index, entity.links.start + offset))
-        links = len(self.layout.links)
-        return found + [(body, -1, number) for number, body in enumerate(self.stage.terrain[slot], links)]
+        self._surfaces.set_friction(rows, links, coefficients)
 
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
@@ -356,7 +317,7 @@ class Simulation:
     def _arrays(self) -> tuple[npt.NDArray[Any], ...]:
         buffers, loads, bodies = self.buffers, self.loads, self._readings.bodies
         return (
-            buffers.joint_efforts, buffers.contact_forces, buffers.joint_wrenches, bodies, self._friction,
+            buffers.joint_efforts, buffers.contact_forces, buffers.joint_wrenches, bodies, self._surfaces.friction,
             loads.gravity, loads.masses, loads.wrenches, self.actuation.stiffness, self.actuation.damping,
         )  # fmt: skip
 
@@ -389,7 +350,7 @@ class Simulation:
         everything = np.arange(self.count)
         changed = [not np.array_equal(old, new) for old, new in zip(before, self._arrays, strict=True)]
         if changed[4]:
-            self._apply_friction(everything)
+            self._surfaces.apply_friction(everything)
         if changed[6]:
             self._apply_masses(everything, np.flatnonzero((before[6] != self.loads.masses).any(axis=0)))
         if changed[8] or changed[9]:

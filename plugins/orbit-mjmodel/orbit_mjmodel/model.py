@@ -25,7 +25,7 @@ from orbit_mjmodel.config import ModelConfig
 from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, hold_drives
 from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
 from orbit_mjmodel.materials import contact_parameters, material_approximations
-from orbit_mjmodel.slots import ABSENT, Slot, slots
+from orbit_mjmodel.variants import ABSENT, Slot, slots
 from orbit_mjmodel.wrenches import add_wrench_sensors
 
 AddSensors = Callable[[mujoco.MjSpec, SceneLayout], None]

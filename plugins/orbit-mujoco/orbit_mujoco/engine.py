@@ -27,9 +27,9 @@ from orbit_core.interfaces import (
 from orbit_mjmodel.readback import read_back
 from orbit_mujoco.capture import MujocoCapture
 from orbit_mujoco.config import MujocoConfig
+from orbit_mujoco.measurements import ContactMeter, WrenchMeter
 from orbit_mujoco.model import build_models
 from orbit_mujoco.parameters import Parameters
-from orbit_mujoco.probes import ContactMeter, WrenchMeter
 from orbit_mujoco.state import DERIVED_STAGE, Rows, State, block
 
 _NO_STAGE = mujoco.mjtStage.mjSTAGE_NONE.value

@@ -10,7 +10,7 @@ import mujoco
 from orbit_core.interfaces import SceneLayout
 from orbit_mjmodel import model
 from orbit_mujoco.config import MujocoConfig
-from orbit_mujoco.probes import add_contact_sensors
+from orbit_mujoco.measurements import add_contact_sensors
 
 
 def build_models(layout: SceneLayout, config: MujocoConfig) -> tuple[model.BuiltModel, ...]:

@@ -26,7 +26,7 @@ from orbit_core.interfaces import (
     albedo_table,
 )
 from orbit_core.scene import CameraSpec, Channel
-from orbit_mjmodel.looks import all_variants
+from orbit_mjmodel.visuals import all_variants
 from orbit_mujoco.config import MujocoConfig
 from orbit_mujoco.renderer_context import create_context
 from orbit_mujoco.renderer_markers import MAX_GEOMS, add_markers

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout
-from orbit_mjmodel.looks import looks_spec
+from orbit_mjmodel.visuals import looks_spec
 
 SHADOW_RADIUS = 3.0
 """Metres around the scene's middle that shadows reach."""

@@ -22,10 +22,10 @@ from orbit_core.interfaces import (
 )
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.drives import Drives
+from orbit_sapien.measurements import ContactMeter, WrenchMeter, held_links
 from orbit_sapien.model import BuiltWorld, build_world, configure_physx
 from orbit_sapien.native import physx, sapien
 from orbit_sapien.parameters import Parameters
-from orbit_sapien.probes import ContactMeter, WrenchMeter, held_links
 from orbit_sapien.rays import RayWorld
 from orbit_sapien.readback import read_model
 from orbit_sapien.state import State

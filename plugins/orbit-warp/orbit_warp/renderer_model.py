@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout, drawn_shapes
 from orbit_core.scene import Color, MarkerShape, MarkerSpec
-from orbit_mjmodel.looks import all_variants, looks_spec
+from orbit_mjmodel.visuals import all_variants, looks_spec
 
 _AXIS_COLORS = ((0.9, 0.2, 0.2), (0.2, 0.8, 0.25), (0.2, 0.4, 0.95))
 _ARROW = ((0.0, 0.035), (0.75, 0.035), (0.75, 0.08), (1.0, 0.0))

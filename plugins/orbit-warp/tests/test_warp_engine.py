@@ -14,7 +14,7 @@ from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationErr
 from orbit_core.scene import Box, ObjectSpec, Pose, Scene, Shape, single_link
 from orbit_warp import WarpBackend, WarpConfig
 from orbit_warp.engine import WarpEngine
-from orbit_warp.raw import raw_steppers
+from orbit_warp.native_baseline import raw_steppers
 
 
 def cubes(count: int) -> Scene:

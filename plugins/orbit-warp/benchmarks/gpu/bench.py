@@ -1,6 +1,6 @@
 """Measures environments on one device: a whole step of a task, against captured stepping of the same model alone.
 
-    python plugins/orbit-warp/gpu/bench.py --task Lift --num-envs 4096 16384 --action ik_relative
+    python plugins/orbit-warp/benchmarks/gpu/bench.py --task Lift --num-envs 4096 16384 --action ik_relative
 
 Each line is one size, random actions, episodes of every age: rates are environment steps per second, medians over
 blocks. ``alone`` is MuJoCo-Warp's own captured stepping: from the state that a block began in, by the very commands
@@ -18,7 +18,7 @@ import torch
 
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
-from orbit_warp.raw import raw_steppers
+from orbit_warp.native_baseline import raw_steppers
 
 
 def main() -> None:

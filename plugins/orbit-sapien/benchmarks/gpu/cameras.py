@@ -1,6 +1,6 @@
 """Measures the renderer: pictures a second of each tier, and how long the first takes.
 
-    PYTHONPATH=$PWD:$PWD/plugins/orbit-sapien python3 plugins/orbit-sapien/gpu/cameras.py --json cameras.json
+    PYTHONPATH=$PWD:$PWD/plugins/orbit-sapien python3 plugins/orbit-sapien/benchmarks/gpu/cameras.py --json cameras.json
 
 Draws 24 boxes and balls that lie still, from poses alone; a picture is one environment's, copied to the host. Each row
 draws all environments again and again for ``--seconds``, at least once. Rates are those of the best round, with the

@@ -1,6 +1,6 @@
 """One world a GPU, a process each: started with the same seed all worlds agree, and each GPU's rate is its own.
 
-torchrun --nproc-per-node 2 plugins/orbit-warp/gpu/ranks.py
+torchrun --nproc-per-node 2 plugins/orbit-warp/benchmarks/gpu/ranks.py
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Measures the backend on a GPU, from the repository's root:  bash plugins/orbit-warp/gpu/measure.sh STAGE ...
+# Measures the backend on a GPU, from the repository's root:  bash plugins/orbit-warp/benchmarks/gpu/measure.sh STAGE ...
 #   smoke     one size of Lift, small: does everything run?        about 2 minutes with a cold kernel cache
 #   closed    a recorded step is the step, and waits for nothing   about 3 minutes
 #   tests1, tests2, tests3   the contract's suite, a third each    about 2 minutes each
@@ -16,7 +16,7 @@
 set -u
 source "$(dirname "$0")/setup.sh"
 out=${OUT:-out/gpu}; mkdir -p "$out"
-here=plugins/orbit-warp/gpu
+here=plugins/orbit-warp/benchmarks/gpu
 nvidia-smi --query-gpu=name,driver_version,memory.total --format=csv,noheader
 
 bench() {  # TASK SIZES [OPTION ...]

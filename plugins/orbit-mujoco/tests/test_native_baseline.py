@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from orbit_core.envs import make
-from orbit_mujoco.raw import raw_steppers
+from orbit_mujoco.native_baseline import raw_steppers
 
 
 @pytest.mark.parametrize("way", ["all cores, persistent", "1 thread, not persistent"])

@@ -1,6 +1,6 @@
 """Measures cameras: how many pictures of Lift a second, with stepping and without, and what they take of memory.
 
-    python3 plugins/orbit-warp/gpu/cameras.py --num-envs 1024 --sizes 64 128
+    python3 plugins/orbit-warp/benchmarks/gpu/cameras.py --num-envs 1024 --sizes 64 128
 
 A frame is one environment's colour and depth picture. ``drawn`` draws the same poses again and again; ``stepped`` steps
 the task with random actions and draws nothing; ``seen`` steps the task with a camera in its scene, and reads its images
