@@ -24,6 +24,11 @@ def groups_of(task: Task) -> dict[str, ObservationGroup]:
     owner = f"observations of task {type(task).__name__}"
     if not is_dataclass(task.observations) or isinstance(task.observations, type):
         raise ConfigurationError(f"{owner} must be a dataclass of ObservationGroup, not {task.observations!r}")
+    if isinstance(task.observations, ObservationGroup):
+        raise ConfigurationError(
+            f"{owner} must be a dataclass of ObservationGroup, not one group: put it in a dataclass, as its field "
+            f"'{POLICY}'"
+        )
     groups: dict[str, ObservationGroup] = {}
     for field in fields(task.observations):
         group = getattr(task.observations, field.name)
@@ -31,8 +36,8 @@ def groups_of(task: Task) -> dict[str, ObservationGroup]:
             continue
         if not isinstance(group, ObservationGroup):
             raise ConfigurationError(
-                f"{owner}: '{field.name}' must be an ObservationGroup, not a {type(group).__name__}: a group is a "
-                "dataclass derived from ObservationGroup, whose fields are the terms"
+                f"{owner}: '{field.name}' must be an ObservationGroup, but is of type {type(group).__name__}: a group "
+                "is a dataclass derived from ObservationGroup, whose fields are the terms"
             )
         groups[field.name] = group
     if POLICY not in groups:
