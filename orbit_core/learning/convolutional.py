@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.description import Part
-from orbit_core.learning.networks import activation_type, perceptron
+from orbit_core.learning.networks import ActorNetwork, activation_type, layer_weights, perceptron
 
 _MOST_PIXELS, _MOST_FILTERS, _MOST_UNITS = 2**22, 4096, 2**16
 _COLOR_DEPTH = ("color", "depth")
@@ -90,6 +90,15 @@ class Convolutional:
         if not self.encoders:
             raise ValueError("it has at least one picture; for vectors alone there is the network 'perceptron'")
 
+    @property
+    def features(self) -> int:
+        """That the encoders give, together."""
+        return sum(encoder.features for encoder in self.encoders)
+
+    def build_encoders(self) -> nn.ModuleList:
+        """One module for each encoder."""
+        return nn.ModuleList(encoder.build(activation_type(self.activation)) for encoder in self.encoders)
+
     def build(self, observation_size: int, action_size: int) -> PictureActor:
         return PictureActor(self, action_size)
 
@@ -109,20 +118,15 @@ class PictureActor(nn.Module):
         self.network = network
         self.register_buffer("mean", torch.zeros(size))
         self.register_buffer("std", torch.ones(size))
-        self.encoders = nn.ModuleList(encoder.build(activation) for encoder in network.encoders)
-        self.features = size + sum(encoder.features for encoder in network.encoders)
-        """K, of :meth:`encode`."""
-        self.layers = perceptron(self.features, network.hidden_sizes, action_size, activation)
+        self.encoders = network.build_encoders()
+        self.layers = perceptron(size + network.features, network.hidden_sizes, action_size, activation)
 
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
         return self.unclipped(observation).clamp(-1.0, 1.0)
 
     def vectors(self, observation: Mapping[str, Tensor]) -> Tensor:
-        """(N, V) the terms that are no pictures, side by side, as they are."""
-        if not self.network.vectors:
-            first = observation[self.network.encoders[0].pictures[0].term]
-            return first.new_zeros((len(first), 0), dtype=torch.float32)
-        return torch.cat([observation[part.name].float().flatten(1) for part in self.network.vectors], dim=1)
+        """(N, V) what ``mean`` and ``std`` are of: the terms that are no pictures, side by side."""
+        return joined_vectors(self.network, observation)
 
     def unclipped(self, observation: Mapping[str, Tensor]) -> Tensor:
         """(N, A) the action before it is clipped, for learning."""
@@ -130,12 +134,48 @@ class PictureActor(nn.Module):
 
     def encode(self, observation: Mapping[str, Tensor]) -> Tensor:
         """(N, K) vectors and pictures as the linear layers see them."""
-        seen = [(self.vectors(observation) - self.mean) / self.std]
-        for encoder, layers in zip(self.network.encoders, self.encoders, strict=True):
-            channels = [_scaled(observation[picture.term], picture) for picture in encoder.pictures]
-            # From (N, H, W, C), as cameras draw, to (N, C, H, W); in memory it stays, which convolutions like best.
-            seen.append(layers(torch.cat(channels, dim=3).permute(0, 3, 1, 2)))
-        return torch.cat(seen, dim=1)
+        vectors = (self.vectors(observation) - self.mean) / self.std
+        return torch.cat((vectors, encoded_pictures(self.network, self.encoders, observation)), dim=1)
+
+
+def joined_vectors(network: Convolutional, observation: Mapping[str, Tensor]) -> Tensor:
+    """(N, V) the terms that are no pictures, side by side, as they are."""
+    if not network.vectors:
+        first = observation[network.encoders[0].pictures[0].term]
+        return first.new_zeros((len(first), 0), dtype=torch.float32)
+    return torch.cat([observation[part.name].float().flatten(1) for part in network.vectors], dim=1)
+
+
+def encoded_pictures(network: Convolutional, encoders: nn.ModuleList, observation: Mapping[str, Tensor]) -> Tensor:
+    """(N, features) what the encoders, which the network built, make of the pictures."""
+    seen = []
+    for encoder, layers in zip(network.encoders, encoders, strict=True):
+        channels = [_scaled(observation[picture.term], picture) for picture in encoder.pictures]
+        # From (N, H, W, C), as cameras draw, to (N, C, H, W); in memory it stays, which convolutions like best.
+        seen.append(layers(torch.cat(channels, dim=3).permute(0, 3, 1, 2)))
+    return torch.cat(seen, dim=1)
+
+
+def convolutional_actor(
+    network: Convolutional, encoders: nn.ModuleList, layers: nn.Module, mean: Tensor, std: Tensor
+) -> ActorNetwork:
+    """A copy on the CPU of a library's actor that is made of this network's encoders and linear layers.
+
+    Args:
+        network: that the encoders were built by.
+        encoders: of the pictures.
+        layers: holds the linear layers behind them, in the order in which they act.
+        mean: (V,) of the vectors.
+        std: (V,) of the vectors.
+    """
+    weights = {f"encoders.{name}": value for name, value in encoders.state_dict().items()}
+    weights |= layer_weights(layers) | {"mean": mean, "std": std}
+    actions = [layer for layer in layers.modules() if isinstance(layer, nn.Linear)][-1].out_features
+    with torch.device("meta"):  # without drawing starting weights, which would move the training's random stream
+        module = network.build(0, actions)
+    copies = {name: value.detach().float().cpu().clone() for name, value in weights.items()}
+    module.load_state_dict(copies, assign=True)
+    return ActorNetwork(network, module.requires_grad_(False).eval())
 
 
 def convolutional(parts: Sequence[Part], hidden_sizes: Sequence[int], far: float = 2.0) -> Convolutional:

@@ -149,15 +149,21 @@ def perceptron_actor(
     size = linear[0].in_features
     with torch.device("meta"):  # without drawing starting weights, which would move the training's random stream
         module = network.build(size, linear[-1].out_features)
-    # The activations lie between, at the odd places.
-    weights = {
-        f"layers.{2 * i}.{name}": value for i, layer in enumerate(linear) for name, value in layer.state_dict().items()
-    }
+    weights = layer_weights(layers)
     weights["mean"] = torch.zeros(size) if mean is None else mean.reshape(-1)
     weights["std"] = torch.ones(size) if std is None else std.reshape(-1)
     copies = {name: value.detach().float().cpu().clone() for name, value in weights.items()}
     module.load_state_dict(copies, assign=True)
     return ActorNetwork(network, module.requires_grad_(False).eval())
+
+
+def layer_weights(layers: nn.Module) -> dict[str, Tensor]:
+    """Of the linear layers within, as :func:`perceptron` names them where it is called ``layers``."""
+    linear = [layer for layer in layers.modules() if isinstance(layer, nn.Linear)]
+    # The activations lie between, at the odd places.
+    return {
+        f"layers.{2 * i}.{name}": value for i, layer in enumerate(linear) for name, value in layer.state_dict().items()
+    }
 
 
 @cache

@@ -16,8 +16,10 @@ from rl_games.common.tr_helpers import DefaultRewardsShaper
 from torch import Tensor, nn
 
 from orbit_core.envs.environment import Environment
+from orbit_core.envs.observation_layout import Observation, one_tensor
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.learning.groups import CRITIC, check_groups, critic_group
 from orbit_core.learning.gymnasium import action_space, observation_space
 from orbit_core.learning.loop import LoopTrainer
 from orbit_core.learning.networks import ActorNetwork, perceptron_actor
@@ -33,18 +35,23 @@ class RlGamesEnvironment(IVecEnv):
     def reset(self) -> dict[str, Tensor]:
         observation, _ = self.environment.reset(self._seed)
         self._seed = None
-        return {"obs": observation["policy"]}
+        return self._seen(observation)
 
     def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, dict[str, Any]]:
         observation, reward, terminated, truncated, info = self.environment.step(actions)
         done = (terminated | truncated).to(torch.uint8)
-        return {"obs": observation["policy"]}, reward, done, {"time_outs": truncated, "ends": info}
+        return self._seen(observation), reward, done, {"time_outs": truncated, "ends": info}
+
+    def _seen(self, observation: Observation) -> dict[str, Tensor]:
+        """Under ``states`` what the critic sees, where that is a group of its own."""
+        seen = {"obs": one_tensor(observation)}
+        return {**seen, "states": one_tensor(observation, CRITIC)} if CRITIC in observation else seen
 
     def get_env_info(self) -> dict[str, Any]:  # pyright: ignore[reportIncompatibleMethodOverride] - it has no types
         return {
             "observation_space": observation_space(self.environment)["policy"],  # pyright: ignore[reportIndexIssue]
             "action_space": action_space(self.environment),
-            "state_space": None,
+            "state_space": observation_space(self.environment).spaces.get(CRITIC),
             "agents": 1,
             "value_size": 1,
         }
@@ -57,6 +64,7 @@ class RlGamesTrainer(LoopTrainer[PpoSettings]):
 
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
+        check_groups(environment, self.name)
         if self.batch % settings.minibatches:
             raise ConfigurationError(
                 f"rl-games needs num_envs x steps_per_iteration, here {self.batch}, to be a multiple of minibatches, "
@@ -98,6 +106,25 @@ class RlGamesTrainer(LoopTrainer[PpoSettings]):
         std = (seen.running_var.float() + seen.epsilon).sqrt()
         return perceptron_actor(layers, seen.running_mean, std, 5.0)  # the limit stands in its code
 
+    def _central_value(self) -> dict[str, Any]:
+        """The critic that sees ``states``, where the task has that group."""
+        if critic_group(self.environment) != CRITIC:
+            return {}
+        settings = self.settings
+        units = {"units": list(settings.hidden_sizes), "activation": "elu", "initializer": {"name": "default"}}
+        critic = {
+            "minibatch_size": self.batch // settings.minibatches,
+            "mini_epochs": settings.epochs,
+            "learning_rate": settings.learning_rate,
+            "lr_schedule": None,
+            "clip_value": False,
+            "normalize_input": settings.normalize_observations,
+            "truncate_grads": True,
+            "grad_norm": 1.0,
+            "network": {"name": "actor_critic", "central_value": True, "mlp": units},
+        }
+        return {"central_value_config": critic}
+
     def _parameters(self, environment: RlGamesEnvironment) -> dict[str, Any]:
         settings = self.settings
         return {
@@ -133,6 +160,7 @@ class RlGamesTrainer(LoopTrainer[PpoSettings]):
                 "normalize_input": settings.normalize_observations,
                 "normalize_value": True,
                 "value_bootstrap": True,
+                **self._central_value(),
             },
         }
 

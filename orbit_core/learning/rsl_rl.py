@@ -21,7 +21,11 @@ from torch import Tensor
 
 from orbit_core.envs.environment import Environment, Observation
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.learning.convolutional import convolutional, convolutional_actor
+from orbit_core.learning.description import group_parts
+from orbit_core.learning.groups import ACTOR, check_groups, critic_group, tensor_names, tensors_by_name
 from orbit_core.learning.networks import ActorNetwork, perceptron_actor
+from orbit_core.learning.rsl_rl_models import PictureModel
 from orbit_core.learning.trainer import Progress, Trainer
 
 
@@ -60,7 +64,7 @@ class RslRlEnvironment(VecEnv):
             return self._dict(self._observation), reward, (terminated | truncated).long(), extras
 
     def _dict(self, observation: Observation) -> TensorDict:
-        return TensorDict(dict(observation), batch_size=[self.num_envs], device=self.device)
+        return TensorDict(tensors_by_name(observation), batch_size=[self.num_envs], device=self.device)  # pyright: ignore[reportArgumentType]
 
 
 class RslRlTrainer(Trainer[PpoSettings]):
@@ -72,9 +76,10 @@ class RslRlTrainer(Trainer[PpoSettings]):
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
         torch.manual_seed(seed)
+        check_groups(environment, self.name)
         adapted = RslRlEnvironment(environment, seed)
         with contextlib.redirect_stdout(io.StringIO()):  # it prints its networks
-            self._runner = _Runner(adapted, _configuration(settings), str(folder), str(environment.device))
+            self._runner = _Runner(adapted, _configuration(settings, environment), str(folder), str(environment.device))
         self._runner.logger.git_status_repos = []
 
     def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
@@ -90,9 +95,15 @@ class RslRlTrainer(Trainer[PpoSettings]):
 
     def actor(self) -> ActorNetwork:
         policy = self._runner.alg.get_policy()
+        seen: Any = policy.obs_normalizer
+        if isinstance(policy, PictureModel):
+            size = sum(part.size for part in policy.network.vectors)
+            mean, std = torch.zeros(size), torch.ones(size)
+            if self.settings.normalize_observations:
+                mean, std = seen.mean, seen.std + seen.eps
+            return convolutional_actor(policy.network, policy.encoders, policy.mlp, mean, std)
         if not self.settings.normalize_observations:
             return perceptron_actor(policy.mlp)
-        seen: Any = policy.obs_normalizer
         return perceptron_actor(policy.mlp, seen.mean, seen.std + seen.eps)
 
     @contextlib.contextmanager
@@ -129,20 +140,29 @@ class _Runner(OnPolicyRunner):
         """Nothing."""
 
 
-def _configuration(settings: PpoSettings) -> dict[str, Any]:
-    model = {
-        "class_name": "MLPModel",
+def _model(settings: PpoSettings, environment: Environment, group: str) -> dict[str, Any]:
+    """Of actor or critic: linear layers, behind encoders where the group holds pictures."""
+    linear = {
         "hidden_dims": list(settings.hidden_sizes),
         "activation": "elu",
         "obs_normalization": settings.normalize_observations,
     }
+    layout = environment.observation[group]
+    if layout.concatenated:
+        return {"class_name": "MLPModel", **linear}
+    network = convolutional(group_parts(layout), settings.hidden_sizes)
+    return {"class_name": PictureModel, "network": network, **linear}
+
+
+def _configuration(settings: PpoSettings, environment: Environment) -> dict[str, Any]:
+    critic = critic_group(environment)
     distribution = {"class_name": "GaussianDistribution", "init_std": settings.initial_std, "std_type": "log"}
     return {
         "num_steps_per_env": settings.steps_per_iteration,
         "save_interval": settings.iterations,
-        "obs_groups": {"actor": ["policy"], "critic": ["policy"]},
-        "actor": {**model, "distribution_cfg": distribution},
-        "critic": dict(model),
+        "obs_groups": {"actor": tensor_names(environment, ACTOR), "critic": tensor_names(environment, critic)},
+        "actor": {**_model(settings, environment, ACTOR), "distribution_cfg": distribution},
+        "critic": _model(settings, environment, critic),
         "check_for_nan": False,  # it would wait for the device at every step; the engine tells of divergence
         "logger": "tensorboard",
         "algorithm": {

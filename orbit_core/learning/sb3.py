@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.learning.groups import check_groups
 from orbit_core.learning.networks import ActorNetwork, perceptron_actor
 from orbit_core.learning.trainer import Progress, Trainer
 
@@ -93,6 +94,7 @@ class Sb3Trainer(Trainer[PpoSettings]):
 
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
+        check_groups(environment, self.name)
         self._environment = VecNormalize(
             Sb3Environment(environment, seed), norm_obs=settings.normalize_observations, norm_reward=False
         )

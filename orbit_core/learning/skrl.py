@@ -18,8 +18,10 @@ from skrl.resources.schedulers.torch import KLAdaptiveLR
 from torch import Tensor, nn
 
 from orbit_core.envs.environment import Environment
+from orbit_core.envs.observation_layout import one_tensor
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.learning.episodes import true_next
+from orbit_core.learning.groups import ACTOR, CRITIC, check_groups
 from orbit_core.learning.gymnasium import action_space, observation_space
 from orbit_core.learning.loop import LoopTrainer
 from orbit_core.learning.networks import ActorNetwork, perceptron, perceptron_actor
@@ -30,7 +32,8 @@ class SkrlEnvironment(Wrapper):
 
     skrl values a step that the time limit cut short by the observation that follows it, which here is the next
     episode's first. ``info["true_next"]`` (N, O) is the one to record: hand it to the agent as ``next_observations``,
-    as :class:`SkrlTrainer` does.
+    as :class:`SkrlTrainer` does. Where the task has a group ``critic``, that is skrl's state, and
+    ``info["true_next_state"]`` the one to record.
     """
 
     def __init__(self, environment: Environment, seed: int | None = None) -> None:
@@ -56,11 +59,18 @@ class SkrlEnvironment(Wrapper):
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         observation, reward, terminated, truncated, info = self.environment.step(actions)
         seen = observation["policy"]
-        extras = {"true_next": true_next(observation, info)["policy"], "ends": info}
+        following = true_next(observation, info)
+        extras = {"true_next": following[ACTOR], "true_next_state": following.get(CRITIC), "ends": info}
         return seen, reward[:, None], terminated[:, None], truncated[:, None], extras
 
-    def state(self) -> None:
-        """There is none beside the observation."""
+    @property
+    def state_space(self) -> Space[Any] | None:
+        return observation_space(self.environment).spaces.get(CRITIC)
+
+    def state(self) -> Tensor | None:
+        """What the critic sees, where that is a group of its own."""
+        observation = self.environment.observe()
+        return one_tensor(observation, CRITIC) if CRITIC in observation else None
 
     def render(self, *args: Any, **kwargs: Any) -> None:
         """Nothing: ``orbit view`` and ``orbit play`` show environments."""
@@ -76,9 +86,11 @@ class SkrlTrainer(LoopTrainer[PpoSettings]):
 
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
+        check_groups(environment, self.name)
         self._environment = SkrlEnvironment(environment, seed)
         spaces = {
             "observation_space": self._environment.observation_space,
+            "state_space": self._environment.state_space,
             "action_space": self._environment.action_space,
             "device": environment.device,
         }
@@ -96,15 +108,17 @@ class SkrlTrainer(LoopTrainer[PpoSettings]):
         for step in range(iteration * steps, (iteration + 1) * steps):
             time = {"timestep": step, "timesteps": self.settings.iterations * steps}
             with torch.no_grad():
-                action, _ = self._agent.act(seen, None, **time)
+                state = self._environment.state()
+                state = None if state is None else state.clone()
+                action, _ = self._agent.act(seen, state, **time)
                 following, reward, terminated, truncated, extras = self._environment.step(action)
                 self._agent.record_transition(
                     observations=seen,
-                    states=None,  # pyright: ignore[reportArgumentType] - what its own trainers hand over
+                    states=state,  # pyright: ignore[reportArgumentType] - None is what its own trainers hand over
                     actions=action,
                     rewards=reward,
                     next_observations=extras["true_next"],
-                    next_states=None,  # pyright: ignore[reportArgumentType]
+                    next_states=extras["true_next_state"],
                     terminated=terminated,
                     truncated=truncated,
                     infos=extras,
@@ -147,17 +161,19 @@ class _Critic(DeterministicMixin, Model):
     def __init__(self, settings: PpoSettings, **spaces: Any) -> None:
         Model.__init__(self, **spaces)
         DeterministicMixin.__init__(self)
-        self.layers = perceptron(self.num_observations, settings.hidden_sizes, 1)
+        self._seen = "observations" if self.state_space is None else "states"
+        size = self.num_observations if self.state_space is None else self.num_states
+        self.layers = perceptron(size, settings.hidden_sizes, 1)
 
     def compute(  # pyright: ignore[reportIncompatibleMethodOverride] - its mixins give the role by position
         self, inputs: dict[str, Any], role: str = ""
     ) -> tuple[Tensor, dict[str, Any]]:
-        return self.layers(inputs["observations"]), {}
+        return self.layers(inputs[self._seen]), {}
 
 
 def _configuration(settings: PpoSettings, folder: Path, spaces: dict[str, Any]) -> PPO_CFG:
     scaling = {"size": spaces["observation_space"], "device": spaces["device"]}
-    normalize = settings.normalize_observations
+    normalize, states = settings.normalize_observations, spaces["state_space"]
     return PPO_CFG(
         rollouts=settings.steps_per_iteration,
         learning_epochs=settings.epochs,
@@ -169,6 +185,8 @@ def _configuration(settings: PpoSettings, folder: Path, spaces: dict[str, Any]) 
         learning_rate_scheduler_kwargs={"kl_threshold": settings.target_kl},
         observation_preprocessor=RunningStandardScaler if normalize else None,
         observation_preprocessor_kwargs=scaling if normalize else {},
+        state_preprocessor=RunningStandardScaler if normalize and states is not None else None,
+        state_preprocessor_kwargs={**scaling, "size": states} if normalize and states is not None else {},
         grad_norm_clip=1.0,
         ratio_clip=settings.clip,
         value_clip=0.0,  # in units of the return, which the task chooses

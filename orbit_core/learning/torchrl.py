@@ -20,6 +20,7 @@ from torchrl.objectives.value import GAE
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.learning.episodes import EpisodeTally, true_next
+from orbit_core.learning.groups import check_groups
 from orbit_core.learning.loop import LoopTrainer
 from orbit_core.learning.networks import ActorNetwork, perceptron, perceptron_actor
 
@@ -82,6 +83,7 @@ class TorchRlTrainer(LoopTrainer[PpoSettings]):
 
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
+        check_groups(environment, self.name)
         environment.reset(seed)
         device, size = environment.device, environment.observation_size
         self._norm = _Normalization(size, momentum=None, affine=False, device=device).eval()
