@@ -52,8 +52,6 @@ class Actuators:
         self._delays = [_delay([groups[joint] for joint in m.joints], engine.num_envs, random) for m in self._models]
         self.explicit = bool(self._models)
         """Whether :meth:`apply` has work to do."""
-        self.delayed = any(delay is not None for delay in self._delays)
-        """Whether a group holds commands back."""
         self.position_targets = engine.position_targets
         """(N, J) rad or m"""
         self.velocity_targets = engine.velocity_targets
@@ -103,7 +101,7 @@ class Actuators:
     def reset(self, env_ids: Tensor | None = None) -> None:
         """Forget efforts and delayed commands. Call it after the engine's reset, which sets the other targets."""
         if self.explicit:  # else they are the engine's own
-            self.effort_targets[slice(None) if env_ids is None else env_ids] = 0.0
+            write_rows(self.effort_targets, 0.0, env_ids)
         for delay in self._delays:
             if delay is not None:
                 delay.reset(env_ids)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import write_block, write_rows
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.scene import IdealPd
@@ -20,7 +21,6 @@ class DelayState:
     history: Tensor
     delays: Tensor
     age: Tensor
-    head: int
 
 
 class CommandDelay:
@@ -42,39 +42,38 @@ class CommandDelay:
                     f"{group.min_delay}, {group.max_delay}"
                 )
         self._groups = list({id(group): group for group in groups}.values())
-        self._members = [[j for j, other in enumerate(groups) if other is group] for group in self._groups]
+        members = [[j for j, other in enumerate(groups) if other is group] for group in self._groups]
         self._random = random
         device = random.device
         self._length = max((group.max_delay for group in groups), default=0) + 1
         self._history = torch.zeros(self._length, 3, num_envs, len(groups), device=device)
         self._delays = torch.zeros(num_envs, len(groups), dtype=torch.int64, device=device)
         self._age = torch.zeros(num_envs, 1, dtype=torch.int64, device=device)
-        self._head = -1
+        self._columns = [torch.tensor(columns, device=device) for columns in members]
         self.reset(None)
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Forget commands and draw new delays."""
-        rows = slice(None) if env_ids is None else env_ids[:, None]
-        self._age[rows] = 0
-        for group, members in zip(self._groups, self._members, strict=True):
-            self._delays[rows, members] = self._random.integers(group.min_delay, group.max_delay, env_ids)[:, None]
+        write_rows(self._age, 0, env_ids)
+        for group, columns in zip(self._groups, self._columns, strict=True):
+            drawn = self._random.integers(group.min_delay, group.max_delay, env_ids)
+            write_block(self._delays, columns, drawn[:, None], env_ids)
 
     def push(self, targets: Tensor) -> Tensor:
         """Take the commands of this step (3, N, k) and return those in effect."""
-        self._head = (self._head + 1) % self._length
-        self._history[self._head] = targets
+        newest = torch.remainder(self._age, self._length)  # each environment writes in turn, from its reset on
+        self._history.scatter_(0, newest.expand(1, *targets.shape), targets[None])
         steps_back = torch.minimum(self._delays, self._age)
-        slots = torch.remainder(self._head - steps_back, self._length)
+        slots = torch.remainder(self._age - steps_back, self._length)
         self._age += 1
         return self._history.gather(0, slots.expand(1, 3, *slots.shape)).squeeze(0)
 
     def save_state(self) -> DelayState:
         """A detached copy."""
-        return DelayState(self._history.clone(), self._delays.clone(), self._age.clone(), self._head)
+        return DelayState(self._history.clone(), self._delays.clone(), self._age.clone())
 
     def load_state(self, state: DelayState) -> None:
         """Return to a saved state."""
         self._history.copy_(state.history)
         self._delays.copy_(state.delays)
         self._age.copy_(state.age)
-        self._head = state.head

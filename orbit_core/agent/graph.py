@@ -65,6 +65,9 @@ class AgentGraph:
             NodeRunner(node, self.wiring.periods[node.name], self.wiring.sources, slots, self.values)
             for node in self.wiring.order
         )
+        self._runner_of = {
+            slot: runner for (node, _), slot in slots.items() for runner in self.runners if runner.node.name == node
+        }
         self._inputs = [(port, slots["", port.name]) for port in self.inputs]
         self._outputs = [(port.name, slots[self.wiring.sources["", port.name]]) for port in self.outputs]
 
@@ -124,7 +127,12 @@ class AgentGraph:
     def load_state(self, state: GraphState) -> None:
         """Return to a saved state."""
         self.step_count = state.step_count
-        self.values[:] = [None if value is None else value.clone() for value in state.values]
+        for slot, saved in enumerate(state.values):
+            own = self.values[slot]
+            if own is None or saved is None:
+                self.values[slot] = None if saved is None else saved.clone()
+            else:
+                own.copy_(saved)
         for runner, saved in zip(self.runners, state.runners, strict=True):
             runner.load_state(saved)
 
@@ -149,7 +157,7 @@ class AgentGraph:
         return {name: self.value(slot) for name, slot in self._outputs}
 
     def value(self, slot: int) -> Tensor:
-        """What stands in a slot of :attr:`values`."""
+        """What stands in a slot of :attr:`values`, a copy where a later step writes it in place."""
         value = self.values[slot]
         assert value is not None  # every slot that anything reads has been written by a source before it
-        return value
+        return value.clone() if slot in self._runner_of and self._runner_of[slot].carries else value

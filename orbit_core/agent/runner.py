@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.agent.wiring import Endpoint
+from orbit_core.dynamics.indexing import write_rows
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 
 
@@ -18,7 +19,8 @@ class RunnerState:
 
     memory: Mapping[str, Tensor]
     last_turn: int
-    pending: tuple[Tensor, ...]
+    pending: bool
+    waiting: Tensor | None
 
 
 class NodeRunner:
@@ -44,8 +46,12 @@ class NodeRunner:
         self.period = period
         self.last_turn = -1
         """Step of the last turn; -1 before the first."""
-        self.pending: list[Tensor] = []
-        """Environments reset since the last turn."""
+        self.pending = False
+        """Whether some environments were reset since the last turn."""
+        self.carries = period > 1
+        """Whether its outputs are read in a later step than the one that computes them; they then stay in one place."""
+        self._waiting: Tensor | None = None
+        """(N,) which were reset; None before the first turn, after which there are none to tell apart."""
         self._sources = [(port.name, slots[sources[node.name, port.name]]) for port in node.inputs]
         self._targets = [(port.name, slots[node.name, port.name]) for port in node.outputs]
         self._ports = list(zip(node.outputs, (slot for _, slot in self._targets), strict=True))
@@ -55,67 +61,105 @@ class NodeRunner:
     def turn(self, step: int) -> None:
         """Run the node for all environments."""
         outputs = self._compute()
-        values = self._values
-        if self.period == 1:
-            for name, slot in self._targets:
-                values[slot] = outputs[name]
-        else:  # what is held must not change with a buffer that the node, or an engine, writes anew
-            for name, slot in self._targets:
-                values[slot] = outputs[name].clone()
-        self.last_turn = step
-        self.pending.clear()
+        for name, slot in self._targets:
+            self._keep(slot, outputs[name])
+        self._took_turn(step)
 
     def renew(self) -> None:
         """Run the node, but keep its outputs and memory of all environments other than those reset."""
-        env_ids = self.pending[0] if len(self.pending) == 1 else torch.cat(self.pending)
-        self.pending.clear()
         held = {slot: value.clone() for _, slot in self._targets if (value := self._values[slot]) is not None}
         remembered = {name: tensor.clone() for name, tensor in self.node.memory().items()}
         outputs = self._compute()
         for name, slot in self._targets:
-            self._values[slot] = held[slot].index_copy_(0, env_ids, outputs[name].index_select(0, env_ids))
+            self._keep(slot, self._where_reset(outputs[name], held[slot]))
         for name, tensor in self.node.memory().items():
-            tensor.copy_(remembered[name].index_copy_(0, env_ids, tensor.index_select(0, env_ids)))
+            tensor.copy_(self._where_reset(tensor, remembered[name]))
+        self._none_waits()
+
+    def _keep(self, slot: int, value: Tensor) -> None:
+        own = self._values[slot]
+        if not self.carries:
+            self._values[slot] = value
+        elif own is None:  # what is held must not change with a buffer that the node, or an engine, writes anew
+            self._values[slot] = value.clone()
+        else:
+            own.copy_(value)
+
+    def _where_reset(self, fresh: Tensor, held: Tensor) -> Tensor:
+        assert self._waiting is not None  # an environment waits only after the first turn
+        return torch.where(self._waiting.view(-1, *(1 for _ in held.shape[1:])), fresh, held)
+
+    def _took_turn(self, step: int) -> None:
+        self.last_turn = step
+        self._none_waits()
+
+    def _none_waits(self) -> None:
+        if self.pending and self._waiting is not None:
+            self._waiting.zero_()
+        self.pending = False
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Make the node forget some environments, or all."""
         self.node.reset(env_ids)
         if env_ids is None:
             self.last_turn = -1
-            self.pending.clear()
-        elif self._targets:
-            self.pending.append(env_ids)
+            self._none_waits()
+        elif self._targets and (held := self._values[self._targets[0][1]]) is not None:
+            if self._waiting is None:
+                self._waiting = torch.zeros(len(held), dtype=torch.bool, device=held.device)
+            write_rows(self._waiting, True, env_ids)
+            self.pending = True
 
     def put(self, values: Mapping[str, Tensor], step: int) -> None:
         """Take outputs from outside in place of a turn, or of a renewal."""
         given = [(slot, checked(values, port, f"output of '{self.node.name}'")) for port, slot in self._ports]
         if self.due(step):
             for slot, value in given:
-                self._values[slot] = value if self.period == 1 else value.clone()
-            self.last_turn = step
+                self._keep(slot, value)
+            self._took_turn(step)
         elif self.pending:
-            env_ids = torch.cat(self.pending)
             for slot, value in given:
                 held = self._values[slot]
                 assert held is not None  # a node that is not due has had a turn
-                self._values[slot] = held.index_copy(0, env_ids, value.index_select(0, env_ids))
-        self.pending.clear()
+                self._keep(slot, self._where_reset(value, held))
+            self._none_waits()
 
     def due(self, step: int) -> bool:
         """Whether it is the node's turn."""
         return step % self.period == 0 and self.last_turn != step
 
+    def held(self) -> dict[str, Tensor]:
+        """The last outputs, by port; none before the first turn."""
+        values = {name: self._values[slot] for name, slot in self._targets}
+        return {name: value for name, value in values.items() if value is not None}
+
     def save_state(self) -> RunnerState:
         """What the node's next turns depend on."""
         memory = {name: tensor.clone() for name, tensor in self.node.memory().items()}
-        return RunnerState(memory, self.last_turn, tuple(ids.clone() for ids in self.pending))
+        return RunnerState(
+            memory, self.last_turn, self.pending, None if self._waiting is None else self._waiting.clone()
+        )
 
     def load_state(self, state: RunnerState) -> None:
         """Return to a saved state."""
         for name, tensor in self.node.memory().items():
             tensor.copy_(state.memory[name])
-        self.last_turn = state.last_turn
-        self.pending[:] = state.pending
+        self.last_turn, self.pending = state.last_turn, state.pending
+        if state.waiting is not None:
+            self._waiting = state.waiting.clone() if self._waiting is None else self._waiting.copy_(state.waiting)
+        elif self._waiting is not None:
+            self._waiting.zero_()
+
+    # In a step that is captured
+
+    def phase(self, step: int) -> tuple[int, bool]:
+        """What Python decides the node's turn in that step by: its place in the node's period, and who waits."""
+        return step % self.period, self.pending
+
+    def enter(self, step: int, pending: bool) -> None:
+        """Steps before ``step`` were repeated without Python, and left environments waiting or not."""
+        self.last_turn = (step - 1) // self.period * self.period
+        self.pending = pending
 
     def _compute(self) -> Mapping[str, Tensor]:
         values = self._values

@@ -39,6 +39,11 @@ def is_mask(env_ids: Tensor | None) -> TypeGuard[Tensor]:
     return env_ids is not None and env_ids.dtype == torch.bool
 
 
+def take_rows(values: Tensor, env_ids: Tensor | None) -> Tensor:
+    """The rows of environments that are given by index; all of them where they are given by mask, or not at all."""
+    return values if env_ids is None or is_mask(env_ids) else values[env_ids]
+
+
 def write_rows(target: Tensor, values: Tensor | float, env_ids: Tensor | None) -> None:
     """Set the rows of some environments; with a mask ``values`` are of all, and those outside of it count for nothing.
 
@@ -119,13 +124,13 @@ class Masking:
         """Indices that were found good, and their version, for one choice goes through many calls."""
 
     @contextmanager
-    def only(self, mask: Tensor) -> Iterator[None]:
-        """Set a mask."""
-        self.mask = mask
+    def only(self, mask: Tensor | None) -> Iterator[None]:
+        """Set a mask, in the place of one that is set; None lifts it."""
+        before, self.mask = self.mask, mask
         try:
             yield
         finally:
-            self.mask = None
+            self.mask = before
 
     def choose(self, env_ids: Tensor | None) -> Choice:
         """What a call for ``env_ids`` is meant for: they themselves, or the mask that is set.

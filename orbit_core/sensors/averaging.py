@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Hashable
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.indexing import write_rows
+from orbit_core.dynamics.indexing import take_rows, write_rows
 from orbit_core.scene import SensorSpec
 from orbit_core.sensors.context import SensorContext
 from orbit_core.sensors.timed import TimedSensor
@@ -51,16 +52,22 @@ class AveragingSensor(TimedSensor):
         write_rows(self._sum, 0.0, env_ids)
         write_rows(self._count, 0.0, env_ids)
 
+    @property
+    def phase(self) -> tuple[Hashable, ...]:
+        return *super().phase, self._window_over, self._announced
+
+    def enter(self, phase: tuple[Any, ...]) -> None:
+        super().enter(phase)
+        self._window_over, self._announced = phase[4:6]
+
     def save_state(self) -> dict[str, Any]:
-        sums = {"sum": self._sum.clone(), "count": self._count.clone()}
-        return super().save_state() | {"window": sums | {"over": self._window_over, "announced": self._announced}}
+        return super().save_state() | {"window": (self._sum.clone(), self._count.clone())}
 
     def load_state(self, state: dict[str, Any]) -> None:
         super().load_state(state)
-        window = state["window"]
-        self._sum.copy_(window["sum"])
-        self._count.copy_(window["count"])
-        self._window_over, self._announced = window["over"], window["announced"]
+        self._window_over, self._announced = state["phase"][4:6]
+        for own, saved in zip((self._sum, self._count), state["window"], strict=True):
+            own.copy_(saved)
 
     @abstractmethod
     def _integrate(self, steps: int) -> Tensor:
@@ -68,5 +75,4 @@ class AveragingSensor(TimedSensor):
 
     def _mean(self, env_ids: Tensor | None) -> Tensor:
         """(n, *shape) over the window so far; zero in one that is empty."""
-        mean = self._sum / self._count.clamp_min(1.0)
-        return mean if env_ids is None else mean[env_ids]
+        return take_rows(self._sum / self._count.clamp_min(1.0), env_ids)

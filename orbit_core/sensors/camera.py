@@ -8,6 +8,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import take_rows
 from orbit_core.dynamics.transforms import pose_inverse, pose_multiply
 from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image, SceneLayout
 from orbit_core.scene import CameraSpec, Channel
@@ -26,6 +27,7 @@ class CameraSensor(TimedSensor):
     """
 
     noisy = (Channel.DEPTH.value,)
+    costly = True
 
     def __init__(self, spec: CameraSpec, context: SensorContext) -> None:
         """Resolve the frame.
@@ -131,11 +133,8 @@ class CameraSensor(TimedSensor):
         )
 
     def _measure(self, env_ids: Tensor | None) -> Values:
-        if self._mount is None:
-            pose = self._fixed_pose if env_ids is None else self._fixed_pose[env_ids]
-        else:
-            pose = self._mount.pose(env_ids)
-        link_poses = self.engine.link_poses.clone() if env_ids is None else self.engine.link_poses[env_ids]
+        pose = take_rows(self._fixed_pose, env_ids) if self._mount is None else self._mount.pose(env_ids)
+        link_poses = take_rows(self.engine.link_poses, env_ids).clone()
         image = self._renderer().render(self._camera, pose, link_poses, self._drawn, env_ids=env_ids)
         held = {"pose": pose, "link_poses": link_poses}
         return held | {channel.value: self._channel(image, channel) for channel in self._drawn}

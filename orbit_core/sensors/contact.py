@@ -22,7 +22,6 @@ class ContactSensor(AveragingSensor):
     """
 
     noisy = ("forces", "filtered")
-    sums_in_place = True
 
     def __init__(self, spec: ContactSensorSpec, context: SensorContext) -> None:
         layout = context.layout

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import take_rows
 from orbit_core.interfaces import find_name
 from orbit_core.scene import ForceTorqueSpec
 from orbit_core.sensors.context import SensorContext
@@ -41,5 +42,4 @@ class ForceTorqueSensor(TimedSensor):
         return self.wrench[:, 3:]
 
     def _measure(self, env_ids: Tensor | None) -> Values:
-        wrenches = self.engine.joint_wrenches[:, self._column]
-        return {"wrench": wrenches.clone() if env_ids is None else wrenches[env_ids]}
+        return {"wrench": take_rows(self.engine.joint_wrenches[:, self._column].clone(), env_ids)}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import take_rows, write_rows
 from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.scene import ImuSpec
 from orbit_core.sensors.averaging import AveragingSensor
@@ -30,7 +32,9 @@ class ImuSensor(AveragingSensor):
         super().__init__(spec, context, (3,))
         self._mount = Mount(context.engine, context.layout, spec.entity, spec.frame, spec.name)
         self._context = context
-        self._before: Tensor | None = None  # (N, 3) velocity at the end of the last chunk
+        self._before = torch.zeros(self.num_envs, 3, device=self.device)
+        """(N, 3) velocity at the end of the last chunk."""
+        self._before_known = False
 
     @property
     def angular_velocity(self) -> Tensor:
@@ -44,31 +48,42 @@ class ImuSensor(AveragingSensor):
 
     def begin_step(self) -> None:
         super().begin_step()
-        self._before = self._mount.velocity()[:, :3]
+        self._before.copy_(self._mount.velocity()[:, :3])
+        self._before_known = True
 
     def _forget(self, env_ids: Tensor | None) -> None:
         super()._forget(env_ids)
-        self._before = None if env_ids is None or self._before is None else self._restarted(self._before, env_ids)
+        if env_ids is None:
+            self._before_known = False
+        elif self._before_known:
+            write_rows(self._before, self._mount.velocity(env_ids)[:, :3], env_ids)
+
+    @property
+    def phase(self) -> tuple[Hashable, ...]:
+        return *super().phase, self._before_known
+
+    def enter(self, phase: tuple[Any, ...]) -> None:
+        super().enter(phase)
+        self._before_known = phase[6]
 
     def save_state(self) -> dict[str, Any]:
-        return super().save_state() | {"before": self._before}
+        return super().save_state() | {"before": self._before.clone()}
 
     def load_state(self, state: dict[str, Any]) -> None:
         super().load_state(state)
-        self._before = state["before"]
-
-    def _restarted(self, before: Tensor, env_ids: Tensor) -> Tensor:
-        return before.index_copy(0, env_ids, self._mount.velocity(env_ids)[:, :3])
+        self._before.copy_(state["before"])
+        self._before_known = state["phase"][6]
 
     def _integrate(self, steps: int) -> Tensor:
         velocity = self._mount.velocity()[:, :3]
-        change = torch.zeros_like(velocity) if self._before is None else velocity - self._before
-        self._before = velocity
+        change = velocity - self._before if self._before_known else torch.zeros_like(velocity)
+        self._before.copy_(velocity)
+        self._before_known = True
         return change / self.physics_dt
 
     def _measure(self, env_ids: Tensor | None) -> Values:
         orientation = self._mount.pose(env_ids)[:, 3:]
-        gravity = self._context.gravity if env_ids is None else self._context.gravity[env_ids]
+        gravity = take_rows(self._context.gravity, env_ids)
         angular = self._mount.velocity(env_ids)[:, 3:]
         both = torch.stack((angular, self._mean(env_ids) - gravity), 1)
         both = quat_rotate_inverse(orientation[:, None], both)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import take_rows
 from orbit_core.interfaces import match_names
 from orbit_core.scene import JointSensorSpec
 from orbit_core.sensors.context import SensorContext
@@ -39,6 +40,4 @@ class JointSensor(TimedSensor):
     def _measure(self, env_ids: Tensor | None) -> Values:
         positions = self.engine.joint_positions.index_select(1, self._joints)
         velocities = self.engine.joint_velocities.index_select(1, self._joints)
-        if env_ids is not None:
-            positions, velocities = positions[env_ids], velocities[env_ids]
-        return {"positions": positions, "velocities": velocities}
+        return {"positions": take_rows(positions, env_ids), "velocities": take_rows(velocities, env_ids)}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import is_mask
 from orbit_core.dynamics.transforms import pose_multiply, quat_rotate
 from orbit_core.interfaces import Engine, EntityLayout, SceneLayout, UnknownNameError, find_name
 from orbit_core.scene import END_EFFECTOR, Frame, Pose, RobotSpec
@@ -29,7 +30,7 @@ class Mount:
         self._offset = None if offset == Pose() else pose_tensor(offset, engine.device)
 
     def pose(self, env_ids: Tensor | None = None) -> Tensor:
-        """(n, 7) in the environment's frame, a copy."""
+        """(n, 7) in the environment's frame, a copy; of all environments where they are given by mask."""
         link = self._of_link(self._engine.link_poses, env_ids)
         return link if self._offset is None else pose_multiply(link, self._offset)
 
@@ -43,7 +44,8 @@ class Mount:
         return torch.cat((velocity[:, :3] + torch.linalg.cross(angular, arm), angular), -1)
 
     def _of_link(self, state: Tensor, env_ids: Tensor | None) -> Tensor:
-        return state[:, self.link].clone() if env_ids is None else state[env_ids, self.link]
+        all_or_none = env_ids is None or is_mask(env_ids)
+        return state[:, self.link].clone() if all_or_none else state[env_ids, self.link]
 
 
 def find_entity(layout: SceneLayout, name: str, sensor: str) -> EntityLayout:

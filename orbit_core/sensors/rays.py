@@ -6,14 +6,11 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import pose_multiply, quat_rotate, quat_yaw, transform_points
-from orbit_core.interfaces import BACKGROUND, ConfigurationError
+from orbit_core.interfaces import ConfigurationError
 from orbit_core.scene import RayCasterSpec
 from orbit_core.sensors.context import SensorContext
 from orbit_core.sensors.mount import Mount, pose_tensor
 from orbit_core.sensors.timed import TimedSensor, Values
-
-_OWN_SURFACES = 16  # a ray may cross that many surfaces of its own entity before it counts as a miss
-_PAST_SURFACE = 1e-4  # metres
 
 
 class RayCaster(TimedSensor):
@@ -24,6 +21,7 @@ class RayCaster(TimedSensor):
     """
 
     noisy = ("distances",)
+    costly = True
 
     def __init__(self, spec: RayCasterSpec, context: SensorContext) -> None:
         """Resolve the frame and the pattern.
@@ -77,9 +75,12 @@ class RayCaster(TimedSensor):
         rays = self._directions.shape[0]
         origins = transform_points(pose[:, None], self._origins).expand(-1, rays, -1)
         directions = quat_rotate(pose[:, None, 3:], self._directions)
-        distances, normals, links = self._cast(origins, directions, env_ids)
+        reach = self._ray_spec.max_distance
+        own = self._mount.entity.links
+        parts = origins.contiguous(), directions.contiguous(), reach, range(own.start, own.stop), env_ids
+        hits = self.engine.cast_rays_past(*parts)
         return {
-            "distances": distances, "normals": normals, "links": links,
+            "distances": hits.distances, "normals": hits.normals, "links": hits.links,
             "origins": origins, "directions": directions, "pose": pose,
         }  # fmt: skip
 
@@ -88,31 +89,6 @@ class RayCaster(TimedSensor):
         if not self._ray_spec.yaw_only:
             return pose
         return pose_multiply(torch.cat((pose[:, :3], quat_yaw(pose[:, 3:])), -1), self._offset)
-
-    def _cast(self, origins: Tensor, directions: Tensor, env_ids: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
-        reach = self._ray_spec.max_distance
-        hits = self.engine.cast_rays(origins.contiguous(), directions.contiguous(), reach, env_ids)
-        distances, normals, links = hits.distances.clone(), hits.normals.clone(), hits.links.clone()
-        own = self._own(links)
-        for _ in range(_OWN_SURFACES):
-            if not own.any():
-                break
-            rays = own.any(0).nonzero().squeeze(-1)
-            start = torch.where(own[:, rays], distances[:, rays] + _PAST_SURFACE, 0.0)
-            moved = origins[:, rays] + start[..., None] * directions[:, rays]
-            hits = self.engine.cast_rays(moved, directions[:, rays].contiguous(), reach, env_ids)
-            distances[:, rays] = start + hits.distances
-            normals[:, rays], links[:, rays] = hits.normals, hits.links
-            own = self._own(links)
-        missed = own | (distances > reach)
-        distances[missed] = torch.inf
-        normals[missed] = 0.0
-        links[missed] = BACKGROUND
-        return distances, normals, links
-
-    def _own(self, links: Tensor) -> Tensor:
-        own = self._mount.entity.links
-        return (links >= own.start) & (links < own.stop)
 
 
 def _unit_directions(spec: RayCasterSpec) -> Tensor:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections import deque
+from collections.abc import Hashable, Mapping
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.indexing import is_mask, write_rows
+from orbit_core.dynamics.indexing import is_mask, take_rows, write_rows
 from orbit_core.interfaces import ConfigurationError, Sensor
 from orbit_core.scene import SensorSpec
 from orbit_core.sensors.context import SensorContext
+from orbit_core.sensors.memory import Memory, with_rows
 
 Values = dict[str, Tensor]
 """One measurement of some environments: each tensor (n, ...)."""
@@ -30,13 +31,12 @@ class TimedSensor(Sensor):
     the first read, or of the next step's start), and stands for all of its delayed past. Writing state without a step
     or reset leaves the held value.
 
-    Held tensors are never changed in place. A subclass implements :meth:`_measure` and names in ``noisy`` the values
-    that noise is added to.
+    A subclass implements :meth:`_measure` and names in ``noisy`` the values that noise is added to.
     """
 
     noisy: ClassVar[tuple[str, ...]] = ()
-    sums_in_place: ClassVar[bool] = False
-    """Whether all that the sensor remembers, besides what it measured last, stays in the same memory."""
+    costly: ClassVar[bool] = False
+    """Whether environments that were reset should be measured alone, for a measurement costs more than to find them."""
 
     def __init__(self, spec: SensorSpec, context: SensorContext) -> None:
         """Check the timing.
@@ -52,13 +52,23 @@ class TimedSensor(Sensor):
         self.period = period_in_steps(spec, context.physics_dt)
         """Physics steps between measurements; None measures whenever the world steps."""
         self._random = context.random
-        self._history: deque[Values] = deque(maxlen=1 + _delay_in_periods(spec))
-        self._lazy = self.period is None or (self.period == 1 and self._history.maxlen == 1)
+        self._masking = context.random.masking
+        self._delay = _delay_in_periods(spec)
+        self._lazy = self.period is None or (self.period == 1 and self._delay == 0)
+        self._fleeting = self._lazy and not self._noisy and not self.costly
+        """Whether the sensor's value is a function of the present state alone, and is measured anew when in doubt."""
         self._elapsed = 0
-        self._outdated = False
-        self._waiting: Tensor | None = None  # (N,) environments that were reset and not measured since
-        self._masked = False
-        self._bias: Values = {}
+        self._outdated = True
+        self._empty = True
+        """Whether nothing was measured yet, or since all environments were reset."""
+        self._some_wait = False
+        self._waiting = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        """(N,) environments that were reset and not measured since."""
+        self._present: Values = {}
+        """Of a fleeting sensor."""
+        self._held = Memory(self._masking)
+        """Of all others: (1 + delay, N, ...) the last measurements, the newest first."""
+        self._bias = Memory(self._masking)
 
     # The world's side ------------------------------------------------------------------------------------------------
 
@@ -78,71 +88,79 @@ class TimedSensor(Sensor):
             self._update()
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        self._forget(self._random.masking.rows(env_ids))
+        self._forget(self._masking.rows(env_ids))
 
     def _forget(self, env_ids: Tensor | None) -> None:
         """Drop what is remembered of some environments: indices, or a mask in a traced step."""
-        if env_ids is None:
-            self._history.clear()
-            self._waiting = None
+        if self._fleeting:
+            self._outdated = True
+        elif env_ids is None:
+            self._empty, self._some_wait = True, False
+            self._waiting.zero_()
         else:
-            waiting = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-            write_rows(waiting, True, env_ids)
-            self._waiting = waiting if self._waiting is None else self._waiting | waiting
-            self._masked = is_mask(env_ids)
+            write_rows(self._waiting, True, env_ids)
+            self._some_wait = True
         for name, bias in self._bias.items():
-            self._bias[name] = _replace(bias, env_ids, self._draw_bias(bias.shape[1:], env_ids))
+            self._bias[name] = with_rows(bias, self._draw_bias(bias.shape[1:], env_ids), env_ids)
 
     def save_state(self) -> dict[str, Any]:
         """Everything that later readings depend on besides the engine's state."""
         return {
-            "elapsed": self._elapsed,
-            "outdated": self._outdated,
-            "waiting": self._waiting,
-            "history": tuple(self._history),
-            "bias": dict(self._bias),
+            "phase": self.phase,
+            "waiting": self._waiting.clone(),
+            "held": self._held.saved(),
+            "present": self._present,
+            "bias": self._bias.saved(),
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Return to a saved state."""
-        self._elapsed = state["elapsed"]
-        self._outdated = state["outdated"]
-        self._waiting = state["waiting"]
-        self._history = deque(state["history"], maxlen=self._history.maxlen)
-        self._bias = dict(state["bias"])
+        self._elapsed, self._outdated, self._empty, self._some_wait = state["phase"][:4]
+        self._waiting.copy_(state["waiting"])
+        self._held.load(state["held"])
+        self._present = state["present"]
+        self._bias.load(state["bias"])
 
-    # In a step that is traced once, and repeated without Python ------------------------------------------------------
+    # In a step that is captured --------------------------------------------------------------------------------------
 
     @property
-    def untraceable(self) -> str:
-        """What Python has to do anew for the sensor at each step; empty if nothing.
+    def phase(self) -> tuple[Hashable, ...]:
+        """What Python decides the sensor's next step by, besides what tensors hold."""
+        return self._elapsed, self._outdated, self._empty, self._some_wait
 
-        A sensor that measures when the state changes, and keeps what it sums up in place, needs none.
-        """
-        return "keeps its own time" if not (self.sums_in_place and self._lazy) else "draws noise" if self._noisy else ""
+    def enter(self, phase: tuple[Any, ...]) -> None:
+        """A step was repeated without Python, which left the sensor in that phase."""
+        self._elapsed, self._outdated, self._empty, self._some_wait = phase[:4]
+        self.touch()
 
-    def repeated(self) -> None:
-        """A step was repeated without Python: what is held is of the step before."""
-        self._outdated = True
-        self._waiting = None
+    def touch(self) -> None:
+        """What was computed from the present state alone does not hold."""
+        self._outdated |= self._fleeting
+
+    def memory(self) -> Mapping[str, Tensor]:
+        """The tensors that later readings depend on, by name."""
+        return {**{f"held {n}": t for n, t in self._held.items()}, **{f"bias {n}": t for n, t in self._bias.items()}}
 
     # The subclass's side ---------------------------------------------------------------------------------------------
 
     @abstractmethod
     def _measure(self, env_ids: Tensor | None) -> Values:
-        """Measure some environments now, without noise; the tensors are the sensor's to keep."""
+        """Measure some environments now, without noise; the tensors are the sensor's to keep.
+
+        With a mask (N,) bool they are of all environments, and rows outside of it count for nothing.
+        """
 
     def _read(self, name: str) -> Tensor:
         """The held value (N, ...) of that name."""
         self._settle()
-        return self._history[0][name]
+        return self._present[name] if self._fleeting else self._held[name][-1]
 
     def _noise(self, name: str, shape: tuple[int, ...], env_ids: Tensor | None) -> Tensor:
         """A draw (n, *shape) of white noise plus the value's bias."""
         if name not in self._bias:
             self._bias[name] = self._draw_bias(shape, None)
-        bias = self._bias[name] if env_ids is None else self._bias[name][env_ids]
-        return bias + self._random.normal(shape, self.spec.noise.std, env_ids)
+        rows = None if is_mask(env_ids) else env_ids  # a mask is set, and means itself
+        return take_rows(self._bias[name], env_ids) + self._random.normal(shape, self.spec.noise.std, rows)
 
     def _corrupt(self, values: Values, env_ids: Tensor | None) -> None:
         """Add noise to a measurement, in place."""
@@ -166,29 +184,42 @@ class TimedSensor(Sensor):
         return bool(self.spec.noise.std or self.spec.noise.bias_std)
 
     def _settle(self) -> None:
-        if self._outdated or not self._history or (self._masked and self._waiting is not None):
-            self._update()  # for all, where to count those that wait is to look at a mask
-        elif self._waiting is not None:
-            ids = self._waiting.nonzero().squeeze(-1)
-            self._overwrite(ids, self._sample(ids))
+        if self._fleeting:
+            if self._outdated:
+                self._present = self._measure(None)
+                self._outdated = False
+        elif self._outdated or self._empty:
+            self._update()
+        elif self._some_wait:
+            self._renew()
 
     def _update(self) -> None:
-        values = self._sample(None)
-        waiting = self._waiting
-        self._history.append(values)
-        while len(self._history) < (self._history.maxlen or 1):
-            self._history.append(values)
-        if waiting is not None and len(self._history) > 1:
-            ids = waiting.nonzero().squeeze(-1)
-            self._overwrite(ids, {name: value[ids] for name, value in values.items()})
-        self._outdated = False
-        self._waiting = None
-        self._masked = False
+        """Measure all environments."""
+        for name, value in self._sample(None).items():
+            newest = value[None]
+            if self._empty or not self._delay:
+                self._held[name] = (
+                    newest if not self._delay else newest.repeat(1 + self._delay, *(1 for _ in value.shape))
+                )
+                continue
+            history = torch.cat((newest, self._held[name][:-1]))
+            self._held[name] = with_rows(history, newest, self._waiting, 1) if self._some_wait else history
+        self._outdated = self._empty = False
+        self._all_are_measured()
 
-    def _overwrite(self, env_ids: Tensor, values: Values) -> None:
-        for index, held in enumerate(self._history):
-            self._history[index] = {name: held[name].index_copy(0, env_ids, values[name]) for name in held}
-        self._waiting = None
+    def _renew(self) -> None:
+        """Measure the environments that wait."""
+        rows = self._waiting if self._masking.traced else self._waiting.nonzero().squeeze(-1)
+        with self._masking.only(rows if is_mask(rows) else None):
+            values = self._sample(rows)
+        for name, value in values.items():
+            self._held[name] = with_rows(self._held[name], value[None], rows, 1)
+        self._all_are_measured()
+
+    def _all_are_measured(self) -> None:
+        if self._some_wait:
+            self._waiting.zero_()
+            self._some_wait = False
 
 
 def period_in_steps(spec: SensorSpec, physics_dt: float) -> int | None:
@@ -225,7 +256,3 @@ def _delay_in_periods(spec: SensorSpec) -> int:
             f"of {1.0 / spec.rate:g} s"
         )
     return periods
-
-
-def _replace(old: Tensor, env_ids: Tensor | None, new: Tensor) -> Tensor:
-    return new if env_ids is None else old.index_copy(0, env_ids, new)
