@@ -106,6 +106,8 @@ class Cut:
         self.graph.step_count += steps
         for runner, (_, pending) in zip(self._acting, phase, strict=True):
             runner.enter(self.graph.step_count, pending)
+        for runner in self._upstream:
+            runner.pending = True  # they have not observed what the repeated steps came to
 
     def memory(self) -> dict[str, Tensor]:
         """The tensors that the agent's next steps depend on besides its nodes' own memory, by name."""

@@ -63,6 +63,7 @@ class NodeRunner:
         outputs = self._compute()
         for name, slot in self._targets:
             self._keep(slot, outputs[name])
+            self._make_room(outputs[name])
         self._took_turn(step)
 
     def renew(self) -> None:
@@ -75,6 +76,10 @@ class NodeRunner:
         for name, tensor in self.node.memory().items():
             tensor.copy_(self._where_reset(tensor, remembered[name]))
         self._none_waits()
+
+    def _make_room(self, value: Tensor) -> None:
+        if self._waiting is None:
+            self._waiting = torch.zeros(len(value), dtype=torch.bool, device=value.device)
 
     def _keep(self, slot: int, value: Tensor) -> None:
         own = self._values[slot]
@@ -104,9 +109,7 @@ class NodeRunner:
         if env_ids is None:
             self.last_turn = -1
             self._none_waits()
-        elif self._targets and (held := self._values[self._targets[0][1]]) is not None:
-            if self._waiting is None:
-                self._waiting = torch.zeros(len(held), dtype=torch.bool, device=held.device)
+        elif self._waiting is not None:
             write_rows(self._waiting, True, env_ids)
             self.pending = True
 
@@ -116,6 +119,7 @@ class NodeRunner:
         if self.due(step):
             for slot, value in given:
                 self._keep(slot, value)
+                self._make_room(value)
             self._took_turn(step)
         elif self.pending:
             for slot, value in given:
@@ -153,8 +157,8 @@ class NodeRunner:
     # In a step that is captured
 
     def phase(self, step: int) -> tuple[int, bool]:
-        """What Python decides the node's turn in that step by: its place in the node's period, and who waits."""
-        return step % self.period, self.pending
+        """What Python decides the node's turn by: the step's place in the node's period, and whether some wait."""
+        return step % self.period, self.pending and self.period > 1
 
     def enter(self, step: int, pending: bool) -> None:
         """Steps before ``step`` were repeated without Python, and left environments waiting or not."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import Tensor, fx
 
-from orbit_core.capture.compile import check_compiler, compiled
+from orbit_core.capture.compile import compiled
 from orbit_core.capture.stages import Trace
 from orbit_core.capture.trace import NotTraceable, Tracer
 from orbit_core.interfaces import World
@@ -33,8 +33,6 @@ class CapturedFunction:
         memory: Callable[[], Mapping[str, Tensor]],
         compile: bool,
     ) -> None:
-        if compile:
-            check_compiler(world.device)
         self._world = world
         self._operations = operations
         self._memory = memory
@@ -43,26 +41,22 @@ class CapturedFunction:
         self.refusal = ""
         """Why the operations cannot be repeated without Python; empty if they can, or have not run."""
 
-    @property
-    def ready(self) -> bool:
-        """Whether the operations have been traced."""
-        return self.replay is not None or bool(self.refusal)
-
     def __call__(self) -> tuple[Tensor, ...]:
         return self._traced() if self.replay is None else self.replay()
 
     def _traced(self) -> tuple[Tensor, ...]:
         world, before = self._world, self._memory()
         tracer = Tracer(world.engine)
-        world.clock.touch()  # what was derived before must not be taken for part of the step
+        world.touch()  # what was derived before must not be taken for part of the step
         world.masking.traced = True
         try:
             with torch.no_grad(), tracer.tracing():
                 outputs = self._operations()
         finally:
             world.masking.traced = False
-        self.refusal = tracer.refusal or _rebound(before, self._memory())
-        if not self.refusal:
+        after = self._memory()
+        self.refusal = tracer.refusal or _rebound(before, after)
+        if not self.refusal and before.keys() == after.keys():  # else there is memory now that a next trace will find
             try:
                 trace = Trace(world.engine, tracer.stages, outputs, self._build)
                 self.replay = _recorded(trace, world.engine.capture.record)
@@ -97,5 +91,5 @@ def _recorded(
 
 
 def _rebound(before: Mapping[str, Tensor], after: Mapping[str, Tensor]) -> str:
-    names = [name for name, tensor in after.items() if tensor is not before.get(name)]
+    names = [name for name, tensor in before.items() if tensor is not after.get(name)]
     return f"{names[0]} is another tensor after each step: write it in place" if names else ""

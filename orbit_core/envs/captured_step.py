@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 from torch.utils._pytree import keystr, tree_leaves_with_path
 
 from orbit_core.agent import Cut
+from orbit_core.capture.compile import check_compiler
+from orbit_core.capture.phases import Moment, PhasedFunction
 from orbit_core.capture.replay import CapturedFunction
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.observation_layout import Observation, leaves_of, observation_of
@@ -19,6 +22,8 @@ from orbit_core.interfaces import World
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
 
+MOST_PHASES = 64
+"""Of a schedule that is captured: each costs a trace, and where asked a compilation."""
 StepResult = tuple[Observation, Tensor, Tensor, Tensor, Mapping[str, EpisodeEnd]]
 
 
@@ -30,9 +35,14 @@ class CapturedStep:
         compile: whether to compile the parts.
         whole: whether the resets are in the step, so that nothing waits for the device; else they are another part, run
             only where an episode ended, which on a CPU costs nothing to know.
+
+    Raises:
+        ConfigurationError: it should be compiled, and nothing compiles here.
     """
 
     def __init__(self, environment: Environment, compile: bool, whole: bool) -> None:
+        if compile:
+            check_compiler(environment.device)
         self._environment = environment
         self._observed: list[Tensor] = [torch.empty_like(leaf) for leaf in leaves_of(environment.observer())]
         """The last observation of all environments, for the part that renews it where episodes begin."""
@@ -40,17 +50,21 @@ class CapturedStep:
         self._metrics: tuple[str, ...] = ()
         self._ended = environment.done if whole else environment.done.numpy()
         parts = (self._play_and_renew,) if whole else (self._play, self._renew)
-        memory = lambda: remembered(environment.task, environment.cut)  # noqa: E731
-        self.parts = [CapturedFunction(environment.world, part, memory, compile) for part in parts]
+        self.parts = [self._phased(part, compile) for part in parts]
+
+    def _phased(self, part: Callable[[], tuple[Tensor, ...]], compile: bool) -> PhasedFunction:
+        world, task, cut = self._environment.world, self._environment.task, self._environment.cut
+
+        def memory() -> dict[str, Tensor]:
+            return {**remembered(task, cut), **cut.memory(), **world.memory()}
+
+        return PhasedFunction(StepSchedule(world, cut), lambda: CapturedFunction(world, part, memory, compile))
 
     def __call__(self) -> StepResult:
         """One step; the first makes all parts ready, and so does for no environment what resets do."""
-        environment = self._environment
-        graph, clock = environment.cut.graph, environment.world.clock
-        count, steps, decimation = graph.step_count, clock.steps, environment.task.decimation
+        if not self.parts[0].ready:
+            self._environment.cut.observe()  # in Python, acting demands it
         outputs = self.parts[0]()
-        environment.cut.acted(count)
-        environment.world.repeated(steps + decimation - clock.steps)
         running = len(self.parts) > 1 and self.parts[1].ready and not self._ended.any()
         copies = [output.clone() for output in (outputs[: self._leaves + 3] if running else outputs)]
         seen, (reward, terminated, truncated, *end) = copies[: self._leaves], copies[self._leaves :]
@@ -59,7 +73,6 @@ class CapturedStep:
         if len(self.parts) > 1:
             end += seen
             seen = [output.clone() for output in self.parts[1]()]
-            environment.world.repeated(0)
         return self._tree(seen), reward, terminated, truncated, self._info(end)
 
     @property
@@ -124,11 +137,35 @@ def remembered(task: Task, cut: Cut) -> dict[str, Tensor]:
     return {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
 
 
-def needs_python(world: World, cut: Cut) -> str:
-    """What of a step Python has to do each time anew; empty if nothing."""
-    if reason := world.needs_python:
-        return reason
-    for runner in cut.graph.runners:
-        if runner.period != 1:
-            return f"node '{runner.node.name}' has a rate of its own"
-    return ""
+class StepSchedule:
+    """What is due in a step of the environment: sensors, and nodes of the agent.
+
+    One clock rules all environments, so that it is a function of the step's place in the schedule's period.
+    """
+
+    def __init__(self, world: World, cut: Cut) -> None:
+        self._world, self._cut = world, cut
+
+    def moment(self) -> Moment:
+        """Where it stands now."""
+        phase = self._world.phase, self._cut.phase()
+        return Moment(phase, self._world.clock.steps, self._cut.graph.step_count)
+
+    def move(self, phase: Any, physics_steps: int, agent_steps: int) -> None:
+        """Go on by so many steps, into that phase."""
+        self._world.enter(phase[0], physics_steps)
+        self._cut.enter(phase[1], agent_steps)
+
+
+def needs_python(world: World, cut: Cut, decimation: int) -> str:
+    """Why a step cannot be captured; empty if it can."""
+    if world.needs_python:
+        return world.needs_python
+    agent = math.lcm(*(runner.period for runner in cut.graph.runners))
+    phases = math.lcm(world.schedule_period, decimation * agent) // decimation
+    if phases <= MOST_PHASES:
+        return ""
+    return (
+        f"what is due repeats after {phases} steps only, and each of them would be captured, of {MOST_PHASES} at most: "
+        "choose rates of sensors and nodes that divide the rate of the environment's steps"
+    )

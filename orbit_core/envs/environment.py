@@ -236,7 +236,7 @@ class Environment:
 
     def _close_step(self) -> CapturedStep | None:
         """The step without its Python, where that is asked for or the device is not Python's own."""
-        reason = needs_python(self.world, self.cut)
+        reason = needs_python(self.world, self.cut, self.task.decimation)
         if self._compile and reason:
             raise ConfigurationError(f"the step cannot be compiled, for it needs Python each time: {reason}")
         if reason or (self.device.type == "cpu" and not self._compile):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
@@ -185,8 +185,26 @@ class World(ABC):
         """Why a step of this world cannot be captured (:mod:`orbit_core.capture`); empty if it can."""
         return f"{type(self).__name__} has no engine"
 
-    def repeated(self, steps: int) -> None:
-        """A call of :meth:`step` was repeated without its Python: count it."""
+    @property
+    def schedule_period(self) -> int:
+        """Physics steps after which the same sensors are due again."""
+        return 1
+
+    @property
+    def phase(self) -> Hashable:
+        """What Python decides by, in the next step, which sensors are due and how far the engine runs at a time."""
+        raise self._unsupported("captured steps")
+
+    def enter(self, phase: Any, steps: int) -> None:
+        """``steps`` physics steps were repeated without Python, which left the world in that phase."""
+        raise self._unsupported("captured steps")
+
+    def touch(self) -> None:
+        """What was derived from the present state must be derived anew."""
+        raise self._unsupported("captured steps")
+
+    def memory(self) -> dict[str, Tensor]:
+        """The tensors that a captured step writes in place besides the engine's, by name."""
         raise self._unsupported("captured steps")
 
     def _unsupported(self, what: str) -> UnsupportedCapabilityError:

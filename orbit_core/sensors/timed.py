@@ -109,16 +109,14 @@ class TimedSensor(Sensor):
             "phase": self.phase,
             "waiting": self._waiting.clone(),
             "held": self._held.saved(),
-            "present": self._present,
             "bias": self._bias.saved(),
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Return to a saved state."""
-        self._elapsed, self._outdated, self._empty, self._some_wait = state["phase"][:4]
+        TimedSensor.enter(self, state["phase"])
         self._waiting.copy_(state["waiting"])
         self._held.load(state["held"])
-        self._present = state["present"]
         self._bias.load(state["bias"])
 
     # In a step that is captured --------------------------------------------------------------------------------------
@@ -126,12 +124,11 @@ class TimedSensor(Sensor):
     @property
     def phase(self) -> tuple[Hashable, ...]:
         """What Python decides the sensor's next step by, besides what tensors hold."""
-        return self._elapsed, self._outdated, self._empty, self._some_wait
+        return self._elapsed, self._outdated or self._fleeting, self._empty, self._some_wait
 
     def enter(self, phase: tuple[Any, ...]) -> None:
         """A step was repeated without Python, which left the sensor in that phase."""
         self._elapsed, self._outdated, self._empty, self._some_wait = phase[:4]
-        self.touch()
 
     def touch(self) -> None:
         """What was computed from the present state alone does not hold."""

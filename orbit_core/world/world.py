@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -218,17 +218,33 @@ class SimulatedWorld(World):
             self.actuators.apply()
             self._engine.step(1)
 
+    # In a step that is captured
+
     @property
     def needs_python(self) -> str:
-        for name, sensor in self._timed.items():
-            if sensor.untraceable:
-                return f"sensor '{name}' {sensor.untraceable}"
-        return "an actuator's delay" if self.actuators.delayed else ""
+        return ""
 
-    def repeated(self, steps: int) -> None:
+    @property
+    def schedule_period(self) -> int:
+        return math.lcm(*(sensor.period or 1 for sensor in self._timed.values()))
+
+    @property
+    def phase(self) -> Hashable:
+        sensors = tuple(sensor.phase for sensor in self._timed.values())
+        return self.clock.steps % (self._stretch or 1), sensors
+
+    def enter(self, phase: Any, steps: int) -> None:
         self.clock.advance(steps)
+        for sensor, own in zip(self._timed.values(), phase[1], strict=True):
+            sensor.enter(own)
+
+    def touch(self) -> None:
+        self.clock.touch()
         for sensor in self._timed.values():
-            sensor.repeated()
+            sensor.touch()
+
+    def memory(self) -> dict[str, Tensor]:
+        return {f"sensor '{n}', {m}": t for n, s in self._timed.items() for m, t in s.memory().items()}
 
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         """Gravity (n, 3) in m/s^2 of some environments, for good.

@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, make_dataclass, replace
 
 import pytest
 import torch
+from torch import Tensor
 
 from orbit_core.backends import default_backend
 from orbit_core.envs import CurriculumTerm, EventTerm, EventTime, ObservationTerm, TerminationTerm, make
 from orbit_core.envs.captured_step import CapturedStep, needs_python
 from orbit_core.envs.environment import Environment
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.envs.task import Task
+from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import randomize
-from orbit_core.scene import ContactSensorSpec, Scene
+from orbit_core.scene import (
+    ActuatorConfig,
+    CameraSpec,
+    Channel,
+    ContactSensorSpec,
+    FrameSensorSpec,
+    IdealPd,
+    ImuSpec,
+    JointSensorSpec,
+    Noise,
+    Pose,
+    RayCasterSpec,
+    Scene,
+    SensorSpec,
+    look_at,
+)
+from orbit_core.sensors.patterns import grid_pattern
 from orbit_tasks.lift import Lift, LiftObservations, LiftState
 from orbit_tasks.velocity_flat import CONTACTS, VelocityFlat
 
@@ -142,16 +160,88 @@ def test_without_a_compiler_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch)
 
 
 @dataclass(kw_only=True)
-class SlowSensor(VelocityFlat):
+class Sensing(VelocityFlat):
+    """All that a robot may sense, late, wrong and at rates of their own, and drives that obey late."""
+
+    rate: float = 25.0
+    camera: bool = False
+
     def scene(self) -> Scene:
-        sensors = (ContactSensorSpec(name=CONTACTS, entity="robot", rate=50.0),)
-        return replace(super().scene(), sensors=sensors)
+        noise = Noise(std=0.01, bias_std=0.02)
+        origins, directions = grid_pattern((0.4, 0.4), 0.2)
+        rays = {"origins": origins, "directions": directions, "pose": Pose((0.0, 0.0, 0.5)), "yaw_only": True}
+        scan = RayCasterSpec(name="scan", entity="robot", frame="base", rate=50.0, noise=noise, **rays)
+        sensors: list[SensorSpec] = [
+            ContactSensorSpec(name=CONTACTS, entity="robot", rate=self.rate),
+            ImuSpec(name="imu", entity="robot", frame="base", rate=50.0, delay=0.02, noise=noise),
+            JointSensorSpec(name="encoders", entity="robot", rate=100.0, delay=0.01, noise=noise),
+            FrameSensorSpec(name="base", entity="robot", frame="base", noise=noise),
+            scan,
+        ]
+        if self.camera:
+            view = Pose((0.3, 0.0, 0.1)) @ look_at((0.0, 0.0, 0.0), (1.0, 0.0, -0.5))
+            channels = (Channel.RGB, Channel.DEPTH, Channel.SEMANTIC)
+            place = {"entity": "robot", "frame": "base", "pose": view}
+            sensors.append(CameraSpec(name="camera", width=8, height=6, rate=25.0, channels=channels, **place))
+        scene = super().scene()
+        robot = scene.robots[0]
+        late = tuple(_late(group) for group in robot.actuators)
+        return replace(scene, sensors=tuple(sensors), robots=(replace(robot, actuators=late), *scene.robots[1:]))
 
 
-@pytest.mark.parametrize(("task", "reason"), [(VelocityFlat(), ""), (SlowSensor(), "sensor 'contacts' keeps its own")])
-def test_what_needs_python_is_named(task: VelocityFlat, reason: str) -> None:
-    environment = Environment(task, 1, BACKEND)
-    found = needs_python(environment.world, environment.cut)
-    assert found.startswith(reason)
-    assert bool(found) == bool(reason)
+def _late(group: ActuatorConfig) -> IdealPd:
+    return IdealPd(joints=group.joints, stiffness=25.0, damping=0.5, min_delay=0, max_delay=3)
+
+
+def _read(name: str, *values: str) -> ObservationTerm:
+    def read(world: World, task: Task) -> Tensor:
+        return torch.cat([getattr(world.sensors[name], value).flatten(1).nan_to_num() for value in values], 1)
+
+    return ObservationTerm(read)
+
+
+def _seen(world: World, task: Task) -> Tensor:
+    images: dict[Channel, Tensor] = world.sensors["camera"].images  # pyright: ignore[reportAttributeAccessIssue]
+    return torch.cat([image.flatten(1).float().clamp(-10.0, 300.0) for image in images.values()], 1)
+
+
+def sensing(**changes: object) -> Sensing:
+    task = Sensing(episode_length=0.2, **changes)  # pyright: ignore[reportArgumentType]
+    terms = {
+        "imu": _read("imu", "angular_velocity", "linear_acceleration"),
+        "encoders": _read("encoders", "positions", "velocities"),
+        "forces": _read(CONTACTS, "forces"),
+        "frame": _read("base", "pose", "velocity"),
+        "scan": _read("scan", "distances", "normals"),
+        **({"camera": ObservationTerm(_seen)} if task.camera else {}),
+    }
+    task.observations = make_dataclass("Sensed", [(name, ObservationTerm, term) for name, term in terms.items()])()
+    task.terminations.fallen = TerminationTerm(lambda world, task: task.last_action[:, 0] > 0.9)
+    return task
+
+
+@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("changes", [{}, {"rate": 12.5}, {"camera": True}])
+def test_sensors_and_drives_of_every_kind_are_the_same(whole: bool, changes: dict[str, object]) -> None:
+    plain, other = Environment(sensing(**changes), 4, BACKEND), Environment(sensing(**changes), 4, BACKEND)
+    assert_same_life(plain, closed(other, whole), exact=True)
+
+
+def test_what_is_sensed_in_a_compiled_step_is_the_same() -> None:
+    plain, other = Environment(sensing(), 4, BACKEND), Environment(sensing(), 4, BACKEND, compile=True)
+    assert_same_life(plain, other, exact=False)
+
+
+def test_a_step_is_captured_once_for_each_phase_of_its_schedule() -> None:
+    environment = closed(Environment(sensing(rate=12.5), 3, BACKEND), whole=True)
+    for _ in range(20):
+        environment.step(torch.zeros(3, environment.action_size))
+    assert [part.phases for part in environment._closed.parts] == [4]
+    environment.close()
+
+
+def test_a_schedule_of_too_many_phases_is_named() -> None:
+    environment = Environment(sensing(rate=200.0 / 131), 1, BACKEND)
+    reason = needs_python(environment.world, environment.cut, environment.task.decimation)
+    assert reason.startswith("what is due repeats after 131 steps only")
     environment.close()
