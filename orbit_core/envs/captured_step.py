@@ -107,7 +107,7 @@ class CapturedStep:
         self._metrics = tuple(metrics)
         # Copies, for resets write the same memory before anyone looks.
         end = (environment.done, task.success(world), task.episode_step, environment.reward_sums, *metrics.values())
-        return (*seen, *outcome, *(tensor.clone() for tensor in end))
+        return (*self._observed, *outcome, *(tensor.clone() for tensor in end))
 
     def _renew(self) -> tuple[Tensor, ...]:
         """New episodes where one ended, and the observation with theirs."""
