@@ -30,8 +30,8 @@ class Memory(MutableMapping[str, Tensor]):
         own = self._tensors.get(name)
         if own is not None and self._pinned:
             own.copy_(value)
-        else:
-            self._tensors[name] = value
+        else:  # what is expanded has several elements at one place, and cannot be written
+            self._tensors[name] = value.clone() if 0 in value.stride() else value
 
     def __delitem__(self, name: str) -> None:
         del self._tensors[name]

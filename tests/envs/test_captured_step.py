@@ -9,7 +9,15 @@ import torch
 from torch import Tensor
 
 from orbit_core.backends import default_backend
-from orbit_core.envs import CurriculumTerm, EventTerm, EventTime, ObservationTerm, TerminationTerm, make
+from orbit_core.envs import (
+    CurriculumTerm,
+    EventTerm,
+    EventTime,
+    ObservationGroup,
+    ObservationTerm,
+    TerminationTerm,
+    make,
+)
 from orbit_core.envs.captured_step import CapturedStep, needs_python
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.task import Task
@@ -215,7 +223,9 @@ def sensing(**changes: object) -> Sensing:
         "scan": _read("scan", "distances", "normals"),
         **({"camera": ObservationTerm(_seen)} if task.camera else {}),
     }
-    task.observations = make_dataclass("Sensed", [(name, ObservationTerm, term) for name, term in terms.items()])()
+    fields = [(name, ObservationTerm, term) for name, term in terms.items()]
+    group = make_dataclass("Sensed", fields, bases=(ObservationGroup,))
+    task.observations = make_dataclass("SensedObservations", [("policy", ObservationGroup)])(group())
     task.terminations.fallen = TerminationTerm(lambda world, task: task.last_action[:, 0] > 0.9)
     return task
 

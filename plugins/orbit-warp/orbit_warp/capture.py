@@ -20,7 +20,7 @@ class WarpCapture(CaptureFacet):
         enabled: whether the user wants recordings.
     """
 
-    takes_masks = frozenset({"reset", "write_joint_state", "write_root_state"})
+    takes_masks = frozenset({"reset", "write_joint_state", "write_root_state", "cast_rays_past"})
 
     def __init__(self, graphs: Graphs, state: State, prepare: Callable[[], None], enabled: bool) -> None:
         self._graphs, self._state, self._prepare_step, self._enabled = graphs, state, prepare, enabled

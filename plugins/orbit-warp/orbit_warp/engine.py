@@ -237,6 +237,12 @@ class WarpEngine(Engine):
         self._state.refresh_bodies()
         return self._rays.cast(origins, directions, max_distance, env_ids)
 
+    def cast_rays_past(
+        self, origins: Tensor, directions: Tensor, max_distance: float, links: range, env_ids: Tensor | None = None
+    ) -> RayHits:
+        self._state.refresh_bodies()
+        return self._rays.cast_past(origins, directions, max_distance, links, env_ids)
+
     # Parameters per environment --------------------------------------------------------------------------------------
 
     def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from orbit_core.interfaces import RayHits, SceneLayout
 from orbit_mjmodel.addresses import Addresses
+from orbit_warp.ray_kernel import rays_past
 from orbit_warpkit.graphs import Graphs
 
 if TYPE_CHECKING:
@@ -29,9 +30,31 @@ class RayCaster:
         self._model, self._data, self._graphs = native.model, native.data, graphs
         self._device = wp.device_to_torch(native.data.qpos.device)
         self._link_of_geom = torch.as_tensor(addresses.link_of_geom, device=self._device)
+        self._warp_link_of_geom = wp.array(addresses.link_of_geom, dtype=int, device=native.data.qpos.device)
         self._buffers: dict[int, _Buffers] = {}
 
     def cast(self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None) -> RayHits:
+        buffers = self._buffers_of(origins, directions, env_ids)
+        self._graphs.run(("rays", origins.shape[1]), lambda: self._launch(buffers))
+        return self._hits(buffers, max_distance, slice(None) if env_ids is None else env_ids)
+
+    def cast_past(
+        self, origins: Tensor, directions: Tensor, max_distance: float, links: range, env_ids: Tensor | None
+    ) -> RayHits:
+        """As :meth:`cast`, through the shapes of some links; with a mask (N,) bool the rays are those of all."""
+        masked = env_ids is not None and env_ids.dtype == torch.bool
+        rows = slice(None) if env_ids is None or masked else env_ids
+        buffers = self._buffers_of(origins, directions, None if masked else env_ids)
+        if masked:
+            buffers.chosen.copy_(env_ids)
+        else:
+            buffers.chosen[:] = env_ids is None
+            buffers.chosen[rows] = True
+        key = ("rays past", origins.shape[1], links.start, links.stop)
+        self._graphs.run(key, lambda: self._launch_past(buffers, links))
+        return self._hits(buffers, max_distance, rows)
+
+    def _buffers_of(self, origins: Tensor, directions: Tensor, env_ids: Tensor | None) -> _Buffers:
         rays = origins.shape[1]
         if rays not in self._buffers:
             self._buffers[rays] = _Buffers(self._data.nworld, rays, self._device)
@@ -39,12 +62,34 @@ class RayCaster:
         rows = slice(None) if env_ids is None else env_ids
         buffers.origins[rows] = origins
         buffers.directions[rows] = directions
-        self._graphs.run(("rays", rays), lambda: self._launch(buffers))
+        return buffers
+
+    def _hits(self, buffers: _Buffers, max_distance: float, rows: slice | Tensor) -> RayHits:
         distances, normals = buffers.distances[rows], buffers.normals[rows]
         missed = (distances < 0) | (distances > max_distance)
         # The last entry of the table stands for nothing.
         links = self._link_of_geom[torch.where(missed, -1, buffers.geoms[rows].long())]
         return RayHits(torch.where(missed, torch.inf, distances), torch.where(missed[..., None], 0.0, normals), links)
+
+    def _launch_past(self, buffers: _Buffers, links: range) -> None:
+        m, d = self._model, self._data
+        wp.launch_tiled(
+            rays_past,
+            dim=buffers.distances.shape,
+            inputs=[
+                m.ngeom, m.nmeshface, m.body_weldid, m.geom_type, m.geom_bodyid, m.geom_dataid, m.geom_matid,
+                m.geom_group, m.geom_size, m.geom_rgba, m.mesh_vertadr, m.mesh_faceadr, m.mesh_vert, m.mesh_face,
+                m.hfield_size, m.hfield_nrow, m.hfield_ncol, m.hfield_adr, m.hfield_data, m.mat_rgba,
+                d.geom_xpos, d.geom_xmat,
+                wp.from_torch(buffers.origins, dtype=wp.vec3), wp.from_torch(buffers.directions, dtype=wp.vec3),
+                vec6f(*_EVERY_GROUP), self._warp_link_of_geom, links.start, links.stop, wp.from_torch(buffers.chosen),
+            ],
+            outputs=[
+                wp.from_torch(buffers.distances), wp.from_torch(buffers.geoms),
+                wp.from_torch(buffers.normals, dtype=wp.vec3),
+            ],
+            block_dim=m.block_dim.ray,
+        )  # fmt: skip
 
     def _launch(self, buffers: _Buffers) -> None:
         mjw.rays(
@@ -66,6 +111,7 @@ class _Buffers:
         self.origins = torch.zeros(envs, rays, 3, device=device)
         self.directions = torch.zeros(envs, rays, 3, device=device)
         self.directions[..., 2] = 1.0
+        self.chosen = torch.zeros(envs, dtype=torch.bool, device=device)
         self.excluded = torch.full((rays,), -1, dtype=torch.int32, device=device)
         self.distances = torch.zeros(envs, rays, device=device)
         self.geoms = torch.zeros(envs, rays, dtype=torch.int32, device=device)

@@ -11,7 +11,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from orbit_core.interfaces import ConfigurationError, Image, Renderer, SceneLayout
+from orbit_core.interfaces import CaptureFacet, ConfigurationError, Image, Renderer, SceneLayout
 from orbit_core.scene import CameraSpec, Channel
 from orbit_warp.config import WarpConfig
 from orbit_warp.renderer_model import PictureModel
@@ -22,6 +22,10 @@ from orbit_warpkit.graphs import Graphs
 _SEGMENTED = (Channel.INSTANCE, Channel.SEMANTIC)
 
 
+class _Capture(CaptureFacet):
+    takes_masks = frozenset({"render"})
+
+
 class WarpRenderer(Renderer):
     """Draws a scene with direct light, shadows and a sky, on the device where the poses are.
 
@@ -29,6 +33,8 @@ class WarpRenderer(Renderer):
     take transparent shapes for solid ones, and normals are those of the faces. Markers are seen in colour alone, and
     cast no shadows.
     """
+
+    capture = _Capture()
 
     def __init__(self, layout: SceneLayout, config: WarpConfig) -> None:
         wp.config.log_level = wp.LOG_WARNING
@@ -51,9 +57,10 @@ class WarpRenderer(Renderer):
             raise ConfigurationError("the renderer is closed: make another")
         graphs, stage = self._stage(link_poses.device)
         with torch.no_grad(), graphs.stream():
-            stage.choose(env_ids)
+            mask = env_ids if env_ids is not None and env_ids.dtype == torch.bool else None
+            stage.choose(env_ids if mask is None else None)
             stage.place(link_poses, marker_poses)
-            return self._trace(camera, camera_poses, stage, set(channels), marker_poses is not None)
+            return self._trace(camera, camera_poses, stage, set(channels), marker_poses is not None, mask)
 
     def close(self) -> None:
         self._stages.clear()
@@ -67,14 +74,22 @@ class WarpRenderer(Renderer):
         return self._stages[device]
 
     def _trace(
-        self, camera: CameraSpec, camera_poses: Tensor, stage: Stage, wanted: set[Channel], markers: bool
+        self,
+        camera: CameraSpec,
+        camera_poses: Tensor,
+        stage: Stage,
+        wanted: set[Channel],
+        markers: bool,
+        mask: Tensor | None,
     ) -> Image:
+        """Pictures, of the environments of a mask alone; others are black, and nothing is in them."""
         count, device = len(camera_poses), camera_poses.device
         pixels = camera.width * camera.height
 
         def buffer(channels: tuple[Channel, ...], depth: int, dtype: torch.dtype) -> Tensor:
             asked = not wanted.isdisjoint(channels)
-            return torch.empty(count if asked else 0, pixels, depth, dtype=dtype, device=device)
+            make = torch.empty if mask is None else torch.zeros
+            return make(count if asked else 0, pixels, depth, dtype=dtype, device=device)
 
         rgb, albedo = buffer((Channel.RGB,), 3, torch.uint8), buffer((Channel.ALBEDO,), 3, torch.uint8)
         depth, normals = buffer((Channel.DEPTH,), 1, torch.float32), buffer((Channel.NORMALS,), 3, torch.float32)
@@ -87,6 +102,7 @@ class WarpRenderer(Renderer):
             inputs=[
                 stage.arrays, wp.from_torch(camera_poses.contiguous()), camera.width, camera.height,
                 2.0 * math.tan(0.5 * camera.vertical_fov) / camera.height, camera.near, camera.far, markers,
+                stage.everyone if mask is None else wp.from_torch(mask),
             ],
             outputs=[wp.from_torch(tensor) for tensor in (rgb, depth, normals, links, albedo)],
             device=stage.device,

@@ -106,6 +106,8 @@ class Stage:
             wp.array(mjm.geom_quat, dtype=wp.quat),
         )
         self._no_markers = wp.zeros((0, 0, 7), dtype=float)
+        self.everyone = wp.zeros(0, dtype=wp.bool)
+        """In the place of a mask."""
         self._capacity = 0
         self._bvh: wp.Bvh | None = None
         self.arrays = self._constant_arrays(model)

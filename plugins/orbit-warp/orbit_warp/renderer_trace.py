@@ -146,6 +146,7 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool) -
         near: float,
         far: float,
         with_markers: bool,
+        chosen: wp.array[wp.bool],
         rgb: wp.array3d[wp.uint8],
         depth: wp.array3d[float],
         normals: wp.array3d[float],
@@ -153,6 +154,8 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool) -
         albedo: wp.array3d[wp.uint8],
     ):
         env, pixel = wp.tid()
+        if chosen.shape[0] > 0 and not chosen[env]:
+            return
         eye = wp.vec3(camera_poses[env, 0], camera_poses[env, 1], camera_poses[env, 2])
         q = wp.quat(camera_poses[env, 3], camera_poses[env, 4], camera_poses[env, 5], camera_poses[env, 6])
         x = (float(pixel % width) + 0.5 - 0.5 * float(width)) * pixel_size

@@ -5,6 +5,7 @@
 #   tests1, tests2, tests3   the contract's suite, a third each    about 2 minutes each
 #   images    pictures against closed forms                        about 5 minutes with a cold kernel cache
 #   cameras   colour and depth of Lift at 1,024 environments       about 3 minutes
+#   sensors   rays, noise, delays and pictures in a step          about 4 minutes
 #   bench     Lift at 4,096 and 16,384 environments                about 2 minutes
 #   tasks     Reach, Cabinet and Velocity-Flat at 4,096            about 3 minutes
 #   compiled  Lift at both sizes, compiled; needs Triton           about 3 minutes
@@ -40,6 +41,7 @@ stage() {
     cameras)
       python3 $here/cameras.py --num-envs 1024 --frames 30 --json "$out/cameras.json"
       python3 $here/cameras.py --num-envs 1024 --frames 30 --json "$out/cameras_unshaded.json" --no-shadows ;;
+    sensors) python3 $here/sensors.py ;;
     bench) bench Lift "4096 16384" --action ik_relative ;;
     tasks) for task in Reach Cabinet Velocity-Flat; do bench $task 4096 || return 1; done ;;
     compiled) bench Lift "4096 16384" --action ik_relative --compile ;;
