@@ -37,7 +37,7 @@ _COLOR_FLAGS = (mujoco.mjtRndFlag.mjRND_SKYBOX, mujoco.mjtRndFlag.mjRND_CULL_FAC
 _ID_FLAGS = (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR, mujoco.mjtRndFlag.mjRND_CULL_FACE)
 _LIGHT_DISTANCE = 6.0
 _SKY = 2.0
-"""Of the farthest camera's range, where colours are drawn up to: the cube of the sky then hides nothing in range."""
+"""Times the farthest camera's range is drawn: the cube of the sky then hides nothing in range."""
 
 _Array = npt.NDArray[Any]
 _open_renderers: weakref.WeakSet[MujocoRenderer] = weakref.WeakSet()
@@ -152,12 +152,14 @@ class MujocoRenderer(Renderer):
         colors, heights = self._canvas(camera, len(cameras))
         for i, pose in enumerate(cameras):
             self._place(links[i], kinds[i])
-            self._aim(camera, pose, camera.far)
+            self._aim(camera, pose)
             self._draw(camera, _ID_FLAGS, colors[i], heights[i])
         # An id is spread over the three colours; OpenGL's rows count from below.
         codes = colors[:, ::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
         geoms = [self._geoms_of_codes[kind][code] for kind, code in zip(kinds, codes, strict=True)]
-        return _metric_depth(heights, camera, camera.far), *self._looks(np.array(geoms).reshape(codes.shape))
+        depth = _metric_depth(heights, camera, _SKY * self._far)
+        seen = np.isfinite(depth[..., 0])
+        return depth, *self._looks(np.where(seen, np.array(geoms).reshape(codes.shape), 0))
 
     def _looks(self, geoms: _Array) -> tuple[_Array, _Array]:
         """Links and albedo of geoms (n, H, W) that count from one."""
@@ -170,7 +172,7 @@ class MujocoRenderer(Renderer):
         colors, heights = self._canvas(camera, len(cameras))
         for i, pose in enumerate(cameras):
             self._place(links[i], kinds[i])
-            self._aim(camera, pose, _SKY * self._far)
+            self._aim(camera, pose)
             if markers is not None:
                 add_markers(self._scene, self._layout.scene.markers, markers[i])
             self._draw(camera, flags, colors[i], heights[i])
@@ -191,13 +193,13 @@ class MujocoRenderer(Renderer):
     def _show(self, kind: int) -> None:
         self._model.geom_group = np.where(self._shown[kind], 0, HIDDEN_GROUP)
 
-    def _aim(self, camera: CameraSpec, pose: _Array, far: float) -> None:
+    def _aim(self, camera: CameraSpec, pose: _Array) -> None:
         self._update_scene()
         rotation = quaternion_matrix(pose[3:])
         top = camera.near * math.tan(0.5 * camera.vertical_fov)
         for eye in self._scene.camera:
             eye.pos, eye.forward, eye.up = pose[:3], -rotation[:, 2], rotation[:, 1]
-            eye.frustum_near, eye.frustum_far, eye.frustum_center = camera.near, far, 0.0
+            eye.frustum_near, eye.frustum_far, eye.frustum_center = camera.near, _SKY * self._far, 0.0
             eye.frustum_top, eye.frustum_bottom = top, -top
             eye.frustum_width = top * camera.width / camera.height
         # Shadows reach around a light's axis: point it at the middle of what moves.
