@@ -188,11 +188,10 @@ class Viewer:
         world = self._env.world
         links = _array(world.link_poses[rows])
         markers = [_array(marker.pose[rows]) for marker in world.markers.values()]
-        count = len(world.layout.scene.deformables)
         return Frame(
             links,
             np.stack(markers, axis=1) if markers else np.zeros((len(links), 0, 7), dtype=np.float32),
-            tuple(_array(world.engine.particle_positions(index)[rows]) for index in range(count)),
+            tuple(_array(deformable.positions[rows]) for deformable in world.deformables.values()),
             rows.start,
         )
 

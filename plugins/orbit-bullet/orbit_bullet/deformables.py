@@ -92,8 +92,10 @@ class _Body:
     particles: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     """Bullet's node of each particle."""
     positions: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    anchors: list[tuple[int, int, int]] = field(default_factory=list)
-    """Particle, entity and link (Bullet's); entity -1 is the world."""
+    anchors: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Entity and link (Bullet's) that hold a particle; entity -1 is the world."""
+    constraints: dict[int, int] = field(default_factory=dict)
+    """Bullet's number of the anchor of a particle."""
 
 
 class Deformables:
@@ -171,17 +173,29 @@ class Deformables:
         }
 
     def _attach(self, body: _Body) -> None:
-        for particle, entity, link in body.anchors:
-            other = -1 if entity < 0 else self._stage.bodies[0][entity]
-            self._client.createSoftBodyAnchor(body.number, int(body.particles[particle]), other, link)
+        for particle in body.anchors:
+            self._hold(body, particle)
+
+    def _hold(self, body: _Body, particle: int) -> None:
+        entity, link = body.anchors[particle]
+        other = -1 if entity < 0 else self._stage.bodies[0][entity]
+        node = int(body.particles[particle])
+        body.constraints[particle] = self._client.createSoftBodyAnchor(body.number, node, other, link)
 
     def anchor(self, deformable: int, particles: npt.NDArray[np.int64], entity: int, link: int) -> None:
         """Hold particles to a link of an entity, or with entity -1 to the world, where they are; kept over resets."""
+        self.release(deformable, particles)
         body = self._bodies[deformable]
         for particle in particles.tolist():
-            body.anchors.append((particle, entity, link))
-            other = -1 if entity < 0 else self._stage.bodies[0][entity]
-            self._client.createSoftBodyAnchor(body.number, int(body.particles[particle]), other, link)
+            body.anchors[particle] = entity, link
+            self._hold(body, particle)
+
+    def release(self, deformable: int, particles: npt.NDArray[np.int64]) -> None:
+        """Let particles go, those of them that are held."""
+        body = self._bodies[deformable]
+        for particle in particles.tolist():
+            if body.anchors.pop(particle, None) is not None:
+                self._client.removeConstraint(body.constraints.pop(particle))
 
     # State -----------------------------------------------------------------------------------------------------------
 

@@ -194,9 +194,12 @@ class BulletEngine(Engine):
     def anchor_particles(
         self, deformable: int, particles: Tensor, link: int | None = None, env_ids: Tensor | None = None
     ) -> None:
-        """Hold particles (k,) where they are to a link of the scene, or to the world; kept over resets."""
         self._particles(deformable)
         self._write("anchor_particles", env_ids, (deformable, particles.numpy(), link))
+
+    def release_particles(self, deformable: int, particles: Tensor, env_ids: Tensor | None = None) -> None:
+        self._particles(deformable)
+        self._write("release_particles", env_ids, (deformable, particles.numpy()))
 
     def _particles(self, deformable: int) -> slice:
         """Columns of a deformable's particles."""

@@ -256,6 +256,11 @@ class Simulation:
             index = self.stage.links[entity][link - self.layout.entities[entity].links.start]
         self.deformables.anchor(deformable, particles, entity, index)
 
+    def release_particles(self, rows: Rows, deformable: int, particles: Rows) -> None:
+        """Let particles go that are held."""
+        assert self.deformables is not None
+        self.deformables.release(deformable, particles)
+
     def cast_rays(
         self, rows: Rows, origins: FloatArray, directions: FloatArray, reach: float
     ) -> tuple[npt.NDArray[Any], ...]:

@@ -12,8 +12,18 @@ import torch
 from orbit_bullet import BulletBackend, BulletConfig
 from orbit_bullet.engine import BulletEngine
 from orbit_bullet.tetrahedra import fill, volume_of
-from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationError, UnsupportedCapabilityError
+from orbit_core.interfaces import (
+    ArgumentError,
+    ClosedError,
+    ConfigurationError,
+    SceneLayout,
+    ShapeError,
+    SimulationError,
+    UnknownNameError,
+    UnsupportedCapabilityError,
+)
 from orbit_core.scene import Cloth, Mesh, ObjectSpec, Pose, Scene, Shape, SoftBody, Sphere, single_link
+from orbit_core.world import simulate
 
 Make = Callable[..., BulletEngine]
 
@@ -177,3 +187,41 @@ def test_a_deformable_that_flies_apart_is_reported(make: Make) -> None:
 def test_snapshots_are_refused(make: Make) -> None:
     with pytest.raises(UnsupportedCapabilityError, match="velocities of particles"):
         make(scene(CLOTH)).save_state()
+
+
+def test_cloth_is_a_thing_of_the_world_that_can_be_held_carried_and_released() -> None:
+    start = scene(CLOTH)
+    world = simulate(dataclasses.replace(start, objects=()), 2, "bullet")
+    try:
+        cloth, second = world.deformables["cloth"], torch.tensor([1])
+        rest = cloth.positions.clone()
+        assert rest.shape == (2, 81, 3)
+        cloth.anchor([0, 8], env_ids=second)
+        world.step(100)
+        torch.testing.assert_close(cloth.positions[1, [0, 8]], rest[1, [0, 8]], rtol=0, atol=0.01)
+        assert cloth.positions[0, 0, 2] < 0.4
+        cloth.release([0], env_ids=torch.tensor([False, True]))
+        world.step(60)
+        assert cloth.positions[1, 0, 2] < 0.45
+        torch.testing.assert_close(cloth.positions[1, 8], rest[1, 8], rtol=0, atol=0.01)
+        cloth.release(env_ids=second)
+        world.reset()
+        world.step(100)
+        assert cloth.positions[:, 8, 2].max() < 0.4
+        cloth.set_state(rest[:1] + 1.0, env_ids=torch.tensor([0]))
+        torch.testing.assert_close(cloth.positions[0], rest[0] + 1.0, rtol=0, atol=1e-5)
+        assert cloth.velocities[0].abs().max() == 0
+        with pytest.raises(UnknownNameError, match="did you mean 'cloth'"):
+            world.deformables["clot"]
+        with pytest.raises(UnknownNameError, match="unknown robot or object 'ball'"):
+            cloth.anchor([0], to=("ball", "ball"))
+        with pytest.raises(ShapeError, match="particle positions of 'cloth'"):
+            cloth.set_state(rest[:, :3])
+        with pytest.raises(ArgumentError, match="points of 'cloth'"):
+            cloth.anchor([81])
+        with pytest.raises(UnsupportedCapabilityError, match="velocities of particles"):
+            world.save_state()
+    finally:
+        world.close()
+    with pytest.raises(ClosedError):
+        _ = cloth.positions
