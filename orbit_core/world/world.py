@@ -258,11 +258,6 @@ class SimulatedWorld(World):
         write_rows(self._sensing.gravity, gravity, chosen.rows)
 
     def set_terrain_friction(self, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
-        """Friction (n,), static and dynamic alike, of all terrain shapes.
-
-        Raises:
-            UnsupportedCapabilityError: the engine cannot.
-        """
         chosen = self.masking.choose(env_ids)
         coefficients = chosen.values(coefficients, (), "friction of the terrain", FRICTIONS)
         self._engine.set_friction(torch.tensor([TERRAIN], device=self.device), coefficients[:, None], chosen.rows)
