@@ -26,7 +26,7 @@ from orbit_core.interfaces.requirements import IMAGES
 if TYPE_CHECKING:
     from orbit_core.envs.task import Task
     from orbit_core.interfaces.backend import Backend
-    from orbit_core.scene import RobotSpec
+    from orbit_core.scene import RobotSpec, Scene
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,26 @@ def _show_task(console: Console, name: str) -> None:
     for part in ("rewards", "terminations", "events"):
         _line(console, part, _terms(task, part))
     _line(console, "robots", _robots_like(task.robot))
-    needs = required_capabilities(task.scene())
+    scene = task.scene()
+    _show_actions(console, task, scene)
+    needs = required_capabilities(scene)
     _rows(console, "ppo, in training", "default", dataclasses.asdict(task.ppo).items())
     _rows(console, "needs", "for", ((need.value, culprit) for need, culprit in needs.items()))
+
+
+def _show_actions(console: Console, task: Task, scene: Scene) -> None:
+    from orbit_core.envs.action_terms import action_terms
+
+    robots = {robot.name: robot for robot in scene.robots}
+    table = new_table("action term", "motion generator", "robot", "components", "joints")
+    for name, term in action_terms(task, scene).items():
+        robot = robots[term.robot]
+        names = robot.articulation.joint_names
+        components = term.components(robot, name)
+        joints = [names[joint] for joint in term.joint_indices(robot, name)]
+        size = f"{len(components)}" if list(components) == joints else f"{len(components)}: {', '.join(components)}"
+        table.add_row(name, term.name, robot.name, size, ", ".join(joints))
+    console.print(table)
 
 
 def _is_plain(field: dataclasses.Field[Any]) -> bool:

@@ -1,4 +1,4 @@
-"""``orbit list``: names, with a line on each. Imports nothing heavy: it answers at once."""
+"""``orbit list``: names, with a line on each. What describes itself without the tensor library answers at once."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from orbit_core.interfaces.errors import OrbitError, UnknownNameError
 
 @dataclass(frozen=True)
 class ListSettings:
-    """Names of all tasks, robots, backends, renderers, kept policies or learning libraries."""
+    """Names of all tasks, robots, backends, renderers, kept policies, learning libraries, action spaces or motion
+    generators."""
 
-    kind: Annotated[Positional[str], arg(metavar="{tasks,robots,backends,renderers,policies,libraries}")]
+    kind: Annotated[Positional[str], arg(metavar="{tasks,robots,backends,renderers,policies,libraries,actions,motion}")]
     """What to list."""
 
 
@@ -69,6 +70,18 @@ def _libraries() -> list[tuple[str, str]]:
     return [(name, library_description(name)) for name in library_names()]
 
 
+def _actions() -> list[tuple[str, str]]:
+    from orbit_core.motion import action_words
+
+    return [*action_words().items()]
+
+
+def _motion() -> list[tuple[str, str]]:
+    from orbit_core.motion import generator_descriptions
+
+    return [*generator_descriptions().items()]
+
+
 def _state(name: str) -> str:
     from orbit_core.backends import renderer
 
@@ -86,4 +99,6 @@ _LISTS = {
     "renderers": _renderers,
     "libraries": _libraries,
     "policies": _policies,
+    "actions": _actions,
+    "motion": _motion,
 }

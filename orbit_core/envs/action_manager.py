@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 
 from torch import Tensor
 
 from orbit_core.agent import Edge, FunctionNode
-from orbit_core.envs.task import Task
-from orbit_core.interfaces import Node, Port, UnknownNameError, World
-from orbit_core.motion import Actuate, MotionGenerator, action_space, with_drives_for
-from orbit_core.scene import Scene
+from orbit_core.envs.task import COMPOSED, Task
+from orbit_core.interfaces import ConfigurationError, Node, Port, World
+from orbit_core.motion import ActionTerm, Actuate, MotionGenerator
 
 _SPLIT = "split"
 
@@ -24,11 +22,18 @@ class ActionManager:
     Args:
         world: that the robots are in.
         task: whose robots act.
+        terms: of the task, by name, :func:`orbit_core.envs.action_terms.action_terms`.
+
+    Raises:
+        ConfigurationError: a generator takes another number of components than its term names.
     """
 
-    def __init__(self, world: World, task: Task) -> None:
+    def __init__(self, world: World, task: Task, terms: Mapping[str, ActionTerm]) -> None:
         self._task = task
-        self.generators = task.generators = _generators_of(world, task)
+        if task.actions is not None:
+            task.action = COMPOSED
+        self.terms = terms
+        self.generators = task.generators = tuple(_built(world, name, term) for name, term in terms.items())
         """In the order of the action's components."""
         self.slices = task.action_slices = _slices_by_agent(self.generators)
         """Which components of the action are each agent's."""
@@ -61,29 +66,16 @@ class ActionManager:
         return {port.name: part for port, part in zip(self._commands, parts, strict=True)}
 
 
-def driven_scene(task: Task) -> Scene:
-    """The task's scene with those that act driven as the action space needs it.
-
-    Raises:
-        UnknownNameError: the scene lacks one of them.
-    """
-    scene = task.scene()
-    names = [spec.name for spec in scene.robots]
-    for agent in task.agents:
-        if agent not in names:
-            raise UnknownNameError("robot", agent, names, f"the scene of task {type(task).__name__}, where it acts")
-    robots = tuple(with_drives_for(spec, task.action) if spec.name in task.agents else spec for spec in scene.robots)
-    return replace(scene, robots=robots)
-
-
-def _generators_of(world: World, task: Task) -> tuple[MotionGenerator, ...]:
-    """What moves the agents, one after another; where there are several, with the agent's name before its own."""
-    several = len(task.agents) > 1
-    return tuple(
-        generator
-        for agent in task.agents
-        for generator in action_space(world.robots[agent], task.action, f"{agent}_" if several else "")
-    )
+def _built(world: World, name: str, term: ActionTerm) -> MotionGenerator:
+    robot = world.robots[term.robot]
+    generator = term.build(name, robot)
+    named = term.components(robot.spec, name)
+    if generator.command_size != len(named):
+        raise ConfigurationError(
+            f"action term '{name}' names {len(named)} components ({', '.join(named)}), but its generator takes "
+            f"{generator.command_size}: mend {type(term).__name__}.components"
+        )
+    return generator
 
 
 def _slices_by_agent(generators: Iterable[MotionGenerator]) -> dict[str, slice]:

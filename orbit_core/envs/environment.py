@@ -25,7 +25,8 @@ from orbit_core.dynamics.arguments import (
     whole_number,
 )
 from orbit_core.dynamics.indexing import write_rows
-from orbit_core.envs.action_manager import ActionManager, driven_scene
+from orbit_core.envs.action_manager import ActionManager
+from orbit_core.envs.action_terms import action_terms, driven_scene
 from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.event_manager import EventManager
@@ -90,7 +91,9 @@ class Environment:
         if task.domain_randomization:
             task.randomize()
         self.max_episode_steps = _whole_steps(task)
-        scene = with_sensors_of_terms(driven_scene(task), task)
+        scene = task.scene()
+        terms = action_terms(task, scene)
+        scene = with_sensors_of_terms(driven_scene(scene, terms), task)
         if world is None:
             backend = default_backend() if backend is None else backend
             preset = task.backend_presets.get(backend, {}) if isinstance(backend, str) else {}
@@ -112,7 +115,7 @@ class Environment:
         self.done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         """(N,) whose episode ended in the last step."""
         self._never = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
-        self.actions = ActionManager(self.world, task)
+        self.actions = ActionManager(self.world, task, terms)
         self.action_size = self.actions.size
         self._action = torch.zeros(num_envs, self.action_size, device=self.device)
         task.last_action = torch.zeros_like(self._action)

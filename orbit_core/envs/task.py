@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 ROBOT = "robot"
 """The robot that acts, where a task has one."""
 
+COMPOSED = "composed"
+"""In the place of an action space's name, where a task has action terms of its own."""
+
 
 @dataclass(kw_only=True)
 class Task(ABC):
@@ -38,13 +41,16 @@ class Task(ABC):
     robot: str
     """Name of a robot in the catalogue."""
     action: str
-    """Name of an action space, :func:`orbit_core.motion.action_space`."""
+    """Name of an action space, :func:`orbit_core.motion.preset_terms`; ``"composed"`` where ``actions`` are given."""
     physics_dt: float = 0.005
     """Seconds."""
     decimation: int = 4
     """Physics steps in one step of the environment."""
     episode_length: float = 5.0
     """Seconds."""
+    actions: Any = None
+    """Action terms in the place of an action space: :class:`orbit_core.motion.ActionTerms`, or a dataclass of one's own
+    with fields of :class:`~orbit_core.motion.ActionTerm`. None takes those that ``action`` stands for."""
     observations: Any = None
     rewards: Any = None
     terminations: Any = None

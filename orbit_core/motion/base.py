@@ -10,9 +10,8 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import columns_of
-from orbit_core.interfaces import ConfigurationError, Node, Port, Robot, match_names
+from orbit_core.interfaces import Node, Port, Robot
 from orbit_core.interfaces.layout import joint_limits
-from orbit_core.scene import EndEffector, RobotSpec
 
 
 class JointTarget(Enum):
@@ -70,39 +69,6 @@ class MotionGenerator(Node):
     def velocities(self) -> Tensor:
         """(N, k) measured velocities of the generator's joints."""
         return self.robot.joint_velocities[:, self._columns]
-
-
-def end_effector_of(robot: Robot) -> EndEffector:
-    """The robot's first end effector.
-
-    Raises:
-        ConfigurationError: it has none.
-    """
-    if not robot.spec.end_effectors:
-        raise ConfigurationError(
-            f"robot '{robot.spec.articulation.name}' has no end effector: choose an action space of its joints"
-        )
-    return robot.spec.end_effector
-
-
-def is_arm(spec: RobotSpec) -> bool:
-    """Whether the robot is there for its end effector; a robot with feet is there to walk."""
-    return bool(spec.end_effectors) and not spec.feet
-
-
-def commanded_joints(spec: RobotSpec) -> list[int]:
-    """Indices of the joints that actions move: an arm's, elsewhere all that have an actuator and follow no other."""
-    articulation = spec.articulation
-    patterns = [pattern for group in spec.actuators for pattern in group.joints]
-    if is_arm(spec):
-        patterns = list(spec.end_effector.arm_joints)
-    joints = match_names(patterns, articulation.joint_names, "joint", f"'{spec.name}'")
-    return [joint for joint in joints if articulation.movable_joints[joint].mimic is None]
-
-
-def chosen_joints(robot: Robot, patterns: Sequence[str] | None) -> list[int]:
-    """Indices of the joints that match; :func:`commanded_joints` if None."""
-    return commanded_joints(robot.spec) if patterns is None else robot.find_joints(*patterns)
 
 
 def speed_limited_lead(robot: Robot, joints: Sequence[int]) -> Tensor:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -18,13 +19,18 @@ from orbit_core.dynamics.transforms import (
     quat_multiply,
 )
 from orbit_core.interfaces import Robot
-from orbit_core.motion.base import JointTarget, MotionGenerator, end_effector_of
+from orbit_core.motion.base import JointTarget, MotionGenerator
+from orbit_core.motion.embodiment import end_effector_of
 from orbit_core.motion.ik import IkMethod, joint_delta
+from orbit_core.motion.term import ActionTerm
+from orbit_core.scene import RobotSpec
 
 
 @dataclass(frozen=True, kw_only=True)
-class DifferentialIkConfig:
-    """A command is (x, y, z, rotation vector), scaled by ``position_scale`` and ``rotation_scale``.
+class DifferentialIkConfig(ActionTerm):
+    """A command is a pose of the hand, or its change, which the joints follow.
+
+    It is (x, y, z, rotation vector), scaled by ``position_scale`` and ``rotation_scale``.
 
     Relative: a displacement of the measured pose, in world axes. Starting from the measured pose, and not from the last
     one commanded, a command means the same whatever came before, and pushing against an obstacle winds nothing up. The
@@ -36,10 +42,11 @@ class DifferentialIkConfig:
     and the reachable box is home plus or minus the scales.
     """
 
+    name: ClassVar[str] = "differential_ik"
+
     frame: str | None = None
-    """The frame that moves; None takes the end effector's."""
-    joints: tuple[str, ...] | None = None
-    """Regular expressions over joint names (full match); None takes the end effector's arm."""
+    """The frame that moves; None takes the first end effector's. ``joints`` are by default the arm of the end effector
+    with that frame, or of the first one."""
     method: IkMethod = IkMethod.DAMPED_LEAST_SQUARES
     relative: bool = True
     position_scale: float = 0.05
@@ -51,15 +58,24 @@ class DifferentialIkConfig:
     max_joint_step: float = 0.3
     """rad or m by which targets may run ahead of measured positions; larger steps are scaled down as a whole."""
 
+    def default_joints(self, spec: RobotSpec) -> Sequence[str]:
+        frames = [effector.frame for effector in spec.end_effectors]
+        return end_effector_of(spec, self.frame if self.frame in frames else None).arm_joints
+
+    def components(self, spec: RobotSpec, name: str) -> tuple[str, ...]:
+        return ("x", "y", "z", "about x", "about y", "about z")
+
+    def build(self, name: str, robot: Robot) -> DifferentialIk:
+        return DifferentialIk(name, robot, self)
+
 
 class DifferentialIk(MotionGenerator):
     """Six commands, :class:`DifferentialIkConfig`. Targets are clipped to the joints' limits."""
 
     def __init__(self, name: str, robot: Robot, config: DifferentialIkConfig) -> None:
-        joints = robot.find_joints(*(config.joints or end_effector_of(robot).arm_joints))
-        super().__init__(name, robot, joints, 6, (JointTarget.POSITION,))
+        super().__init__(name, robot, config.joint_indices(robot.spec, name), 6, (JointTarget.POSITION,))
         self.config = config
-        self.frame = config.frame or end_effector_of(robot).frame
+        self.frame = config.frame or end_effector_of(robot.spec).frame
         self._scale = torch.tensor([config.position_scale] * 3 + [config.rotation_scale] * 3, device=self.device)
         self._home = _pose_at_home(robot, self.frame)
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces import Robot
-from orbit_core.motion.base import end_effector_of
+from orbit_core.motion.embodiment import end_effector_moved_by
 
 _TOWARDS_POSE_DAMPING = 0.05
 
@@ -102,6 +102,6 @@ def towards_pose(robot: Robot, joints: list[int], pose: Tensor) -> Tensor:
     Raises:
         ConfigurationError: the robot has no end effector.
     """
-    frame = end_effector_of(robot).frame
+    frame = end_effector_moved_by(robot.spec, joints).frame
     error = pose_error(robot.frame_pose(frame), pose)
     return damped_least_squares(robot.jacobian(frame, joints), error, _TOWARDS_POSE_DAMPING)

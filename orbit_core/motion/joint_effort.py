@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -11,32 +12,40 @@ from torch import Tensor
 from orbit_core.dynamics.rigid_body import RigidBodyModel
 from orbit_core.interfaces import ConfigurationError, Robot
 from orbit_core.interfaces.layout import joint_limits
-from orbit_core.motion.base import JointTarget, MotionGenerator, chosen_joints
+from orbit_core.motion.base import JointTarget, MotionGenerator
 from orbit_core.motion.ik import towards_pose
+from orbit_core.motion.term import ActionTerm
 
 _PURSUIT_FREQUENCY = 6.0
 """rad/s: of the critically damped motion that an expert asks for."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointEffortConfig:
-    """``effort target = scale * command``.
+class JointEffortConfig(ActionTerm):
+    """A command is the effort of each joint.
 
-    Position and velocity targets are put at the measured state at every turn, so that a drive with gains resists only
-    what changes between two turns; a drive meant for efforts has none.
+    ``effort target = scale * command``. Position and velocity targets are put at the measured state at every turn, so
+    that a drive with gains resists only what changes between two turns; a drive meant for efforts has none.
     """
 
-    joints: tuple[str, ...] | None = None
-    """Regular expressions over joint names (full match); None takes an arm's, or all that are driven elsewhere."""
+    name: ClassVar[str] = "joint_effort"
+    unwanted_gains: ClassVar[tuple[str, ...]] = (
+        "stiffness",
+        "damping",
+    )
+
     scale: float | None = None
     """N m or N; None takes each joint's effort limit."""
+
+    def build(self, name: str, robot: Robot) -> JointEffort:
+        return JointEffort(name, robot, self)
 
 
 class JointEffort(MotionGenerator):
     """One command a joint, :class:`JointEffortConfig`."""
 
     def __init__(self, name: str, robot: Robot, config: JointEffortConfig) -> None:
-        joints = chosen_joints(robot, config.joints)
+        joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, len(joints), tuple(JointTarget))
         self.config = config
         scales = _effort_limits(robot, joints) if config.scale is None else [config.scale] * len(joints)

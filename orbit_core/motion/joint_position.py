@@ -5,25 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError, Robot
-from orbit_core.motion.base import JointTarget, MotionGenerator, chosen_joints, speed_limited_lead
+from orbit_core.motion.base import JointTarget, MotionGenerator, speed_limited_lead
 from orbit_core.motion.ik import towards_pose
+from orbit_core.motion.term import ActionTerm
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointPositionConfig:
-    """Targets are clipped to the joints' limits, and to what ``limit_speed`` says.
+class JointPositionConfig(ActionTerm):
+    """A command is the position of each joint, or its change.
 
-    Absolute: ``target = home + scale * command``. Relative: ``target += scale * command``, from the measured positions
-    after a reset.
+    Targets are clipped to the joints' limits, and to what ``limit_speed`` says. Absolute: ``target = home + scale *
+    command``. Relative: ``target += scale * command``, from the measured positions after a reset.
     """
 
-    joints: tuple[str, ...] | None = None
-    """Regular expressions over joint names (full match); None takes an arm's, or all that are driven elsewhere."""
+    name: ClassVar[str] = "joint_position"
+
     scale: float | None = 0.5
     """rad or m. None (absolute only) puts -1, 0 and 1 at lower limit, home and upper limit, linear in between; a
     joint without limits takes half a turn either way."""
@@ -31,12 +33,15 @@ class JointPositionConfig:
     limit_speed: bool = False
     """Whether targets lead the measured positions by no more than :func:`orbit_core.motion.base.speed_limited_lead`."""
 
+    def build(self, name: str, robot: Robot) -> JointPosition:
+        return JointPosition(name, robot, self)
+
 
 class JointPosition(MotionGenerator):
     """One command a joint, :class:`JointPositionConfig`."""
 
     def __init__(self, name: str, robot: Robot, config: JointPositionConfig) -> None:
-        joints = chosen_joints(robot, config.joints)
+        joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, len(joints), (JointTarget.POSITION,))
         if config.scale is None and config.relative:
             raise ConfigurationError("a relative joint position space needs a scale: give it in rad or m per command")

@@ -4,36 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from torch import Tensor
 
 from orbit_core.interfaces import Robot
-from orbit_core.motion.base import JointTarget, MotionGenerator, chosen_joints
+from orbit_core.motion.base import JointTarget, MotionGenerator
 from orbit_core.motion.ik import towards_pose
+from orbit_core.motion.term import ActionTerm
 
 _PURSUIT_RATE = 5.0
 """1/s: the velocity that an expert asks for, over the displacement that is left."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointVelocityConfig:
-    """``velocity target = scale * command``.
+class JointVelocityConfig(ActionTerm):
+    """A command is the velocity of each joint.
 
-    The position target is put at the measured position at every turn, so that a drive with stiffness resists the motion
-    only by as much as it moves between two turns; a drive meant for velocities has none.
+    ``velocity target = scale * command``. The position target is put at the measured position at every turn, so that a
+    drive with stiffness resists the motion only by as much as it moves between two turns; a drive meant for velocities
+    has none.
     """
 
-    joints: tuple[str, ...] | None = None
-    """Regular expressions over joint names (full match); None takes an arm's, or all that are driven elsewhere."""
+    name: ClassVar[str] = "joint_velocity"
+    unwanted_gains: ClassVar[tuple[str, ...]] = ("stiffness",)
+
     scale: float = 1.0
     """rad/s or m/s."""
+
+    def build(self, name: str, robot: Robot) -> JointVelocity:
+        return JointVelocity(name, robot, self)
 
 
 class JointVelocity(MotionGenerator):
     """One command a joint, :class:`JointVelocityConfig`."""
 
     def __init__(self, name: str, robot: Robot, config: JointVelocityConfig) -> None:
-        joints = chosen_joints(robot, config.joints)
+        joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, len(joints), (JointTarget.POSITION, JointTarget.VELOCITY))
         self.config = config
 

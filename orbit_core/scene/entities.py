@@ -37,6 +37,28 @@ class EndEffector:
 
 
 @dataclass(frozen=True, kw_only=True)
+class JointCommands:
+    """Which of a robot's joints an action moves, and how far, where a task does not say it."""
+
+    joints: tuple[str, ...]
+    """Regular expressions over joint names (full match)."""
+    position_scale: float | None = None
+    """rad or m from home for one unit of action; None spans each joint's limits."""
+    limit_speed: bool = False
+    """Whether position targets run ahead of the joints by no more than their velocity limits allow."""
+
+
+@dataclass(frozen=True)
+class PlanarBase:
+    """Joints, by name, that carry a robot over a plane: ``x`` and ``y`` prismatic along the root's axes, then ``yaw``
+    about its z."""  # fmt: skip
+
+    x: str
+    y: str
+    yaw: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Entity:
     """An articulation in the scene.
 
@@ -82,6 +104,9 @@ class RobotSpec(Entity):
     end_effectors: tuple[EndEffector, ...] = ()
     feet: tuple[str, ...] = ()
     """Frames of a legged robot where it is meant to touch the ground."""
+    joint_commands: JointCommands | None = None
+    """None: as :func:`orbit_core.motion.joint_commands` makes it of the end effectors and feet."""
+    planar_base: PlanarBase | None = None
     licence: str = ""
     source: str = ""
     """The package that the model comes from."""

@@ -12,11 +12,15 @@ from torch import Tensor
 from orbit_core.assets.catalogue import robot as catalogue_robot
 from orbit_core.dynamics.transforms import pose_error, quat_from_rotation_vector, quat_multiply
 from orbit_core.interfaces import SceneLayout, UnknownNameError
-from orbit_core.motion import ACTION_SPACES, Actuate, MotionGenerator, action_space, with_drives_for
+from orbit_core.motion import ACTION_PRESETS, Actuate, MotionGenerator, preset_terms, with_drives_for
 from orbit_core.scene import Scene
 
 MakeRobot = Callable[..., Any]
 OPEN = torch.tensor([True, False, True, False])
+
+
+def action_space(robot: Any, name: str) -> tuple[MotionGenerator, ...]:
+    return tuple(term.build(key, robot) for key, term in preset_terms(robot.spec, name).items())
 
 
 def _turn(robot: Any, generators: tuple[MotionGenerator, ...], commands: list[Tensor]) -> None:
@@ -32,7 +36,7 @@ def _goal(robot: Any) -> Tensor:
     return torch.cat((hand[:, :3] + offset, quat_multiply(turn, hand[:, 3:])), -1)
 
 
-@pytest.mark.parametrize("name", [name for name in ACTION_SPACES if name != "joint_effort"])
+@pytest.mark.parametrize("name", [name for name in ACTION_PRESETS if name != "joint_effort"])
 def test_encoded_commands_reach_a_pose(kinematic_robot: MakeRobot, name: str) -> None:
     robot = kinematic_robot()
     generators = action_space(robot, name)
@@ -47,7 +51,7 @@ def test_encoded_commands_reach_a_pose(kinematic_robot: MakeRobot, name: str) ->
     assert robot.q[:, gripper].squeeze(-1).tolist() == pytest.approx([0.04, 0.0, 0.04, 0.0])
 
 
-@pytest.mark.parametrize("name", list(ACTION_SPACES))
+@pytest.mark.parametrize("name", list(ACTION_PRESETS))
 def test_shapes_fit_the_declared_ports(kinematic_robot: MakeRobot, name: str) -> None:
     robot = kinematic_robot()
     generators = action_space(robot, name)
@@ -88,11 +92,11 @@ def test_unknown_action_space_suggests_a_known_one(kinematic_robot: MakeRobot) -
 @pytest.mark.parametrize(("name", "stiffness", "damping"), [("joint_velocity", 0, 80), ("joint_effort", 0, 0)])
 def test_drives_do_not_work_against_commands(name: str, stiffness: float, damping: float) -> None:
     spec = catalogue_robot("franka_panda")
-    adapted = with_drives_for(spec, name)
+    adapted = with_drives_for(spec, preset_terms(spec, name))
     parameters = SceneLayout.of(Scene(robots=(adapted,))).joint_parameters
     before = SceneLayout.of(Scene(robots=(spec,))).joint_parameters
     assert parameters.drive_stiffness[:7].tolist() == [stiffness] * 7
     assert parameters.drive_damping[:7].tolist() == [damping] * 7
     assert parameters.drive_stiffness[7:].tolist() == before.drive_stiffness[7:].tolist()
     assert parameters.effort_limit.tolist() == before.effort_limit.tolist()
-    assert with_drives_for(spec, "ik_relative") is spec
+    assert with_drives_for(spec, preset_terms(spec, "ik_relative")) is spec

@@ -178,7 +178,7 @@ def test_unlimited_efforts_need_a_scale(kinematic_robot: MakeRobot) -> None:
     robot = kinematic_robot()
     unlimited = replace(robot.joints[2], effort_limit=float("inf"))
     joints = tuple(unlimited if joint is robot.joints[2] else joint for joint in robot.joints)
-    robot._spec = replace(robot.spec, actuators=(), articulation=replace(robot.spec.articulation, joints=joints))
+    robot._spec = replace(robot.spec, articulation=replace(robot.spec.articulation, joints=joints))
     with pytest.raises(ConfigurationError, match=unlimited.name):
         JointEffort("joints", robot, JointEffortConfig())
 

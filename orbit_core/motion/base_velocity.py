@@ -1,0 +1,90 @@
+"""Commands are velocities of a mobile base over a plane."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import ConfigurationError, Robot
+from orbit_core.motion.base import JointTarget, MotionGenerator
+from orbit_core.motion.ik import towards_pose
+from orbit_core.motion.term import ActionTerm
+from orbit_core.scene import RobotSpec
+
+_PURSUIT_RATE = 2.0
+"""1/s: the velocity that an expert asks for, over the displacement that is left."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseVelocityConfig(ActionTerm):
+    """A command is the velocity of a mobile base: (forward, left, turn) in its own axes.
+
+    It is over the limits below. ``joints`` are three names, of the joint along the root's x, of that along its y and of
+    the yaw about its z; None takes the robot's :class:`~orbit_core.scene.PlanarBase`. As in
+    :class:`JointVelocityConfig`, position targets are put at the measured positions at every turn.
+    """
+
+    name: ClassVar[str] = "base_velocity"
+    unwanted_gains: ClassVar[tuple[str, ...]] = ("stiffness",)
+
+    max_speed: float = 1.0
+    """m/s over the plane; a faster command is slowed down and keeps its direction."""
+    max_yaw_rate: float = 1.0
+    """rad/s."""
+
+    def default_joints(self, spec: RobotSpec) -> Sequence[str]:
+        base = spec.planar_base
+        if base is None:
+            raise ConfigurationError(f"robot '{spec.name}' has no planar base: name the joints of its x, y and yaw")
+        return (base.x, base.y, base.yaw)
+
+    def components(self, spec: RobotSpec, name: str) -> tuple[str, ...]:
+        return ("forward", "left", "turn")
+
+    def joint_indices(self, spec: RobotSpec, name: str) -> list[int]:
+        """Indices of the joints of x, y and yaw, in this order."""
+        joints = super().joint_indices(spec, name)
+        names = list(self.default_joints(spec) if self.joints is None else self.joints)
+        if sorted(names) != sorted(spec.articulation.joint_names[joint] for joint in joints) or len(names) != 3:
+            raise ConfigurationError(
+                f"action term '{name}' moves a base by exactly three joints, by name: x, y and yaw; not {names}"
+            )
+        return [spec.articulation.joint_names.index(joint) for joint in names]
+
+    def build(self, name: str, robot: Robot) -> BaseVelocity:
+        return BaseVelocity(name, robot, self)
+
+
+class BaseVelocity(MotionGenerator):
+    """Three commands, :class:`BaseVelocityConfig`."""
+
+    def __init__(self, name: str, robot: Robot, config: BaseVelocityConfig) -> None:
+        joints = config.joint_indices(robot.spec, name)
+        super().__init__(name, robot, joints, 3, (JointTarget.POSITION, JointTarget.VELOCITY))
+        self.config = config
+        self._limits = torch.tensor([config.max_speed, config.max_speed, config.max_yaw_rate], device=self.device)
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        command = inputs["command"]
+        excess = torch.linalg.vector_norm(command[:, :2], dim=1, keepdim=True).clamp_min(1.0)
+        planar, turn = command[:, :2] / excess, command[:, 2:]
+        positions = self.positions
+        velocities = torch.cat((_turned(planar, positions[:, 2]), turn), dim=1) * self._limits
+        return {JointTarget.POSITION.value: positions, JointTarget.VELOCITY.value: velocities}
+
+    def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
+        velocities = _PURSUIT_RATE * towards_pose(self.robot, self.joints, pose) / self._limits
+        planar = _turned(velocities[:, :2], -self.positions[:, 2])
+        excess = torch.linalg.vector_norm(planar, dim=1, keepdim=True).clamp_min(1.0)
+        return torch.cat((planar / excess, velocities[:, 2:].clamp(-1.0, 1.0)), dim=1)
+
+
+def _turned(vectors: Tensor, angle: Tensor) -> Tensor:
+    """(N, 2) vectors turned by angles (N,)."""
+    cos, sin = angle.cos(), angle.sin()
+    x, y = vectors.unbind(1)
+    return torch.stack((cos * x - sin * y, sin * x + cos * y), dim=1)

@@ -1,0 +1,75 @@
+"""One command opens or closes a gripper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import ConfigurationError, Robot
+from orbit_core.motion.base import JointTarget, MotionGenerator
+from orbit_core.motion.embodiment import end_effector_of
+from orbit_core.motion.term import ActionTerm
+from orbit_core.scene import Gripper, RobotSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class BinaryGripperConfig(ActionTerm):
+    """A negative command closes the gripper, any other opens it."""
+
+    name: ClassVar[str] = "binary_gripper"
+
+    frame: str | None = None
+    """Of the end effector that carries the gripper; None takes the first one. ``joints`` are by default its gripper's,
+    and so are the positions below."""
+    open_position: float | None = None
+    """rad or m, of every joint."""
+    closed_position: float | None = None
+    """rad or m, of every joint."""
+
+    def default_joints(self, spec: RobotSpec) -> Sequence[str]:
+        return self.gripper_of(spec).joints
+
+    def components(self, spec: RobotSpec, name: str) -> tuple[str, ...]:
+        return ("opening",)
+
+    def gripper_of(self, spec: RobotSpec) -> Gripper:
+        """The gripper on the end effector.
+
+        Raises:
+            ConfigurationError: there is none.
+        """
+        gripper = end_effector_of(spec, self.frame).gripper
+        if gripper is None:
+            raise ConfigurationError(
+                f"the end effector of robot '{spec.name}' has no gripper: give joints, open_position and "
+                "closed_position, or leave the term out"
+            )
+        return gripper
+
+    def build(self, name: str, robot: Robot) -> BinaryGripper:
+        return BinaryGripper(name, robot, self)
+
+
+class BinaryGripper(MotionGenerator):
+    """One command for all joints of a gripper, :class:`BinaryGripperConfig`."""
+
+    def __init__(self, name: str, robot: Robot, config: BinaryGripperConfig) -> None:
+        joints = config.joint_indices(robot.spec, name)
+        super().__init__(name, robot, joints, 1, (JointTarget.POSITION,))
+        opened, closed = config.open_position, config.closed_position
+        if opened is None or closed is None:
+            gripper = config.gripper_of(robot.spec)
+            opened = gripper.open_position if opened is None else opened
+            closed = gripper.closed_position if closed is None else closed
+        self._open = torch.full((len(joints),), opened, device=self.device)
+        self._closed = torch.full((len(joints),), closed, device=self.device)
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        return {JointTarget.POSITION.value: torch.where(inputs["command"] < 0.0, self._closed, self._open)}
+
+    def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
+        return (2.0 * gripper_open.to(torch.float32) - 1.0).unsqueeze(-1)

@@ -1,0 +1,69 @@
+"""What a robot's description says of how it is commanded, where an action term does not."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from orbit_core.interfaces import ConfigurationError, UnknownNameError, match_names
+from orbit_core.scene import EndEffector, JointCommands, RobotSpec
+
+_ARM_SCALE, _LEG_SCALE = 2.0, 0.5
+"""rad from home for one unit of action."""
+
+
+def driven_joints(spec: RobotSpec) -> list[int]:
+    """Indices of the joints that have an actuator and follow no other joint."""
+    articulation = spec.articulation
+    patterns = [pattern for group in spec.actuators for pattern in group.joints]
+    joints = match_names(patterns, articulation.joint_names, "joint", f"'{spec.name}'")
+    return [joint for joint in joints if articulation.movable_joints[joint].mimic is None]
+
+
+def joint_commands(spec: RobotSpec) -> JointCommands:
+    """The robot's own, or else what its parts suggest.
+
+    A robot that is there for its end effector is moved by the first one's arm, 2 rad from home either way and no faster
+    than its joints may turn, as its own controller would see to. Another moves all driven joints but those of its
+    planar base: a walker by 0.5 rad, others, such as hands, over the joints' limits.
+    """
+    if spec.joint_commands is not None:
+        return spec.joint_commands
+    if spec.end_effectors and not spec.feet:
+        return JointCommands(joints=spec.end_effector.arm_joints, position_scale=_ARM_SCALE, limit_speed=True)
+    base = spec.planar_base
+    carrying = (base.x, base.y, base.yaw) if base else ()
+    names = [spec.articulation.joint_names[joint] for joint in driven_joints(spec)]
+    joints = tuple(re.escape(name) for name in names if name not in carrying)
+    return JointCommands(joints=joints, position_scale=_LEG_SCALE if spec.feet else None)
+
+
+def end_effector_of(spec: RobotSpec, frame: str | None = None) -> EndEffector:
+    """The robot's end effector with that frame, or the first one.
+
+    Raises:
+        ConfigurationError: the robot has none.
+        UnknownNameError: none of them has that frame.
+    """
+    if not spec.end_effectors:
+        raise ConfigurationError(f"robot '{spec.name}' has no end effector: choose an action space of its joints")
+    if frame is None:
+        return spec.end_effector
+    by_frame = {effector.frame: effector for effector in spec.end_effectors}
+    if frame not in by_frame:
+        raise UnknownNameError("end effector", frame, by_frame, f"robot '{spec.name}'")
+    return by_frame[frame]
+
+
+def end_effector_moved_by(spec: RobotSpec, joints: Sequence[int]) -> EndEffector:
+    """The first end effector whose arm has one of these joints, or the robot's first one.
+
+    Raises:
+        ConfigurationError: the robot has none.
+    """
+    if len(spec.end_effectors) > 1:
+        for effector in spec.end_effectors:
+            arm = match_names(effector.arm_joints, spec.articulation.joint_names, "joint", f"'{spec.name}'")
+            if not {*arm}.isdisjoint(joints):
+                return effector
+    return end_effector_of(spec)
