@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import is_dataclass
 from typing import Any, TypeVar
 
 from orbit_core.configuration import configured
-from orbit_core.envs.task import Task
+from orbit_core.envs.action_terms import action_terms
+from orbit_core.envs.task import COMPOSED, Task
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.motion import ActionTerms
 
 DEFAULT_PRESET = "state"
 """Stands for what a task observes by default."""
+ACTIONS = "actions"
+
 _TaskType = TypeVar("_TaskType", bound=Task)
 
 
 def configure(task_type: type[_TaskType], values: Mapping[str, Any]) -> _TaskType:
     """A task with some of its fields set, by path: :func:`orbit_core.configuration.configured`.
 
-    A word for ``observations`` takes the task's preset of that name.
+    A word for ``observations`` takes the task's preset of that name. A path below ``actions`` changes the task's own
+    action terms, or those that its action space stands for.
 
     Raises:
         UnknownNameError: the task has no such field or preset; names the nearest.
@@ -29,4 +35,10 @@ def configure(task_type: type[_TaskType], values: Mapping[str, Any]) -> _TaskTyp
     except TypeError as error:
         raise ConfigurationError(f"{owner} cannot be made by name, for a field has no default: {error}") from error
     observations = {DEFAULT_PRESET: lambda: defaults.observations, **task_type.observation_presets}
-    return configured(defaults, values, owner, presets={"observations": observations})
+    below = {path: value for path, value in values.items() if path.partition(".")[0] == ACTIONS}
+    others = {path: value for path, value in values.items() if path not in below}
+    task = configured(defaults, others, owner, presets={"observations": observations})
+    if below and task.actions is None and not is_dataclass(below.get(ACTIONS)):
+        # The word for an action space is spelt out for this robot, so that there are terms to change.
+        task.actions, task.action = ActionTerms(**action_terms(task, task.scene())), COMPOSED
+    return configured(task, below, owner)

@@ -52,6 +52,16 @@ def test_lists_load_no_tensor_library_and_no_engine(kind: str):
         assert f"\n{name} " in f"\n{done.stdout}"
 
 
+@pytest.mark.parametrize(("kind", "name"), [("actions", "ik_relative"), ("motion", "differential_ik")])
+def test_action_spaces_and_motion_generators_are_listed(kind: str, name: str):
+    assert f"\n{name} " in f"\n{printed('list', kind)}"
+
+
+def test_a_tasks_action_terms_are_told_with_their_joints():
+    told = " ".join(printed("info", "Lift").split())
+    assert "gripper binary_gripper robot 1: opening panda_finger_joint1" in told
+
+
 def test_backends_are_listed_with_versions():
     text = printed("list", "backends")
     for package, version in backend(BACKEND).versions().items():
