@@ -190,12 +190,13 @@ def convolutional(parts: Sequence[Part], hidden_sizes: Sequence[int], far: float
         far: metres at which depth is cut off.
 
     Raises:
-        ConfigurationError: a picture is neither colour nor depth; names the term.
+        ConfigurationError: a picture is neither colour nor depth, or there is none; names the terms.
     """
     cameras: dict[tuple[str, int, int], list[Picture]] = {}
     for part in parts:
         if not part.is_picture:
             continue
+        assert part.shape is not None
         height, width, channels = part.shape
         if part.dtype not in ("uint8", "float32"):
             raise ConfigurationError(
@@ -205,6 +206,11 @@ def convolutional(parts: Sequence[Part], hidden_sizes: Sequence[int], far: float
         stem, _, kind = part.name.rpartition("_")
         key = (stem if kind in _COLOR_DEPTH else part.name, height, width)
         cameras.setdefault(key, []).append(Picture(part.name, channels, None if part.dtype == "uint8" else far))
+    if not cameras:
+        raise ConfigurationError(
+            f"a dictionary of terms without pictures ({', '.join(part.name for part in parts)}) needs no convolutions: "
+            "give the observation group concatenate=True"
+        )
     encoders = tuple(PictureEncoder(tuple(seen), height, width) for (_, height, width), seen in cameras.items())
     return Convolutional(encoders, tuple(part for part in parts if not part.is_picture), tuple(hidden_sizes))
 

@@ -50,7 +50,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         self._teacher = teacher.module
         self._network = network_for(layout, settings.hidden_sizes)
         self._student = build_actor(self._network, layout, environment.action_size)
-        self._student.to(device, memory_format=torch.channels_last)
+        self._student.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self._moments = RunningMoments(len(self._student.mean), device)
         self._optimizer = torch.optim.Adam(self._student.parameters(), lr=settings.learning_rate)
         self._seen, _ = environment.reset(seed)

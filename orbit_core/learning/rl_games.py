@@ -20,9 +20,9 @@ from orbit_core.envs.observation_layout import Observation, one_tensor
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.groups import CRITIC, check_groups, critic_group
-from orbit_core.learning.gymnasium import action_space, observation_space
 from orbit_core.learning.loop import LoopTrainer
 from orbit_core.learning.networks import ActorNetwork, perceptron_actor
+from orbit_core.learning.spaces import action_space, critic_space, observation_space
 
 
 class RlGamesEnvironment(IVecEnv):
@@ -51,7 +51,7 @@ class RlGamesEnvironment(IVecEnv):
         return {
             "observation_space": observation_space(self.environment)["policy"],  # pyright: ignore[reportIndexIssue]
             "action_space": action_space(self.environment),
-            "state_space": observation_space(self.environment).spaces.get(CRITIC),
+            "state_space": critic_space(self.environment),
             "agents": 1,
             "value_size": 1,
         }

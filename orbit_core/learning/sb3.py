@@ -18,6 +18,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import Tensor, nn
 
 from orbit_core.envs.environment import Environment
+from orbit_core.envs.observation_layout import one_tensor
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.learning.groups import check_groups
 from orbit_core.learning.networks import ActorNetwork, perceptron_actor
@@ -42,7 +43,7 @@ class Sb3Environment(VecEnv):
     def reset(self) -> npt.NDArray[np.float32]:
         observation, _ = self.environment.reset(self._seed)
         self._seed = None
-        return _array(observation["policy"])
+        return _array(one_tensor(observation))
 
     def step_async(self, actions: npt.NDArray[np.float32]) -> None:
         self._action = torch.as_tensor(actions, dtype=torch.float32, device=self.environment.device)
@@ -53,10 +54,10 @@ class Sb3Environment(VecEnv):
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if "final" in info:
             self._tell(infos, info["final"], truncated)
-        return _array(observation["policy"]), _array(reward), _array(done), infos
+        return _array(one_tensor(observation)), _array(reward), _array(done), infos
 
     def _tell(self, infos: list[dict[str, Any]], end: Any, truncated: Tensor) -> None:
-        last = _array(end.observation["policy"])
+        last = _array(one_tensor(end.observation))
         returns = torch.stack(list(end.rewards.values())).sum(0)
         for row, i in enumerate(end.env_ids.tolist()):
             infos[i]["terminal_observation"] = last[row]

@@ -22,9 +22,9 @@ from orbit_core.envs.observation_layout import one_tensor
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.learning.episodes import true_next
 from orbit_core.learning.groups import ACTOR, CRITIC, check_groups
-from orbit_core.learning.gymnasium import action_space, observation_space
 from orbit_core.learning.loop import LoopTrainer
 from orbit_core.learning.networks import ActorNetwork, perceptron, perceptron_actor
+from orbit_core.learning.spaces import action_space, critic_space, observation_space
 
 
 class SkrlEnvironment(Wrapper):
@@ -54,18 +54,18 @@ class SkrlEnvironment(Wrapper):
         if self._seed is not None:
             self.environment.reset(self._seed)
             self._seed = None
-        return self.environment.observe()["policy"], {}
+        return one_tensor(self.environment.observe()), {}
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         observation, reward, terminated, truncated, info = self.environment.step(actions)
-        seen = observation["policy"]
+        seen = one_tensor(observation)
         following = true_next(observation, info)
         extras = {"true_next": following[ACTOR], "true_next_state": following.get(CRITIC), "ends": info}
         return seen, reward[:, None], terminated[:, None], truncated[:, None], extras
 
     @property
     def state_space(self) -> Space[Any] | None:
-        return observation_space(self.environment).spaces.get(CRITIC)
+        return critic_space(self.environment)
 
     def state(self) -> Tensor | None:
         """What the critic sees, where that is a group of its own."""

@@ -35,6 +35,12 @@ def group_space(layout: GroupLayout) -> spaces.Space[Any]:
     return spaces.Box(low, high, dtype=np.float32)
 
 
+def critic_space(environment: Environment) -> spaces.Space[Any] | None:
+    """Of the observation group ``critic``; None where the task has none."""
+    layout = environment.observation.get("critic")
+    return None if layout is None else group_space(layout)
+
+
 def action_space(environment: Environment) -> spaces.Space[Any]:
     """Of one environment: components in [-1, 1]."""
     return spaces.Box(-1.0, 1.0, (environment.action_size,), np.float32)

@@ -37,7 +37,7 @@ def build_actor(network: Network, layout: GroupLayout, action_size: int) -> Pict
 
 def copied_actor(network: Network, module: nn.Module) -> ActorNetwork:
     """A copy on the CPU that learns no more."""
-    copied = copy.deepcopy(module).to("cpu", memory_format=torch.contiguous_format)
+    copied = copy.deepcopy(module).cpu().to(memory_format=torch.contiguous_format)  # pyright: ignore[reportCallIssue]
     return ActorNetwork(network, copied.requires_grad_(False).eval())
 
 

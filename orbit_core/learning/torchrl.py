@@ -18,6 +18,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from orbit_core.envs.environment import Environment
+from orbit_core.envs.observation_layout import one_tensor
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.learning.episodes import EpisodeTally, true_next
 from orbit_core.learning.groups import check_groups
@@ -57,14 +58,14 @@ class TorchRlEnvironment(EnvBase):
         if bool(stale.any()):
             self.environment.reset(env_ids=stale.nonzero().squeeze(-1))
         self._begun = self._begun & ~rows
-        return self._told(self.environment.observe()["policy"])
+        return self._told(one_tensor(self.environment.observe()))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         observation, reward, terminated, truncated, info = self.environment.step(tensordict["action"])
         if self._tally is not None:
             self._tally.add(info, self.environment.num_envs)
         self._begun = terminated | truncated
-        told = self._told(true_next(observation, info)["policy"])
+        told = self._told(one_tensor(true_next(observation, info)))
         flags = {"terminated": terminated, "truncated": truncated, "done": self._begun}
         told.update({name: flag[:, None].clone() for name, flag in flags.items()})
         return told.set("reward", reward[:, None])

@@ -1,0 +1,107 @@
+"""The network ``convolutional``: its file, its ONNX, what it refuses, and where its policies play."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.learning.convolutional import Convolutional, Picture, PictureEncoder, convolutional
+from orbit_core.learning.description import Part, PolicyDescription
+from orbit_core.learning.networks import ActorNetwork
+from orbit_core.learning.policy import Policy, PolicyNode, load_policy
+
+PARTS = (
+    Part("joints", 3),
+    Part("hand_color", 9 * 8 * 3, (9, 8, 3), "uint8"),
+    Part("hand_depth", 9 * 8, (9, 8, 1)),
+    Part("front_color", 6 * 5 * 3, (6, 5, 3), "uint8"),
+)
+DESCRIPTION = PolicyDescription(
+    "A-Task", "a_robot", "joint_position", PARTS, (Part("moved", 2),), 0.02, "an_engine", "distill", 3,
+    concatenated=False,
+)  # fmt: skip
+
+
+def policy() -> Policy:
+    torch.manual_seed(0)
+    network = convolutional(PARTS, (16,))
+    module = network.build(0, 2).requires_grad_(False).eval()
+    module.mean.copy_(torch.tensor([1.0, 0.0, -1.0]))
+    module.std.copy_(torch.tensor([1.0, 2.0, 0.5]))
+    return Policy(module, network, DESCRIPTION)
+
+
+def observation(count: int) -> dict[str, Tensor]:
+    torch.manual_seed(count)
+    pictures = {part.name: torch.randint(0, 256, (count, *(part.shape or ()))).byte() for part in PARTS[1::2]}
+    return {"joints": torch.randn(count, 3), "hand_depth": 3.0 * torch.rand(count, 9, 8, 1), **pictures}
+
+
+def test_a_policy_its_file_and_its_onnx_act_alike(tmp_path: Path) -> None:
+    """ONNX's inputs are the terms by name, as they are: uint8 colours with their channels last."""
+    made = policy()
+    made.save(tmp_path / "policy_3.safetensors")
+    made.export_onnx(tmp_path / "policy.onnx")
+    read = load_policy(tmp_path)
+    assert read.description == DESCRIPTION
+    assert read.network == made.network
+    session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
+    for count in (1, 5):
+        seen = observation(count)
+        expected = made.module(seen)
+        assert torch.equal(read.module(seen), expected)
+        (action,) = session.run(["action"], {name: value.numpy() for name, value in seen.items()})
+        np.testing.assert_allclose(action, expected.numpy(), atol=1e-5)
+
+
+def test_colour_and_depth_of_a_camera_are_one_picture() -> None:
+    hand, front = convolutional(PARTS, (16,)).encoders
+    assert [(picture.term, picture.far) for picture in hand.pictures] == [("hand_color", None), ("hand_depth", 2.0)]
+    assert [picture.term for picture in front.pictures] == ["front_color"]
+
+
+def test_depth_beyond_the_far_end_is_as_at_it() -> None:
+    made, seen = policy(), observation(2)
+    far = made.module({**seen, "hand_depth": torch.full((2, 9, 8, 1), 2.0)})
+    assert torch.equal(made.module({**seen, "hand_depth": torch.full((2, 9, 8, 1), torch.inf)}), far)
+    assert not torch.equal(made.module({**seen, "hand_depth": torch.full((2, 9, 8, 1), 1.0)}), far)
+
+
+def test_a_node_reads_the_terms_from_ports_of_their_own() -> None:
+    made, seen = policy(), observation(2)
+    node = PolicyNode(made)
+    assert {port.name for port in node.inputs} == {f"policy/{part.name}" for part in PARTS}
+    action = node.compute({f"policy/{name}": value for name, value in seen.items()})["action"]
+    assert torch.equal(action, made.module(seen))
+
+
+def test_settings_that_cannot_be_are_refused(tmp_path: Path) -> None:
+    picture = Picture("hand_color", 3)
+    for build, told in (
+        (lambda: Picture("hand_depth", 1, far=0.0), "far of picture 'hand_depth' is positive"),
+        (lambda: Picture("hand_color", 0), "'hand_color' has 1 to 4096 channels, not 0"),
+        (lambda: PictureEncoder((picture,), 8, 8, filters=()), "1 to 8 convolutions"),
+        (lambda: PictureEncoder((picture,), 8, 8, features=0), "1 to 65536 features"),
+        (lambda: PictureEncoder((picture,), 10**5, 10**5), "1 to 4,194,304 pixels"),
+        (lambda: Convolutional((), PARTS[:1], (16,)), "at least one picture"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            build()
+    with pytest.raises(ConfigurationError, match=r"without pictures \(joints\).*concatenate=True"):
+        convolutional(PARTS[:1], (16,))
+    labels = replace(PARTS[2], name="labels", dtype="int32")
+    with pytest.raises(ConfigurationError, match="'labels' is a picture of int32"):
+        convolutional((*PARTS, labels), (16,))
+    made = policy()
+    assert made.network is not None
+    unfit = replace(DESCRIPTION, observation_parts=PARTS[:3])
+    Policy(made.module, ActorNetwork(made.network, made.module).network, unfit).save(tmp_path / "policy_0.safetensors")
+    with pytest.raises(ConfigurationError, match="cannot act: KeyError 'front_color'"):
+        load_policy(tmp_path)
