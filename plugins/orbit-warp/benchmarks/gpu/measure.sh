@@ -6,6 +6,7 @@
 #   images    pictures against closed forms                        about 5 minutes with a cold kernel cache
 #   cameras   colour and depth of Lift at 1,024 environments       about 3 minutes
 #   sensors   rays, noise, delays and pictures in a step          about 4 minutes
+#   torch     what PyTorch's own captures do with a step          about 4 minutes
 #   bench     Lift at 4,096 and 16,384 environments                about 2 minutes
 #   tasks     Reach, Cabinet and Velocity-Flat at 4,096            about 3 minutes
 #   compiled  Lift at both sizes, compiled; needs Triton           about 3 minutes
@@ -42,6 +43,7 @@ stage() {
       python3 $here/cameras.py --num-envs 1024 --frames 30 --json "$out/cameras.json"
       python3 $here/cameras.py --num-envs 1024 --frames 30 --json "$out/cameras_unshaded.json" --no-shadows ;;
     sensors) python3 $here/sensors.py ;;
+    torch) python3 $here/torch_capture.py ;;
     bench) bench Lift "4096 16384" --action ik_relative ;;
     tasks) for task in Reach Cabinet Velocity-Flat; do bench $task 4096 || return 1; done ;;
     compiled) bench Lift "4096 16384" --action ik_relative --compile ;;
