@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 import torch
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
@@ -96,7 +97,7 @@ class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
         self.environment = make(task, num_envs=1, **keywords)
         self.metadata = _metadata(self.environment, AutoresetMode.DISABLED)
         self.render_mode = checked_mode(render_mode)
-        self.observation_space = observation_space(self.environment)
+        self.observation_space: spaces.Space[Arrays] = observation_space(self.environment)  # pyright: ignore
         self.action_space = action_space(self.environment)
         self._spectator = Spectator(self.environment, self.render_mode)
 

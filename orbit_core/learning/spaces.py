@@ -19,7 +19,7 @@ _DTYPES: Mapping[torch.dtype, type[np.generic]] = {
 }  # fmt: skip
 
 
-def observation_space(environment: Environment) -> spaces.Space[Any]:
+def observation_space(environment: Environment) -> spaces.Dict:
     """Of one environment: groups by name, each a box, or a dictionary of its terms' boxes."""
     return _ordered({name: group_space(layout) for name, layout in environment.observation.items()})
 
