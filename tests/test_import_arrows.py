@@ -1,4 +1,4 @@
-"""Imports point one way, plugins see the contract alone, and the core knows no engine."""
+"""Imports point one way, plugins see the contract and the kit alone, and the core knows no engine."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ RANKS = {
     "interfaces": 1,
     "files": 1.5,
     "registry": 1.5,
+    "plugin_kit": 1.5,
     "configuration": 1.5,
     "backends": 2,
     "pretrained": 2,
@@ -80,13 +81,13 @@ def test_imports_point_down(package: str) -> None:
     assert not wrong
 
 
-def test_a_plugin_imports_the_contract_alone() -> None:
+def test_a_plugin_imports_the_contract_and_the_kit_alone() -> None:
     wrong = {
         f"{path.relative_to(ROOT)} imports {package}"
         for folder in ("plugins", "examples")
         for path in (ROOT / folder).glob("orbit-*/orbit_*/**/*.py")
         for package in imported_packages(path)
-        if package not in {"interfaces", "scene"}
+        if package not in {"interfaces", "scene", "plugin_kit"}
     }
     assert not wrong
 

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
         UnsupportedCapabilityError,
     )
     from orbit_core.interfaces.gaps import Gap
-    from orbit_core.interfaces.kit import contact_signs, velocity_at
     from orbit_core.interfaces.layout import (
         BACKGROUND,
         TERRAIN,
@@ -71,7 +70,6 @@ _MODULES = {
         "UnsupportedCapabilityError",
     ),
     "gaps": ("Gap",),
-    "kit": ("contact_signs", "velocity_at"),
     "layout": ("BACKGROUND", "TERRAIN", "ContactQuery", "EntityLayout", "JointParameters", "SceneLayout"),
     "names": ("NamedThings", "find_name", "match_names", "match_values"),
     "node": ("Node", "Port"),
@@ -90,9 +88,9 @@ __all__ = [
     "Image", "JointParameters", "Level", "Marker", "NamedThings", "Node", "NonFiniteError", "Object", "OrbitError",
     "Port", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError",
     "Support", "UnknownNameError", "UnsupportedCapabilityError", "World", "WorldClock", "WorldMasking", "WorldRandom",
-    "albedo_table", "approximate", "contact_signs", "diverged",
+    "albedo_table", "approximate", "diverged",
     "divergence_error", "drawn_shapes", "find_name", "first_few", "match_names", "match_values",
-    "required_capabilities", "unsupported", "velocity_at",
+    "required_capabilities", "unsupported",
 ]  # fmt: skip
 
 

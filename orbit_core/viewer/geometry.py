@@ -18,11 +18,8 @@ from orbit_core.scene import (
     Cylinder,
     Geometry,
     HeightField,
-    MarkerShape,
-    MarkerSpec,
     Mesh,
     Plane,
-    Pose,
     Shape,
     Sphere,
 )
@@ -94,43 +91,6 @@ def triangles(geometry: Geometry) -> Trimesh:
         case Plane():
             raise ConfigurationError("a plane has no end and cannot be made of triangles: draw it as a grid")
     return trimesh.graph.smooth_shade(mesh, angle=CREASE_ANGLE)
-
-
-def marker_shapes(marker: MarkerSpec) -> tuple[Shape, ...]:
-    """A marker as shapes: an arrow along x, or a frame with x, y, z in red, green, blue."""
-    size = marker.size
-    match marker.shape:
-        case MarkerShape.SPHERE:
-            return (Shape(Sphere(size / 2), color=marker.color),)
-        case MarkerShape.BOX:
-            return (Shape(Box((size / 2, size / 2, size / 2)), color=marker.color),)
-        case MarkerShape.ARROW:
-            return _arrow(size, size / 25, Pose.from_euler(0.0, math.pi / 2, 0.0), marker.color)
-        case MarkerShape.FRAME:
-            opacity = marker.color[3]
-            turns = ((0.0, math.pi / 2, 0.0), (-math.pi / 2, 0.0, 0.0), (0.0, 0.0, 0.0))
-            colors = ((0.9, 0.15, 0.15), (0.15, 0.75, 0.2), (0.2, 0.35, 0.95))
-            return tuple(
-                shape
-                for turn, (r, g, b) in zip(turns, colors, strict=True)
-                for shape in _arrow(size, size / 30, Pose.from_euler(*turn), (r, g, b, opacity))
-            )
-
-
-def _arrow(length: float, radius: float, pose: Pose, color: Color) -> tuple[Shape, Shape]:
-    """Along z of ``pose``, from its origin."""
-    shaft = Cylinder(radius, 0.375 * length)
-    return (
-        Shape(shaft, pose @ Pose((0.0, 0.0, 0.375 * length)), color=color),
-        Shape(_cone(2.5 * radius, 0.25 * length), pose @ Pose((0.0, 0.0, 0.75 * length)), color=color),
-    )
-
-
-def _cone(radius: float, height: float) -> Mesh:
-    import trimesh
-
-    cone = trimesh.creation.cone(radius, height, sections=24)
-    return Mesh(np.asarray(cone.vertices), np.asarray(cone.faces))
 
 
 def _height_field(field: HeightField) -> Trimesh:

@@ -12,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout
+from orbit_core.plugin_kit.markers import marker_shapes
 from orbit_core.scene import Plane, Shape
 from orbit_core.scene.pose import Vector3
-from orbit_core.viewer.geometry import Drawing, marker_shapes
+from orbit_core.viewer.geometry import Drawing
 from orbit_core.viewer.lights import add_lights
 
 if TYPE_CHECKING:

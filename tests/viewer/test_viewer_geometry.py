@@ -11,6 +11,7 @@ import torch
 import trimesh
 
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.plugin_kit.markers import marker_shapes
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -27,7 +28,7 @@ from orbit_core.scene import (
     Sphere,
 )
 from orbit_core.viewer.camera_pictures import picture_of
-from orbit_core.viewer.geometry import Drawing, marker_shapes, triangles
+from orbit_core.viewer.geometry import Drawing, triangles
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,8 @@ from orbit_core.interfaces import (
     RayHits,
     SceneLayout,
     UnsupportedCapabilityError,
-    contact_signs,
 )
+from orbit_core.plugin_kit import contact_signs
 from orbit_core.scene import Box, Capsule, Shape
 from orbit_torch.geometry import SOLIDS, balls, distance, meet
 from orbit_torch.rotations import apply, matrix, multiply

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import EntityLayout, SceneLayout, velocity_at
+from orbit_core.interfaces import EntityLayout, SceneLayout
+from orbit_core.plugin_kit import velocity_at
 from orbit_torch.dynamics import Body, Chain, Motion
 from orbit_torch.rotations import apply, cross, matrix, turn
 from orbit_torch.rotations import multiply as compose

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from orbit_bullet.rotations import cross, rotate
+from orbit_core.plugin_kit.rotations import cross, rotate
 
 FloatArray = npt.NDArray[np.float64]
 _ROUND = 1e-9

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_bullet.lighting import pixel_rays
-from orbit_bullet.rotations import cross, rotate
+from orbit_core.plugin_kit.rotations import cross, rotate
 from orbit_core.scene import CameraSpec
 
 _Array = npt.NDArray[Any]

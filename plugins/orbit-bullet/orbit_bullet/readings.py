@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_bullet.buffers import Buffers
-from orbit_bullet.rotations import compose, cross
 from orbit_core.interfaces import SceneLayout
+from orbit_core.plugin_kit.rotations import compose, cross
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -11,16 +11,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from torch import Tensor
 
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.library import Client, refusals, silence
 from orbit_bullet.lighting import add_light, pixel_rays, sky_colors
 from orbit_bullet.normals import normals_of
-from orbit_bullet.rotations import compose, rotate
 from orbit_bullet.shadows import MapCamera, ball_radius, map_camera
-from orbit_bullet.visuals import VisualShapes, marker_shapes
+from orbit_bullet.visuals import VisualShapes
 from orbit_core.interfaces import (
     BACKGROUND,
     TERRAIN,
@@ -32,6 +30,9 @@ from orbit_core.interfaces import (
     albedo_table,
     drawn_shapes,
 )
+from orbit_core.plugin_kit.images import image_tensor, pose_array
+from orbit_core.plugin_kit.markers import marker_shapes
+from orbit_core.plugin_kit.rotations import compose, rotate
 from orbit_core.scene import CameraSpec, Channel, Shape
 from orbit_core.scene.pose import Vector3
 
@@ -113,8 +114,8 @@ class BulletRenderer(Renderer):
         if self._closed:
             raise ConfigurationError("the renderer is closed: make another")
         wanted = set(channels)
-        cameras, links = _numpy(camera_poses), _numpy(link_poses)
-        marks = None if marker_poses is None or not self._marker_bodies else _numpy(marker_poses)
+        cameras, links = pose_array(camera_poses), pose_array(link_poses)
+        marks = None if marker_poses is None or not self._marker_bodies else pose_array(marker_poses)
         shape = (len(cameras), camera.height, camera.width)
         colored = Channel.RGB in wanted
         measured = bool(wanted - {Channel.RGB})
@@ -134,11 +135,11 @@ class BulletRenderer(Renderer):
         device = link_poses.device
         segmented = not wanted.isdisjoint((Channel.INSTANCE, Channel.SEMANTIC))
         return Image(
-            rgb=_tensor(rgb if colored else None, device),
-            depth=_tensor(depth if Channel.DEPTH in wanted else None, device),
-            normals=_tensor(normals, device),
-            links=_tensor(seen if segmented else None, device),
-            albedo=_tensor(self._albedo_of_body[bodies] if Channel.ALBEDO in wanted else None, device),
+            rgb=image_tensor(rgb if colored else None, device),
+            depth=image_tensor(depth if Channel.DEPTH in wanted else None, device),
+            normals=image_tensor(normals, device),
+            links=image_tensor(seen if segmented else None, device),
+            albedo=image_tensor(self._albedo_of_body[bodies] if Channel.ALBEDO in wanted else None, device),
         )
 
     def close(self) -> None:
@@ -269,11 +270,3 @@ def _view_matrix(pose: _Array) -> list[float]:
 
 def _flat(shape: Shape) -> tuple[float, ...]:
     return (*shape.pose.position, *shape.pose.orientation)
-
-
-def _numpy(poses: Tensor) -> npt.NDArray[np.float64]:
-    return poses.detach().cpu().numpy().astype(np.float64)
-
-
-def _tensor(array: _Array | None, device: torch.device) -> Tensor | None:
-    return None if array is None else torch.from_numpy(array).to(device)

@@ -19,7 +19,6 @@ from orbit_bullet.loads import Loads
 from orbit_bullet.rays import cast_rays
 from orbit_bullet.readback import read_model
 from orbit_bullet.readings import Readings
-from orbit_bullet.rotations import compose, cross
 from orbit_bullet.stage import SceneFiles, Stage
 from orbit_bullet.surfaces import Surfaces
 from orbit_bullet.wrenches import WrenchMeter
@@ -30,6 +29,7 @@ from orbit_core.interfaces import (
     SimulationError,
     UnsupportedCapabilityError,
 )
+from orbit_core.plugin_kit.rotations import compose, cross
 
 FloatArray = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]

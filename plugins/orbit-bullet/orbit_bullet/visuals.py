@@ -13,11 +13,8 @@ from orbit_core.scene import (
     Capsule,
     Cylinder,
     HeightField,
-    MarkerShape,
-    MarkerSpec,
     Mesh,
     Plane,
-    Pose,
     Shape,
     Sphere,
 )
@@ -26,9 +23,6 @@ _BALL_ROWS = 32
 """Rows of faces from pole to pole."""
 _GROUND = 1000.0
 """Half extent in metres of the square that stands for a plane."""
-_AXIS_COLORS = (((1.0, 0.0, 0.0), (0.9, 0.1, 0.1, 1.0)), ((0.0, 1.0, 0.0), (0.1, 0.8, 0.1, 1.0)))
-_THIN = 0.04
-"""Radius of a frame's axes over their length."""
 
 
 class VisualShapes:
@@ -102,29 +96,3 @@ def _turned(radii: Any, heights: Any) -> tuple[Any, Any]:
     first = np.stack((corner, corner + columns, corner + columns + 1), -1)
     second = np.stack((corner, corner + columns + 1, corner + 1), -1)
     return vertices.reshape(-1, 3), np.concatenate((first, second))
-
-
-def marker_shapes(spec: MarkerSpec) -> list[Shape]:
-    """What a marker looks like, in its own frame."""
-    size = spec.size
-    match spec.shape:
-        case MarkerShape.SPHERE:
-            return [Shape(Sphere(size / 2), color=spec.color)]
-        case MarkerShape.BOX:
-            return [Shape(Box((size / 2, size / 2, size / 2)), color=spec.color)]
-        case MarkerShape.ARROW:
-            return [
-                _rod((1.0, 0.0, 0.0), size, spec.color),
-                Shape(Sphere(size / 8), Pose((size, 0, 0)), color=spec.color),
-            ]
-        case MarkerShape.FRAME:
-            blue = ((0.0, 0.0, 1.0), (0.1, 0.2, 0.9, 1.0))
-            return [_rod(axis, size, color) for axis, color in (*_AXIS_COLORS, blue)]
-
-
-def _rod(axis: tuple[float, float, float], length: float, color: tuple[float, float, float, float]) -> Shape:
-    """A cylinder from the origin along a coordinate axis."""
-    x, y, _ = axis
-    turn = Pose.from_axis_angle((-y, x, 0.0), np.pi / 2) if x or y else Pose()
-    middle = tuple(0.5 * length * component for component in axis)
-    return Shape(Cylinder(_THIN * length, length / 2), Pose(middle, turn.orientation), color=color)  # type: ignore[arg-type]

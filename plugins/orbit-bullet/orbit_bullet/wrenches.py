@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_bullet.loads import Loads
-from orbit_bullet.rotations import cross, rotate
 from orbit_bullet.stage import Stage
 from orbit_core.interfaces import SceneLayout
+from orbit_core.plugin_kit.rotations import cross, rotate
 
 FloatArray = npt.NDArray[np.floating]
 

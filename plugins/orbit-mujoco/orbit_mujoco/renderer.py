@@ -13,7 +13,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import numpy.typing as npt
-import torch
 from torch import Tensor
 
 from orbit_core.interfaces import (
@@ -25,6 +24,7 @@ from orbit_core.interfaces import (
     SceneLayout,
     albedo_table,
 )
+from orbit_core.plugin_kit.images import image_tensor, pose_array
 from orbit_core.scene import CameraSpec, Channel
 from orbit_mjmodel.visuals import all_variants
 from orbit_mujoco.config import MujocoConfig
@@ -106,22 +106,22 @@ class MujocoRenderer(Renderer):
         named = segmented or Channel.ALBEDO in wanted
         colored = Channel.RGB in wanted
         rows = np.arange(len(link_poses)) if env_ids is None else env_ids.cpu().numpy()
-        scene = (camera, _numpy(camera_poses), _numpy(link_poses), rows % len(self._shown))
+        scene = (camera, pose_array(camera_poses), pose_array(link_poses), rows % len(self._shown))
         rgb = depth = normals = links = albedo = None
         if Channel.NORMALS in wanted:
             depth, links, albedo, normals = self._trace(*scene)
         elif named or (Channel.DEPTH in wanted and not (colored and self._color_has_depth and marker_poses is None)):
             depth, links, albedo = self._draw_ids(*scene)
         if colored:
-            rgb, color_depth = self._draw_colors(*scene, None if marker_poses is None else _numpy(marker_poses))
+            rgb, color_depth = self._draw_colors(*scene, None if marker_poses is None else pose_array(marker_poses))
             depth = color_depth if depth is None else depth
         device = link_poses.device
         return Image(
-            rgb=_tensor(rgb, device),
-            depth=_tensor(depth, device) if Channel.DEPTH in wanted else None,
-            normals=_tensor(normals, device),
-            links=_tensor(links, device) if segmented else None,
-            albedo=_tensor(albedo, device) if Channel.ALBEDO in wanted else None,
+            rgb=image_tensor(rgb, device),
+            depth=image_tensor(depth, device) if Channel.DEPTH in wanted else None,
+            normals=image_tensor(normals, device),
+            links=image_tensor(links, device) if segmented else None,
+            albedo=image_tensor(albedo, device) if Channel.ALBEDO in wanted else None,
         )
 
     def close(self) -> None:
@@ -252,14 +252,6 @@ def _metric_depth(heights: _Array, camera: CameraSpec, drawn: float) -> _Array:
     heights = heights[:, ::-1, :, None]
     depth = near * far / (near + heights * (far - near))
     return np.where((heights > 0.0) & (depth <= camera.far), depth, np.float32(np.inf))
-
-
-def _numpy(poses: Tensor) -> npt.NDArray[np.float64]:
-    return poses.detach().cpu().numpy().astype(np.float64)
-
-
-def _tensor(array: _Array | None, device: torch.device) -> Tensor | None:
-    return None if array is None else torch.from_numpy(array).to(device)
 
 
 def _close_all() -> None:

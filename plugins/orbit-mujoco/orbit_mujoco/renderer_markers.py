@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from orbit_core.plugin_kit.markers import AXIS_COLORS
 from orbit_core.scene import MarkerShape, MarkerSpec
 from orbit_mujoco.renderer_model import quaternion_matrix
 
 MAX_GEOMS = 3
 """That one marker takes at most."""
 
-_AXIS_COLORS = ((0.9, 0.2, 0.2), (0.2, 0.8, 0.25), (0.2, 0.4, 0.95))
 _SHAFT = 0.05  # of an arrow's length
 _GEOM = mujoco.mjtGeom
 
@@ -28,7 +28,7 @@ def add_markers(scene: mujoco.MjvScene, markers: Sequence[MarkerSpec], poses: np
         color, opacity = marker.color[:3], marker.color[3]
         match marker.shape:
             case MarkerShape.FRAME:
-                for axis, axis_color in enumerate(_AXIS_COLORS):
+                for axis, axis_color in enumerate(AXIS_COLORS):
                     _add_arrow(scene, position, rotation[:, axis], marker.size, (*axis_color, opacity))
             case MarkerShape.ARROW:
                 _add_arrow(scene, position, rotation[:, 0], marker.size, (*color, opacity))

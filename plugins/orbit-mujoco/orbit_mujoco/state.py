@@ -17,8 +17,8 @@ from mujoco.batch import Batch
 from torch import Tensor
 
 from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED
+from orbit_core.plugin_kit.rotations import rotate, rotate_inverse
 from orbit_mjmodel.addresses import Addresses, columns
-from orbit_mujoco.rotations import rotate, rotate_inverse
 
 FloatArray = npt.NDArray[np.floating]
 Rows = slice | npt.NDArray[np.int64]

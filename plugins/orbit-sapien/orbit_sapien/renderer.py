@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image, Renderer, SceneLayout
+from orbit_core.plugin_kit.images import image_tensor
 from orbit_core.scene import CameraSpec, Channel
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.native import NativePose, sapien
@@ -143,7 +144,7 @@ class SapienRenderer(Renderer):
                 normal = np.where(seen, normals / np.maximum(length, 1e-12), np.float32(0.0))
             if Channel.ALBEDO in wanted:
                 albedo = np.where(seen, _bytes(albedos), np.uint8(0))
-        return Image(*(_tensor(array, device) for array in (rgb, depth, normal, links, albedo)))
+        return Image(*(image_tensor(array, device) for array in (rgb, depth, normal, links, albedo)))
 
     def _checked(self, color: _Array) -> _Array:
         """A denoiser that fails leaves black and says so in SAPIEN's log alone."""
@@ -234,7 +235,3 @@ def _bytes(color: _Array) -> npt.NDArray[np.uint8]:
 
 def _numpy(poses: Tensor) -> npt.NDArray[np.float32]:
     return poses.detach().cpu().float().numpy()
-
-
-def _tensor(array: _Array | None, device: torch.device) -> Tensor | None:
-    return None if array is None else torch.from_numpy(np.ascontiguousarray(array)).to(device)

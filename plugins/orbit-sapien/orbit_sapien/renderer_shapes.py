@@ -12,17 +12,16 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from orbit_core.plugin_kit import markers
 from orbit_core.scene import (
     Box,
     Capsule,
     Color,
     Cylinder,
     HeightField,
-    MarkerShape,
     MarkerSpec,
     Mesh,
     Plane,
-    Pose,
     Shape,
     Sphere,
 )
@@ -31,8 +30,6 @@ from orbit_sapien.native import native_pose, sapien
 
 _SMOOTH = math.cos(math.radians(40.0))
 """Cosine up to which neighbouring triangles are shaded as one surface."""
-_AXIS_COLORS = ((0.9, 0.2, 0.2), (0.2, 0.8, 0.25), (0.2, 0.4, 0.95))
-_SHAFT = 0.03  # of a marker's length
 Vertices = npt.NDArray[np.floating]
 
 
@@ -68,29 +65,7 @@ def render_shape(shape: Shape, reach: float) -> sapien.render.RenderShape:
 
 def marker_shapes(marker: MarkerSpec) -> list[sapien.render.RenderShape]:
     """What a marker is made of, in its own frame."""
-    size, shaft = marker.size, _SHAFT * marker.size
-    match marker.shape:
-        case MarkerShape.SPHERE:
-            return [sapien.render.RenderShapeSphere(0.5 * size, material(marker.color))]
-        case MarkerShape.BOX:
-            return [sapien.render.RenderShapeBox(np.full(3, 0.5 * size, np.float32), material(marker.color))]
-        case MarkerShape.ARROW:
-            return _arrow(size, shaft, marker.color, Pose())
-        case MarkerShape.FRAME:
-            turns = Pose(), Pose.from_euler(0.0, 0.0, math.pi / 2), Pose.from_euler(0.0, -math.pi / 2, 0.0)
-            colors = [(*axis, marker.color[3]) for axis in _AXIS_COLORS]
-            return [
-                part for turn, color in zip(turns, colors, strict=True) for part in _arrow(size, shaft, color, turn)
-            ]
-
-
-def _arrow(length: float, radius: float, color: Color, turn: Pose) -> list[sapien.render.RenderShape]:
-    """Along x of ``turn``: a shaft with a ball at its end."""
-    shaft = sapien.render.RenderShapeCylinder(radius, 0.5 * length, material(color))
-    shaft.set_local_pose(native_pose(turn @ Pose((0.5 * length, 0.0, 0.0))))
-    tip = sapien.render.RenderShapeSphere(2.5 * radius, material(color))
-    tip.set_local_pose(native_pose(turn @ Pose((length, 0.0, 0.0))))
-    return [shaft, tip]
+    return [render_shape(shape, marker.size) for shape in markers.marker_shapes(marker)]
 
 
 def _square(half: float) -> tuple[Vertices, npt.NDArray[np.integer]]:

@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout, drawn_shapes
+from orbit_core.plugin_kit.markers import AXIS_COLORS
 from orbit_core.scene import Color, MarkerShape, MarkerSpec
 from orbit_mjmodel.visuals import all_variants, looks_spec
 
-_AXIS_COLORS = ((0.9, 0.2, 0.2), (0.2, 0.8, 0.25), (0.2, 0.4, 0.95))
 _ARROW = ((0.0, 0.035), (0.75, 0.035), (0.75, 0.08), (1.0, 0.0))
 """Along an arrow of length 1: how far, and the radius there."""
 _SIDES = 16
@@ -61,7 +61,7 @@ class PictureModel:
             case MarkerShape.FRAME:
                 mesh = _arrow(spec, marker.size)
                 turns = (_ALONG["x"], _ALONG["y"], (1.0, 0.0, 0.0, 0.0))
-                for color, turn in zip(_AXIS_COLORS, turns, strict=True):
+                for color, turn in zip(AXIS_COLORS, turns, strict=True):
                     whole = (*color, marker.color[3])
                     self._add_geom(body, whole, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, quat=turn)
 

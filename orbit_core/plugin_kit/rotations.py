@@ -1,4 +1,4 @@
-"""Rigid transforms of arrays (..., 3) and quaternions (..., 4) as (w, x, y, z)."""
+"""Rigid transforms of NumPy arrays: vectors (..., 3) and unit quaternions (..., 4) as (w, x, y, z)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,15 @@ FloatArray = npt.NDArray[np.floating]
 
 
 def rotate(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Vectors in the parent's axes."""
+    """Vectors of a rotated frame in its parent's axes."""
     real, imaginary = quaternions[..., :1], quaternions[..., 1:]
     swept = cross(imaginary, vectors)
     return vectors + 2.0 * (real * swept + cross(imaginary, swept))
+
+
+def rotate_inverse(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Vectors of the parent's axes in the rotated frame's."""
+    return rotate(np.concatenate((quaternions[..., :1], -quaternions[..., 1:]), -1), vectors)
 
 
 def multiply(first: FloatArray, second: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What most plugins would otherwise each write: velocities at another point, and who counts in a contact query."""
+"""Velocities at another point of a body, and which contacts count in a contact query."""
 
 from __future__ import annotations
 

@@ -1,0 +1,5 @@
+"""What plugins may share and need not use: rotations, velocities at points, contact signs, markers, pictures."""
+
+from orbit_core.plugin_kit.velocities import contact_signs, velocity_at
+
+__all__ = ["contact_signs", "velocity_at"]
