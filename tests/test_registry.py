@@ -115,3 +115,25 @@ def test_an_unknown_command_offers_the_nearest(tmp_path: Path) -> None:
     asked = orbit(tmp_path, "orbit.commands", "juggle = theirs:juggle", "jugle")
     assert asked.returncode == 2
     assert "did you mean 'juggle'" in asked.stderr
+
+
+def test_a_package_brings_a_learning_library(tmp_path: Path) -> None:
+    """It is listed without being imported; what is no trainer, or broken, is named once it is asked for."""
+    points = "mine = theirs:juggle\nlost = theirs:nothing"
+    listed = orbit(tmp_path, "orbit.learners", points, "list", "libraries")
+    assert listed.returncode == 0
+    assert {"rsl-rl", "distill", "mine", "lost"} <= {line.split()[0] for line in listed.stdout.splitlines()}
+    assert "of distribution theirs" in listed.stdout
+    command = "import sys; from orbit_core.learning.learners import trainer_type; trainer_type(sys.argv[1])"
+    for name, complaint in (
+        ("mine", "is no Trainer"),
+        ("lost", "cannot be loaded (AttributeError"),
+        ("rsl_rl", "did you mean 'rsl-rl'"),
+    ):
+        path = os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", "")))
+        asked = subprocess.run(
+            [sys.executable, "-c", command, name],
+            capture_output=True, text=True, timeout=60, check=False, env={**os.environ, "PYTHONPATH": path},
+        )  # fmt: skip
+        assert asked.returncode != 0
+        assert complaint in asked.stderr
