@@ -237,11 +237,6 @@ def test_sensors_and_drives_of_every_kind_are_the_same(whole: bool, changes: dic
     assert_same_life(plain, closed(other, whole), exact=True)
 
 
-def test_what_is_sensed_in_a_compiled_step_is_the_same() -> None:
-    plain, other = Environment(sensing(), 4, BACKEND), Environment(sensing(), 4, BACKEND, compile=True)
-    assert_same_life(plain, other, exact=False)
-
-
 def test_a_step_is_captured_once_for_each_phase_of_its_schedule() -> None:
     environment = closed(Environment(sensing(rate=12.5), 3, BACKEND), whole=True)
     for _ in range(20):
