@@ -21,7 +21,10 @@ from orbit_core.learning.replay_buffer import ReplayBuffer
 from orbit_core.learning.student import RunningMoments, build_actor, copied_actor, network_for
 from orbit_core.pretrained import policy_path
 
-_MOST_GRADIENT = 1.0
+_MOST_GRADIENT = 0.1
+_OUTLIER = 0.5
+"""Errors of an action beyond which the loss grows no longer as their square: Huber, Robust Estimation of a Location
+Parameter (1964)."""
 
 
 class DistillTrainer(LoopTrainer[DistillSettings]):
@@ -123,7 +126,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         with torch.autocast(kind, torch.bfloat16, enabled=self.settings.mixed_precision):
             # Before clipping, so that what lies outside of [-1, 1] is drawn back.
             done = self._student.unclipped(observation)  # pyright: ignore[reportArgumentType] - as its group gives it
-        loss = F.mse_loss(done.float(), wanted)
+        loss = F.smooth_l1_loss(done.float(), wanted, beta=_OUTLIER)  # a few strange states must not lead the others
         self._optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self._student.parameters(), _MOST_GRADIENT)
