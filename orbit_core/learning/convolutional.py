@@ -19,6 +19,8 @@ from orbit_core.learning.networks import ActorNetwork, activation_type, layer_we
 
 _MOST_PIXELS, _MOST_FILTERS, _MOST_UNITS = 2**22, 4096, 2**16
 _COLOR_DEPTH = ("color", "depth")
+_MOST_DEVIATIONS = 10.0
+"""Standard deviations at which vectors are cut off: a joint that is hit moves faster than any that was learned from."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ class PictureActor(nn.Module):
 
     def encode(self, observation: Mapping[str, Tensor]) -> Tensor:
         """(N, K) vectors and pictures as the linear layers see them."""
-        vectors = (self.vectors(observation) - self.mean) / self.std
+        vectors = ((self.vectors(observation) - self.mean) / self.std).clamp(-_MOST_DEVIATIONS, _MOST_DEVIATIONS)
         return torch.cat((vectors, encoded_pictures(self.network, self.encoders, observation)), dim=1)
 
 
