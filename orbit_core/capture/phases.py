@@ -53,6 +53,11 @@ class PhasedFunction:
         return len(self._known)
 
     @property
+    def functions(self) -> tuple[CapturedFunction, ...]:
+        """What was captured, a function for each phase."""
+        return tuple(function for function, _ in self._known.values())
+
+    @property
     def ready(self) -> bool:
         """Whether the operations are known in the present phase."""
         return self._schedule.moment().phase in self._known

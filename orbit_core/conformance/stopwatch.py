@@ -69,16 +69,18 @@ def timed_parts(environment: Environment) -> Iterator[Stopwatch]:
     environment.world.step = watch.wrap("world", environment.world.step)  # pyright: ignore[reportAttributeAccessIssue]
     engine.step = watch.wrap("engine step", engine.step)  # pyright: ignore[reportAttributeAccessIssue]
     engine.__class__ = type(engine_type.__name__, (engine_type,), timed_reads)
-    closed = environment._closed.parts if environment._closed else ()
-    replays = [part.replay for part in closed]
-    for part, name in zip(closed, ("compiled: agent, motion, rewards, observations", "resets"), strict=False):
-        part.replay = part.replay and watch.wrap(name, part.replay)
+    captured = environment._closed.parts if environment._closed else ()
+    names = ("compiled: agent, motion, rewards, observations", "resets")
+    functions = [(function, name) for part, name in zip(captured, names, strict=False) for function in part.functions]
+    replays = [function.replay for function, _ in functions]
+    for function, name in functions:
+        function.replay = function.replay and watch.wrap(name, function.replay)
     try:
         yield watch
     finally:
         engine.__class__ = engine_type
-        for part, replay in zip(closed, replays, strict=True):
-            part.replay = replay
+        for (function, _), replay in zip(functions, replays, strict=True):
+            function.replay = replay
         for owner, names in ((environment, parts), (cut, acting), (environment.world, ("step",)), (engine, ("step",))):
             for name in names:
                 delattr(owner, name)

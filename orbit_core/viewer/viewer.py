@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from torch import Tensor
 
-from orbit_core.interfaces import ConfigurationError, Engine, Marker, SceneLayout, Sensor
+from orbit_core.interfaces import ConfigurationError, Deformable, Marker, SceneLayout, Sensor
 from orbit_core.scene import CameraSpec, Channel
 from orbit_core.sensors import CameraSensor
 from orbit_core.viewer.camera_pictures import picture_of
@@ -40,7 +40,7 @@ class ViewedWorld(Protocol):
     @property
     def sensors(self) -> Mapping[str, Sensor]: ...
     @property
-    def engine(self) -> Engine: ...
+    def deformables(self) -> Mapping[str, Deformable]: ...
 
 
 class ViewedEnvironment(Protocol):

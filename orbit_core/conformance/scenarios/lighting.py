@@ -81,7 +81,7 @@ def _photograph(trial: Trial, things: _Things, lights: tuple[Light, ...]) -> _Pi
     sure = steady(hits, [other for other, _, _ in views], 0.999)
     for _, other, _ in views:
         sure &= (other == shaded).all(-1)
-    return _Picture(found[sure], true[sure], shaded[sure].any(-1), hits.things[sure] != NOTHING)
+    return _Picture(found[sure], true[sure], np.asarray(shaded[sure].any(-1)), hits.things[sure] != NOTHING)
 
 
 def _seen(index: int, thing: Geometry, pose: Pose) -> ObjectSpec:
