@@ -37,6 +37,7 @@ from orbit_core.envs.observation_layout import Observation, leaf_shapes, leaves_
 from orbit_core.envs.observation_manager import ObservationManager
 from orbit_core.envs.reward_manager import RewardManager
 from orbit_core.envs.task import Task
+from orbit_core.envs.term_values import per_environment
 from orbit_core.envs.terms import CurriculumTerm, TerminationTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 from orbit_core.interfaces.fields import settings_table
@@ -194,6 +195,8 @@ class Environment:
             return self._step_closed(self._closed)
         self._started = True
         reward, terminated, truncated = self.advance()
+        if self._checks:
+            self._rewards.check_finite(reward)
         if not bool(self.done.any()):
             return self._observe(), reward, terminated, truncated, {}
         ended = self.done.nonzero().squeeze(-1)
@@ -249,6 +252,8 @@ class Environment:
     def _step_closed(self, closed: CapturedStep) -> StepResult:
         result = closed()
         self._seen = (self.world.clock.version, self._checked_observation(result[0]))
+        if self._checks:
+            self._rewards.check_finite(result[1])
         if isinstance(info := result[4], StepInfo):
             self._checked_observation(info.everyone.observation)
         if closed.refusal:
@@ -306,8 +311,15 @@ class Environment:
         return self._rewards.total(values)
 
     def _terminated(self) -> Tensor:
-        ends = [term.function(self.world, self.task) for term in self.termination_terms.values()]
+        ends = [self._ended(name, term) for name, term in self.termination_terms.items()]
         return functools.reduce(torch.logical_or, ends) if ends else self._never.clone()
+
+    def _ended(self, name: str, term: TerminationTerm) -> Tensor:
+        what = f"termination term '{name}'"
+        value = per_environment(term.function(self.world, self.task), what, self.num_envs)
+        if value.dtype != torch.bool:
+            raise ConfigurationError(f"{what} gives {value.dtype}: its function must give torch.bool")
+        return value
 
     def _everyone(self, observation: Observation) -> EpisodeEnd:
         """What all episodes would have come to, ended now."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.envs.task import Task
+from orbit_core.envs.term_values import per_environment
 from orbit_core.envs.terms import RewardTerm, terms_of
-from orbit_core.interfaces import World
+from orbit_core.interfaces import ConfigurationError, NonFiniteError, World, first_few
 
 
 class RewardManager:
@@ -30,10 +33,37 @@ class RewardManager:
         """(terms, N) each term's contribution to the episode so far."""
 
     def values(self) -> Tensor:
-        """(terms, N) of this step, unweighted; they are added to :attr:`sums`."""
-        values = torch.stack([term.function(self._world, self._task) for term in self.terms.values()])
+        """(terms, N) of this step, unweighted; they are added to :attr:`sums`.
+
+        Raises:
+            ConfigurationError, ShapeError: a term gives something else than (N,) numbers; names it.
+        """
+        values = torch.stack([self._value(name, term) for name, term in self.terms.items()])
         self.sums.addcmul_(values, self._column)
         return values
+
+    def _value(self, name: str, term: RewardTerm) -> Tensor:
+        value = term.function(self._world, self._task)
+        value = per_environment(value, f"reward term '{name}'", self._world.num_envs)
+        if value.is_complex():
+            raise ConfigurationError(f"reward term '{name}' gives {value.dtype}: its function must give real numbers")
+        return value if value.dtype == torch.float32 else value.float()
+
+    def check_finite(self, reward: Tensor) -> None:
+        """Refuse a reward (N,) that is NaN or infinite; this waits for the device.
+
+        Raises:
+            NonFiniteError: names the terms and the environments.
+        """
+        if math.isfinite(float(reward.sum())) or bool(reward.isfinite().all()):
+            return
+        wrong = (~reward.isfinite()).nonzero().squeeze(-1).tolist()
+        names = [name for name, total in zip(self.terms, self.sums, strict=True) if not total[wrong].isfinite().all()]
+        terms = f"reward term {' and '.join(map(repr, names))}" if names else "the reward"
+        raise NonFiniteError(
+            f"{terms} is not finite in environment{'s' if len(wrong) > 1 else ''} {first_few(wrong)}: a term must give "
+            "finite numbers; bound what divides or measures"
+        )
 
     def total(self, values: Tensor) -> Tensor:
         """(N,) the reward that the terms' values (terms, N) make."""

@@ -66,8 +66,6 @@ class ActionTerm(ABC):
         except ConfigurationError as error:
             raise ConfigurationError(f"action term '{name}': {error}") from None
         where = f"robot '{spec.name}', for action term '{name}'"
-        if isinstance(patterns, str):
-            raise ConfigurationError(f"joints of action term '{name}' are a tuple of texts, not the text '{patterns}'")
         articulation = spec.articulation
         matched = match_names(patterns, articulation.joint_names, "joint", where)
         joints = [joint for joint in matched if articulation.movable_joints[joint].mimic is None]

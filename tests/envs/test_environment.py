@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 import torch
 
 from orbit_core.backends import default_backend
-from orbit_core.envs import Environment, RewardTerm, make, task_entries
+from orbit_core.envs import Environment, RewardTerm, TerminationTerm, make, task_entries
 from orbit_core.envs.terms import once_per_state, terms_of
 from orbit_core.interfaces import (
     ArgumentError,
@@ -18,7 +19,7 @@ from orbit_core.interfaces import (
     ShapeError,
     UnknownNameError,
 )
-from orbit_tasks.lift import Lift
+from orbit_tasks.lift import Lift, LiftRewards, LiftTerminations
 from orbit_tasks.reach import Reach
 from orbit_tasks.velocity_flat import VelocityFlat, overspeed
 
@@ -206,3 +207,51 @@ def test_walking_costs_what_joints_are_faster_than_they_can_be() -> None:
     robot.set_joint_state(robot.joint_positions, velocities)
     torch.testing.assert_close(overspeed(environment.world, task), torch.tensor([0.0, 3.5]))
     environment.close()
+
+
+@dataclass
+class OddRewards(LiftRewards):
+    odd: RewardTerm | None = None
+
+
+@dataclass
+class OddTerminations(LiftTerminations):
+    odd: TerminationTerm | None = None
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "message"),
+    [
+        (torch.full((2,), torch.nan), NonFiniteError, "reward term 'odd' is not finite in environments 0, 1"),
+        (torch.tensor([0.0, torch.inf]), NonFiniteError, "reward term 'odd' is not finite in environment 1"),
+        (torch.zeros(2, 1), ShapeError, r"reward term 'odd' has shape \(2, 1\), but must have \(2,\)"),
+        (torch.zeros(3), ShapeError, r"reward term 'odd' has shape \(3,\)"),
+        (1.0, ConfigurationError, "reward term 'odd' gives a float"),
+        (torch.zeros(2, dtype=torch.complex64), ConfigurationError, "must give real numbers"),
+    ],
+)
+def test_a_reward_that_cannot_be_names_its_term(value: Any, error: type[Exception], message: str) -> None:
+    environment = make(Lift(rewards=OddRewards(odd=RewardTerm(lambda world, task: value, 1.0))), 2, default_backend())
+    with pytest.raises(error, match=message):
+        environment.step(torch.zeros(2, environment.action_size))
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "message"),
+    [
+        (torch.zeros(2), ConfigurationError, r"termination term 'odd' gives torch.float32: its function must give"),
+        (torch.zeros(2, 1, dtype=torch.bool), ShapeError, r"termination term 'odd' has shape \(2, 1\)"),
+        (None, ConfigurationError, "termination term 'odd' gives a NoneType"),
+    ],
+)
+def test_an_end_that_cannot_be_names_its_term(value: Any, error: type[Exception], message: str) -> None:
+    terms = OddTerminations(odd=TerminationTerm(lambda world, task: value))
+    environment = make(Lift(terminations=terms), 2, default_backend())
+    with pytest.raises(error, match=message):
+        environment.step(torch.zeros(2, environment.action_size))
+
+
+def test_rewards_may_be_of_any_real_kind() -> None:
+    term = RewardTerm(lambda world, task: torch.ones(2, dtype=torch.bool), 50.0)
+    environment = make(Lift(rewards=OddRewards(None, None, None, None, None, None, term)), 2, default_backend())
+    assert environment.step(torch.zeros(2, environment.action_size))[1].tolist() == [1.0, 1.0]
