@@ -141,6 +141,8 @@ def _read(value: Any, present: Any, hint: Any, words: Mapping[str, Callable[[], 
     branches = _branches(hint)
     if (value is None and _optional(hint)) or hint is Any or any(_is_instance(value, branch) for branch in branches):
         return value
+    if isinstance(value, str) and str not in branches and _off(value, hint, present):
+        return None  # a file has no other word for it
     plain = [branch for branch in branches if _is_plain(branch)]
     if not plain:
         raise ConfigurationError(f"{what} is {value!r}, but must be {_words(branches, present)}")

@@ -137,6 +137,7 @@ def test_fields_are_set_at_any_depth_and_the_original_stays() -> None:
 def test_tables_set_what_lies_below_their_field() -> None:
     changed = configured(Owner(), {"rewards": {"lift": {"weight": 30}, "reach": None}, "table": {"a": 1}}, "T")
     assert changed.rewards.lift == Term(max, 30.0)
+    assert configured(Owner(), {"rewards": {"lift": "none"}, "limit": "none"}, "T").rewards.lift is None
     assert changed.table == {"a": 1}
 
 
