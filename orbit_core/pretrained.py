@@ -7,10 +7,18 @@ file holds the fields of :class:`PretrainedPolicy`::
     description = "Opens a drawer to where it should be: Franka Panda, joint targets"
     least_success = 0.9
 
+    [fields]
+    observations = "pixels"
+
     [[gaps]]
     backend = "some_backend"
     least_success = 0.6
     reason = "its friction lets the bar slip out of the fingers"
+
+    [[gaps]]
+    renderer = "some_renderer"
+    least_success = 0.3
+    reason = "it draws no depth beyond a metre"
 
 Listing names imports nothing heavy.
 """
@@ -18,7 +26,8 @@ Listing names imports nothing heavy.
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -31,11 +40,14 @@ GROUP = "orbit.policies"
 ABOUT = "policy.toml"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TransferGap:
-    """A backend on which a policy is known to succeed less often than it is held to elsewhere."""
+    """Where a policy is known to succeed less often than it is held to elsewhere: a backend, a renderer, or both."""
 
-    backend: str
+    backend: str | None = None
+    """That simulates; any if None."""
+    renderer: str | None = None
+    """That draws what the policy sees, be it another's or the backend's own; any if None."""
     least_success: float
     """The rate that it is held to there, in [0, 1]."""
     reason: str
@@ -43,6 +55,12 @@ class TransferGap:
 
     def __post_init__(self) -> None:
         _check_rate(self.least_success)
+        if self.backend is None and self.renderer is None:
+            raise ValueError("a gap names a backend, a renderer or both")
+
+    def holds_for(self, backend: str, renderer: str) -> bool:
+        """Whether it is of that backend and that renderer."""
+        return self.backend in (None, backend) and self.renderer in (None, renderer)
 
 
 @dataclass(frozen=True)
@@ -55,14 +73,18 @@ class PretrainedPolicy:
     """One line."""
     least_success: float
     """The success rate that it is held to, in [0, 1], wherever no gap says otherwise."""
+    fields: Mapping[str, Any] = field(default_factory=dict)
+    """Of the task that it was learned for, those that are not as they are by default; robot and action left out."""
     gaps: tuple[TransferGap, ...] = ()
 
     def __post_init__(self) -> None:
         _check_rate(self.least_success)
+        if not isinstance(self.fields, Mapping):
+            raise ValueError(f"fields is a table of the task's fields, not {self.fields!r}")
 
-    def gap_on(self, backend: str) -> TransferGap | None:
-        """What is declared of a backend."""
-        return next((gap for gap in self.gaps if gap.backend == backend), None)
+    def gap_on(self, backend: str, renderer: str | None = None) -> TransferGap | None:
+        """What is declared of a backend that draws itself, or of it and a renderer: the first gap that holds."""
+        return next((gap for gap in self.gaps if gap.holds_for(backend, renderer or backend)), None)
 
 
 @cache
@@ -98,6 +120,18 @@ def policy_path(name: str | Path) -> Path:
         UnknownNameError: there is neither.
     """
     return Path(name) if Path(name).exists() else pretrained_policy(str(name)).folder
+
+
+def policy_fields(name: str | Path) -> Mapping[str, Any]:
+    """The fields of the task that a policy must be given, as the file ``policy.toml`` beside it says; none without one.
+
+    Raises:
+        UnknownNameError: there is no such file, folder or kept policy.
+        ConfigurationError: the file ``policy.toml`` describes no policy.
+    """
+    path = policy_path(name)
+    about = (path if path.is_dir() else path.parent) / ABOUT
+    return _read(about).fields if about.exists() else {}
 
 
 def _read(about: Path) -> PretrainedPolicy:

@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 
 from orbit_core.interfaces import UnknownNameError
-from orbit_core.pretrained import policy_path, pretrained_policies, pretrained_policy
+from orbit_core.pretrained import policy_fields, policy_path, pretrained_policies, pretrained_policy
 
 ABOUT = 'description = "Stacks cubes"\nleast_success = 0.8\n'
+FIELDS = '[fields]\nobservations = "pixels"\n'
 GAP = '[[gaps]]\nbackend = "slippery"\nleast_success = 0.5\nreason = "it slips"\n'
 
 
@@ -42,14 +43,16 @@ def test_the_suite_keeps_policies_that_are_held_to_something() -> None:
 
 
 def test_another_package_brings_policies_of_its_own(tmp_path: Path) -> None:
-    install(tmp_path, ABOUT + GAP)
+    install(tmp_path, ABOUT + FIELDS + GAP)
     told = ask(
         tmp_path,
         "from orbit_core.pretrained import *; stack = pretrained_policy('stack');"
         "print(stack.least_success, stack.gap_on('slippery').reason, stack.gap_on('other'),"
-        "len(pretrained_policies()))",
+        "len(pretrained_policies()), policy_fields('stack'))",
     )
-    assert told.stdout.split("\n")[0] == f"0.8 it slips None {len(pretrained_policies()) + 1}", told.stderr
+    assert (
+        told.stdout.split("\n")[0] == f"0.8 it slips None {len(pretrained_policies()) + 1} {{'observations': 'pixels'}}"
+    ), told.stderr
     listed = ask(tmp_path, "from orbit_core.cli import main; main(['list', 'policies'])").stdout
     assert "stack" in listed
     assert "Stacks cubes" in listed
@@ -60,6 +63,8 @@ def test_another_package_brings_policies_of_its_own(tmp_path: Path) -> None:
     [
         (ABOUT.replace("0.8", "80"), "stack", "least_success is a rate in [0, 1], not 80"),
         (ABOUT + "speed = 3\n", "stack", "unexpected keyword argument 'speed'"),
+        (ABOUT + 'fields = "pixels"\n', "stack", "fields is a table of the task's fields, not 'pixels'"),
+        (ABOUT + GAP.replace('backend = "slippery"', ""), "stack", "a gap names a backend, a renderer or both"),
         (ABOUT + GAP.replace("reason", "cause"), "stack", "unexpected keyword argument 'cause'"),
         ("description = \n", "stack", "describes no policy"),
         (ABOUT, "reach", "policy 'reach' is registered twice"),
@@ -70,6 +75,14 @@ def test_what_is_wrong_with_a_policy_is_told(tmp_path: Path, about: str, name: s
     told = ask(tmp_path, "from orbit_core.cli import main; main(['list', 'policies'])").stderr
     assert complaint in " ".join(told.split())
     assert "their_policies" in told
+
+
+def test_the_fields_stand_beside_the_policy_file_under_its_name_and_its_path(tmp_path: Path) -> None:
+    folder = pretrained_policy("reach_pixels").folder
+    (file,) = folder.glob("policy_*.safetensors")
+    for name in ("reach_pixels", folder, file):
+        assert policy_fields(name) == {"observations": "pixels"}
+    assert policy_fields(tmp_path) == policy_fields("reach") == {}
 
 
 def test_a_path_is_taken_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

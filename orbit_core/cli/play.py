@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.run import show_run
 from orbit_core.cli.settings import PlaySettings
-from orbit_core.pretrained import policy_path
+from orbit_core.pretrained import policy_fields, policy_path
 
 
 def main(words: Sequence[str]) -> None:
@@ -24,5 +24,6 @@ def main(words: Sequence[str]) -> None:
             robot=settings.robot or learned.robot,
             action=settings.action or learned.action,
             agent=str(settings.policy),
+            fields={**policy_fields(settings.policy), **settings.fields},
         )
     )

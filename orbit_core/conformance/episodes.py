@@ -68,9 +68,11 @@ class FirstEpisodes:
         fields: Mapping[str, Any],
         device: str,
         settings: Mapping[str, Any] | None,
+        renderer: str | None = None,
     ) -> None:
         self._task, self._seed, self._fields = task, seed, dict(fields)
-        self.environment = environment = make(task, num_envs, backend, device, seed, settings=settings, **fields)
+        common = (num_envs, backend, device, seed, renderer, settings)
+        self.environment = environment = make(task, *common, **fields)
         self._counter = EpisodeCounter(num_envs, num_envs, environment.device)
         self._times = _SuccessTimes(environment, self._counter)
 

@@ -21,7 +21,7 @@ from orbit_core.conformance.scenario import Trial
 from orbit_core.conformance.settings import Settings, scenario
 from orbit_core.conformance.tasks import run_task
 from orbit_core.conformance.throughput import measure_once
-from orbit_core.conformance.transfer import transfer
+from orbit_core.conformance.transfer import learned, transfer
 from orbit_core.conformance.verdict import Status, run_scenario
 from orbit_core.conformance.videos import film
 from orbit_core.interfaces import StorageError, UnsupportedCapabilityError
@@ -134,13 +134,15 @@ def _replay(record: Record, settings: Settings, folder: Path) -> Record:
 
 def _transfer(record: Record, settings: Settings, folder: Path) -> Record:
     job = record.job
+    extent = settings.extent
     result = transfer(
         job.name,
         job.backend,
-        num_envs=settings.extent.episodes,
+        num_envs=extent.pixel_episodes if learned(job.name).sees_pictures else extent.episodes,
         seed=settings.seed,
         device=record.device,
         settings=settings.settings_of(job.backend),
+        renderer=job.renderer or None,
     )
     return replace(record, transfer=result)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from orbit_core.conformance.settings import Part, Settings, scenario
+from orbit_core.conformance.transfer import learned
 
 
 class Kind(Enum):
@@ -32,6 +33,8 @@ class Job:
     """Seconds; of a scenario."""
     source: str = ""
     """The backend whose recording a replay plays."""
+    renderer: str = ""
+    """What draws for a learned policy; the backend if empty."""
     num_envs: int = 0
     """Of a measurement of throughput."""
 
@@ -40,7 +43,8 @@ class Job:
         """Unique in a run, and the folder of the job's files."""
         step = f"{self.time_step:g}" if self.time_step else ""
         count = str(self.num_envs) if self.num_envs else ""
-        return "/".join(part for part in (self.kind.value, self.name, self.backend, step, self.source, count) if part)
+        parts = (self.kind.value, self.name, self.backend, step, self.source, self.renderer, count)
+        return "/".join(part for part in parts if part)
 
 
 @dataclass(frozen=True)
@@ -53,12 +57,15 @@ class Phase:
 
 
 def plan(settings: Settings) -> list[Phase]:
-    """All jobs of a run. A phase is of one backend, so that a worker never holds two engines."""
+    """All jobs of a run. A phase is of one backend, or of one renderer that draws for others, so that a worker never
+    holds two engines that have nothing to do with each other.
+    """
     phases = [
         Phase((*_scenarios(settings, backend), *_tasks(settings, backend), *_transfers(settings, backend)))
         for backend in settings.backends
     ]
     phases += [Phase(tuple(_replays(settings, backend))) for backend in settings.backends]
+    phases += [Phase(tuple(_drawn_by(settings, renderer))) for renderer in settings.renderers]
     phases += [Phase(tuple(_throughput(settings, backend)), alone=True) for backend in settings.backends]
     return [phase for phase in phases if phase.jobs]
 
@@ -81,6 +88,15 @@ def _tasks(settings: Settings, backend: str) -> Iterable[Job]:
 def _transfers(settings: Settings, backend: str) -> Iterable[Job]:
     for policy in settings.policies:
         yield Job(Kind.TRANSFER, policy, backend)
+
+
+def _drawn_by(settings: Settings, renderer: str) -> Iterable[Job]:
+    """The policies that see pictures, each on the backend that it was learned on, or the first, if it is not run."""
+    for policy in settings.policies:
+        home = learned(policy).backend
+        backend = home if home in settings.backends else settings.backends[0]
+        if learned(policy).sees_pictures and renderer != backend:
+            yield Job(Kind.TRANSFER, policy, backend, renderer=renderer)
 
 
 def _replays(settings: Settings, backend: str) -> Iterable[Job]:

@@ -8,13 +8,13 @@ from enum import Enum
 from typing import Any
 
 from orbit_core.backends import backend as find_backend
-from orbit_core.backends import backend_config, backend_names
+from orbit_core.backends import backend_config, backend_names, renderer, renderer_names
 from orbit_core.conformance.declarations import check_declarations
 from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.conformance.transfer import learned
 from orbit_core.envs.registry import task_entries
-from orbit_core.interfaces import Capability, ConfigurationError, UnknownNameError
+from orbit_core.interfaces import EXACT, Capability, ConfigurationError, UnknownNameError
 from orbit_core.pretrained import pretrained_policies
 
 
@@ -37,6 +37,9 @@ class Extent:
 
     episodes: int
     """One in each environment."""
+    pixel_episodes: int
+    """The same of policies that see pictures, which most engines here draw on the CPU, a few a second; 0 leaves these
+    policies out."""
     throughput_envs: tuple[int, ...]
     blocks: int
     """Of the environment's steps and the raw engine's, which alternate."""
@@ -45,8 +48,8 @@ class Extent:
     """At most; an episode may go on longer."""
 
 
-QUICK = Extent(episodes=8, throughput_envs=(8,), blocks=3, block_steps=10, video_seconds=1.0)
-FULL = Extent(episodes=50, throughput_envs=(1, 16, 64), blocks=5, block_steps=20, video_seconds=5.0)
+QUICK = Extent(episodes=8, pixel_episodes=0, throughput_envs=(8,), blocks=3, block_steps=10, video_seconds=1.0)
+FULL = Extent(episodes=50, pixel_episodes=4, throughput_envs=(1, 16, 64), blocks=5, block_steps=20, video_seconds=5.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +64,8 @@ class Settings:
     parts: tuple[Part, ...]
     policies: tuple[str, ...] = ()
     """Of the part ``TRANSFERS``: those that are kept for the tasks."""
+    renderers: tuple[str, ...] = ()
+    """Of the part ``TRANSFERS``: those that draw for policies that see pictures, beside the backends' own."""
     quick: bool = False
     """The nominal time steps of the quick scenarios and of those that are named; few episodes, few environments."""
     device: str = "cpu"
@@ -117,12 +122,14 @@ def choose(
         check_declarations(find_backend(name))
     for name, values in (backend_settings or {}).items():
         backend_config(find_backend(*_known("backend", (name,), backends)), values)
+    policies = _policies(tasks, QUICK if quick else FULL) if Part.TRANSFERS in chosen else ()
     return Settings(
         backends=backends,
         scenarios=_known("scenario", scenarios or tried, known) if Part.SCENARIOS in chosen else (),
         tasks=_known("task", tasks, task_entries()) if {*of_tasks} & {*chosen} else (),
         parts=chosen,
-        policies=_policies(tasks) if Part.TRANSFERS in chosen else (),
+        policies=policies,
+        renderers=_renderers() if any(learned(name).sees_pictures for name in policies) else (),
         quick=quick,
         device=device,
         seed=seed,
@@ -130,9 +137,19 @@ def choose(
     )
 
 
-def _policies(tasks: Sequence[str]) -> tuple[str, ...]:
-    """Those that were learned for the tasks; all if none is named."""
-    return tuple(name for name in pretrained_policies() if not tasks or learned(name).task in tasks)
+def _policies(tasks: Sequence[str], extent: Extent) -> tuple[str, ...]:
+    """Those that were learned for the tasks, all if none is named; of those that see pictures, if time is for them."""
+    named = (name for name in pretrained_policies() if not tasks or learned(name).task in tasks)
+    return tuple(name for name in named if extent.pixel_episodes or not learned(name).sees_pictures)
+
+
+def _renderers() -> tuple[str, ...]:
+    """The installed backends that draw, and the renderers that simulate nothing, but for those that trace paths: these
+    take longer for an episode's pictures than a job may.
+    """
+    drawing = [name for name in backend_names() if find_backend(name).capabilities().has(Capability.RGB)]
+    alone = [name for name in renderer_names() if renderer(name).capabilities()[Capability.RAY_TRACED_RGB] != EXACT]
+    return (*drawing, *alone)
 
 
 def scenario(name: str) -> Scenario:

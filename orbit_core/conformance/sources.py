@@ -13,12 +13,14 @@ from pathlib import Path
 
 import importlib_metadata
 
-from orbit_core.backends import GROUP
+from orbit_core.backends import GROUP, RENDERERS, renderer_names
 from orbit_core.backends import backend as find_backend
+from orbit_core.backends import renderer as find_renderer
 from orbit_core.conformance.jobs import Job, Kind
 from orbit_core.conformance.settings import Settings
 from orbit_core.conformance.transfer import learned
 from orbit_core.envs.registry import task_entry
+from orbit_core.interfaces import Backend
 from orbit_core.pretrained import pretrained_policy
 
 CORE = "orbit_core"
@@ -35,8 +37,9 @@ def source_digests(settings: Settings) -> dict[str, str]:
     if settings.scenarios:
         found[_SCENARIOS_WORDS] = _digest(_files(_SCENARIOS))
     for name in settings.backends:
-        files = (file for package in backend_packages(name) for file in _files(package))
-        found[_backend(name)] = _digest(files, *map(str, sorted(find_backend(name).versions().items())))
+        found[_backend(name)] = _plugin_digest(find_backend(name), backend_packages(name))
+    for name in settings.renderers:
+        found[_renderer(name)] = _plugin_digest(find_renderer(name), renderer_packages(name))
     for name in settings.tasks:
         found[_task(name)] = _digest(_files(task_entry(name).factory.partition(":")[0].partition(".")[0]))
     for name in settings.policies:
@@ -49,6 +52,8 @@ def sources_of(job: Job) -> set[str]:
     found = {CORE, _backend(job.backend)}
     if job.source:
         found.add(_backend(job.source))
+    if job.renderer:
+        found.add(_renderer(job.renderer))
     match job.kind:
         case Kind.SCENARIO:
             found.add(_SCENARIOS_WORDS)
@@ -65,8 +70,17 @@ def backend_packages(name: str) -> tuple[str, ...]:
     A distribution is shared if the plugin's requires it and it requires ``orbit-core`` itself; its package is taken to
     be of the same name.
     """
-    own = type(find_backend(name)).__module__.partition(".")[0]
-    (entry_point,) = importlib_metadata.entry_points(group=GROUP, name=name)
+    return _packages(find_backend(name), GROUP)
+
+
+def renderer_packages(name: str) -> tuple[str, ...]:
+    """The same of what draws under that name."""
+    return _packages(find_renderer(name), RENDERERS if name in renderer_names() else GROUP)
+
+
+def _packages(plugin: Backend, group: str) -> tuple[str, ...]:
+    own = type(plugin).__module__.partition(".")[0]
+    (entry_point,) = importlib_metadata.entry_points(group=group, name=plugin.name)
     required = _required_by(entry_point.dist.name) if entry_point.dist else set[str]()
     shared = {each.replace("-", "_") for each in required - {"orbit-core"} if "orbit-core" in _required_by(each)}
     return (own, *sorted(package for package in shared - {own} if importlib.util.find_spec(package)))
@@ -79,6 +93,15 @@ def _required_by(distribution: str) -> set[str]:
     except importlib_metadata.PackageNotFoundError:
         return set()
     return {re.split(r"[^\w.-]", requirement)[0].lower() for requirement in requirements}
+
+
+def _plugin_digest(plugin: Backend, packages: tuple[str, ...]) -> str:
+    files = (file for package in packages for file in _files(package))
+    return _digest(files, *map(str, sorted(plugin.versions().items())))
+
+
+def _renderer(name: str) -> str:
+    return f"renderer '{name}'"
 
 
 def _backend(name: str) -> str:

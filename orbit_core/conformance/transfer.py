@@ -1,4 +1,4 @@
-"""Learned policies on backends that they were not learned on."""
+"""Learned policies on backends that they were not learned on, and on pictures that others draw."""
 
 from __future__ import annotations
 
@@ -43,6 +43,7 @@ def transfer(
     seed: int = 0,
     device: str = "cpu",
     settings: Mapping[str, Any] | None = None,
+    renderer: str | None = None,
 ) -> TransferResult:
     """One episode of a kept policy in each environment of the task that it was learned for.
 
@@ -53,24 +54,25 @@ def transfer(
         seed: of the environments.
         device: where tensors live.
         settings: of the backend, by field name.
+        renderer: name of what draws; the backend if None.
 
     Raises:
-        UnsupportedCapabilityError: the backend lacks what the task needs.
+        UnsupportedCapabilityError: the backend, or the renderer, lacks what the task needs.
         ConfigurationError: the task is no longer what the policy was learned for.
     """
     kept, description = pretrained_policy(policy), learned(policy)
-    fields = {"robot": description.robot, "action": description.action}
-    with FirstEpisodes(description.task, backend, num_envs, seed, fields, device, settings) as episodes:
+    fields = {**kept.fields, "robot": description.robot, "action": description.action}
+    with FirstEpisodes(description.task, backend, num_envs, seed, fields, device, settings, renderer) as episodes:
         episodes.run(PolicyActor(episodes.environment, kept.folder), tracked_envs=0)
         result = episodes.result()
-    return TransferResult(*judge(kept, backend, result.success), result)
+    return TransferResult(*judge(kept, backend, result.success, renderer), result)
 
 
-def judge(policy: PretrainedPolicy, backend: str, success: Estimate) -> tuple[Status, str]:
+def judge(policy: PretrainedPolicy, backend: str, success: Estimate, renderer: str | None = None) -> tuple[Status, str]:
     """Status and reason. A miss, or that there is none where one is declared, counts only if it is beyond chance: if
     the whole interval lies below, or above, the rate that the policy is held to.
     """
-    gap, least = policy.gap_on(backend), policy.least_success
+    gap, least = policy.gap_on(backend, renderer), policy.least_success
     told = f"success is {success.value:.2f} [{success.low:.2f}, {success.high:.2f}]"
     if success.high < (gap.least_success if gap else least):
         held_to = f"the declared {gap.least_success:g}" if gap else f"{least:g}"

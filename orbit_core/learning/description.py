@@ -122,6 +122,10 @@ class PolicyDescription:
     def action_size(self) -> int:
         return sum(part.size for part in self.action_parts)
 
+    @property
+    def sees_pictures(self) -> bool:
+        return any(part.is_picture for part in self.observation_parts)
+
     def zeros(self, count: int, device: torch.device | str = "cpu") -> Tensor | dict[str, Tensor]:
         """An observation of so many environments in which everything is zero."""
         if self.concatenated:

@@ -16,13 +16,14 @@ from orbit_core.conformance.jobs import Job, Kind, plan
 from orbit_core.conformance.report.page import write_report
 from orbit_core.conformance.results import Ending, Header, PolicyInfo, Record, Result, load, save
 from orbit_core.conformance.settings import Part, Settings, choose
-from orbit_core.conformance.transfer import TransferResult, judge
+from orbit_core.conformance.sources import source_digests, sources_of
+from orbit_core.conformance.transfer import TransferResult, judge, transfer
 from orbit_core.conformance.verdict import Status
 from orbit_core.interfaces import Capabilities, Capability, unsupported
 from orbit_core.pretrained import PretrainedPolicy, TransferGap
 from orbit_core.rollout.estimates import mean, proportion
 
-SLIPS = TransferGap("slippery", least_success=0.6, reason="its bars are oiled")
+SLIPS = TransferGap(backend="slippery", least_success=0.6, reason="its bars are oiled")
 KEPT = PretrainedPolicy("pull", Path(), "Pulls", least_success=0.9, gaps=(SLIPS,))
 
 
@@ -64,11 +65,39 @@ def test_a_backend_that_lacks_what_the_task_needs_is_unsupported(monkeypatch: py
 
 def test_the_part_has_a_job_for_each_policy_on_each_backend() -> None:
     chosen = choose(parts=["transfers"])
-    jobs = [job for phase in plan(chosen) for job in phase.jobs]
+    jobs = [job for phase in plan(chosen) for job in phase.jobs if not job.renderer]
     assert {job.kind for job in jobs} == {Kind.TRANSFER}
     assert {(job.name, job.backend) for job in jobs} == {(p, b) for p in chosen.policies for b in chosen.backends}
-    assert choose(parts=["transfers"], tasks=["Reach"]).policies == ("reach",)
+    assert choose(parts=["transfers"], tasks=["Reach"], quick=True).policies == ("reach",)
     assert not choose(scenarios=["free_fall"]).policies
+
+
+def test_what_sees_pictures_is_tried_on_those_of_every_renderer_over_one_physics() -> None:
+    chosen = choose(parts=["transfers"], tasks=["Reach"])
+    assert chosen.policies == ("reach", "reach_pixels")
+    drawn = [job for phase in plan(chosen) for job in phase.jobs if job.renderer]
+    (backend,) = {job.backend for job in drawn}
+    assert {job.name for job in drawn} == {"reach_pixels"}
+    assert {job.renderer for job in drawn} == {*chosen.renderers} - {backend}
+    assert {*chosen.backends} <= {*chosen.renderers}, "all of them draw"
+    assert all(f"renderer '{job.renderer}'" in source_digests(chosen) for job in drawn)
+    assert all(f"renderer '{job.renderer}'" in sources_of(job) for job in drawn)
+
+
+def test_a_gap_may_be_of_a_renderer_whatever_simulates() -> None:
+    grey = TransferGap(renderer="grey", least_success=0.3, reason="its cubes are as grey as its benches")
+    kept = PretrainedPolicy("pull", Path(), "Pulls", least_success=0.9, gaps=(SLIPS, grey))
+    assert judge(kept, "dry", proportion(40, 100), "grey")[0] is Status.GAP
+    assert judge(kept, "grey", proportion(40, 100))[0] is Status.GAP, "it draws itself"
+    assert judge(kept, "dry", proportion(40, 100))[0] is Status.FAIL
+    assert judge(kept, "slippery", proportion(76, 100), "grey")[1].endswith(SLIPS.reason), "the first that holds"
+
+
+def test_a_policy_that_sees_pictures_acts_on_what_another_renderer_draws() -> None:
+    """One episode, on the fastest renderer: whether it does its task is for tests/learning to hold."""
+    found = transfer("reach_pixels", "mujoco", num_envs=1, renderer="warp").result
+    assert found.metrics["position_error_m"].value < 0.05, "it goes to the goal"
+    assert found.fields["observations"] == "pixels"
 
 
 def result(successes: int, errors: float = 0.01, declared: tuple[TransferGap, ...] = (SLIPS,)) -> Result:

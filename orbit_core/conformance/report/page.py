@@ -109,10 +109,12 @@ class TransferCell:
 
 @dataclass(frozen=True)
 class TransferLine:
-    """A learned policy on all backends, in their order."""
+    """A learned policy on all backends, or on the pictures of all renderers, in their order."""
 
     info: PolicyInfo
     cells: tuple[TransferCell, ...]
+    backend: str = ""
+    """That simulates what others draw."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +129,8 @@ class Page:
     tasks: tuple[TaskSection, ...]
     success: Markup
     transfers: tuple[TransferLine, ...]
+    drawn: tuple[TransferLine, ...]
+    """Of the policies that see pictures, one cell for each of the run's renderers."""
     throughput: Markup
     rates: tuple[tuple[str, ...], ...]
     gaps: tuple[GapLine, ...]
@@ -177,6 +181,7 @@ def page_of(result: Result, folder: Path) -> Page:
         tasks=tuple(_task_section(result, task, folder) for task in settings.tasks if result.of(Kind.TASK)),
         success=Markup(plots.success(result)),
         transfers=tuple(_transfer_line(result, info) for info in result.header.policies),
+        drawn=tuple(_drawn_lines(result)),
         throughput=Markup(plots.throughput(result)),
         rates=tuple(_rates(result)),
         gaps=tuple(_gaps(result)),
@@ -224,7 +229,7 @@ def _line(result: Result, kind: Kind, name: str, question: str) -> Line:
 
 
 def _worst_cell(result: Result, kind: Kind, name: str, backend: str) -> Cell:
-    records = [r for r in result.of(kind) if (r.job.name, r.job.backend) == (name, backend)]
+    records = [r for r in result.of(kind) if (r.job.name, r.job.backend, r.job.renderer) == (name, backend, "")]
     if not records:
         return Cell(None, "not run")
     worst = max(records, key=lambda record: list(_SYMBOLS).index(record.status))
@@ -238,9 +243,22 @@ def _transfer_line(result: Result, info: PolicyInfo) -> TransferLine:
     )
 
 
-def _transfer_cell(result: Result, info: PolicyInfo, backend: str) -> TransferCell:
-    record = next((r for r in result.of(Kind.TRANSFER) if (r.job.name, r.job.backend) == (info.name, backend)), None)
-    home = info.learned_on == backend
+def _drawn_lines(result: Result) -> Iterator[TransferLine]:
+    infos = {info.name: info for info in result.header.policies}
+    pairs = dict.fromkeys((r.job.name, r.job.backend) for r in result.of(Kind.TRANSFER) if r.job.renderer)
+    for policy, backend in pairs:
+        cells = (
+            _transfer_cell(result, infos[policy], backend, "" if renderer == backend else renderer)
+            for renderer in result.header.settings.renderers
+        )
+        yield TransferLine(infos[policy], tuple(cells), backend)
+
+
+def _transfer_cell(result: Result, info: PolicyInfo, backend: str, renderer: str = "") -> TransferCell:
+    wanted = (info.name, backend, renderer)
+    records = (r for r in result.of(Kind.TRANSFER) if (r.job.name, r.job.backend, r.job.renderer) == wanted)
+    record = next(records, None)
+    home = info.learned_on == backend and not renderer
     if record is None or record.played is None:
         standing = Cell(record.status, _label(record), record.why) if record else Cell(None, "not run")
         return TransferCell(standing, "", home)
