@@ -50,9 +50,8 @@ def test_another_package_brings_policies_of_its_own(tmp_path: Path) -> None:
         "print(stack.least_success, stack.gap_on('slippery').reason, stack.gap_on('other'),"
         "len(pretrained_policies()), policy_fields('stack'))",
     )
-    assert (
-        told.stdout.split("\n")[0] == f"0.8 it slips None {len(pretrained_policies()) + 1} {{'observations': 'pixels'}}"
-    ), told.stderr
+    numbers = f"0.8 it slips None {len(pretrained_policies()) + 1}"
+    assert told.stdout.split("\n")[0] == f"{numbers} {{'observations': 'pixels'}}", told.stderr
     listed = ask(tmp_path, "from orbit_core.cli import main; main(['list', 'policies'])").stdout
     assert "stack" in listed
     assert "Stacks cubes" in listed

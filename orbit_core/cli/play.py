@@ -13,17 +13,24 @@ from orbit_core.pretrained import policy_fields, policy_path
 
 def main(words: Sequence[str]) -> None:
     """Run the policy as ``orbit run`` runs an expert."""
+    show_run(played(parse_settings(PlaySettings, words, "orbit play")))
+
+
+def played(settings: PlaySettings) -> PlaySettings:
+    """The settings with all that the policy was learned for in the place of what they leave open.
+
+    Raises:
+        UnknownNameError: there is no such file, folder or kept policy.
+        ConfigurationError: it is no policy.
+    """
     from orbit_core.learning.policy import load_policy
 
-    settings = parse_settings(PlaySettings, words, "orbit play")
     learned = load_policy(policy_path(settings.policy)).description
-    show_run(
-        dataclasses.replace(
-            settings,
-            task=settings.task or learned.task,
-            robot=settings.robot or learned.robot,
-            action=settings.action or learned.action,
-            agent=str(settings.policy),
-            fields={**policy_fields(settings.policy), **settings.fields},
-        )
+    return dataclasses.replace(
+        settings,
+        task=settings.task or learned.task,
+        robot=settings.robot or learned.robot,
+        action=settings.action or learned.action,
+        agent=str(settings.policy),
+        fields={**policy_fields(settings.policy), **settings.fields},
     )

@@ -16,7 +16,7 @@ import importlib_metadata
 from orbit_core.backends import GROUP, RENDERERS, renderer_names
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import renderer as find_renderer
-from orbit_core.conformance.jobs import Job, Kind
+from orbit_core.conformance.jobs import Job, Kind, plan
 from orbit_core.conformance.settings import Settings
 from orbit_core.conformance.transfer import learned
 from orbit_core.envs.registry import task_entry
@@ -38,7 +38,7 @@ def source_digests(settings: Settings) -> dict[str, str]:
         found[_SCENARIOS_WORDS] = _digest(_files(_SCENARIOS))
     for name in settings.backends:
         found[_backend(name)] = _plugin_digest(find_backend(name), backend_packages(name))
-    for name in settings.renderers:
+    for name in {job.renderer for phase in plan(settings) for job in phase.jobs} - {""}:
         found[_renderer(name)] = _plugin_digest(find_renderer(name), renderer_packages(name))
     for name in settings.tasks:
         found[_task(name)] = _digest(_files(task_entry(name).factory.partition(":")[0].partition(".")[0]))
