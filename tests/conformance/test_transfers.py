@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -149,6 +150,22 @@ def test_a_drop_is_worse_where_the_intervals_lie_apart() -> None:
     assert changes(result(70), result(60)) == []
     assert changes(result(70, errors=0.1), result(70, errors=0.01)) == [("slippery", "distance_m", True)]
     assert compare(result(95), result(70)).worse_status
+
+
+def test_the_page_shows_what_comes_of_pictures_that_others_draw(tmp_path: Path) -> None:
+    plain = result(76)
+    drawn = replace(record("dry", 40, 0.01), job=Job(Kind.TRANSFER, "pull", "dry", renderer="grey"))
+    settings = replace(plain.header.settings, renderers=("dry", "grey", "paint"))
+    save(replace(plain, header=replace(plain.header, settings=settings), records=(*plain.records, drawn)), tmp_path)
+    page = write_report(tmp_path).read_text()
+    section = page[page.index("Pictures that other renderers draw") : page.index("Where a policy is known to do worse")]
+    assert "physics of dry" in section
+    cells = section.split("<td>")[1:]
+    assert [cell.split('class="plain ')[1].split('"')[0] for cell in cells] == ["pass", "fail", "absent"]
+    assert ["learned here" in cell for cell in cells] == [True, False, False]
+    assert "40 [" in cells[1]
+    matrix = page[: page.index('<section id="transfers">')]
+    assert "40 %" not in matrix, "the matrix shows what backends draw themselves"
 
 
 def test_the_page_shows_who_learned_where_and_why_it_does_worse(tmp_path: Path) -> None:
