@@ -19,7 +19,7 @@ from orbit_core.learning.networks import ActorNetwork, activation_type, layer_we
 
 _MOST_PIXELS, _MOST_FILTERS, _MOST_UNITS = 2**22, 4096, 2**16
 _COLOR_DEPTH = ("color", "depth")
-_MOST_DEVIATIONS = 10.0
+MOST_DEVIATIONS = 10.0
 """Standard deviations at which vectors are cut off: a joint that is hit moves faster than any that was learned from."""
 
 
@@ -97,6 +97,11 @@ class Convolutional:
         """That the encoders give, together."""
         return sum(encoder.features for encoder in self.encoders)
 
+    @property
+    def vector_size(self) -> int:
+        """V, components of the vectors together."""
+        return sum(part.size for part in self.vectors)
+
     def build_encoders(self) -> nn.ModuleList:
         """One module for each encoder."""
         return nn.ModuleList(encoder.build(activation_type(self.activation)) for encoder in self.encoders)
@@ -116,7 +121,7 @@ class PictureActor(nn.Module):
     def __init__(self, network: Convolutional, action_size: int) -> None:
         super().__init__()
         activation = activation_type(network.activation)
-        size = sum(part.size for part in network.vectors)
+        size = network.vector_size
         self.network = network
         self.register_buffer("mean", torch.zeros(size))
         self.register_buffer("std", torch.ones(size))
@@ -136,7 +141,7 @@ class PictureActor(nn.Module):
 
     def encode(self, observation: Mapping[str, Tensor]) -> Tensor:
         """(N, K) vectors and pictures as the linear layers see them."""
-        vectors = ((self.vectors(observation) - self.mean) / self.std).clamp(-_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+        vectors = ((self.vectors(observation) - self.mean) / self.std).clamp(-MOST_DEVIATIONS, MOST_DEVIATIONS)
         return torch.cat((vectors, encoded_pictures(self.network, self.encoders, observation)), dim=1)
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 ACTOR = "policy"
 CRITIC = "critic"
-_TAKE_PICTURES = ("rsl-rl", "distill")
+_TAKE_PICTURES = ("rsl-rl", "sb3", "distill")
 _TAKE_CRITICS = ("rsl-rl", "rl-games", "skrl")
 
 

@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from orbit_core.files import written_whole
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_core.learning.description import PolicyDescription
 from orbit_core.learning.onnx_graph import OnnxGraph
+from orbit_core.learning.picture_features import TermByTerm
 from orbit_core.learning.policy_file import check_action
 from orbit_core.learning.tensor_file import parse_json, read_bytes
 
@@ -40,7 +41,7 @@ def write_onnx(path: Path, module: nn.Module, description: PolicyDescription) ->
     names = ["observation"]
     if isinstance(example, dict):
         names = list(example)
-        exported = _TermByTerm(exported, names)
+        exported = TermByTerm(exported, names)
     with written_whole(path) as written:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of this exporter's age; the newer one needs one more package
@@ -80,17 +81,6 @@ def read_onnx(path: Path) -> tuple[PolicyDescription, nn.Module]:
     check_action(copy.deepcopy(graph).to("meta"), description, path, "meta")
     check_action(graph, description, path)
     return description, graph
-
-
-class _TermByTerm(nn.Module):
-    """A module of a dictionary as one of its values, in order."""
-
-    def __init__(self, module: nn.Module, names: list[str]) -> None:
-        super().__init__()
-        self._module, self._names = module, names
-
-    def forward(self, *terms: Tensor) -> Tensor:
-        return self._module(dict(zip(self._names, terms, strict=True)))
 
 
 def _onnx() -> Any:

@@ -97,7 +97,7 @@ class RslRlTrainer(Trainer[PpoSettings]):
         policy = self._runner.alg.get_policy()
         seen: Any = policy.obs_normalizer
         if isinstance(policy, PictureModel):
-            size = sum(part.size for part in policy.network.vectors)
+            size = policy.network.vector_size
             mean, std = torch.zeros(size), torch.ones(size)
             if self.settings.normalize_observations:
                 mean, std = seen.mean, seen.std + seen.eps

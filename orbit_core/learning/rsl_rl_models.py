@@ -9,7 +9,7 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch import Tensor
 
-from orbit_core.learning.convolutional import Convolutional, encoded_pictures, joined_vectors
+from orbit_core.learning.convolutional import MOST_DEVIATIONS, Convolutional, encoded_pictures, joined_vectors
 
 
 class PictureModel(MLPModel):
@@ -44,7 +44,7 @@ class PictureModel(MLPModel):
 
     def get_latent(self, obs: TensorDict, masks: Tensor | None = None, hidden_state: Any = None) -> Tensor:
         terms = self._terms(obs)
-        vectors = self.obs_normalizer(joined_vectors(self.network, terms))
+        vectors = self.obs_normalizer(joined_vectors(self.network, terms)).clamp(-MOST_DEVIATIONS, MOST_DEVIATIONS)
         return torch.cat((vectors, encoded_pictures(self.network, self.encoders, terms)), dim=-1)
 
     def update_normalization(self, obs: TensorDict) -> None:
@@ -60,7 +60,7 @@ class PictureModel(MLPModel):
         return [*pictures, *(part.name for part in self.network.vectors)]
 
     def _get_obs_dim(self, obs: TensorDict, obs_groups: dict[str, list[str]], obs_set: str) -> tuple[list[str], int]:
-        return obs_groups[obs_set], sum(part.size for part in self.network.vectors)
+        return obs_groups[obs_set], self.network.vector_size
 
     def _get_latent_dim(self) -> int:
         return self.obs_dim + self.network.features

@@ -12,16 +12,25 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from gymnasium import spaces
-from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import Tensor, nn
 
 from orbit_core.envs.environment import Environment
-from orbit_core.envs.observation_layout import one_tensor
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.learning.groups import check_groups
+from orbit_core.learning.convolutional import MOST_DEVIATIONS, Convolutional, convolutional, convolutional_actor
+from orbit_core.learning.description import group_parts
+from orbit_core.learning.groups import ACTOR, check_groups
 from orbit_core.learning.networks import ActorNetwork, perceptron_actor
+from orbit_core.learning.sb3_pictures import (
+    PictureExtractor,
+    PicturePpo,
+    Seen,
+    array_of,
+    observed_space,
+    row_of,
+    seen_arrays,
+)
 from orbit_core.learning.trainer import Progress, Trainer
 
 _RECENT = 100
@@ -31,19 +40,24 @@ _RECENT = 100
 class Sb3Environment(VecEnv):
     """An environment as Stable-Baselines3 expects it: NumPy arrays, and at an episode's end the last observation and
     whether the time limit ended it in ``infos``.
+
+    Where the group ``policy`` is a dictionary, so is the observation: pictures (H, W, C) as they are, all else float32.
     """
 
     def __init__(self, environment: Environment, seed: int | None = None) -> None:
         self.environment = environment
-        observation = spaces.Box(-np.inf, np.inf, (environment.observation_size,), np.float32)
-        super().__init__(environment.num_envs, observation, spaces.Box(-1.0, 1.0, (environment.action_size,)))
+        super().__init__(
+            environment.num_envs,
+            observed_space(environment.observation[ACTOR]),
+            spaces.Box(-1.0, 1.0, (environment.action_size,)),
+        )
         self._seed = seed
         self._action = torch.zeros(environment.num_envs, environment.action_size)
 
-    def reset(self) -> npt.NDArray[np.float32]:
+    def reset(self) -> Seen:
         observation, _ = self.environment.reset(self._seed)
         self._seed = None
-        return _array(one_tensor(observation))
+        return seen_arrays(observation[ACTOR])
 
     def step_async(self, actions: npt.NDArray[np.float32]) -> None:
         self._action = torch.as_tensor(actions, dtype=torch.float32, device=self.environment.device)
@@ -54,13 +68,13 @@ class Sb3Environment(VecEnv):
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if "final" in info:
             self._tell(infos, info["final"], truncated)
-        return _array(one_tensor(observation)), _array(reward), _array(done), infos
+        return seen_arrays(observation[ACTOR]), array_of(reward), array_of(done), infos
 
     def _tell(self, infos: list[dict[str, Any]], end: Any, truncated: Tensor) -> None:
-        last = _array(one_tensor(end.observation))
+        last = seen_arrays(end.observation[ACTOR])
         returns = torch.stack(list(end.rewards.values())).sum(0)
         for row, i in enumerate(end.env_ids.tolist()):
-            infos[i]["terminal_observation"] = last[row]
+            infos[i]["terminal_observation"] = row_of(last, row)
             infos[i]["TimeLimit.truncated"] = bool(truncated[i])
             infos[i]["is_success"] = bool(end.success[row])
             infos[i]["episode"] = {"r": float(returns[row]), "l": int(end.steps[row]), "t": time.time()}
@@ -96,12 +110,18 @@ class Sb3Trainer(Trainer[PpoSettings]):
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
         check_groups(environment, self.name)
+        layout = environment.observation[ACTOR]
+        self._network = None if layout.concatenated else convolutional(group_parts(layout), settings.hidden_sizes)
         self._environment = VecNormalize(
-            Sb3Environment(environment, seed), norm_obs=settings.normalize_observations, norm_reward=False
+            Sb3Environment(environment, seed),
+            norm_obs=settings.normalize_observations,
+            norm_reward=False,
+            clip_obs=MOST_DEVIATIONS,
+            norm_obs_keys=None if self._network is None else [part.name for part in self._network.vectors],
         )
         batch = environment.num_envs * settings.steps_per_iteration
-        self._model = PPO(
-            "MlpPolicy",
+        self._model = PicturePpo(
+            "MlpPolicy" if self._network is None else "MultiInputPolicy",
             self._environment,
             learning_rate=settings.learning_rate,
             n_steps=settings.steps_per_iteration,
@@ -117,6 +137,7 @@ class Sb3Trainer(Trainer[PpoSettings]):
                 "activation_fn": nn.ELU,
                 "log_std_init": math.log(settings.initial_std),
                 "ortho_init": False,  # its last layer starts so small that short trainings gain half as much
+                **_reading(self._network),
             },
             tensorboard_log=str(folder),
             seed=seed,
@@ -136,26 +157,57 @@ class Sb3Trainer(Trainer[PpoSettings]):
 
     def state(self) -> Any:
         """Weights, optimiser and the observations' statistics."""
-        seen: Any = self._environment.obs_rms if self.settings.normalize_observations else None
-        statistics = {"mean": seen.mean, "var": seen.var, "count": seen.count} if seen else None
-        return {"parameters": self._model.get_parameters(), "observations": statistics}
+        return {"parameters": self._model.get_parameters(), "observations": self._statistics()}
 
     def restore(self, state: Any, iteration: int) -> None:
         self._model.set_parameters(state["parameters"], device=self.environment.device)
         self._model.num_timesteps = (iteration + 1) * self._batch
-        if self.settings.normalize_observations:
-            seen: Any = self._environment.obs_rms
-            seen.mean, seen.var = (state["observations"][name].numpy() for name in ("mean", "var"))
-            seen.count = state["observations"]["count"]
+        for name, seen in self._moments().items():
+            saved = state["observations"] if self._network is None else state["observations"][name]
+            seen.mean, seen.var, seen.count = saved["mean"].numpy(), saved["var"].numpy(), saved["count"]
 
     def actor(self) -> ActorNetwork:
-        policy = self._model.policy
+        policy: Any = self._model.policy
         layers = nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
-        if not self.settings.normalize_observations:
+        seen = list(self._moments().values())
+        if self._network is None and not seen:
             return perceptron_actor(layers)
+        mean, var = (
+            torch.cat([torch.zeros(0), *(torch.as_tensor(getattr(each, name)).float().flatten() for each in seen)])
+            for name in ("mean", "var")
+        )
+        std = (var + self._environment.epsilon).sqrt()
+        if self._network is None:
+            return perceptron_actor(layers, mean, std, MOST_DEVIATIONS)
+        if not seen:
+            mean, std = torch.zeros(self._network.vector_size), torch.ones(self._network.vector_size)
+        encoders = policy.pi_features_extractor.features.encoders
+        return convolutional_actor(self._network, encoders, layers, mean, std)
+
+    def _moments(self) -> dict[str, Any]:
+        """Mean, variance and count of the observation, or of each of its vectors by name; none if not normalised."""
+        if not self.settings.normalize_observations:
+            return {}
         seen: Any = self._environment.obs_rms
-        std = (torch.as_tensor(seen.var) + self._environment.epsilon).sqrt()
-        return perceptron_actor(layers, torch.as_tensor(seen.mean), std, self._environment.clip_obs)
+        return {"": seen} if self._network is None else seen
+
+    def _statistics(self) -> Any:
+        told = {
+            name: {"mean": seen.mean, "var": seen.var, "count": seen.count} for name, seen in self._moments().items()
+        }
+        return told.get("") if self._network is None else told
+
+
+def _reading(network: Convolutional | None) -> dict[str, Any]:
+    """How the policy reads a dictionary: actor and critic have encoders of their own."""
+    if network is None:
+        return {}
+    return {
+        "features_extractor_class": PictureExtractor,
+        "features_extractor_kwargs": {"network": network},
+        "share_features_extractor": False,
+        "normalize_images": False,  # the extractor does
+    }
 
 
 class _Callback(BaseCallback):
@@ -192,7 +244,3 @@ class _Callback(BaseCallback):
                 episodes=len(self._successes),
             )
         )
-
-
-def _array(values: Tensor) -> npt.NDArray[Any]:
-    return values.cpu().numpy().copy()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,12 @@ from torch import Tensor
 from orbit_core.backends import default_backend, renderer_names
 from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, PpoSettings
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.learning.checkpoint import read_checkpoint
+from orbit_core.learning.convolutional import Convolutional
 from orbit_core.learning.groups import tensors_by_name
 from orbit_core.learning.learners import trainer_type
 from orbit_core.learning.policy import PolicyActor, load_policy
+from orbit_core.learning.sb3_pictures import seen_arrays
 from orbit_core.learning.training import Training
 from orbit_core.mdp import common
 from orbit_core.mdp.images import camera_color, camera_depth, camera_segmentation
@@ -68,8 +71,8 @@ def reach(policy: ObservationGroup, critic: ObservationGroup | None) -> Environm
     return Environment(task, 4, BACKEND, renderer=RENDERER)
 
 
-def learned(library: str, environment: Environment, folder: Path) -> Any:
-    made = trainer_type(library)(environment, SHORT, folder, 0)
+def learned(library: str, environment: Environment, folder: Path, settings: PpoSettings = SHORT) -> Any:
+    made = trainer_type(library)(environment, settings, folder, 0)
     Training(made, "Reach", {}).run(SHORT.iterations, 100, lambda progress: None)
     return made
 
@@ -118,10 +121,50 @@ def test_rsl_rl_learns_from_pictures(critic: ObservationGroup | None, tmp_path: 
     environment.close()
 
 
+def said_by_sb3(made: Any, seen: dict[str, Any]) -> Tensor:
+    normalized = made._environment.normalize_obs(seen_arrays(seen))
+    return made._model.policy.get_distribution(made._model.policy.obs_to_tensor(normalized)[0]).mode()
+
+
+SAID: dict[str, Callable[[Any, dict[str, Any]], Tensor]] = {
+    "sb3": said_by_sb3,
+}
+"""What each library's own actor says to the group ``policy``, before it is clipped."""
+
+
+@pytest.mark.parametrize("normalize", [True, False])
+@pytest.mark.parametrize("library", SAID)
+def test_what_was_learned_from_pictures_acts_as_in_its_library(library: str, normalize: bool, tmp_path: Path) -> None:
+    environment = reach(Pictures(), None)
+    made = learned(library, environment, tmp_path, replace(SHORT, normalize_observations=normalize))
+    seen: Any = environment.observe()["policy"]
+    with torch.no_grad():
+        expected = SAID[library](made, seen).clamp(-1.0, 1.0)
+        blind = SAID[library](made, {**seen, "front_color": torch.zeros_like(seen["front_color"])}).clamp(-1.0, 1.0)
+    policy = load_policy(tmp_path)
+    assert isinstance(policy.network, Convolutional)
+    torch.testing.assert_close(PolicyActor(environment, tmp_path).act(), expected, atol=1e-5, rtol=1e-5)
+    assert not torch.allclose(expected, blind, atol=1e-4)
+    environment.close()
+
+
+@pytest.mark.parametrize("library", SAID)
+def test_a_training_from_pictures_goes_on_from_where_it_was_kept(library: str, tmp_path: Path) -> None:
+    environment = reach(Pictures(), None)
+    learned(library, environment, tmp_path)
+    kept = load_policy(tmp_path).module.state_dict()
+    made = trainer_type(library)(environment, SHORT, tmp_path, 1)
+    made.restore(read_checkpoint(tmp_path / "checkpoint_1.safetensors", library), 1)
+    went_on = made.actor().module.state_dict()
+    assert kept.keys() == went_on.keys()
+    assert all(torch.equal(kept[name], value) for name, value in went_on.items())
+    environment.close()
+
+
 @pytest.mark.parametrize("library", ["sb3", "torchrl"])
 def test_a_critics_group_is_refused_where_the_library_has_no_place_for_it(library: str, tmp_path: Path) -> None:
     environment = reach(Joints(), ReachState())
-    with pytest.raises(ConfigurationError, match=rf"'{library}' .* group 'critic'.* rsl-rl or rl-games or skrl"):
+    with pytest.raises(ConfigurationError, match=rf"'{library}' .* group 'critic'.* rl-games or skrl"):
         trainer_type(library)(environment, SHORT, tmp_path, 0)
     environment.close()
 
