@@ -164,7 +164,11 @@ def encoded_pictures(network: Convolutional, encoders: nn.ModuleList, observatio
 
 
 def convolutional_actor(
-    network: Convolutional, encoders: nn.ModuleList, layers: nn.Module, mean: Tensor, std: Tensor
+    network: Convolutional,
+    encoders: nn.ModuleList,
+    layers: nn.Module,
+    mean: Tensor | None = None,
+    std: Tensor | None = None,
 ) -> ActorNetwork:
     """A copy on the CPU of a library's actor that is made of this network's encoders and linear layers.
 
@@ -172,11 +176,13 @@ def convolutional_actor(
         network: that the encoders were built by.
         encoders: of the pictures.
         layers: holds the linear layers behind them, in the order in which they act.
-        mean: (V,) of the vectors.
-        std: (V,) of the vectors.
+        mean: (V,) of the vectors; zero if None.
+        std: (V,) of the vectors; one if None.
     """
     weights = {f"encoders.{name}": value for name, value in encoders.state_dict().items()}
-    weights |= layer_weights(layers) | {"mean": mean, "std": std}
+    weights |= layer_weights(layers)
+    weights["mean"] = torch.zeros(network.vector_size) if mean is None else mean
+    weights["std"] = torch.ones(network.vector_size) if std is None else std
     actions = [layer for layer in layers.modules() if isinstance(layer, nn.Linear)][-1].out_features
     with torch.device("meta"):  # without drawing starting weights, which would move the training's random stream
         module = network.build(0, actions)

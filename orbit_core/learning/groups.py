@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 ACTOR = "policy"
 CRITIC = "critic"
-_TAKE_PICTURES = ("rsl-rl", "sb3", "distill")
-_TAKE_CRITICS = ("rsl-rl", "rl-games", "skrl")
+_TAKE_PICTURES = ("rsl-rl", "sb3", "skrl", "torchrl", "distill")
+_TAKE_CRITICS = ("rsl-rl", "rl-games", "skrl", "torchrl")
 
 
 def critic_group(environment: Environment) -> str:

@@ -96,15 +96,12 @@ class RslRlTrainer(Trainer[PpoSettings]):
     def actor(self) -> ActorNetwork:
         policy = self._runner.alg.get_policy()
         seen: Any = policy.obs_normalizer
+        mean, std = None, None
+        if self.settings.normalize_observations:
+            mean, std = seen.mean, seen.std + seen.eps
         if isinstance(policy, PictureModel):
-            size = policy.network.vector_size
-            mean, std = torch.zeros(size), torch.ones(size)
-            if self.settings.normalize_observations:
-                mean, std = seen.mean, seen.std + seen.eps
             return convolutional_actor(policy.network, policy.encoders, policy.mlp, mean, std)
-        if not self.settings.normalize_observations:
-            return perceptron_actor(policy.mlp)
-        return perceptron_actor(policy.mlp, seen.mean, seen.std + seen.eps)
+        return perceptron_actor(policy.mlp, mean, std)
 
     @contextlib.contextmanager
     def _reporting(self, report: Callable[[Progress], None]) -> Iterator[None]:

@@ -169,18 +169,16 @@ class Sb3Trainer(Trainer[PpoSettings]):
     def actor(self) -> ActorNetwork:
         policy: Any = self._model.policy
         layers = nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
-        seen = list(self._moments().values())
-        if self._network is None and not seen:
-            return perceptron_actor(layers)
-        mean, var = (
-            torch.cat([torch.zeros(0), *(torch.as_tensor(getattr(each, name)).float().flatten() for each in seen)])
-            for name in ("mean", "var")
-        )
-        std = (var + self._environment.epsilon).sqrt()
+        mean, std, limit = None, None, None
+        if self.settings.normalize_observations:
+            seen = list(self._moments().values())
+            mean, var = (
+                torch.cat([torch.zeros(0), *(torch.as_tensor(getattr(each, name)).float().flatten() for each in seen)])
+                for name in ("mean", "var")
+            )
+            std, limit = (var + self._environment.epsilon).sqrt(), MOST_DEVIATIONS
         if self._network is None:
-            return perceptron_actor(layers, mean, std, MOST_DEVIATIONS)
-        if not seen:
-            mean, std = torch.zeros(self._network.vector_size), torch.ones(self._network.vector_size)
+            return perceptron_actor(layers, mean, std, limit)
         encoders = policy.pi_features_extractor.features.encoders
         return convolutional_actor(self._network, encoders, layers, mean, std)
 

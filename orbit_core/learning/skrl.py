@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -12,23 +12,26 @@ from skrl.agents.torch import ExperimentCfg
 from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.envs.wrappers.torch import Wrapper
 from skrl.memories.torch import RandomMemory
-from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
 from skrl.resources.preprocessors.torch import RunningStandardScaler
 from skrl.resources.schedulers.torch import KLAdaptiveLR
-from torch import Tensor, nn
+from skrl.utils.spaces.torch import flatten_tensorized_space
+from torch import Tensor
 
 from orbit_core.envs.environment import Environment
-from orbit_core.envs.observation_layout import one_tensor
+from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.learning.convolutional import convolutional_actor
 from orbit_core.learning.episodes import true_next
-from orbit_core.learning.groups import ACTOR, CRITIC, check_groups
+from orbit_core.learning.groups import ACTOR, CRITIC, check_groups, critic_group
 from orbit_core.learning.loop import LoopTrainer
-from orbit_core.learning.networks import ActorNetwork, perceptron, perceptron_actor
+from orbit_core.learning.networks import ActorNetwork, perceptron_actor
+from orbit_core.learning.skrl_models import Actor, Critic, VectorScaler
 from orbit_core.learning.spaces import action_space, critic_space, observation_space
 
 
 class SkrlEnvironment(Wrapper):
-    """An environment as skrl expects it.
+    """An environment as skrl expects it: groups that are dictionaries are flattened to (N, K) of float32, in the order
+    of their terms' names, which ``skrl.utils.spaces.torch.unflatten_tensorized_space`` undoes.
 
     skrl values a step that the time limit cut short by the observation that follows it, which here is the next
     episode's first. ``info["true_next"]`` (N, O) is the one to record: hand it to the agent as ``next_observations``,
@@ -54,14 +57,13 @@ class SkrlEnvironment(Wrapper):
         if self._seed is not None:
             self.environment.reset(self._seed)
             self._seed = None
-        return one_tensor(self.environment.observe()), {}
+        return _flat(self.environment.observe()[ACTOR]), {}
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         observation, reward, terminated, truncated, info = self.environment.step(actions)
-        seen = one_tensor(observation)
-        following = true_next(observation, info)
+        following = {name: _flat(group) for name, group in true_next(observation, info).items()}
         extras = {"true_next": following[ACTOR], "true_next_state": following.get(CRITIC), "ends": info}
-        return seen, reward[:, None], terminated[:, None], truncated[:, None], extras
+        return _flat(observation[ACTOR]), reward[:, None], terminated[:, None], truncated[:, None], extras
 
     @property
     def state_space(self) -> Space[Any] | None:
@@ -70,13 +72,19 @@ class SkrlEnvironment(Wrapper):
     def state(self) -> Tensor | None:
         """What the critic sees, where that is a group of its own."""
         observation = self.environment.observe()
-        return one_tensor(observation, CRITIC) if CRITIC in observation else None
+        return _flat(observation[CRITIC]) if CRITIC in observation else None
 
     def render(self, *args: Any, **kwargs: Any) -> None:
         """Nothing: ``orbit view`` and ``orbit play`` show environments."""
 
     def close(self) -> None:
         """The environment belongs to whoever made it."""
+
+
+def _flat(group: Tensor | dict[str, Tensor]) -> Tensor:
+    flat = flatten_tensorized_space(group)
+    assert flat is not None
+    return flat.float()
 
 
 class SkrlTrainer(LoopTrainer[PpoSettings]):
@@ -94,10 +102,12 @@ class SkrlTrainer(LoopTrainer[PpoSettings]):
             "action_space": self._environment.action_space,
             "device": environment.device,
         }
-        self._actor, critic = _Actor(settings, **spaces), _Critic(settings, **spaces)
+        groups = environment.observation
+        self._actor = Actor(groups[ACTOR], settings.hidden_sizes, settings.initial_std, **spaces)
+        critic = Critic(groups[critic_group(environment)], settings.hidden_sizes, **spaces)
         steps = settings.steps_per_iteration
         memory = RandomMemory(memory_size=steps, num_envs=environment.num_envs, device=environment.device)
-        configuration = _configuration(settings, folder, spaces)
+        configuration = _configuration(settings, folder, groups, spaces)
         self._agent = PPO(models={"policy": self._actor, "value": critic}, memory=memory, cfg=configuration, **spaces)
         self._agent.init()
         self._agent.enable_training_mode(True)
@@ -136,44 +146,33 @@ class SkrlTrainer(LoopTrainer[PpoSettings]):
             module.load_state_dict(state[name])
 
     def actor(self) -> ActorNetwork:
-        layers = self._actor.layers
-        if not self.settings.normalize_observations:
-            return perceptron_actor(layers)
-        scaler: Any = self._agent._observation_preprocessor
-        std = scaler.running_variance.sqrt() + scaler.epsilon
-        return perceptron_actor(layers, scaler.running_mean, std, scaler.clip_threshold)
+        layers, features = self._actor.layers, self._actor.features
+        mean, std, limit = None, None, None
+        if self.settings.normalize_observations:
+            scaler: Any = self._agent._observation_preprocessor
+            limit = scaler.clip_threshold
+            mean, std = scaler.running_mean, scaler.running_variance.sqrt() + scaler.epsilon
+        if features is None:
+            return perceptron_actor(layers, mean, std, limit)
+        return convolutional_actor(features.network, features.encoders, layers, mean, std)
 
 
-class _Actor(GaussianMixin, Model):
-    def __init__(self, settings: PpoSettings, **spaces: Any) -> None:
-        Model.__init__(self, **spaces)
-        GaussianMixin.__init__(self)
-        self.layers = perceptron(self.num_observations, settings.hidden_sizes, self.num_actions)
-        self.log_std = nn.Parameter(torch.full((self.num_actions,), math.log(settings.initial_std)))
-
-    def compute(  # pyright: ignore[reportIncompatibleMethodOverride] - its mixins give the role by position
-        self, inputs: dict[str, Any], role: str = ""
-    ) -> tuple[Tensor, dict[str, Any]]:
-        return self.layers(inputs["observations"]), {"log_std": self.log_std}
+def _scaling(
+    layout: GroupLayout | None, space: Space[Any] | None, settings: PpoSettings, device: torch.device
+) -> tuple[type[RunningStandardScaler] | None, dict[str, Any]]:
+    """The class that normalises a group, and what it is made with; none where there is nothing to normalise."""
+    if layout is None or not settings.normalize_observations:
+        return None, {}
+    if layout.concatenated:
+        return RunningStandardScaler, {"size": space, "device": device}
+    return VectorScaler, {"size": layout, "device": device}
 
 
-class _Critic(DeterministicMixin, Model):
-    def __init__(self, settings: PpoSettings, **spaces: Any) -> None:
-        Model.__init__(self, **spaces)
-        DeterministicMixin.__init__(self)
-        self._seen = "observations" if self.state_space is None else "states"
-        size = self.num_observations if self.state_space is None else self.num_states
-        self.layers = perceptron(size, settings.hidden_sizes, 1)
-
-    def compute(  # pyright: ignore[reportIncompatibleMethodOverride] - its mixins give the role by position
-        self, inputs: dict[str, Any], role: str = ""
-    ) -> tuple[Tensor, dict[str, Any]]:
-        return self.layers(inputs[self._seen]), {}
-
-
-def _configuration(settings: PpoSettings, folder: Path, spaces: dict[str, Any]) -> PPO_CFG:
-    scaling = {"size": spaces["observation_space"], "device": spaces["device"]}
-    normalize, states = settings.normalize_observations, spaces["state_space"]
+def _configuration(
+    settings: PpoSettings, folder: Path, groups: Mapping[str, GroupLayout], spaces: dict[str, Any]
+) -> PPO_CFG:
+    scaler, scaling = _scaling(groups[ACTOR], spaces["observation_space"], settings, spaces["device"])
+    state_scaler, state_scaling = _scaling(groups.get(CRITIC), spaces["state_space"], settings, spaces["device"])
     return PPO_CFG(
         rollouts=settings.steps_per_iteration,
         learning_epochs=settings.epochs,
@@ -183,10 +182,10 @@ def _configuration(settings: PpoSettings, folder: Path, spaces: dict[str, Any]) 
         learning_rate=settings.learning_rate,
         learning_rate_scheduler=KLAdaptiveLR,
         learning_rate_scheduler_kwargs={"kl_threshold": settings.target_kl},
-        observation_preprocessor=RunningStandardScaler if normalize else None,
-        observation_preprocessor_kwargs=scaling if normalize else {},
-        state_preprocessor=RunningStandardScaler if normalize and states is not None else None,
-        state_preprocessor_kwargs={**scaling, "size": states} if normalize and states is not None else {},
+        observation_preprocessor=scaler,
+        observation_preprocessor_kwargs=scaling,
+        state_preprocessor=state_scaler,
+        state_preprocessor_kwargs=state_scaling,
         grad_norm_clip=1.0,
         ratio_clip=settings.clip,
         value_clip=0.0,  # in units of the return, which the task chooses

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
 from torch import Tensor, nn
 from torchrl.collectors import Collector
@@ -18,12 +18,13 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from orbit_core.envs.environment import Environment
-from orbit_core.envs.observation_layout import one_tensor
+from orbit_core.envs.observation_layout import Observation
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.learning.episodes import EpisodeTally, true_next
-from orbit_core.learning.groups import check_groups
+from orbit_core.learning.groups import ACTOR, check_groups, critic_group
 from orbit_core.learning.loop import LoopTrainer
-from orbit_core.learning.networks import ActorNetwork, perceptron, perceptron_actor
+from orbit_core.learning.networks import ActorNetwork
+from orbit_core.learning.torchrl_groups import ObservedGroup, group_spec
 
 
 class TorchRlEnvironment(EnvBase):
@@ -42,9 +43,12 @@ class TorchRlEnvironment(EnvBase):
         self._tally = tally
         self._begun = torch.zeros(batch, dtype=torch.bool, device=device)
         """(N,) whose next episode the environment has begun by itself."""
-        sizes = (environment.observation_size, environment.action_size, 1)
-        observed, commanded, single = (torch.Size((environment.num_envs, size)) for size in sizes)
-        self.observation_spec = Composite(policy=Unbounded(observed, device=device), shape=batch, device=device)
+        commanded, single = (torch.Size((environment.num_envs, size)) for size in (environment.action_size, 1))
+        groups = {
+            name: group_spec(environment.observation[name], environment.num_envs, device)
+            for name in dict.fromkeys((ACTOR, critic_group(environment)))
+        }
+        self.observation_spec = Composite(groups, shape=batch, device=device)
         self.action_spec = Bounded(-1.0, 1.0, commanded, device=device)
         self.reward_spec = Unbounded(single, device=device)
         flag = Binary(1, single, dtype=torch.bool, device=device)
@@ -58,14 +62,14 @@ class TorchRlEnvironment(EnvBase):
         if bool(stale.any()):
             self.environment.reset(env_ids=stale.nonzero().squeeze(-1))
         self._begun = self._begun & ~rows
-        return self._told(one_tensor(self.environment.observe()))
+        return self._told(self.environment.observe())
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         observation, reward, terminated, truncated, info = self.environment.step(tensordict["action"])
         if self._tally is not None:
             self._tally.add(info, self.environment.num_envs)
         self._begun = terminated | truncated
-        told = self._told(one_tensor(true_next(observation, info)))
+        told = self._told(true_next(observation, info))
         flags = {"terminated": terminated, "truncated": truncated, "done": self._begun}
         told.update({name: flag[:, None].clone() for name, flag in flags.items()})
         return told.set("reward", reward[:, None])
@@ -73,8 +77,9 @@ class TorchRlEnvironment(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         self.environment.reset(seed)
 
-    def _told(self, observation: Tensor) -> TensorDict:
-        return TensorDict({"policy": observation}, batch_size=self.batch_size, device=self.device)
+    def _told(self, observation: Observation) -> TensorDict:
+        groups: Any = {name: observation[name] for name in dict.fromkeys((ACTOR, critic_group(self.environment)))}
+        return TensorDict(groups, batch_size=self.batch_size, device=self.device)
 
 
 class TorchRlTrainer(LoopTrainer[PpoSettings]):
@@ -86,13 +91,13 @@ class TorchRlTrainer(LoopTrainer[PpoSettings]):
         super().__init__(environment, settings, folder, seed)
         check_groups(environment, self.name)
         environment.reset(seed)
-        device, size = environment.device, environment.observation_size
-        self._norm = _Normalization(size, momentum=None, affine=False, device=device).eval()
-        self._layers = perceptron(size, settings.hidden_sizes, environment.action_size).to(device)
-        critic = perceptron(size, settings.hidden_sizes, 1).to(device)
-        normalize = self._norm if settings.normalize_observations else nn.Identity()
-        self.policy = _actor(nn.Sequential(normalize, self._layers), environment, settings)
-        self.critic = ValueOperator(nn.Sequential(normalize, critic), in_keys=["policy"])
+        groups, critic = environment.observation, critic_group(environment)
+        self._groups = {
+            name: ObservedGroup(groups[name], settings, environment.device) for name in dict.fromkeys((ACTOR, critic))
+        }
+        self._layers = self._groups[ACTOR].network(environment.action_size)
+        self.policy = _actor(self._layers, self._groups[ACTOR].keys, environment, settings)
+        self.critic = ValueOperator(self._groups[critic].network(1), in_keys=self._groups[critic].keys)
         self._advantages = GAE(
             gamma=settings.discount, lmbda=settings.gae_lambda, value_network=self.critic, deactivate_vmap=True
         )
@@ -120,9 +125,8 @@ class TorchRlTrainer(LoopTrainer[PpoSettings]):
         advantage = flat["advantage"]
         flat["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         self._update(flat)
-        if self.settings.normalize_observations:
-            self._norm.train()(flat["policy"])
-            self._norm.eval()
+        for group in self._groups.values():
+            group.take_in(flat)
 
     def _update(self, batch: TensorDictBase) -> None:
         for _ in range(self.settings.epochs):
@@ -146,31 +150,33 @@ class TorchRlTrainer(LoopTrainer[PpoSettings]):
             module.load_state_dict(state[name])
 
     def actor(self) -> ActorNetwork:
-        mean, variance = self._norm.running_mean, self._norm.running_var
-        if not self.settings.normalize_observations or mean is None or variance is None:
-            return perceptron_actor(self._layers)
-        return perceptron_actor(self._layers, mean, (variance + self._norm.eps).sqrt())
+        return self._groups[ACTOR].actor(self._layers)
 
     def _saved(self) -> dict[str, Any]:
         return {"policy": self.policy, "critic": self.critic, "optimizer": self._optimizer}
 
 
-def _actor(mean: nn.Module, environment: Environment, settings: PpoSettings) -> ProbabilisticActor:
-    """Normal about what the layers give, with a deviation that is learned but no function of the observation."""
+def _actor(
+    mean: nn.Module, keys: list[NestedKey], environment: Environment, settings: PpoSettings
+) -> ProbabilisticActor:
+    """Normal about what the network gives, with a deviation that is learned but no function of the observation."""
     size = environment.action_size
     spread = AddStateIndependentNormalScale(
         size, scale_mapping="exp", init_value=math.log(settings.initial_std), device=environment.device
     )
     return ProbabilisticActor(
-        TensorDictModule(nn.Sequential(mean, spread), in_keys=["policy"], out_keys=["loc", "scale"]),
+        TensorDictModule(_Spread(mean, spread), in_keys=keys, out_keys=["loc", "scale"]),
         in_keys=["loc", "scale"],
         distribution_class=IndependentNormal,
         return_log_prob=True,
     )
 
 
-class _Normalization(nn.BatchNorm1d):
-    """By the mean and variance of all batches so far, which weigh the same; over any leading dimensions."""
+class _Spread(nn.Sequential):
+    """A network of any number of inputs, and the deviation about what it gives."""
 
-    def forward(self, input: Tensor) -> Tensor:
-        return super().forward(input.reshape(-1, self.num_features)).view_as(input)
+    def forward(  # pyright: ignore[reportIncompatibleMethodOverride] - TorchRL gives the inputs by position
+        self, *inputs: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        network, spread = self
+        return spread(network(*inputs))

@@ -9,8 +9,10 @@ from typing import Any
 
 import pytest
 import torch
+from skrl.utils.spaces.torch import flatten_tensorized_space
 from tensordict import TensorDict
 from torch import Tensor
+from torchrl.envs.utils import check_env_specs
 
 from orbit_core.backends import default_backend, renderer_names
 from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, PpoSettings
@@ -21,6 +23,7 @@ from orbit_core.learning.groups import tensors_by_name
 from orbit_core.learning.learners import trainer_type
 from orbit_core.learning.policy import PolicyActor, load_policy
 from orbit_core.learning.sb3_pictures import seen_arrays
+from orbit_core.learning.torchrl import TorchRlEnvironment
 from orbit_core.learning.training import Training
 from orbit_core.mdp import common
 from orbit_core.mdp.images import camera_color, camera_depth, camera_segmentation
@@ -86,6 +89,7 @@ VALUES: dict[str, Callable[[Any, dict[str, Tensor]], Tensor]] = {
     "rsl-rl": lambda made, seen: made._runner.alg.critic(TensorDict(seen, batch_size=[4])),
     "skrl": lambda made, seen: made._agent.value.act({"observations": seen["policy"], "states": seen["critic"]})[0],
     "rl-games": value_in_rl_games,
+    "torchrl": lambda made, seen: made.critic(TensorDict(seen, batch_size=[4]))["state_value"],
 }
 """What each library's own critic makes of both groups."""
 
@@ -126,8 +130,19 @@ def said_by_sb3(made: Any, seen: dict[str, Any]) -> Tensor:
     return made._model.policy.get_distribution(made._model.policy.obs_to_tensor(normalized)[0]).mode()
 
 
+def said_by_skrl(made: Any, seen: dict[str, Any]) -> Tensor:
+    flat = made._agent._observation_preprocessor(flatten_tensorized_space(seen).float())
+    return made._agent.policy.act({"observations": flat})[1]["mean_actions"]
+
+
+def said_by_torchrl(made: Any, seen: dict[str, Any]) -> Tensor:
+    return made.policy.get_dist(TensorDict({"policy": seen}, batch_size=[4])).mean
+
+
 SAID: dict[str, Callable[[Any, dict[str, Any]], Tensor]] = {
     "sb3": said_by_sb3,
+    "skrl": said_by_skrl,
+    "torchrl": said_by_torchrl,
 }
 """What each library's own actor says to the group ``policy``, before it is clipped."""
 
@@ -148,6 +163,22 @@ def test_what_was_learned_from_pictures_acts_as_in_its_library(library: str, nor
     environment.close()
 
 
+@pytest.mark.parametrize("library", ["skrl", "torchrl"])
+def test_a_critic_may_see_the_state_where_the_policy_sees_pictures(library: str, tmp_path: Path) -> None:
+    environment = reach(Pictures(), ReachState())
+    learned(library, environment, tmp_path)
+    action = PolicyActor(environment, tmp_path).act()
+    assert action.shape == (4, environment.action_size)
+    environment.step(action)
+    environment.close()
+
+
+def test_torchrls_own_check_passes_with_pictures_and_a_critics_group() -> None:
+    environment = reach(Pictures(), ReachState())
+    check_env_specs(TorchRlEnvironment(environment))
+    environment.close()
+
+
 @pytest.mark.parametrize("library", SAID)
 def test_a_training_from_pictures_goes_on_from_where_it_was_kept(library: str, tmp_path: Path) -> None:
     environment = reach(Pictures(), None)
@@ -161,10 +192,10 @@ def test_a_training_from_pictures_goes_on_from_where_it_was_kept(library: str, t
     environment.close()
 
 
-@pytest.mark.parametrize("library", ["sb3", "torchrl"])
+@pytest.mark.parametrize("library", ["sb3"])
 def test_a_critics_group_is_refused_where_the_library_has_no_place_for_it(library: str, tmp_path: Path) -> None:
     environment = reach(Joints(), ReachState())
-    with pytest.raises(ConfigurationError, match=rf"'{library}' .* group 'critic'.* rl-games or skrl"):
+    with pytest.raises(ConfigurationError, match=rf"'{library}' .* group 'critic'.* rl-games or skrl or torchrl"):
         trainer_type(library)(environment, SHORT, tmp_path, 0)
     environment.close()
 
