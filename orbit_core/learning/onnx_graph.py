@@ -89,7 +89,8 @@ class OnnxGraph(nn.Module):
         inputs = [entry.name for entry in graph.input if entry.name not in weights]
         if len(inputs) != 1 or len(graph.output) != 1:
             raise ConfigurationError(
-                f"its graph has {len(inputs)} inputs and {len(graph.output)} outputs, not one each"
+                f"its graph has {len(inputs)} inputs and {len(graph.output)} outputs, not one each; a policy that "
+                "sees a dictionary of terms is not read from ONNX: play its .safetensors file"
             )
         self._input, self._output = inputs[0], graph.output[0].name
         self._operations: list[_Operation] = []

@@ -61,6 +61,12 @@ def test_a_policy_its_file_and_its_onnx_act_alike(tmp_path: Path) -> None:
         np.testing.assert_allclose(action, expected.numpy(), atol=1e-5)
 
 
+def test_onnx_of_a_dictionary_is_not_read_back_and_says_what_is(tmp_path: Path) -> None:
+    policy().export_onnx(tmp_path / "policy.onnx")
+    with pytest.raises(ConfigurationError, match=r"4 inputs and 1 outputs.*dictionary of terms.*\.safetensors file"):
+        load_policy(tmp_path / "policy.onnx")
+
+
 def test_colour_and_depth_of_a_camera_are_one_picture() -> None:
     hand, front = convolutional(PARTS, (16,)).encoders
     assert [(picture.term, picture.far) for picture in hand.pictures] == [("hand_color", None), ("hand_depth", 2.0)]
