@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import quat_rotate_inverse
-from orbit_core.interfaces import ConfigurationError, Node, Port
+from orbit_core.envs import Task
+from orbit_core.interfaces import ConfigurationError, Node, Port, World
 from orbit_core.mdp import common
 from orbit_core.motion import JointPosition
-
-if TYPE_CHECKING:
-    from orbit_core.interfaces import World
-    from orbit_tasks.velocity_flat import VelocityFlat
 
 
 @dataclass(frozen=True)
@@ -40,16 +36,26 @@ class TrotGenerator(Node):
     Drives of a walking robot are soft: targets lie beyond the wanted positions by what the robot's weight, shared by
     the feet on the ground, deflects them. The gait keeps its balance, but falls short of fast commands: it is something
     to compare policies with, no expert.
+
+    Args:
+        world: of a quadruped.
+        task: its actions are joint positions.
+        command: (N, 3) forward and sideways velocity in m/s and yaw rate in rad/s, in the trunk's axes; read at each
+            turn.
+        gait: timing and size of the steps.
+
+    Raises:
+        ConfigurationError: the actions are others, or the robot has not four feet.
     """
 
-    def __init__(self, world: World, task: VelocityFlat, gait: Gait | None = None) -> None:
+    def __init__(self, world: World, task: Task, command: Tensor, gait: Gait | None = None) -> None:
         self.name = "policy"
         generator = task.generators[0]
         if not isinstance(generator, JointPosition):
             raise ConfigurationError(f"a trot gives joint positions: action '{task.action}' does not take them")
         self._generator = generator
         self.outputs = (Port("action", (generator.command_size,)),)
-        self._task = task
+        self._task, self._command = task, command
         self._gait = gait or Gait()
         self._dt = task.physics_dt * task.decimation
         self._robot = common.robot_of(world)
@@ -78,7 +84,7 @@ class TrotGenerator(Node):
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         self.reset((self._task.episode_step == 0).nonzero().squeeze(-1))
-        error = self._task.command - self._measured()
+        error = self._command - self._measured()
         self._correction.add_(error, alpha=self._gait.integral_gain * self._dt).clamp_(-1.0, 1.0)
         time = self._task.episode_step * self._dt
         phase = torch.remainder(time[:, None] / self._gait.period + self._offset, 1.0)
@@ -100,7 +106,7 @@ class TrotGenerator(Node):
         """(N, 4, 3) in the trunk's frame."""
         gait = self._gait
         progress = torch.where(standing, phase / gait.stance, (phase - gait.stance) / (1.0 - gait.stance))
-        velocity = self._ground_velocity(self._task.command + self._correction)
+        velocity = self._ground_velocity(self._command + self._correction)
         half_stride = 0.5 * gait.stance * gait.period * velocity
         # On the ground a foot moves back under the trunk at the commanded velocity; in the air it returns ahead.
         along = torch.where(standing, 1.0 - 2.0 * progress, -torch.cos(torch.pi * progress))

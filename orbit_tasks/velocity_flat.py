@@ -278,4 +278,4 @@ class VelocityFlat(Task):
         return {"linear_error_m_s": linear, "yaw_rate_error_rad_s": yaw, "falls": fallen(world, self).float()}
 
     def expert(self, world: World) -> TrotGenerator:
-        return TrotGenerator(world, self)
+        return TrotGenerator(world, self, self.command)

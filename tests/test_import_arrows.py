@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import re
 import subprocess
 import sys
+from collections.abc import Collection
 from pathlib import Path
 
 import pytest
@@ -114,6 +116,53 @@ def test_neither_core_nor_tasks_name_an_engine() -> None:
         if ENGINES.search(line)
     ]
     assert not named
+
+
+def modules() -> dict[str, Path]:
+    """Every module of the core, the tasks, the plugins and the examples' packages, by its full name."""
+    packages = [
+        CORE,
+        ROOT / "orbit_tasks",
+        *ROOT.glob("plugins/orbit-*/orbit_*"),
+        *ROOT.glob("examples/orbit-*/orbit_*"),
+    ]
+    return {
+        ".".join(path.relative_to(package.parent).with_suffix("").parts).removesuffix(".__init__"): path
+        for package in packages
+        for path in package.rglob("*.py")
+    }
+
+
+def imported_modules(path: Path, known: Collection[str]) -> set[str]:
+    """Those of the known modules that a file imports, wherever it does so, types included."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            full = {f"{node.module}.{alias.name}" for alias in node.names}
+            # A name that is no module is the package's own, and it alone is asked for.
+            found |= {name if name in known else node.module for name in full}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return found & {*known}
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    files = modules()
+    assert len(files) > 200
+    arrows = {name: imported_modules(path, files) - {name} for name, path in files.items()}
+    try:
+        graphlib.TopologicalSorter(arrows).prepare()
+    except graphlib.CycleError as error:
+        pytest.fail("circular import: " + " <- ".join(error.args[1]))
+
+
+def test_a_circular_import_for_types_alone_is_found(tmp_path: Path) -> None:
+    one, other = tmp_path / "one.py", tmp_path / "other.py"
+    one.write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from other import Other\n")
+    other.write_text("def late():\n    import one\n")
+    arrows = {path.stem: imported_modules(path, {"one", "other"}) for path in (one, other)}
+    with pytest.raises(graphlib.CycleError):
+        graphlib.TopologicalSorter(arrows).prepare()
 
 
 @pytest.mark.parametrize("module", ["orbit_core", "orbit_core.scene", "orbit_core.backends", "orbit_core.envs"])

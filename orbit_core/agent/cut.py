@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from torch import Tensor
 
+from orbit_core.agent.graph import AgentGraph
 from orbit_core.interfaces import ConfigurationError, Port, find_name
-
-if TYPE_CHECKING:
-    from orbit_core.agent.graph import AgentGraph
 
 
 class Cut:
@@ -19,6 +16,13 @@ class Cut:
     One step of the agent is :meth:`observe`, then :meth:`act`. Nodes that the cut node depends on run with the first,
     all others with the second. To observe again within one step runs nothing twice; it renews what environments that
     were reset meanwhile see.
+
+    Args:
+        graph: of the whole agent; the cut steps it.
+        name: of the node that is taken out, in whose place stands what :meth:`act` is given.
+
+    Raises:
+        UnknownNameError: no node has that name.
     """
 
     def __init__(self, graph: AgentGraph, name: str) -> None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from orbit_core.agent.cut import Cut
 from orbit_core.agent.runner import NodeRunner, RunnerState, checked
 from orbit_core.agent.wiring import Edge, Endpoint, Wiring, label, wire
 from orbit_core.interfaces import ConfigurationError, Node, Port, find_name
@@ -87,14 +86,6 @@ class AgentGraph:
         self.run(self.runners)
         self.step_count += 1
         return self.read_outputs()
-
-    def cut(self, name: str) -> Cut:
-        """The graph with a node taken out, to be replaced by what :meth:`Cut.act` is given.
-
-        Raises:
-            UnknownNameError: no node has that name.
-        """
-        return Cut(self, name)
 
     def replace(self, name: str, node: Node) -> AgentGraph:
         """A graph with another node in that one's place. All others are shared: of the two graphs, step one.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -16,11 +16,9 @@ from orbit_core.capture.phases import Moment, PhasedFunction
 from orbit_core.capture.replay import CapturedFunction
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.observation_layout import Observation, leaves_of, observation_of
+from orbit_core.envs.step_parts import StepParts
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import World
-
-if TYPE_CHECKING:
-    from orbit_core.envs.environment import Environment
 
 MOST_PHASES = 64
 """Of a schedule that is captured: each costs a trace, and where asked a compilation."""
@@ -40,7 +38,7 @@ class CapturedStep:
         ConfigurationError: it should be compiled, and nothing compiles here.
     """
 
-    def __init__(self, environment: Environment, compile: bool, whole: bool) -> None:
+    def __init__(self, environment: StepParts, compile: bool, whole: bool) -> None:
         if compile:
             check_compiler(environment.device)
         self._environment = environment

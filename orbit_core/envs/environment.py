@@ -236,7 +236,7 @@ class Environment:
         ]
         edges = [Edge(f"observation.{port.name}", f"policy.{port.name}") for port in seen]
         edges += self.actions.edges("policy.action")
-        return AgentGraph(nodes, edges, rate=1.0 / self.step_dt).cut("policy")
+        return Cut(AgentGraph(nodes, edges, rate=1.0 / self.step_dt), "policy")
 
     # One step -------------------------------------------------------------------------------------------------------
 

@@ -1,28 +1,17 @@
-"""Networks that a policy's file may name. Packages add theirs through the entry-point group ``orbit.networks``.
-
-A network is a frozen dataclass of plain settings that builds a module; the module's weights stand beside the settings
-in the file. An entry point's value is the dataclass::
-
-    [project.entry-points."orbit.networks"]
-    my_network = "my_package.networks:MyNetwork"
-"""
+"""What a policy's network is, and the network ``perceptron``: linear layers behind a normalised observation."""
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import ClassVar, NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
 
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.registry import Registry
+from orbit_core.interfaces import UnknownNameError
 
-GROUP = "orbit.networks"
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
 _MOST_LAYERS, _MOST_UNITS = 64, 2**16
 
@@ -164,37 +153,3 @@ def layer_weights(layers: nn.Module) -> dict[str, Tensor]:
     return {
         f"layers.{2 * i}.{name}": value for i, layer in enumerate(linear) for name, value in layer.state_dict().items()
     }
-
-
-@cache
-def _networks() -> Registry[type[Network]]:
-    def read(kind: type[Network]) -> None:
-        if not dataclasses.is_dataclass(kind) or not isinstance(getattr(kind, "name", None), str):
-            raise ConfigurationError(f"network {kind!r} is no dataclass with a class variable 'name'")
-        registry.add(kind.name, kind)
-
-    from orbit_core.learning.convolutional import Convolutional  # which is made of what stands here
-
-    registry = Registry[type[Network]]("network", GROUP, read)
-    read(Perceptron)
-    read(Convolutional)
-    return registry
-
-
-def register_network(kind: type[Network]) -> None:
-    """Let files of this process name a network; installed packages use an entry point instead.
-
-    Raises:
-        ConfigurationError: the name is taken.
-    """
-    _networks().add(kind.name, kind)
-
-
-def network_type(name: str) -> type[Network]:
-    """The network of that name.
-
-    Raises:
-        UnknownNameError: there is none; names the nearest, and the packages that were left out.
-        ConfigurationError: two packages bring it.
-    """
-    return _networks().get(name)

@@ -18,7 +18,8 @@ from torch import Tensor, nn
 
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_core.learning.description import PolicyDescription
-from orbit_core.learning.networks import ActorNetwork, Network, network_type
+from orbit_core.learning.network_registry import network_type
+from orbit_core.learning.networks import ActorNetwork, Network
 from orbit_core.learning.plain import from_plain
 from orbit_core.learning.tensor_file import read_tensors, write_tensors
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from orbit_core.agent import AgentGraph, Concatenate, Edge, FunctionNode
+from orbit_core.agent import AgentGraph, Concatenate, Cut, Edge, FunctionNode
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 
 ENVIRONMENTS = 3
@@ -138,7 +138,7 @@ def test_the_cut_graph_does_what_the_whole_does(
     rates: tuple[float, float, float], resets: list[set[int]], seed: int
 ) -> None:
     whole, parts = _agent(*rates), _agent(*rates)
-    cut = parts.cut("policy")
+    cut = Cut(parts, "policy")
     generator = torch.Generator().manual_seed(seed)
     for done in resets:
         x = torch.randn(ENVIRONMENTS, 1, generator=generator)
@@ -169,7 +169,7 @@ def test_an_environment_is_alone_whatever_happens_to_others() -> None:
 
 def test_observing_twice_runs_nothing_twice() -> None:
     graph = _agent(120.0, 120.0, 120.0)
-    cut = graph.cut("policy")
+    cut = Cut(graph, "policy")
     perception = graph.nodes["perception"]
     assert isinstance(perception, Integrator)
     one = torch.ones(ENVIRONMENTS, 1)
@@ -180,7 +180,7 @@ def test_observing_twice_runs_nothing_twice() -> None:
 
 
 def test_the_cut_exposes_its_ports_and_checks_what_it_is_given() -> None:
-    cut = _agent(60.0, 120.0, 120.0).cut("policy")
+    cut = Cut(_agent(60.0, 120.0, 120.0), "policy")
     assert cut.observation_ports == (Port("observation", (2,)),)
     assert cut.action_ports == (Port("action", (2,)),)
     action = {"action": torch.zeros(ENVIRONMENTS, 2)}
@@ -199,7 +199,7 @@ def test_the_cut_exposes_its_ports_and_checks_what_it_is_given() -> None:
 
 
 def test_a_slow_policy_holds_its_action() -> None:
-    cut = _agent(120.0, 60.0, 120.0).cut("policy")
+    cut = Cut(_agent(120.0, 60.0, 120.0), "policy")
     x = torch.ones(ENVIRONMENTS, 1)
     due = []
     for _ in range(4):

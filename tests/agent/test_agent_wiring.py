@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import pytest
 from torch import Tensor
 
-from orbit_core.agent import AgentGraph, Edge, FunctionNode
+from orbit_core.agent import AgentGraph, Cut, Edge, FunctionNode
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError, UnknownNameError
 
 
@@ -39,7 +39,7 @@ def test_unknown_names_come_with_the_nearest() -> None:
         AgentGraph(nodes, [Edge("command", "encoder.image")], rate=10.0)
     graph = AgentGraph(nodes, [Edge("camera.image", "encoder.image")], rate=10.0)
     with pytest.raises(UnknownNameError, match="did you mean 'encoder'"):
-        graph.cut("encode")
+        Cut(graph, "encode")
 
 
 def test_names_must_be_their_own() -> None:

@@ -21,10 +21,11 @@ from torch import Tensor, nn
 
 import orbit_core
 from orbit_core.interfaces import OrbitError
-from orbit_core.learning import networks, tensor_file
+from orbit_core.learning import network_registry, tensor_file
 from orbit_core.learning.checkpoint import read_checkpoint, write_checkpoint
 from orbit_core.learning.description import Part, PolicyDescription
-from orbit_core.learning.networks import Perceptron, register_network
+from orbit_core.learning.network_registry import register_network
+from orbit_core.learning.networks import Perceptron
 from orbit_core.learning.policy import Policy, load_policy
 
 DESCRIPTION = PolicyDescription(
@@ -260,9 +261,9 @@ class Linear:
 @pytest.fixture
 def _own_networks() -> Iterator[None]:
     """What a test registers is forgotten after it."""
-    networks._networks.cache_clear()
+    network_registry._networks.cache_clear()
     yield
-    networks._networks.cache_clear()
+    network_registry._networks.cache_clear()
 
 
 @pytest.mark.usefixtures("_own_networks")
@@ -275,7 +276,7 @@ def test_an_installed_package_brings_networks(tmp_path: Path, monkeypatch: pytes
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: their-networks\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text("[orbit.networks]\nany = their_networks:Theirs\n")
     monkeypatch.syspath_prepend(tmp_path)
-    network = networks.network_type("theirs")(gain=0.5)  # pyright: ignore[reportCallIssue]
+    network = network_registry.network_type("theirs")(gain=0.5)  # pyright: ignore[reportCallIssue]
     Policy(network.build(3, 2), network, DESCRIPTION).save(tmp_path / "policy_1.safetensors")
     assert load_policy(tmp_path).network == network
     changed(tmp_path / "policy_1.safetensors", put("network", "settings", "gain", value=-1.0))

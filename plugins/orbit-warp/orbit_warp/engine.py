@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import mujoco
 import mujoco_warp as mjw
 import torch
 import warp as wp
@@ -21,6 +20,7 @@ from orbit_warp.contacts import ContactMeter
 from orbit_warp.faults import Faults
 from orbit_warp.kernels import reset_state, write_commands
 from orbit_warp.model import build_models, on_device, read_back_kinds
+from orbit_warp.native import Native
 from orbit_warp.parameters import Parameters
 from orbit_warp.rays import RayCaster
 from orbit_warp.state import State
@@ -30,15 +30,6 @@ from orbit_warpkit.rows import rows_of
 
 _MOST_RECORDED = 16
 """Physics steps that one recording takes on a GPU, where to launch a recording costs more than on a CPU."""
-
-
-@dataclass(frozen=True)
-class Native:
-    """MuJoCo-Warp's own objects."""
-
-    host_model: mujoco.MjModel
-    model: mjw.Model
-    data: mjw.Data
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,6 @@ geoms. What tasks read after a step, and again after resets, are links alone.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 import warp as wp
@@ -21,9 +19,7 @@ from torch import Tensor
 
 from orbit_mjmodel.addresses import Addresses
 from orbit_warp.kernels import rotate
-
-if TYPE_CHECKING:
-    from orbit_warp.engine import Native
+from orbit_warp.native import Native
 
 _FREE = wp.constant(int(mjtJoint.mjJNT_FREE))
 _BALL = wp.constant(int(mjtJoint.mjJNT_BALL))

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import mujoco_warp as mjw
 import torch
 import warp as wp
@@ -14,11 +12,9 @@ from torch import Tensor
 
 from orbit_core.interfaces import RayHits, SceneLayout
 from orbit_mjmodel.addresses import Addresses
+from orbit_warp.native import Native
 from orbit_warp.ray_kernel import rays_past
 from orbit_warpkit.graphs import Graphs
-
-if TYPE_CHECKING:
-    from orbit_warp.engine import Native
 
 _EVERY_GROUP = (-1.0,) * 6
 

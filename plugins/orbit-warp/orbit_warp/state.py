@@ -8,8 +8,6 @@ by the step's own graph, or, after a write, when they are next read.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import mujoco_warp as mjw
 import torch
 import warp as wp
@@ -19,12 +17,10 @@ from orbit_core.interfaces import SceneLayout
 from orbit_mjmodel.addresses import Addresses, columns
 from orbit_warp.forward import ForwardKinematics
 from orbit_warp.kernels import write_root
+from orbit_warp.native import Native
 from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.kernels import read_joints
 from orbit_warpkit.rows import array_of
-
-if TYPE_CHECKING:
-    from orbit_warp.engine import Native
 
 
 class State:

@@ -1,0 +1,53 @@
+"""Networks that a policy's file may name. Packages add theirs through the entry-point group ``orbit.networks``.
+
+A network is a frozen dataclass of plain settings that builds a module; the module's weights stand beside the settings
+in the file. An entry point's value is the dataclass::
+
+    [project.entry-points."orbit.networks"]
+    my_network = "my_package.networks:MyNetwork"
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.learning.convolutional import Convolutional
+from orbit_core.learning.networks import Network, Perceptron
+from orbit_core.registry import Registry
+
+GROUP = "orbit.networks"
+"""Entry points of packages that bring networks."""
+
+
+@cache
+def _networks() -> Registry[type[Network]]:
+    def read(kind: type[Network]) -> None:
+        if not dataclasses.is_dataclass(kind) or not isinstance(getattr(kind, "name", None), str):
+            raise ConfigurationError(f"network {kind!r} is no dataclass with a class variable 'name'")
+        registry.add(kind.name, kind)
+
+    registry = Registry[type[Network]]("network", GROUP, read)
+    read(Perceptron)
+    read(Convolutional)
+    return registry
+
+
+def register_network(kind: type[Network]) -> None:
+    """Let files of this process name a network; installed packages use an entry point instead.
+
+    Raises:
+        ConfigurationError: the name is taken.
+    """
+    _networks().add(kind.name, kind)
+
+
+def network_type(name: str) -> type[Network]:
+    """The network of that name.
+
+    Raises:
+        UnknownNameError: there is none; names the nearest, and the packages that were left out.
+        ConfigurationError: two packages bring it.
+    """
+    return _networks().get(name)

@@ -1,0 +1,17 @@
+"""MuJoCo-Warp's own objects, which the engine's parts share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import mujoco_warp as mjw
+
+
+@dataclass(frozen=True)
+class Native:
+    """MuJoCo-Warp's own objects."""
+
+    host_model: mujoco.MjModel
+    model: mjw.Model
+    data: mjw.Data
