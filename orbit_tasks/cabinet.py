@@ -101,6 +101,8 @@ def _moved_in(handle: Tensor, position: Tensor, distance: Tensor) -> Tensor:
 
 @dataclass
 class CabinetState(ObservationGroup):
+    """The arm's joints and hand, the handle, how far the drawer is open and is to be, and the last action."""
+
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
@@ -112,12 +114,16 @@ class CabinetState(ObservationGroup):
 
 @dataclass
 class CabinetObservations:
+    """Policy and critic see the state."""
+
     policy: CabinetState = field(default_factory=CabinetState)
     critic: ObservationGroup | None = None
 
 
 @dataclass
 class CabinetRewards:
+    """For the hand at the handle and the drawer at its goal, less what is fast or abrupt."""
+
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     open: RewardTerm | None = RewardTerm(opened, 5.0)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
@@ -131,6 +137,8 @@ class CabinetTerminations:
 
 @dataclass
 class CabinetEvents:
+    """Robot, cabinet and goal are placed anew for each episode; masses and the like with domain randomisation."""
+
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cabinet: EventTerm | None = EventTerm(place_cabinet)
     sample_goal: EventTerm | None = EventTerm(sample_goal)

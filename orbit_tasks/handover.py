@@ -180,6 +180,8 @@ def _facing_down(agent: str, yaw: Tensor) -> Tensor:
 
 @dataclass
 class HandoverState(ObservationGroup):
+    """Both arms' joints, their hands to the rod, their last actions, the rod's pose and the goal."""
+
     giver_joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions, agent=GIVER)
     giver_joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities, agent=GIVER)
     giver_to_grip: ObservationTerm | None = ObservationTerm(hand_to_grip, agent=GIVER)
@@ -194,12 +196,16 @@ class HandoverState(ObservationGroup):
 
 @dataclass
 class HandoverObservations:
+    """Policy and critic see the state."""
+
     policy: HandoverState = field(default_factory=HandoverState)
     critic: ObservationGroup | None = None
 
 
 @dataclass
 class HandoverRewards:
+    """To each arm for its own part, and to both for the rod at the goal, less what is fast or abrupt."""
+
     giver_reach: RewardTerm | None = RewardTerm(reaching, 1.0, agent=GIVER)
     giver_offer: RewardTerm | None = RewardTerm(offering, 8.0, agent=GIVER)
     giver_action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4, agent=GIVER)
@@ -214,11 +220,15 @@ class HandoverRewards:
 
 @dataclass
 class HandoverTerminations:
+    """An episode ends early where the rod is dropped."""
+
     dropped: TerminationTerm | None = TerminationTerm(dropped)
 
 
 @dataclass
 class HandoverEvents:
+    """Arms, rod and goal are placed anew for each episode; masses and the like with domain randomisation."""
+
     place_giver: EventTerm | None = EventTerm(common.randomize_robot_start(0.05, GIVER))
     place_receiver: EventTerm | None = EventTerm(common.randomize_robot_start(0.05, RECEIVER))
     place_rod: EventTerm | None = EventTerm(place_rod)

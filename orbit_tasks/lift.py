@@ -121,6 +121,8 @@ def at_goal(world: World, task: Lift) -> Tensor:
 
 @dataclass
 class LiftState(ObservationGroup):
+    """The arm's joints, the cube's pose, the way from the hand to it, the goal and the last action."""
+
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     cube_pose: ObservationTerm | None = ObservationTerm(cube_pose)
@@ -131,6 +133,8 @@ class LiftState(ObservationGroup):
 
 @dataclass
 class LiftObservations:
+    """Policy and critic see the state."""
+
     policy: LiftState = field(default_factory=LiftState)
     critic: ObservationGroup | None = None
 
@@ -161,6 +165,8 @@ class LiftPixelObservations:
 
 @dataclass
 class LiftRewards:
+    """For the hand at the cube, the cube off the table and at its goal, less what is fast or abrupt."""
+
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     lift: RewardTerm | None = RewardTerm(lifted, 15.0)
     track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 16.0)
@@ -171,11 +177,15 @@ class LiftRewards:
 
 @dataclass
 class LiftTerminations:
+    """An episode ends early where the cube is dropped."""
+
     dropped: TerminationTerm | None = TerminationTerm(dropped)
 
 
 @dataclass
 class LiftEvents:
+    """Robot, cube and goal are placed anew for each episode; masses and the like with domain randomisation."""
+
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_cube: EventTerm | None = EventTerm(place_cube)
     sample_goal: EventTerm | None = EventTerm(sample_goal)

@@ -58,6 +58,8 @@ def sample_goal(world: World, task: Reach, env_ids: Tensor) -> None:
 
 @dataclass
 class ReachState(ObservationGroup):
+    """The arm's joints and hand, the goal and the last action."""
+
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
@@ -67,6 +69,8 @@ class ReachState(ObservationGroup):
 
 @dataclass
 class ReachObservations:
+    """Policy and critic see the state."""
+
     policy: ReachState = field(default_factory=ReachState)
     critic: ObservationGroup | None = None
 
@@ -97,6 +101,8 @@ class ReachPixelObservations:
 
 @dataclass
 class ReachRewards:
+    """For the hand's position and rotation at the goal, less what is fast or abrupt."""
+
     position: RewardTerm | None = RewardTerm(position_error, -2.0)
     position_finely: RewardTerm | None = RewardTerm(near, 1.0)
     rotation: RewardTerm | None = RewardTerm(rotation_error, -0.5)
@@ -111,6 +117,8 @@ class ReachTerminations:
 
 @dataclass
 class ReachEvents:
+    """Robot and goal are placed anew for each episode; masses and the like with domain randomisation."""
+
     place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.2))
     sample_goal: EventTerm | None = EventTerm(sample_goal)
     masses: EventTerm | None = None

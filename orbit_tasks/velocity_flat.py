@@ -135,6 +135,8 @@ def sample_command(world: World, task: VelocityFlat, env_ids: Tensor) -> None:
 
 @dataclass
 class VelocityState(ObservationGroup):
+    """Velocity and the direction of gravity in the trunk's axes, the command, the joints, and the last action."""
+
     linear_velocity: ObservationTerm | None = ObservationTerm(linear_velocity)
     angular_velocity: ObservationTerm | None = ObservationTerm(angular_velocity)
     projected_gravity: ObservationTerm | None = ObservationTerm(projected_gravity)
@@ -146,12 +148,16 @@ class VelocityState(ObservationGroup):
 
 @dataclass
 class VelocityObservations:
+    """Policy and critic see the state."""
+
     policy: VelocityState = field(default_factory=VelocityState)
     critic: ObservationGroup | None = None
 
 
 @dataclass
 class VelocityRewards:
+    """For velocities as commanded, less bouncing, rolling, tilt, effort, abrupt actions and joints too fast."""
+
     linear_tracking: RewardTerm | None = RewardTerm(linear_tracking, 1.0)
     yaw_tracking: RewardTerm | None = RewardTerm(yaw_tracking, 0.5)
     bouncing: RewardTerm | None = RewardTerm(bouncing, -2.0)
@@ -164,11 +170,15 @@ class VelocityRewards:
 
 @dataclass
 class VelocityTerminations:
+    """An episode ends early where the robot has fallen."""
+
     fallen: TerminationTerm | None = TerminationTerm(fallen)
 
 
 @dataclass
 class VelocityEvents:
+    """Start and command are drawn for each episode; masses, pushes and the like with domain randomisation."""
+
     place_robot: EventTerm | None = EventTerm(place_robot)
     sample_command: EventTerm | None = EventTerm(sample_command)
     masses: EventTerm | None = None

@@ -35,6 +35,7 @@ class Geoms:
                 yield geom
 
     def shape(self, geom: int) -> Shape:
+        """A geom with its pose in the body, material and colour."""
         model = self.model
         pose = Pose(vector_of(model.geom_pos[geom]), canonical(tuple(model.geom_quat[geom])))
         sliding, torsional, rolling = (float(value) for value in model.geom_friction[geom])

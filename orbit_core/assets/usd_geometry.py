@@ -81,6 +81,7 @@ class Units:
 
     @staticmethod
     def of(stage: Any) -> Units:
+        """Those that a stage's metadata name."""
         upright = pxr().UsdGeom.GetStageUpAxis(stage) == pxr().UsdGeom.Tokens.z
         return Units(
             pxr().UsdGeom.GetStageMetersPerUnit(stage),

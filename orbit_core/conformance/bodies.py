@@ -153,6 +153,7 @@ def scene(
     terrain: tuple[Shape, ...] = (Shape(Plane(), name="ground"),),
     dt: float = 0.005,
 ) -> Scene:
+    """A scene of robots and objects, in their order; on flat ground unless another terrain is given."""
     robots = tuple(entity for entity in entities if isinstance(entity, RobotSpec))
     objects = tuple(entity for entity in entities if isinstance(entity, ObjectSpec))
     return Scene(robots=robots, objects=objects, sensors=sensors, gravity=gravity, terrain=terrain, physics_dt=dt)
@@ -170,6 +171,7 @@ def on_slope(angle: float, height: float) -> Pose:
 
 
 def index(*numbers: int) -> Tensor:
+    """(n,) int64 indices of environments, links or joints."""
     return torch.tensor(numbers, dtype=torch.int64)
 
 
@@ -179,4 +181,5 @@ def seconds(engine: Engine, duration: float) -> int:
 
 
 def yaw_quaternion(angle: float) -> list[float]:
+    """(w, x, y, z) of a turn by ``angle`` radians about z."""
     return [math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)]

@@ -39,7 +39,7 @@ class Pool(Protocol):
         ...
 
 
-class LocalPool:
+class LocalPool(Pool):
     """Processes of this machine.
 
     Args:
@@ -78,7 +78,7 @@ class LocalPool:
         pass
 
 
-class RayPool:
+class RayPool(Pool):
     """Workers of a Ray cluster, on which ORBIT and the backends are installed as here.
 
     Args:

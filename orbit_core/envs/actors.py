@@ -23,7 +23,7 @@ class Actor(Protocol):
         ...
 
 
-class ExpertActor:
+class ExpertActor(Actor):
     """The task's scripted expert."""
 
     def __init__(self, environment: Environment, seed: int) -> None:
@@ -33,7 +33,7 @@ class ExpertActor:
         return self._expert.compute({})["action"]
 
 
-class RandomActor:
+class RandomActor(Actor):
     """Uniform in [-1, 1], from a stream per environment: environment i does the same however many others there are."""
 
     def __init__(self, environment: Environment, seed: int) -> None:
@@ -46,7 +46,7 @@ class RandomActor:
         return self._streams.uniform(self._shape, -1.0, 1.0)
 
 
-class ZeroActor:
+class ZeroActor(Actor):
     """All components zero."""
 
     def __init__(self, environment: Environment, seed: int) -> None:

@@ -36,10 +36,12 @@ class EntityLayout:
 
     @property
     def root_link(self) -> int:
+        """Index of the entity's root link."""
         return self.links.start
 
     @property
     def name(self) -> str:
+        """The entity's, in the scene."""
         return self.spec.name
 
 

@@ -107,6 +107,7 @@ class Convolutional:
         return nn.ModuleList(encoder.build(activation_type(self.activation)) for encoder in self.encoders)
 
     def build(self, observation_size: int, action_size: int) -> PictureActor:
+        """The actor; what it sees is as large as encoders and vectors say, whatever the observation size."""
         return PictureActor(self, action_size)
 
 

@@ -116,10 +116,12 @@ class PolicyDescription:
 
     @property
     def observation_size(self) -> int:
+        """Components of all terms that the policy sees, together."""
         return sum(part.size for part in self.observation_parts)
 
     @property
     def action_size(self) -> int:
+        """Components of an action."""
         return sum(part.size for part in self.action_parts)
 
     @property

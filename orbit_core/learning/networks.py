@@ -71,6 +71,7 @@ class Perceptron:
             raise ValueError(f"observation_limit is positive, not {self.observation_limit}")
 
     def build(self, observation_size: int, action_size: int) -> nn.Module:
+        """The layers, and the statistics of observations: zero and one until they are loaded."""
         layers = perceptron(observation_size, self.hidden_sizes, action_size, activation_type(self.activation))
         return NormalizedActor(layers, observation_size, self.observation_limit)
 

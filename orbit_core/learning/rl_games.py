@@ -33,11 +33,13 @@ class RlGamesEnvironment(IVecEnv):
         self._seed = seed
 
     def reset(self) -> dict[str, Tensor]:
+        """Begin an episode in every environment; the seed counts the first time only."""
         observation, _ = self.environment.reset(self._seed)
         self._seed = None
         return self._seen(observation)
 
     def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, dict[str, Any]]:
+        """Observation, reward (N,), whether the episode ended (N,) uint8, and infos, for actions (N, A)."""
         observation, reward, terminated, truncated, info = self.environment.step(actions)
         done = (terminated | truncated).to(torch.uint8)
         return self._seen(observation), reward, done, {"time_outs": truncated, "ends": info}
@@ -48,6 +50,7 @@ class RlGamesEnvironment(IVecEnv):
         return {**seen, "states": one_tensor(observation, CRITIC)} if CRITIC in observation else seen
 
     def get_env_info(self) -> dict[str, Any]:  # pyright: ignore[reportIncompatibleMethodOverride] - it has no types
+        """The spaces, by the names that rl-games asks for."""
         return {
             "observation_space": observation_space(self.environment)["policy"],  # pyright: ignore[reportIndexIssue]
             "action_space": action_space(self.environment),

@@ -63,6 +63,7 @@ class Joint:
 
     @property
     def movable(self) -> bool:
+        """Whether the joint has a position."""
         return self.type is not JointType.FIXED
 
 
@@ -129,6 +130,7 @@ class Articulation:
 
     @property
     def root(self) -> Link:
+        """The link that all others hang on."""
         return self.links[0]
 
     @cached_property
@@ -138,6 +140,7 @@ class Articulation:
 
     @property
     def link_names(self) -> tuple[str, ...]:
+        """Names of all links, the root first."""
         return tuple(link.name for link in self.links)
 
     @property

@@ -40,14 +40,17 @@ class Controls:
 
     @property
     def paused(self) -> bool:
+        """Whether no step is taken until :meth:`play`, but for single ones."""
         return self._paused
 
     @property
     def stopped(self) -> bool:
+        """Whether the viewer is to end."""
         return self._stopped
 
     @property
     def selection(self) -> Selection:
+        """What people chose to look at."""
         return self._selection
 
     def play(self) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from torch import Tensor
 
+from orbit_core.envs.actors import Actor
 from orbit_core.interfaces import ConfigurationError, Deformable, Marker, SceneLayout, Sensor
 from orbit_core.scene import CameraSpec, Channel
 from orbit_core.sensors import CameraSensor
@@ -32,15 +33,29 @@ class ViewedWorld(Protocol):
     """What the viewer needs of a world."""
 
     @property
-    def layout(self) -> SceneLayout: ...
+    def layout(self) -> SceneLayout:
+        """Where each entity stands in the world's tensors."""
+        ...
+
     @property
-    def link_poses(self) -> Tensor: ...
+    def link_poses(self) -> Tensor:
+        """(N, L, 7) positions in metres and quaternions (w, x, y, z), in each environment's frame."""
+        ...
+
     @property
-    def markers(self) -> Mapping[str, Marker]: ...
+    def markers(self) -> Mapping[str, Marker]:
+        """What is drawn for people, by name."""
+        ...
+
     @property
-    def sensors(self) -> Mapping[str, Sensor]: ...
+    def sensors(self) -> Mapping[str, Sensor]:
+        """Sensors of the scene, by name."""
+        ...
+
     @property
-    def deformables(self) -> Mapping[str, Deformable]: ...
+    def deformables(self) -> Mapping[str, Deformable]:
+        """Cloths, ropes and soft bodies, by name."""
+        ...
 
 
 class ViewedEnvironment(Protocol):
@@ -50,16 +65,16 @@ class ViewedEnvironment(Protocol):
     step_dt: float
 
     @property
-    def world(self) -> ViewedWorld: ...
-    def reset(self) -> Any: ...
-    def step(self, action: Tensor) -> tuple[Any, Tensor, Tensor, Tensor, Mapping[str, Any]]: ...
+    def world(self) -> ViewedWorld:
+        """What is simulated."""
+        ...
 
+    def reset(self) -> Any:
+        """Begin new episodes in all environments."""
+        ...
 
-class ActingAgent(Protocol):
-    """What drives the environment."""
-
-    def act(self) -> Tensor:
-        """(N, A) the next action."""
+    def step(self, action: Tensor) -> tuple[Any, Tensor, Tensor, Tensor, Mapping[str, Any]]:
+        """One step with actions (N, A): observation, reward, terminated, truncated, info."""
         ...
 
 
@@ -84,7 +99,7 @@ class Viewer:
     def __init__(
         self,
         env: ViewedEnvironment,
-        agent: ActingAgent,
+        agent: Actor,
         host: str = "127.0.0.1",
         port: int = 8080,
         title: str = "ORBIT",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -146,21 +146,10 @@ def link_poses(articulation: Articulation, positions: dict[str, float]) -> dict[
     return {name: pose.matrix() for name, pose in found.items()}
 
 
-def numbers_of(geometry: Geometry) -> tuple[float, ...]:
-    match geometry:
-        case Box(half_extents=half):
-            return half
-        case Sphere(radius=radius):
-            return (radius,)
-        case Capsule(radius=radius, half_length=half) | Cylinder(radius=radius, half_length=half):
-            return (radius, half)
-    raise AssertionError(geometry)
-
-
 def assert_same_shapes(got: tuple[Shape, ...], asked: tuple[Shape, ...]) -> None:
     assert [type(shape.geometry) for shape in got] == [type(shape.geometry) for shape in asked]
     for one, other in zip(got, asked, strict=True):
-        assert numbers_of(one.geometry) == pytest.approx(numbers_of(other.geometry), abs=TOLERANCE)
+        np.testing.assert_allclose(np.hstack(astuple(one.geometry)), np.hstack(astuple(other.geometry)), atol=TOLERANCE)
         np.testing.assert_allclose(one.pose.matrix(), other.pose.matrix(), atol=TOLERANCE)
 
 
@@ -262,9 +251,9 @@ def mjcf_pose(pose: Pose) -> str:
 
 def mjcf_geom(shape: Shape) -> str:
     geometry = shape.geometry
-    friction = text(shape.material.static_friction, 0.005, 0.0001)
+    size, friction = text(*np.hstack(astuple(geometry))), text(shape.material.static_friction, 0.005, 0.0001)
     return (
-        f'<geom name="{shape.name}" type="{type(geometry).__name__.lower()}" size={text(*numbers_of(geometry))} '
+        f'<geom name="{shape.name}" type="{type(geometry).__name__.lower()}" size={size} '
         f"friction={friction} {mjcf_pose(shape.pose)}/>"
     )
 

@@ -6,11 +6,11 @@ import json
 import os
 import pickle
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from random import Random
-from typing import Any, ClassVar
+from typing import Any
 
 import onnx
 import pytest
@@ -21,10 +21,9 @@ from torch import Tensor, nn
 
 import orbit_core
 from orbit_core.interfaces import OrbitError
-from orbit_core.learning import network_registry, tensor_file
+from orbit_core.learning import tensor_file
 from orbit_core.learning.checkpoint import read_checkpoint, write_checkpoint
 from orbit_core.learning.description import Part, PolicyDescription
-from orbit_core.learning.network_registry import register_network
 from orbit_core.learning.networks import Perceptron
 from orbit_core.learning.policy import Policy, load_policy
 
@@ -243,61 +242,6 @@ def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "policy_1.safetensors")
     with pytest.raises(OrbitError, match="no regular file"):
         load_policy(tmp_path)
-
-
-@dataclass(frozen=True)
-class Linear:
-    """A network of somebody else's."""
-
-    name: ClassVar[str] = "somebodys_linear"
-    gain: float
-
-    def build(self, observation_size: int, action_size: int) -> nn.Module:
-        if self.gain <= 0.0:
-            raise RuntimeError("a gain is positive")
-        return nn.Sequential(nn.Linear(observation_size, action_size), nn.Hardtanh(-self.gain, self.gain))
-
-
-@pytest.fixture
-def _own_networks() -> Iterator[None]:
-    """What a test registers is forgotten after it."""
-    network_registry._networks.cache_clear()
-    yield
-    network_registry._networks.cache_clear()
-
-
-@pytest.mark.usefixtures("_own_networks")
-def test_an_installed_package_brings_networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By an entry point, as a package would; a file then names it."""
-    code = f"from {__name__} import Linear\n\nclass Theirs(Linear):\n    name = 'theirs'\n"
-    (tmp_path / "their_networks.py").write_text(code)
-    about = tmp_path / "their_networks-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: their-networks\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text("[orbit.networks]\nany = their_networks:Theirs\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    network = network_registry.network_type("theirs")(gain=0.5)  # pyright: ignore[reportCallIssue]
-    Policy(network.build(3, 2), network, DESCRIPTION).save(tmp_path / "policy_1.safetensors")
-    assert load_policy(tmp_path).network == network
-    changed(tmp_path / "policy_1.safetensors", put("network", "settings", "gain", value=-1.0))
-    with pytest.raises(OrbitError, match="cannot be built"):
-        load_policy(tmp_path)
-
-
-@pytest.mark.usefixtures("_own_networks")
-def test_a_program_brings_networks(tmp_path: Path) -> None:
-    network = Linear(0.5)
-    theirs = Policy(network.build(3, 2), network, DESCRIPTION)
-    with pytest.raises(OrbitError, match="unknown network 'somebodys_linear'"):
-        theirs.save(tmp_path / "policy_1.safetensors")
-    register_network(Linear)
-    theirs.save(tmp_path / "policy_1.safetensors")
-    read = load_policy(tmp_path)
-    observation = torch.randn(5, 3)
-    assert read.network == network
-    assert torch.equal(read.module(observation), theirs.module(observation))
-    with pytest.raises(OrbitError, match="is registered twice"):
-        register_network(type("Other", (Linear,), {}))
 
 
 def model(*nodes: onnx.NodeProto, weights: tuple[onnx.TensorProto, ...] = (), documented: bool = True) -> bytes:
