@@ -19,8 +19,8 @@ from orbit_core.envs.making import make
 from orbit_core.envs.observation_layout import Observation, map_leaves
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ArgumentError, ConfigurationError
-from orbit_core.learning.episodes import all_ends
 from orbit_core.learning.spaces import action_space, observation_space
+from orbit_core.rollout.ends import all_ends
 from orbit_core.viewer.pictures import OverviewCamera
 from orbit_core.world.closing import close_for_good
 

@@ -13,8 +13,8 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from orbit_core.envs.environment import Environment
-from orbit_core.learning.episodes import EpisodeTally
 from orbit_core.learning.trainer import Progress, Settings, Trainer
+from orbit_core.rollout.ends import EpisodeTally
 
 
 class LoopTrainer(Trainer[Settings]):

@@ -21,12 +21,12 @@ from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.learning.convolutional import convolutional_actor
-from orbit_core.learning.episodes import true_next
 from orbit_core.learning.groups import ACTOR, CRITIC, check_groups, critic_group
 from orbit_core.learning.loop import LoopTrainer
 from orbit_core.learning.networks import ActorNetwork, perceptron_actor
 from orbit_core.learning.skrl_models import Actor, Critic, VectorScaler
 from orbit_core.learning.spaces import action_space, critic_space, observation_space
+from orbit_core.rollout.ends import true_next
 
 
 class SkrlEnvironment(Wrapper):

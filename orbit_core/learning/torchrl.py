@@ -20,11 +20,11 @@ from torchrl.objectives.value import GAE
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.observation_layout import Observation
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.learning.episodes import EpisodeTally, true_next
 from orbit_core.learning.groups import ACTOR, check_groups, critic_group
 from orbit_core.learning.loop import LoopTrainer
 from orbit_core.learning.networks import ActorNetwork
 from orbit_core.learning.torchrl_groups import ObservedGroup, group_spec
+from orbit_core.rollout.ends import EpisodeTally, true_next
 
 
 class TorchRlEnvironment(EnvBase):
