@@ -126,6 +126,7 @@ class PolicyDescription:
 
     @property
     def sees_pictures(self) -> bool:
+        """Whether any term that the policy sees is a picture."""
         return any(part.is_picture for part in self.observation_parts)
 
     def zeros(self, count: int, device: torch.device | str = "cpu") -> Tensor | dict[str, Tensor]:
