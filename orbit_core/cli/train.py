@@ -178,5 +178,5 @@ def _table(settings: TrainSettings, last: Progress, folder: Path) -> Table:
         table.add_row("success of the last episodes, exploring", f"{_success(last)} of {last.episodes}")
     if not math.isnan(last.loss):
         table.add_row("mean loss of the last iteration", f"{last.loss:.5f}")
-    table.add_row("play it", f"orbit play {folder}")
+    table.add_row("play it", " ".join((f"orbit play {folder}", *(f"--set {pair}" for pair in settings.set))))
     return table
