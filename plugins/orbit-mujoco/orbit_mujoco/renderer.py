@@ -38,6 +38,8 @@ _ID_FLAGS = (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR, m
 _LIGHT_DISTANCE = 6.0
 _SKY = 2.0
 """Times the farthest camera's range is drawn: the cube of the sky then hides nothing in range."""
+_LIGHT_REACH = 2.0 * _LIGHT_DISTANCE
+"""Metres that are drawn at least: a light's view of the scene ends where the camera's does, and beyond is no shadow."""
 
 _Array = npt.NDArray[Any]
 _open_renderers: weakref.WeakSet[MujocoRenderer] = weakref.WeakSet()
@@ -64,8 +66,9 @@ class MujocoRenderer(Renderer):
         self._layout = layout
         self._size = (max((c.width for c in cameras), default=1), max((c.height for c in cameras), default=1))
         self._far = max((camera.far for camera in cameras), default=1.0)
+        self._reach = max(_SKY * self._far, _LIGHT_REACH)
         self._shadows = config.shadow_size > 0
-        self._model = build_model(layout, self._size, _SKY * self._far, max(config.shadow_size, 1), config.antialiasing)
+        self._model = build_model(layout, self._size, self._reach, max(config.shadow_size, 1), config.antialiasing)
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
         bodies = self._model.geom_bodyid
@@ -157,7 +160,7 @@ class MujocoRenderer(Renderer):
         # An id is spread over the three colours; OpenGL's rows count from below.
         codes = colors[:, ::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
         geoms = [self._geoms_of_codes[kind][code] for kind, code in zip(kinds, codes, strict=True)]
-        depth = _metric_depth(heights, camera, _SKY * self._far)
+        depth = _metric_depth(heights, camera, self._reach)
         seen = np.isfinite(depth[..., 0])
         return depth, *self._looks(np.where(seen, np.array(geoms).reshape(codes.shape), 0))
 
@@ -176,7 +179,7 @@ class MujocoRenderer(Renderer):
             if markers is not None:
                 add_markers(self._scene, self._layout.scene.markers, markers[i])
             self._draw(camera, flags, colors[i], heights[i])
-        depth = _metric_depth(heights, camera, _SKY * self._far)
+        depth = _metric_depth(heights, camera, self._reach)
         colors = np.ascontiguousarray(colors[:, ::-1])
         for picture, beyond, pose in zip(colors, np.isinf(depth[..., 0]), cameras, strict=True):
             picture[beyond] = sky_colors(self._layout.scene.sky, camera, pose, beyond)
@@ -199,7 +202,7 @@ class MujocoRenderer(Renderer):
         top = camera.near * math.tan(0.5 * camera.vertical_fov)
         for eye in self._scene.camera:
             eye.pos, eye.forward, eye.up = pose[:3], -rotation[:, 2], rotation[:, 1]
-            eye.frustum_near, eye.frustum_far, eye.frustum_center = camera.near, _SKY * self._far, 0.0
+            eye.frustum_near, eye.frustum_far, eye.frustum_center = camera.near, self._reach, 0.0
             eye.frustum_top, eye.frustum_bottom = top, -top
             eye.frustum_width = top * camera.width / camera.height
         # Shadows reach around a light's axis: point it at the middle of what moves.

@@ -6,6 +6,7 @@ import ctypes.util
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,6 +70,23 @@ def test_shadows_darken_and_can_be_left_out(make):
     # MuJoCo adds a shadowing light in a pass of its own, so where lights saturate the sum differs a little.
     assert (shaded - lit).max() < 10
     assert ((lit - shaded) > 20).any(-1).float().mean() > 0.005
+
+
+def test_shadows_fall_whatever_the_range_of_the_camera():
+    """A light's view of the scene must not end with that of a camera which sees but two metres."""
+    pictures = []
+    for far in (2.0, 20.0):
+        camera = replace(CAMERA, far=far)
+        renderer = MujocoRenderer(SceneLayout.of(scene()), (camera,), MujocoConfig())
+        image = renderer.render(camera, CAMERA_POSE, HERE, (Channel.RGB, Channel.DEPTH))
+        assert image.rgb is not None
+        assert image.depth is not None
+        pictures.append((image.rgb[0].float(), image.depth[0, ..., 0]))
+        renderer.close()
+    (near, depth), (far, _) = pictures
+    seen = depth.isfinite()
+    assert seen.float().mean() > 0.5
+    assert ((near - far).abs().amax(-1)[seen] > 8).float().mean() < 0.003
 
 
 def test_antialiasing_smooths_edges(make):
