@@ -1,5 +1,7 @@
 """MuJoCo-Warp's own objects, which the engine's parts share."""
 
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from dataclasses import dataclass
