@@ -296,7 +296,9 @@ def test_several_processes_learn_one_policy(tmp_path: Path) -> None:
 def test_a_library_that_is_not_installed_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UnknownNameError, match="rsl-rl"):
         trainer_type("rsl_rl")
+    for module in [*sys.modules]:  # as in a process that has loaded nothing of it
+        if module.startswith(("stable_baselines3.", "orbit_core.learning.sb3")):
+            monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    monkeypatch.delitem(sys.modules, "orbit_core.learning.sb3", raising=False)
     with pytest.raises(ConfigurationError, match=r"pip install 'orbit-core\[sb3\]'"):
         trainer_type("sb3")
