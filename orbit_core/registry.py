@@ -60,7 +60,7 @@ class Registry(Generic[Value]):
     @property
     def names(self) -> list[str]:
         """Everything that can be asked for, as it was added; nothing is loaded."""
-        self.add_installed()
+        self._add_installed()
         return [name for name in self._loads if name not in self._twice]
 
     @property
@@ -107,7 +107,7 @@ class Registry(Generic[Value]):
         if loads is self._loads:
             self._origins[name] = origin
 
-    def add_installed(self) -> None:
+    def _add_installed(self) -> None:
         """Add what installed packages bring, as the first question does; warns of each that is left out."""
         if self._installed:
             return

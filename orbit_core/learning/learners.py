@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 GROUP = "orbit.learners"
 _LIBRARIES = {
     "rsl-rl": ("rsl_rl:RslRlTrainer", "PPO, asymmetric critics, pictures, several GPUs"),
-    "sb3": ("sb3:Sb3Trainer", "PPO"),
-    "skrl": ("skrl:SkrlTrainer", "PPO, asymmetric critics"),
+    "sb3": ("sb3:Sb3Trainer", "PPO, pictures"),
+    "skrl": ("skrl:SkrlTrainer", "PPO, asymmetric critics, pictures"),
     "rl-games": ("rl_games:RlGamesTrainer", "PPO, asymmetric critics"),
-    "torchrl": ("torchrl:TorchRlTrainer", "PPO"),
+    "torchrl": ("torchrl:TorchRlTrainer", "PPO, asymmetric critics, pictures"),
     "distill": ("distill:DistillTrainer", "imitates a kept policy that sees more (DAgger); part of ORBIT"),
 }
 """Modules in this package. Each but the last is also the name of the extra that installs it."""
