@@ -33,6 +33,7 @@ from orbit_newton.state import State
 from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.kernels import reset_tensors
 from orbit_warpkit.rows import rows_of
+from orbit_warpkit.start import start
 
 _DIVERGED, _OVERFLOWN = 1, 2
 
@@ -68,8 +69,7 @@ class NewtonEngine(Engine):
         capabilities: Capabilities,
     ) -> None:
         super().__init__(layout, num_envs, device)
-        wp.config.log_level = wp.LOG_WARNING
-        wp.init()
+        start()
         self._graphs = Graphs(device, config.capture)
         with self._graphs.stream():
             built = build_model(layout, num_envs, self._graphs.device, config.contact_gap, dynamics.maximal)

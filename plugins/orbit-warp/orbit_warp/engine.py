@@ -27,6 +27,7 @@ from orbit_warp.state import State
 from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.kernels import reset_tensors
 from orbit_warpkit.rows import rows_of
+from orbit_warpkit.start import start
 
 _MOST_RECORDED = 16
 """Physics steps that one recording takes on a GPU, where to launch a recording costs more than on a CPU."""
@@ -49,8 +50,7 @@ class WarpEngine(Engine):
 
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: WarpConfig) -> None:
         super().__init__(layout, num_envs, device)
-        wp.config.log_level = wp.LOG_WARNING  # Graphs tells what the user should know
-        wp.init()
+        start()
         kinds = build_models(layout, config)
         built, addresses = kinds[0], kinds[0].addresses
         self._addresses = addresses

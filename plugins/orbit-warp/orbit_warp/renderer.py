@@ -18,6 +18,7 @@ from orbit_warp.renderer_model import PictureModel
 from orbit_warp.renderer_stage import Stage
 from orbit_warp.renderer_trace import EVERY_TYPE, trace_kernel
 from orbit_warpkit.graphs import Graphs
+from orbit_warpkit.start import start
 
 _SEGMENTED = (Channel.INSTANCE, Channel.SEMANTIC)
 
@@ -37,8 +38,7 @@ class WarpRenderer(Renderer):
     capture = _Capture()
 
     def __init__(self, layout: SceneLayout, config: WarpConfig) -> None:
-        wp.config.log_level = wp.LOG_WARNING
-        wp.init()
+        start()
         self._model = PictureModel(layout)
         self._shadows = config.shadows
         self._stages: dict[torch.device, tuple[Graphs, Stage]] = {}
