@@ -7,8 +7,9 @@ package that brings a name of this program's own is left out of it.
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, Generic, TypeVar
 
@@ -152,6 +153,46 @@ class Registry(Generic[Value]):
             f"{self.kind} '{name}' is registered twice, by {first} and by {second}: rename one, or uninstall one of "
             "the two packages"
         )
+
+
+class ClassRegistry(Registry[type[Value]]):
+    """Dataclasses of one kind, each under the class variable ``name`` that it has; entry points name such classes.
+
+    Args:
+        kind: what the classes are called in messages: "motion generator".
+        group: the entry-point group of packages that bring some.
+        own: those of this program.
+        base: class that all of them derive from.
+    """
+
+    def __init__(self, kind: str, group: str, own: Iterable[type[Value]], base: type = object) -> None:
+        super().__init__(kind, group, self.add_class)
+        self._base = base
+        for value in own:
+            self.add_class(value)
+
+    def add_class(self, value: type[Value]) -> None:
+        """Add a class under its own name.
+
+        Raises:
+            ConfigurationError: it is no dataclass of this kind, has no name, or the name is taken.
+        """
+        fits = isinstance(value, type) and issubclass(value, self._base) and dataclasses.is_dataclass(value)
+        name = getattr(value, "name", None)
+        if not fits or not isinstance(name, str):
+            derived = "" if self._base is object else f" of class {self._base.__name__}"
+            raise ConfigurationError(f"{self.kind} {value!r} is no dataclass{derived} with a class variable 'name'")
+        self.add(name, value)
+
+    @property
+    def descriptions(self) -> dict[str, str]:
+        """The first line of each class's docstring, by the class's name in the registry."""
+        return {name: first_line(value) for name, value in self.values.items()}
+
+
+def first_line(documented: object) -> str:
+    """The first line of a docstring; nothing where there is none."""
+    return (documented.__doc__ or "").strip().partition("\n")[0]
 
 
 def described(point: EntryPoint) -> str:

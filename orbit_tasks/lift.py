@@ -27,10 +27,9 @@ from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
-from orbit_core.mdp.images import camera_color, camera_depth
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
-from orbit_tasks import pixels
+from orbit_tasks.pixels import ArmPixels
 
 
 def cube_pose(world: World, task: Lift) -> Tensor:
@@ -140,25 +139,10 @@ class LiftObservations:
 
 
 @dataclass
-class LiftPixels(ObservationGroup):
-    """What the arm knows of itself and its goal, and two cameras, which alone see the cube."""
-
-    concatenate: bool = False
-    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
-    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
-    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
-    hand_color: ObservationTerm | None = camera_color(pixels.HAND)
-    hand_depth: ObservationTerm | None = camera_depth(pixels.HAND)
-    front_color: ObservationTerm | None = camera_color(pixels.FRONT)
-    front_depth: ObservationTerm | None = camera_depth(pixels.FRONT)
-
-
-@dataclass
 class LiftPixelObservations:
-    """Critic and teacher see the state."""
+    """The policy sees pictures, critic and teacher the state."""
 
-    policy: LiftPixels = field(default_factory=LiftPixels)
+    policy: ArmPixels = field(default_factory=ArmPixels)
     critic: ObservationGroup | None = field(default_factory=LiftState)
     teacher: ObservationGroup | None = field(default_factory=LiftState)
 

@@ -1,8 +1,17 @@
-"""Cameras for learning from pictures: one that the hand carries, and one that stands before the arm."""
+"""Learning from pictures: a camera on the hand, one before the arm, and the observation group of an arm with both."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from orbit_core.envs import ObservationGroup, ObservationTerm
 from orbit_core.envs.task import ROBOT
+from orbit_core.interfaces import World
+from orbit_core.mdp import common
+from orbit_core.mdp.images import camera_color, camera_depth
 from orbit_core.scene import END_EFFECTOR, CameraSpec, Channel, look_at
 
 SIZE = 64
@@ -31,3 +40,23 @@ FRONT = CameraSpec(
     far=2.0,
 )
 """Looks at the arm over the bench, from the other side."""
+
+
+def goal(world: World, task: Any) -> Tensor:
+    """(N, ...) the task's goal."""
+    return task.goal
+
+
+@dataclass
+class ArmPixels(ObservationGroup):
+    """What an arm knows of itself and its goal, and two cameras, which alone see what lies before it."""
+
+    concatenate: bool = False
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    goal: ObservationTerm | None = ObservationTerm(goal)
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+    hand_color: ObservationTerm | None = camera_color(HAND)
+    hand_depth: ObservationTerm | None = camera_depth(HAND)
+    front_color: ObservationTerm | None = camera_color(FRONT)
+    front_depth: ObservationTerm | None = camera_depth(FRONT)

@@ -16,10 +16,9 @@ from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
-from orbit_core.mdp.images import camera_color, camera_depth
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
-from orbit_tasks import pixels
+from orbit_tasks.pixels import ArmPixels
 
 
 @once_per_state
@@ -76,25 +75,10 @@ class ReachObservations:
 
 
 @dataclass
-class ReachPixels(ObservationGroup):
-    """The arm's joints, its goal, and two cameras, which see where the hand is."""
-
-    concatenate: bool = False
-    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
-    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
-    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
-    hand_color: ObservationTerm | None = camera_color(pixels.HAND)
-    hand_depth: ObservationTerm | None = camera_depth(pixels.HAND)
-    front_color: ObservationTerm | None = camera_color(pixels.FRONT)
-    front_depth: ObservationTerm | None = camera_depth(pixels.FRONT)
-
-
-@dataclass
 class ReachPixelObservations:
-    """Critic and teacher see the state."""
+    """The policy sees pictures, critic and teacher the state."""
 
-    policy: ReachPixels = field(default_factory=ReachPixels)
+    policy: ArmPixels = field(default_factory=ArmPixels)
     critic: ObservationGroup | None = field(default_factory=ReachState)
     teacher: ObservationGroup | None = field(default_factory=ReachState)
 

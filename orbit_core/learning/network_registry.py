@@ -9,38 +9,28 @@ in the file. An entry point's value is the dataclass::
 
 from __future__ import annotations
 
-import dataclasses
 from functools import cache
 
-from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.convolutional import Convolutional
 from orbit_core.learning.networks import Network, Perceptron
-from orbit_core.registry import Registry
+from orbit_core.registry import ClassRegistry
 
 GROUP = "orbit.networks"
 """Entry points of packages that bring networks."""
 
 
 @cache
-def _networks() -> Registry[type[Network]]:
-    def read(kind: type[Network]) -> None:
-        if not dataclasses.is_dataclass(kind) or not isinstance(getattr(kind, "name", None), str):
-            raise ConfigurationError(f"network {kind!r} is no dataclass with a class variable 'name'")
-        registry.add(kind.name, kind)
-
-    registry = Registry[type[Network]]("network", GROUP, read)
-    read(Perceptron)
-    read(Convolutional)
-    return registry
+def _networks() -> ClassRegistry[Network]:
+    return ClassRegistry[Network]("network", GROUP, (Perceptron, Convolutional))
 
 
 def register_network(kind: type[Network]) -> None:
     """Let files of this process name a network; installed packages use an entry point instead.
 
     Raises:
-        ConfigurationError: the name is taken.
+        ConfigurationError: it is no dataclass with a class variable ``name``, or the name is taken.
     """
-    _networks().add(kind.name, kind)
+    _networks().add_class(kind)
 
 
 def network_type(name: str) -> type[Network]:
