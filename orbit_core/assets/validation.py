@@ -118,8 +118,9 @@ def check_structure(articulation: Articulation) -> None:
     """
     if not articulation.links:
         raise _error(articulation, "there is no link: describe at least one")
-    links = articulation.link_names
-    _check_unique(articulation, "links or frames", (*links, *(frame.name for frame in articulation.frames)))
+    links = set(articulation.link_names)
+    frames = (frame.name for frame in articulation.frames)
+    _check_unique(articulation, "links or frames", (*articulation.link_names, *frames))
     _check_unique(articulation, "joints", (joint.name for joint in (*articulation.joints, *articulation.loops)))
     parent_of: dict[str, Joint] = {}
     for joint in articulation.joints:

@@ -138,12 +138,12 @@ class Articulation:
         """The joints that have a position, in order."""
         return tuple(joint for joint in self.joints if joint.movable)
 
-    @property
+    @cached_property
     def link_names(self) -> tuple[str, ...]:
         """Names of all links, the root first."""
         return tuple(link.name for link in self.links)
 
-    @property
+    @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the movable joints."""
         return tuple(joint.name for joint in self.movable_joints)
@@ -165,12 +165,12 @@ class Articulation:
         Raises:
             KeyError: no link or frame has that name.
         """
-        for frame in self.frames:
-            if frame.name == name:
-                return frame
-        if name in self.link_names:
-            return Frame(name, name)
-        raise KeyError(name)
+        return self._frame_of[name]
+
+    @cached_property
+    def _frame_of(self) -> dict[str, Frame]:
+        links = {link.name: Frame(link.name, link.name) for link in self.links}
+        return links | {frame.name: frame for frame in reversed(self.frames)}
 
 
 def single_link(

@@ -22,13 +22,14 @@ class Pose:
 
     def __matmul__(self, other: Pose) -> Pose:
         """The pose of ``other``, given in this frame, in this frame's parent."""
-        position = np.asarray(self.position) + self.rotation_matrix() @ np.asarray(other.position)
-        return Pose(_vector(position), _multiply(self.orientation, other.orientation))
+        return Pose(_placed(self, other.position), _multiply(self.orientation, other.orientation))
 
     def inverse(self) -> Pose:
         """The parent's pose in this frame."""
         w, x, y, z = self.orientation
-        return Pose(_vector(-(self.rotation_matrix().T @ np.asarray(self.position))), (w, -x, -y, -z))
+        x0, y0, z0 = self.position
+        back = Pose(orientation=(w, -x, -y, -z))
+        return Pose(_placed(back, (-x0, -y0, -z0)), back.orientation)
 
     def rotation_matrix(self) -> FloatArray:
         """The rotation (3, 3) that takes vectors of this frame into the parent's axes."""
@@ -99,6 +100,17 @@ def canonical(quaternion: Quaternion) -> Quaternion:
     sign = -1.0 if quaternion[0] < 0 else 1.0
     w, x, y, z = (sign * component / norm for component in quaternion)
     return (w, x, y, z)
+
+
+def _placed(pose: Pose, point: Vector3) -> Vector3:
+    # Plain arithmetic: files of ten thousand links place as many points, one by one.
+    w, x, y, z = pose.orientation
+    px, py, pz = point
+    return (
+        pose.position[0] + (1 - 2 * (y * y + z * z)) * px + 2 * (x * y - w * z) * py + 2 * (x * z + w * y) * pz,
+        pose.position[1] + 2 * (x * y + w * z) * px + (1 - 2 * (x * x + z * z)) * py + 2 * (y * z - w * x) * pz,
+        pose.position[2] + 2 * (x * z - w * y) * px + 2 * (y * z + w * x) * py + (1 - 2 * (x * x + y * y)) * pz,
+    )
 
 
 def _vector(values: npt.ArrayLike) -> Vector3:
