@@ -30,6 +30,7 @@ from orbit_core.scene import Articulation, Mesh, MeshCollision
 _READERS = (
     "cache",
     "compose",
+    "compound_joints",
     "inertia",
     "merge",
     "meshes",

@@ -42,6 +42,8 @@ def attach(
             self_collisions=base.self_collisions or other.self_collisions,
             collision_exclusions=base.collision_exclusions + other.collision_exclusions,
             loops=base.loops + other.loops,
+            drives=base.drives + other.drives,
+            home=base.home + other.home,
             notes=tuple(dict.fromkeys(base.notes + other.notes)),
         )
     )
@@ -85,6 +87,8 @@ def subtree(articulation: Articulation, link: str, name: str | None = None) -> A
         frames=tuple(frame for frame in articulation.frames if frame.link in kept),
         collision_exclusions=exclusions,
         loops=tuple(loop for loop in articulation.loops if kept.issuperset((loop.first, loop.second))),
+        drives=tuple(drive for drive in articulation.drives if drive.joint in names),
+        home=tuple((joint, position) for joint, position in articulation.home if joint in names),
     )
 
 
@@ -168,6 +172,8 @@ def _prefixed(articulation: Articulation, prefix: str) -> Articulation:
         frames=tuple(Frame(prefix + frame.name, prefix + frame.link, frame.pose) for frame in articulation.frames),
         collision_exclusions=tuple((prefix + a, prefix + b) for a, b in articulation.collision_exclusions),
         loops=tuple(_prefixed_loop(loop, prefix) for loop in articulation.loops),
+        drives=tuple(replace(drive, joint=prefix + drive.joint) for drive in articulation.drives),
+        home=tuple((prefix + joint, position) for joint, position in articulation.home),
     )
 
 

@@ -80,7 +80,8 @@ def _rebase_frame(frame: Frame, hosts: dict[str, tuple[str, Pose]]) -> Frame:
 def _rebase_loop(loop: LoopJoint, hosts: dict[str, tuple[str, Pose]]) -> LoopJoint:
     (first, one), (second, other) = hosts[loop.first], hosts[loop.second]
     points = (one @ Pose(loop.first_point)).position, (other @ Pose(loop.second_point)).position
-    return LoopJoint(loop.name, first, second, *points)
+    between = one @ Pose(orientation=loop.orientation) @ other.inverse()
+    return LoopJoint(loop.name, first, second, *points, loop.type, between.orientation)
 
 
 def _rename_pairs(

@@ -8,26 +8,33 @@ from dataclasses import replace
 
 import numpy as np
 
+from orbit_core.assets.massless import check_massless
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.interfaces.layout import home_positions
-from orbit_core.scene import Articulation, Entity, HeightField, Joint, JointType, Link, LoopJoint, Plane, Pose
+from orbit_core.scene import Articulation, Entity, HeightField, Joint, JointType, Link, LoopJoint, LoopType, Plane, Pose
 
 _TRIANGLE_TOLERANCE = 1e-3
 """Of the largest principal moment: published models round their inertias to three digits."""
 _CLOSED = 1e-3
-"""Metres by which a loop may be open at home."""
+"""Metres by which a loop may be open at home, and radians by which a weld may be turned."""
+_POWERS = 3
+"""Of a mimic joint's law beyond the linear term, at most: the most that an engine's constraint takes."""
+_UNIT = 1e-3
+"""By how much a quaternion's length may differ from 1; written ones have few digits."""
 
 
 def validate(articulation: Articulation) -> Articulation:
     """The articulation with joint axes of unit length, checked.
 
     Inertias are checked per rigid body, links joined by fixed joints taken together: a sensor's own entry may be
-    rounded beyond physics while the body that carries it is sound. The root may have no mass, as that of a fixed base.
+    rounded beyond physics while the body that carries it is sound. The root may have no mass, as that of a fixed base,
+    and so may links between joints (:func:`orbit_core.assets.massless.check_massless`).
 
     Raises:
         AssetError: names repeat or are unknown, links form no single tree, are out of order (:func:`sort_links` mends
-            that), a joint's numbers or mimic are impossible, or a body's mass or inertia is.
+            that), a joint's numbers or mimic are impossible, a drive or home position is of no movable joint, or a
+            body's mass or inertia is impossible.
     """
     check_structure(articulation)
     _check_order(articulation)
@@ -44,13 +51,17 @@ def validate(articulation: Articulation) -> Articulation:
         _check_mimic(articulation, joint)
     for loop in articulation.loops:
         _check_loop(articulation, loop)
+    _check_drives(articulation)
+    _check_home(articulation)
     if any(new is not old for new, old in zip(joints, articulation.joints, strict=True)):
         articulation = replace(articulation, joints=joints)
     for link in articulation.links:
         _check_finite(articulation, link)
     merged = merge_fixed_links(articulation)
+    check_massless(merged)
     for link in merged.links:
-        _check_inertia(articulation, link, may_be_massless=link is merged.root)
+        if link.mass > 0:
+            _check_inertia(articulation, link)
     return articulation
 
 
@@ -179,10 +190,14 @@ def _checked_joint(articulation: Articulation, joint: Joint) -> Joint:
     numbers += (*joint.child_pose.position, *joint.child_pose.orientation, *joint.axis)
     if not all(math.isfinite(number) for number in numbers):
         raise _error(articulation, f"joint '{joint.name}' has a pose or axis that is not finite: give finite numbers")
-    for name in ("effort_limit", "velocity_limit", "damping", "friction", "armature"):
+    for name in ("effort_limit", "velocity_limit", "damping", "friction", "armature", "stiffness"):
         value = getattr(joint, name)
         if not value >= 0:
             raise _error(articulation, f"joint '{joint.name}' has {name} {value}: give zero or more")
+    for name in ("stiffness", "rest_position"):
+        value = getattr(joint, name)
+        if not math.isfinite(value):
+            raise _error(articulation, f"joint '{joint.name}' has {name} {value}: give a finite number")
     if not joint.lower_limit <= joint.upper_limit:
         raise _error(
             articulation,
@@ -218,8 +233,10 @@ def _check_mimic(articulation: Articulation, joint: Joint) -> None:
         fault = f"which itself mimics '{leader.mimic.joint}'"
     elif not joint.movable:
         fault = "though it is fixed itself"
-    elif not (math.isfinite(joint.mimic.multiplier) and math.isfinite(joint.mimic.offset)):
-        fault = "with a multiplier or offset that is not finite"
+    elif len(joint.mimic.higher_powers) > _POWERS:
+        fault = f"with {len(joint.mimic.higher_powers)} higher powers, of which there may be {_POWERS}"
+    elif not all(math.isfinite(coefficient) for coefficient in joint.mimic.coefficients):
+        fault = "with a multiplier, offset or coefficient that is not finite"
     else:
         return
     raise _error(
@@ -234,6 +251,8 @@ def _check_loop(articulation: Articulation, loop: LoopJoint) -> None:
             raise _error(articulation, f"loop '{loop.name}' names unknown link '{name}': define the link")
     if not all(math.isfinite(number) for number in (*loop.first_point, *loop.second_point)):
         raise _error(articulation, f"loop '{loop.name}' has a point that is not finite: give finite numbers")
+    if not abs(math.hypot(*loop.orientation) - 1.0) < _UNIT:
+        raise _error(articulation, f"loop '{loop.name}' has an orientation that is no unit quaternion: give one")
     merged = merge_fixed_links(replace(articulation, loops=(loop,))).loops[0]
     if merged.first == merged.second:
         raise _error(articulation, f"loop '{loop.name}' holds a rigid body to itself: remove it")
@@ -258,6 +277,42 @@ def _check_closed(entity: Entity) -> None:
                 f"'{entity.name}': loop '{loop.name}' is {apart:.3g} m open at the home positions: give home positions "
                 "that close it"
             )
+        between = poses[loop.first].inverse() @ poses[loop.second]
+        turned = _angle(Pose(orientation=loop.orientation).inverse() @ between) if loop.type is LoopType.WELD else 0.0
+        if turned > _CLOSED:
+            raise AssetError(
+                f"'{entity.name}': weld '{loop.name}' is turned by {turned:.3g} rad at the home positions: give home "
+                "positions that close it"
+            )
+
+
+def _angle(pose: Pose) -> float:
+    return 2.0 * math.atan2(math.hypot(*pose.orientation[1:]), abs(pose.orientation[0]))
+
+
+def _check_drives(articulation: Articulation) -> None:
+    names = articulation.joint_names
+    for drive in articulation.drives:
+        if drive.joint not in names:
+            raise _error(articulation, f"a drive is on '{drive.joint}', which is no movable joint: name one")
+        numbers = (drive.stiffness, drive.damping)
+        if not (all(math.isfinite(number) and number >= 0 for number in numbers) and drive.effort_limit >= 0):
+            raise _error(
+                articulation,
+                f"the drive on joint '{drive.joint}' has stiffness {drive.stiffness}, damping {drive.damping} and "
+                f"effort limit {drive.effort_limit}: give zero or more",
+            )
+    _check_unique(articulation, "drives", (drive.joint for drive in articulation.drives))
+
+
+def _check_home(articulation: Articulation) -> None:
+    names = articulation.joint_names
+    for joint, position in articulation.home:
+        if joint not in names:
+            raise _error(articulation, f"a home position is of '{joint}', which is no movable joint: name one")
+        if not math.isfinite(position):
+            raise _error(articulation, f"joint '{joint}' has home position {position}: give a finite number")
+    _check_unique(articulation, "home positions", (joint for joint, _ in articulation.home))
 
 
 def _check_finite(articulation: Articulation, link: Link) -> None:
@@ -267,13 +322,7 @@ def _check_finite(articulation: Articulation, link: Link) -> None:
         raise _error(articulation, f"link '{link.name}' has an inertia or centre of mass that is not finite: mend it")
 
 
-def _check_inertia(articulation: Articulation, link: Link, *, may_be_massless: bool) -> None:
-    if link.mass == 0:
-        if may_be_massless:
-            return
-        raise _error(
-            articulation, f"link '{link.name}' moves but has no mass: give it mass and inertia, or fix its joint"
-        )
+def _check_inertia(articulation: Articulation, link: Link) -> None:
     if not np.allclose(link.inertia, link.inertia.T, rtol=1e-6, atol=1e-12):
         raise _error(articulation, f"link '{link.name}' has an inertia that is not symmetric: make it so")
     small, middle, large = np.linalg.eigvalsh(link.inertia)

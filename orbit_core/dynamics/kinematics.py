@@ -191,6 +191,7 @@ class KinematicTree:
 def mimic_matrix(articulation: Articulation) -> FloatArray:
     """(J, J): joint velocities when only leaders are free, from all velocities; a follower's column is zero.
 
+    A law with higher powers counts by its slope where the leader is at zero.
     ``jacobian @ mimic_matrix`` folds the followers' columns into their leaders'.
     """
     names = articulation.joint_names
@@ -198,7 +199,7 @@ def mimic_matrix(articulation: Articulation) -> FloatArray:
     for index, joint in enumerate(articulation.movable_joints):
         if joint.mimic is not None:
             matrix[index, index] = 0.0
-            matrix[index, names.index(joint.mimic.joint)] = joint.mimic.multiplier
+            matrix[index, names.index(joint.mimic.joint)] = joint.mimic.slope(0.0)
     return matrix
 
 

@@ -67,6 +67,10 @@ class JointParameters:
     damping: npt.NDArray[np.float64]
     friction: npt.NDArray[np.float64]
     armature: npt.NDArray[np.float64]
+    spring_stiffness: npt.NDArray[np.float64]
+    """Of the mechanism's own spring, N/m or N m/rad."""
+    spring_rest: npt.NDArray[np.float64]
+    """Position at which the spring exerts nothing, rad or m."""
     drive_stiffness: npt.NDArray[np.float64]
     """Of the engine's own drive; zero where the core computes the effort."""
     drive_damping: npt.NDArray[np.float64]
@@ -225,6 +229,8 @@ def _entity_parameters(entity: Entity) -> dict[str, npt.NDArray[np.float64]]:
     names = entity.articulation.joint_names
     own = ("lower_limit", "upper_limit", "effort_limit", "velocity_limit", "damping", "friction", "armature")
     values = {name: np.array([getattr(joint, name) for joint in joints], dtype=np.float64) for name in own}
+    values["spring_stiffness"] = np.array([joint.stiffness for joint in joints], dtype=np.float64)
+    values["spring_rest"] = np.array([joint.rest_position for joint in joints], dtype=np.float64)
     for name in ("drive_stiffness", "drive_damping"):
         values[name] = np.zeros(len(joints))
     driven: set[int] = set()
@@ -260,7 +266,7 @@ def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.
         home[index] = position
     for index, joint in enumerate(entity.articulation.movable_joints):
         if joint.mimic:
-            home[index] = joint.mimic.multiplier * home[names.index(joint.mimic.joint)] + joint.mimic.offset
+            home[index] = joint.mimic.position(home[names.index(joint.mimic.joint)])
     return home
 
 

@@ -15,6 +15,7 @@ from orbit_core.scene import (
     ForceTorqueSpec,
     HeightField,
     ImplicitPd,
+    LoopType,
     Mesh,
     MeshCollision,
     PhysicsMaterial,
@@ -95,13 +96,18 @@ def _entity_needs(entity: Entity) -> Iterator[tuple[Capability, str]]:
     if entity.gravity_compensation:
         yield Capability.GRAVITY_COMPENSATION, culprit
     for loop in articulation.loops:
-        yield Capability.LOOP_JOINTS, f"loop '{loop.name}' of {culprit}"
+        kind = Capability.WELD_LOOPS if loop.type is LoopType.WELD else Capability.LOOP_JOINTS
+        yield kind, f"loop '{loop.name}' of {culprit}"
     for joint in articulation.movable_joints:
         where = f"joint '{joint.name}' of {culprit}"
         if joint.mimic:
             yield Capability.MIMIC_JOINTS, where
+            if not joint.mimic.linear:
+                yield Capability.POLYNOMIAL_MIMICS, where
         if joint.damping:
             yield Capability.JOINT_DAMPING, where
+        if joint.stiffness:
+            yield Capability.JOINT_SPRINGS, where
         if joint.friction:
             yield Capability.JOINT_FRICTION, where
         if joint.armature:
@@ -115,6 +121,8 @@ def _entity_needs(entity: Entity) -> Iterator[tuple[Capability, str]]:
         if group.armature:
             yield Capability.ARMATURE, where
     for link in articulation.links:
+        if link.mass == 0 and link is not articulation.root:
+            yield Capability.MASSLESS_LINKS, f"link '{link.name}' of {culprit}"
         for shape in link.collisions:
             moving = not (entity.fixed_base and link is articulation.root)
             yield from _shape_needs(shape, f"link '{link.name}' of {culprit}", moving)

@@ -4,7 +4,7 @@ Units are SI, angles radians, z is up, quaternions are ``(w, x, y, z)``.
 """
 
 from orbit_core.scene.actuators import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
-from orbit_core.scene.articulation import Articulation, Frame, Joint, JointType, Link, LoopJoint, Mimic, single_link
+from orbit_core.scene.articulation import Articulation, Frame, Link, single_link
 from orbit_core.scene.deformables import Cloth, SoftBody
 from orbit_core.scene.entities import (
     END_EFFECTOR,
@@ -16,6 +16,7 @@ from orbit_core.scene.entities import (
     PlanarBase,
     RobotSpec,
 )
+from orbit_core.scene.joints import DriveGains, Joint, JointType, LoopJoint, LoopType, Mimic
 from orbit_core.scene.lights import AmbientLight, DirectionalLight, Light, Rgb, Sky
 from orbit_core.scene.markers import MarkerShape, MarkerSpec
 from orbit_core.scene.materials import Color, Compliance, PhysicsMaterial
@@ -48,10 +49,10 @@ from orbit_core.scene.shapes import (
 
 __all__ = [
     "END_EFFECTOR", "ActuatorConfig", "AmbientLight", "Articulation", "Box", "CameraSpec", "Capsule", "Channel",
-    "Cloth", "Color", "Compliance", "ContactSensorSpec", "Cylinder", "DcMotor", "DirectionalLight", "EndEffector",
-    "Entity", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField", "IdealPd",
-    "ImplicitPd", "ImuSpec", "Joint", "JointCommands", "JointSensorSpec", "JointType", "Light", "Link", "LoopJoint",
-    "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision", "Mimic", "Noise", "ObjectSpec", "PhysicsMaterial",
-    "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Rgb", "RobotSpec", "Scene", "SensorSpec", "Shape", "Sky",
-    "SoftBody", "Sphere", "look_at", "single_link",
+    "Cloth", "Color", "Compliance", "ContactSensorSpec", "Cylinder", "DcMotor", "DirectionalLight", "DriveGains",
+    "EndEffector", "Entity", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField",
+    "IdealPd", "ImplicitPd", "ImuSpec", "Joint", "JointCommands", "JointSensorSpec", "JointType", "Light", "Link",
+    "LoopJoint", "LoopType", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision", "Mimic", "Noise", "ObjectSpec",
+    "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Rgb", "RobotSpec", "Scene", "SensorSpec",
+    "Shape", "Sky", "SoftBody", "Sphere", "look_at", "single_link",
 ]  # fmt: skip

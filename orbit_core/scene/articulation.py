@@ -3,83 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import Enum
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
+from orbit_core.scene.joints import DriveGains, Joint, LoopJoint
 from orbit_core.scene.pose import Pose, Vector3
 from orbit_core.scene.shapes import Shape
-
-
-class JointType(Enum):
-    """How a joint lets its child link move."""
-
-    FIXED = "fixed"
-    REVOLUTE = "revolute"
-    """Rotation about the axis within limits, in radians."""
-    CONTINUOUS = "continuous"
-    """Rotation about the axis without limits; the position counts whole turns."""
-    PRISMATIC = "prismatic"
-    """Translation along the axis within limits, in metres."""
-
-
-@dataclass(frozen=True)
-class Mimic:
-    """The joint follows another: ``position = multiplier * position(joint) + offset``."""
-
-    joint: str
-    multiplier: float = 1.0
-    offset: float = 0.0
-
-
-@dataclass(frozen=True)
-class Joint:
-    """Connects ``child`` to ``parent``.
-
-    The joint frame is fixed at ``parent_pose`` in the parent link and at ``child_pose`` in the child link; the two
-    coincide at position zero, and the joint moves the second along or about ``axis`` (unit vector in the joint frame).
-    Efforts are N or N m, velocities m/s or rad/s, after the joint's type. ``damping`` (N s/m or N m s/rad) and
-    ``friction`` (N or N m, Coulomb) are the mechanism's own, not a drive's. ``armature`` is the reflected inertia of
-    the motor (kg or kg m^2).
-    """
-
-    name: str
-    type: JointType
-    parent: str
-    child: str
-    parent_pose: Pose = field(default_factory=Pose)
-    child_pose: Pose = field(default_factory=Pose)
-    axis: Vector3 = (0.0, 0.0, 1.0)
-    lower_limit: float = -np.inf
-    upper_limit: float = np.inf
-    effort_limit: float = np.inf
-    velocity_limit: float = np.inf
-    damping: float = 0.0
-    friction: float = 0.0
-    armature: float = 0.0
-    mimic: Mimic | None = None
-
-    @property
-    def movable(self) -> bool:
-        """Whether the joint has a position."""
-        return self.type is not JointType.FIXED
-
-
-@dataclass(frozen=True)
-class LoopJoint:
-    """A ball joint that closes a kinematic loop: holds a point of one link at a point of another.
-
-    Each point is in its link's frame. The joint has no position of its own: those of the tree's joints must satisfy it,
-    at home and whenever they are written.
-    """
-
-    name: str
-    first: str
-    second: str
-    first_point: Vector3 = (0.0, 0.0, 0.0)
-    second_point: Vector3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +18,9 @@ class Link:
     """A rigid body.
 
     ``inertia`` (3, 3) in kg m^2 is about the centre of mass, in the link's axes; ``center_of_mass`` is in the link
-    frame. ``semantic_label`` names the kind of thing in segmentation images; empty takes the entity's.
+    frame. ``semantic_label`` names the kind of thing in segmentation images; empty takes the entity's. A link without
+    mass and inertia may be the root of a fixed base, or stand between two joints of a tree, as those of a compound
+    joint do (:mod:`orbit_core.assets.compound_joints`).
     """
 
     name: str
@@ -127,6 +60,10 @@ class Articulation:
     notes: tuple[str, ...] = ()
     """What a reader or the catalogue changed against the source, for the build report."""
     loops: tuple[LoopJoint, ...] = ()
+    drives: tuple[DriveGains, ...] = ()
+    """What the file says of the motors; :mod:`orbit_core.assets.drives` makes actuators of it when asked."""
+    home: tuple[tuple[str, float], ...] = ()
+    """A joint's name and its position (rad or m) in the pose that the file names as home, for those that it names."""
 
     @property
     def root(self) -> Link:

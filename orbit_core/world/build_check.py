@@ -16,6 +16,7 @@ from torch import Tensor
 
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import quat_distance
+from orbit_core.dynamics.tree import link_ancestry
 from orbit_core.interfaces import BuildError, BuiltModel, Engine, EntityLayout, SceneLayout
 
 FloatArray = npt.NDArray[np.float64]
@@ -65,6 +66,9 @@ def _wrong_inertias(layout: SceneLayout, model: BuiltModel) -> Iterator[str]:
             if entity.spec.fixed_base and number == entity.root_link:
                 continue
             subject = f"of link '{link.name}' of '{entity.name}'"
+            if link.mass == 0:
+                yield from _wrong_stand_in(entity, number, model)
+                continue
             if not np.isclose(model.masses[number], link.mass, rtol=_RELATIVE, atol=0.0):
                 yield f"the mass {subject} is {model.masses[number]:.6g} kg instead of {link.mass:.6g}"
             center = model.centers_of_mass[number]
@@ -78,6 +82,25 @@ def _wrong_inertias(layout: SceneLayout, model: BuiltModel) -> Iterator[str]:
             if possible and not np.allclose(model.inertias[number], inertia, rtol=0.0, atol=10 * _RELATIVE * largest):
                 off = np.abs(model.inertias[number] - inertia).max() / largest
                 yield f"the inertia {subject} is {off:.2g} of its largest moment, {largest:.4g} kg m^2, off"
+
+
+def _wrong_stand_in(entity: EntityLayout, number: int, model: BuiltModel) -> Iterator[str]:
+    """A link without mass may be built with so little mass and inertia that what it carries has far more."""
+    articulation = entity.spec.articulation
+    index = number - entity.root_link
+    carried = [
+        link for link, above in zip(articulation.links, link_ancestry(articulation), strict=True) if above[index]
+    ]
+    subject = f"of link '{articulation.links[index].name}' of '{entity.name}'"
+    most = _RELATIVE * sum(link.mass for link in carried)
+    if model.masses[number] > most:
+        yield f"the mass {subject} is {model.masses[number]:.6g} kg instead of none, and {most:.3g} would be too much"
+    if model.inertias is None:
+        return
+    most = _RELATIVE * sum(float(np.linalg.eigvalsh(link.inertia)[-1]) for link in carried)
+    largest = float(np.abs(model.inertias[number]).max())
+    if largest > most:
+        yield f"the inertia {subject} is {largest:.6g} kg m^2 instead of none, and {most:.3g} would be too much"
 
 
 def _wrong_joints(layout: SceneLayout, model: BuiltModel) -> Iterator[str]:
@@ -134,7 +157,7 @@ def _positions_elsewhere(layout: SceneLayout) -> FloatArray:
         for index, joint in enumerate(articulation.movable_joints):
             if joint.mimic is not None:
                 leader = positions[start + articulation.joint_names.index(joint.mimic.joint)]
-                positions[start + index] = joint.mimic.multiplier * leader + joint.mimic.offset
+                positions[start + index] = joint.mimic.position(leader)
     return positions
 
 

@@ -195,7 +195,7 @@ class SimulatedObject(Object):
             velocities = chosen.values(velocities, shape, f"joint velocities of '{self.name}'", VELOCITIES)
         indices, columns = self._all_joints, self.layout.joints
         if joints is not None:
-            moved, positions, velocities = self._with_followers(list(written), positions, velocities)
+            moved, positions, velocities = self._with_followers(list(written), positions, velocities, chosen.rows)
             indices = columns = indices[moved]
         self._engine.write_joint_state(indices, positions, velocities, chosen.rows)
         if positions is not None:
@@ -304,7 +304,7 @@ class SimulatedObject(Object):
         return torch.tensor(chosen, dtype=torch.int64, device=self._engine.device) + self.layout.root_link
 
     def _with_followers(
-        self, chosen: list[int], positions: Tensor | None, velocities: Tensor | None
+        self, chosen: list[int], positions: Tensor | None, velocities: Tensor | None, rows: Tensor | None
     ) -> tuple[list[int], Tensor | None, Tensor | None]:
         """Mimic joints move with their leaders, so that a written state already satisfies the constraint."""
         joints = list(chosen)
@@ -317,11 +317,19 @@ class SimulatedObject(Object):
             column = chosen.index(leader)
             joints.append(index)
             if positions is not None:
-                follower = joint.mimic.multiplier * positions[:, column : column + 1] + joint.mimic.offset
+                follower = joint.mimic.position(positions[:, column : column + 1])
                 positions = torch.cat((positions, follower), -1)
             if velocities is not None:
-                velocities = torch.cat((velocities, joint.mimic.multiplier * velocities[:, column : column + 1]), -1)
+                at = self._leader_positions(leader, column, positions, rows)
+                velocities = torch.cat((velocities, joint.mimic.slope(at) * velocities[:, column : column + 1]), -1)
         return joints, positions, velocities
+
+    def _leader_positions(self, leader: int, column: int, positions: Tensor | None, rows: Tensor | None) -> Tensor:
+        """(n, 1): as written, else as they are."""
+        if positions is not None:
+            return positions[:, column : column + 1]
+        current = self.joint_positions[:, leader : leader + 1]
+        return current if rows is None or rows.dtype == torch.bool else current[rows]
 
     def _frame(self, name: str) -> _FrameHandle:
         handle = self._frames.get(name) if isinstance(name, str) else None

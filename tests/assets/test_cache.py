@@ -17,10 +17,13 @@ from orbit_core.scene import (
     Articulation,
     Box,
     Compliance,
+    DriveGains,
     Frame,
     Joint,
     JointType,
     Link,
+    LoopJoint,
+    LoopType,
     Mesh,
     MeshCollision,
     Mimic,
@@ -39,10 +42,13 @@ def make() -> Articulation:
     links = tuple(Link(name, 1.0, (0.1, 0.0, 0.0), np.eye(3), shapes, shapes[:1], "label") for name in "abc")
     joints = (
         Joint("first", JointType.REVOLUTE, "a", "b", Pose.from_euler(0.1, 0.2, 0.3), lower_limit=-1.0, armature=0.1),
-        Joint("second", JointType.PRISMATIC, "b", "c", mimic=Mimic("first", 2.0)),
+        Joint("second", JointType.PRISMATIC, "b", "c", mimic=Mimic("first", 2.0, 0.0, (0.5, 0.0, 0.1)), stiffness=3.0),
     )
     frames = (Frame("tip", "c", Pose((0.0, 0.0, 1 / 3))),)
-    return Articulation("thing", links, joints, frames, True, (("a", "c"),), ("a note",))
+    loops = (LoopJoint("weld", "a", "c", type=LoopType.WELD, orientation=(0.6, 0.8, 0.0, 0.0)),)
+    drives = (DriveGains("first", 10.0, 1.0),)
+    home = (("first", 0.3), ("second", 0.6 + 0.5 * 0.3**2 + 0.1 * 0.3**4))
+    return Articulation("thing", links, joints, frames, True, (("a", "c"),), ("a note",), loops, drives, home)
 
 
 @pytest.fixture(autouse=True)
@@ -72,6 +78,7 @@ def hide(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
 def assert_same(a: Articulation, b: Articulation) -> None:
     assert (a.name, a.joints, a.frames, a.notes) == (b.name, b.joints, b.frames, b.notes)
     assert (a.self_collisions, a.collision_exclusions) == (b.self_collisions, b.collision_exclusions)
+    assert (a.loops, a.drives, a.home) == (b.loops, b.drives, b.home)
     for one, two in zip(a.links, b.links, strict=True):
         assert (one.name, one.mass, one.center_of_mass) == (two.name, two.mass, two.center_of_mass)
         assert (one.collisions, one.visuals, one.semantic_label) == (two.collisions, two.visuals, two.semantic_label)

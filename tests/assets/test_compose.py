@@ -11,7 +11,7 @@ from orbit_core.assets.compose import add_frames, attach, edit_joints, edit_link
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.validation import validate
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
-from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, Mimic, Pose
+from orbit_core.scene import Articulation, DriveGains, Frame, Joint, JointType, Link, Mimic, Pose
 
 BODY = {"mass": 1.0, "inertia": np.eye(3)}
 
@@ -64,6 +64,17 @@ def test_subtree_undoes_attach() -> None:
     cut = validate(subtree(attach(arm(), hand(), "flange"), "palm", "hand"))
     assert (cut.name, cut.link_names, cut.joints) == ("hand", hand().link_names, hand().joints)
     assert (cut.frames, cut.collision_exclusions) == (hand().frames, hand().collision_exclusions)
+
+
+def test_drives_and_home_positions_go_with_their_joints() -> None:
+    drives = (DriveGains("left_joint", 10.0),)
+    driven = replace(hand(), drives=drives, home=(("right_joint", -0.1),))
+    both = validate(attach(arm(), driven, "flange", prefix="h_"))
+    assert both.drives == (DriveGains("h_left_joint", 10.0),)
+    assert both.home == (("h_right_joint", -0.1),)
+    cut = validate(subtree(attach(arm(), driven, "flange"), "palm"))
+    assert (cut.drives, cut.home) == (drives, driven.home)
+    assert subtree(both, "side").drives == ()
 
 
 def test_subtree_refuses_a_mimic_that_it_would_cut() -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.validation import validate
-from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, LoopJoint, Pose, Shape, Sphere
+from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, LoopJoint, LoopType, Pose, Shape, Sphere
 
 _number = st.floats(-1.0, 1.0)
 _vector = st.tuples(_number, _number, _number)
@@ -142,3 +142,18 @@ def test_a_loop_moves_to_the_link_that_takes_its_end_in() -> None:
     (merged,) = merge_fixed_links(Articulation("arm", links, joints, loops=(loop,))).loops
     assert (merged.first, merged.second, merged.first_point) == ("base", "arm", (0.1, 0.0, 0.0))
     assert merged.second_point == pytest.approx((0.5, 0.2, 0.0))
+
+
+def test_a_weld_keeps_what_it_holds_when_an_end_is_merged() -> None:
+    links = tuple(Link(name, 1.0, inertia=np.eye(3)) for name in ("base", "arm", "tip"))
+    mount = Pose.from_euler(0.3, -0.4, 0.5, (0.5, 0.0, 0.0))
+    joints = (
+        Joint("turn", JointType.CONTINUOUS, "base", "arm"),
+        Joint("mount", JointType.FIXED, "arm", "tip", parent_pose=mount),
+    )
+    held = Pose.from_euler(0.1, 0.7, -0.2)
+    weld = LoopJoint("weld", "base", "tip", type=LoopType.WELD, orientation=held.orientation)
+    (merged,) = merge_fixed_links(Articulation("arm", links, joints, loops=(weld,))).loops
+    assert merged.type is LoopType.WELD
+    # The tip stands in the base as held, so the arm stands as held and the mount undone.
+    assert merged.orientation == pytest.approx((held @ mount.inverse()).orientation)

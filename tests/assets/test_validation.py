@@ -11,7 +11,21 @@ import pytest
 
 from orbit_core.assets.validation import sort_links, validate, validate_entity
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, LoopJoint, Mimic, ObjectSpec, Pose
+from orbit_core.scene import (
+    Articulation,
+    Box,
+    DriveGains,
+    Frame,
+    Joint,
+    JointType,
+    Link,
+    LoopJoint,
+    LoopType,
+    Mimic,
+    ObjectSpec,
+    Pose,
+    Shape,
+)
 
 INERTIA = np.diag([0.01, 0.02, 0.02])
 
@@ -38,6 +52,27 @@ def with_joint(**changes: Any) -> Articulation:
 def with_link(**changes: Any) -> Articulation:
     base, upper, lower = chain().links
     return chain(links=(base, upper, replace(lower, **changes)))
+
+
+def with_middle(**changes: Any) -> Articulation:
+    """The link between the joints has no mass."""
+    base, _, lower = chain().links
+    return chain(links=(base, replace(Link("upper"), **changes), lower))
+
+
+def test_a_link_without_mass_may_stand_between_joints_about_different_axes() -> None:
+    shoulder, elbow = with_middle().joints
+    articulation = replace(with_middle(), joints=(shoulder, replace(elbow, axis=(1.0, 0.0, 0.0))))
+    assert validate(articulation) is articulation
+
+
+def test_a_weld_that_is_turned_at_home_is_refused() -> None:
+    quarter = Pose.from_axis_angle((0.0, 0.0, 1.0), 0.5)
+    weld = LoopJoint("weld", "base", "lower", type=LoopType.WELD, orientation=quarter.orientation)
+    arm = chain(loops=(weld,))
+    with pytest.raises(AssetError, match=r"weld 'weld' is turned by 0\.5 rad"):
+        validate_entity(ObjectSpec(name="arm", articulation=arm, fixed_base=True))
+    validate_entity(ObjectSpec(name="arm", articulation=arm, fixed_base=True, home={"elbow": 0.5}))
 
 
 def test_sound_articulation_is_returned_as_it_is() -> None:
@@ -71,6 +106,20 @@ def test_axes_get_unit_length() -> None:
         (with_joint(type=JointType.CONTINUOUS, upper_limit=2.0), "continuous and has limits, -inf to 2.0"),
         (with_joint(damping=-1.0), "damping -1.0"),
         (with_joint(effort_limit=math.nan), "effort_limit nan"),
+        (with_joint(stiffness=-1.0), "stiffness -1.0"),
+        (with_joint(stiffness=math.inf), "stiffness inf"),
+        (with_joint(rest_position=math.nan), "rest_position nan"),
+        (with_joint(mimic=Mimic("shoulder", higher_powers=(1.0, 1.0, 1.0, 1.0))), "with 4 higher powers"),
+        (with_joint(mimic=Mimic("shoulder", higher_powers=(math.nan,))), "not finite"),
+        (chain(drives=(DriveGains("knee"),)), "a drive is on 'knee'"),
+        (chain(drives=(DriveGains("elbow", stiffness=-1.0),)), "stiffness -1.0"),
+        (chain(drives=(DriveGains("elbow"), DriveGains("elbow"))), "two drives share the name 'elbow'"),
+        (chain(home=(("knee", 0.0),)), "a home position is of 'knee'"),
+        (chain(home=(("elbow", math.nan),)), "home position nan"),
+        (chain(loops=(LoopJoint("l", "base", "lower", orientation=(2.0, 0.0, 0.0, 0.0)),)), "no unit quaternion"),
+        (with_middle(inertia=INERTIA), "'upper' has an inertia but no mass"),
+        (with_middle(collisions=(Shape(Box((0.1, 0.1, 0.1))),)), "'upper' collides but has no mass"),
+        (with_middle(), "'shoulder', 'elbow' move link 'lower' in the same way"),
         (with_joint(mimic=Mimic("nowhere")), "does not exist"),
         (with_joint(mimic=Mimic("elbow")), "itself"),
         (with_link(mass=-1.0), "mass -1.0"),
