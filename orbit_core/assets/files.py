@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from orbit_core.assets.naming import names_file
+from orbit_core.assets.options import ReadOptions
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.scene import Articulation
 
@@ -31,10 +33,12 @@ def asset_file(name: str) -> Path:
     return path
 
 
-def load_articulation(path: Path | str, *, merge: bool = True) -> Articulation:
+@names_file
+def load_articulation(path: Path | str, *, merge: bool = True, options: ReadOptions = ReadOptions()) -> Articulation:
     """The articulation that a URDF, MJCF or USD file describes, validated.
 
-    ``merge`` takes fixed joints out, as every scene needs it; a converter keeps them.
+    ``merge`` takes fixed joints out, as every scene needs it; a converter keeps them. ``options`` says which files the
+    model may open, how large it may be, and what is done with what ORBIT lacks.
 
     Raises:
         AssetError: the file is missing, of another format, malformed, or describes nothing that can be simulated.
@@ -42,11 +46,11 @@ def load_articulation(path: Path | str, *, merge: bool = True) -> Articulation:
     from orbit_core.assets.merge import merge_fixed_links
     from orbit_core.assets.validation import validate
 
-    articulation = validate(_read(Path(path)))
+    articulation = validate(_read(Path(path), options))
     return merge_fixed_links(articulation) if merge else articulation
 
 
-def _read(path: Path) -> Articulation:
+def _read(path: Path, options: ReadOptions) -> Articulation:
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES:
         raise AssetError(f"'{path}' has no suffix of a known format: give one of {', '.join(_SUFFIXES)}")
@@ -55,11 +59,11 @@ def _read(path: Path) -> Articulation:
     if suffix == ".urdf":
         from orbit_core.assets.urdf import read_urdf
 
-        return read_urdf(path)
+        return read_urdf(path, options=options)
     if suffix in (".xml", ".mjcf"):
         from orbit_core.assets.mjcf import read_mjcf
 
-        return read_mjcf(path)
+        return read_mjcf(path, options=options)
     from orbit_core.assets.usd import read_usd
 
-    return read_usd(path)
+    return read_usd(path, options=options)

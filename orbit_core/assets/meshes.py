@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from orbit_core.assets.mesh_files import open_mesh
+from orbit_core.assets.naming import names_file
+from orbit_core.assets.options import ReadOptions
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Color, Mesh
 from orbit_core.scene.pose import Vector3
@@ -21,26 +24,41 @@ class MeshPart:
     color: Color | None
 
 
-def load_mesh(path: Path | str, scale: Vector3 = (1.0, 1.0, 1.0)) -> Mesh:
+@names_file
+def load_mesh(
+    path: Path | str,
+    scale: Vector3 = (1.0, 1.0, 1.0),
+    *,
+    options: ReadOptions = ReadOptions(),
+    model: Path | None = None,
+) -> Mesh:
     """The triangles of an STL, OBJ, DAE, GLB or other mesh file, placed by its scene graph, in metres.
 
     A DAE file's unit is honoured and its up axis is not, as in ROS. ``scale`` may reflect: faces then turn round, so
-    that they still look outward. Equal vertices are merged.
+    that they still look outward. Equal vertices are merged. ``model`` is the file that names the mesh, whose folder and
+    packages hold what else the mesh names, such as pictures.
 
     Raises:
         AssetError: the file is missing, cannot be decoded or holds no triangle.
     """
-    return _concatenated(_load(Path(path), scale))
+    return _concatenated(_load(Path(path), scale, options, model))
 
 
-def load_parts(path: Path | str, scale: Vector3 = (1.0, 1.0, 1.0)) -> tuple[MeshPart, ...]:
+@names_file
+def load_parts(
+    path: Path | str,
+    scale: Vector3 = (1.0, 1.0, 1.0),
+    *,
+    options: ReadOptions = ReadOptions(),
+    model: Path | None = None,
+) -> tuple[MeshPart, ...]:
     """As :func:`load_mesh`, one part per colour in the file; a texture counts as its median colour.
 
     Raises:
         AssetError: as :func:`load_mesh`.
     """
     by_color: dict[Color | None, list[Any]] = {}
-    for geometry in _load(Path(path), scale):
+    for geometry in _load(Path(path), scale, options, model):
         by_color.setdefault(_color(geometry), []).append(geometry)
     return tuple(MeshPart(_concatenated(group), color) for color, group in by_color.items())
 
@@ -62,21 +80,12 @@ def simplified_hull(mesh: Mesh, directions: int = 32) -> Mesh:
     return _mesh(hull.vertices, hull.faces)
 
 
-def _load(path: Path, scale: Vector3) -> list[Any]:
+def _load(path: Path, scale: Vector3, options: ReadOptions, model: Path | None) -> list[Any]:
     import trimesh
 
-    if not path.is_file():
-        raise AssetError(f"mesh file '{path}' does not exist: put it there or correct the path")
-    if 0.0 in scale:
-        raise AssetError(f"mesh file '{path}' is scaled by {scale}: no factor may be zero")
-    try:
-        scene = trimesh.load_scene(path)
-    except ImportError as error:
-        raise AssetError(
-            f"mesh file '{path}' needs a decoder that is not installed ({error}): pip install \"orbit-core[robots]\""
-        ) from error
-    except Exception as error:  # a decoder's own errors are of any class
-        raise AssetError(f"mesh file '{path}' cannot be read ({error}): re-export it") from error
+    if 0.0 in scale or not np.isfinite(scale).all():
+        raise AssetError(f"mesh file '{path}' is scaled by {scale}: give finite factors that are not zero")
+    scene = open_mesh(path, options, model or path)
     if scene.units not in (None, "meters"):
         scene = scene.convert_units("meters")
     geometries = [

@@ -20,7 +20,10 @@ from typing import Any
 
 import numpy as np
 
+from orbit_core.assets.mjcf_files import check_references
 from orbit_core.assets.mjcf_geometry import Geoms, vector_of
+from orbit_core.assets.naming import names_file
+from orbit_core.assets.options import ReadOptions
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import (
     Articulation,
@@ -39,7 +42,8 @@ _LINK_MASS, _LINK_INERTIA = 1e-4, 1e-7
 """kg and kg m^2 of a link between two joints of one body: enough for an engine to invert, too little to be felt."""
 
 
-def read_mjcf(path: str | Path) -> Articulation:
+@names_file
+def read_mjcf(path: Path | str, *, options: ReadOptions = ReadOptions()) -> Articulation:
     """The one articulation in an MJCF file.
 
     Its root is the one body that floats freely or stands fixed in the world; where several bodies hang from the world,
@@ -53,6 +57,7 @@ def read_mjcf(path: str | Path) -> Articulation:
         mujoco: Any = importlib.import_module("mujoco")
     except ImportError:
         raise AssetError('MJCF files need the package mujoco: pip install "orbit-core[mjcf]"') from None
+    check_references(path, options)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         model = spec.compile()

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
 import numpy.typing as npt
 
 from orbit_core.assets.meshes import MeshPart, load_mesh, load_parts
+from orbit_core.assets.naming import names_file, naming
+from orbit_core.assets.options import ReadOptions
+from orbit_core.assets.outside import resolve_file
+from orbit_core.assets.source_text import read_xml
 from orbit_core.assets.validation import sort_links
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import (
@@ -39,27 +41,34 @@ _REMEDIES = {
 }
 
 
-def read_urdf(path: Path | str, packages: Mapping[str, Path] | None = None, name: str | None = None) -> Articulation:
+@names_file
+def read_urdf(
+    path: Path | str,
+    packages: Mapping[str, Path] | None = None,
+    name: str | None = None,
+    *,
+    options: ReadOptions = ReadOptions(),
+) -> Articulation:
     """The articulation that a URDF file describes, in link order depth first, fixed joints kept.
 
-    ``packages`` gives the folder of each package that ``package://`` names; one that it lacks is looked for among the
-    folders above the file. Collision meshes collide as their convex hulls. Visual meshes keep their files' colours
-    where the URDF gives none, a texture as its median colour. Transmissions, safety controllers and simulators' own
-    elements are not read.
+    ``packages`` adds folders of packages that ``package://`` names to those of ``options``; one that neither has is
+    looked for among the folders above the file. Collision meshes collide as their convex hulls. Visual meshes keep
+    their files' colours where the URDF gives none, a texture as its median colour. Transmissions, safety controllers
+    and simulators' own elements are not read.
 
     Raises:
         AssetError: the file, or one that it names, is missing, malformed or describes what ORBIT has no word for.
     """
     path = Path(path)
-    return _Reader(path, packages or {}).read(name)
+    return _Reader(path, replace(options, packages={**options.packages, **(packages or {})})).read(name)
 
 
 class _Reader:
     """One file's reading: it knows the file for its messages, the named materials, and meshes met before."""
 
-    def __init__(self, path: Path, packages: Mapping[str, Path]) -> None:
+    def __init__(self, path: Path, options: ReadOptions) -> None:
         self.path = path
-        self.packages = packages
+        self.options = options
         self.colors: dict[str, Color] = {}
         self.hulls: dict[tuple[Path, Vector3], Geometry] = {}
         self.parts: dict[tuple[Path, Vector3], tuple[MeshPart, ...]] = {}
@@ -78,13 +87,7 @@ class _Reader:
         return replace(articulation, notes=("collision meshes of the URDF collide as their convex hulls",))
 
     def _parse(self) -> Element:
-        if not self.path.is_file():
-            raise AssetError(f"URDF file '{self.path}' does not exist: correct the path")
-        text = self.path.read_text(encoding="utf-8")
-        try:
-            root = ElementTree.fromstring(_bind_prefixes(text))
-        except ElementTree.ParseError as error:
-            raise AssetError(f"URDF file '{self.path}' is not well-formed XML ({error}): correct it") from None
+        root = read_xml(self.path, self.options)
         if root.tag != "robot":
             raise self._error(f"its root element is <{root.tag}>", "give a URDF file, whose root is <robot>")
         if any(isinstance(child.tag, str) and "xacro" in child.tag for child in root):
@@ -160,7 +163,7 @@ class _Reader:
             return
         key = self._mesh_file(mesh, where)
         if key not in self.hulls:
-            self.hulls[key] = load_mesh(*key)
+            self.hulls[key] = load_mesh(*key, options=self.options, model=self.path)
         yield Shape(self.hulls[key], pose, name=name)
 
     def _visual(self, element: Element, where: str) -> Iterator[Shape]:
@@ -174,7 +177,7 @@ class _Reader:
             return
         key = self._mesh_file(mesh, where)
         if key not in self.parts:
-            self.parts[key] = load_parts(*key)
+            self.parts[key] = load_parts(*key, options=self.options, model=self.path)
         for part in self.parts[key]:
             shape = Shape(part.mesh, pose, name=name)
             shown = color or part.color
@@ -196,27 +199,8 @@ class _Reader:
     def _mesh_file(self, mesh: Element, where: str) -> tuple[Path, Vector3]:
         uri = self._attribute(mesh, "filename", where)
         scale = self._vector(mesh, "scale", where, (1.0, 1.0, 1.0))
-        path = self._resolve(uri, where)
-        if not path.is_file():
-            raise self._error(
-                f"{where} needs mesh file '{path}', which does not exist", "put it there or correct its path"
-            )
-        return path, scale
-
-    def _resolve(self, uri: str, where: str) -> Path:
-        if uri.startswith("file://"):
-            return Path(uri.removeprefix("file://"))
-        if not uri.startswith("package://"):
-            return self.path.parent / uri
-        package, _, inner = uri.removeprefix("package://").partition("/")
-        if package in self.packages:
-            return Path(self.packages[package]) / inner
-        for folder in self.path.resolve().parents:
-            if folder.name == package:
-                return folder / inner
-        raise self._error(
-            f"{where} needs '{uri}' of an unknown package", f"give its folder: packages={{'{package}': folder}}"
-        )
+        with naming(f"in URDF file '{self.path}', {where}"):
+            return resolve_file(uri, self.path, self.options), scale
 
     def _material(self, element: Element) -> Color | None:
         material = element.find("material")
@@ -276,11 +260,3 @@ class _Reader:
 
     def _error(self, fault: str, remedy: str) -> AssetError:
         return AssetError(f"in URDF file '{self.path}', {fault}: {remedy}")
-
-
-def _bind_prefixes(text: str) -> str:
-    # Published files use prefixes such as xacro: or gazebo: without declaring them; ElementTree refuses those.
-    used = set(re.findall(r"</?([A-Za-z_][\w.-]*):", text)) | set(re.findall(r"\s([A-Za-z_][\w.-]*):[\w.-]+\s*=", text))
-    declared = set(re.findall(r"xmlns:([\w.-]+)\s*=", text)) | {"xml", "xmlns"}
-    declarations = "".join(f' xmlns:{prefix}="urn:{prefix}"' for prefix in sorted(used - declared))
-    return re.sub(r"<robot\b", f"<robot{declarations}", text, count=1)

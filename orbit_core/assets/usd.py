@@ -16,7 +16,10 @@ from typing import Any
 import numpy as np
 
 from orbit_core.assets.inertia import MassProperties, combine, mass_properties
+from orbit_core.assets.naming import names_file
+from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.usd_geometry import Placement, Units, attribute, label, pxr, read_shape
+from orbit_core.assets.usd_layers import open_stage
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, Mimic, Pose, Shape
 from orbit_core.scene.pose import FloatArray, Vector3
@@ -35,7 +38,8 @@ _TYPES = {
 _AXES: dict[str, Vector3] = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 
 
-def read_usd(path: str | Path) -> Articulation:
+@names_file
+def read_usd(path: Path | str, *, options: ReadOptions = ReadOptions()) -> Articulation:
     """The one articulation in a USD file.
 
     Where the root stands in the stage is left out, as is a fixed joint that holds it there: the entity says both. A
@@ -45,12 +49,7 @@ def read_usd(path: str | Path) -> Articulation:
         AssetError: the file cannot be opened, holds several articulations, a loop, or a joint or shape of a kind that
             ORBIT lacks, or USD is not installed.
     """
-    usd = pxr()
-    try:
-        stage = usd.Usd.Stage.Open(str(path))
-    except usd.Tf.ErrorException as error:
-        raise AssetError(f"{path} is no USD file that can be opened: {error}") from None
-    return _Reader(stage, Path(path)).read()
+    return _Reader(open_stage(path, options), Path(path)).read()
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,142 @@
+"""Mesh files decoded by trimesh, which opens no other file and makes no more of one than the caller allows."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import struct
+import warnings
+from pathlib import Path
+from typing import Any
+
+from orbit_core.assets.archives import check_archive, check_picture
+from orbit_core.assets.options import ReadOptions
+from orbit_core.assets.outside import check_file, resolve_file
+from orbit_core.interfaces.errors import AssetError
+
+SUFFIXES = ("stl", "obj", "dae", "zae", "glb", "gltf", "ply", "off", "3mf")
+"""Of the formats that are read; what else trimesh decodes has not been held to any limits."""
+_ENTITY = re.compile(rb"<!\s*(ENTITY|DOCTYPE)")
+
+
+def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
+    """A mesh file as a trimesh scene.
+
+    Args:
+        path: the file; what it names besides, such as pictures, must lie where ``model`` may name files.
+        options: the limits, and what files may be opened.
+        model: the file that names the mesh.
+
+    Raises:
+        AssetError: the file is missing, of another format, cannot be decoded, or goes beyond the limits.
+    """
+    import trimesh
+
+    check_file(path, options)
+    suffix = path.suffix.lower().removeprefix(".")
+    if suffix not in SUFFIXES:
+        raise AssetError(f"mesh file '{path}' is of no format that is read: export it as {', '.join(SUFFIXES)}")
+    if suffix in ("zae", "3mf"):
+        check_archive(path, options)
+    data = path.read_bytes()
+    _check_content(data, suffix, path, options)
+    try:
+        with warnings.catch_warnings():
+            _refuse_huge_pictures()
+            return trimesh.load_scene(
+                io.BytesIO(data), file_type=suffix, resolver=_Neighbours(path, options, model).as_trimesh()
+            )
+    except AssetError:
+        raise
+    except ImportError as error:
+        raise AssetError(
+            f"mesh file '{path}' needs a decoder that is not installed ({error}): pip install \"orbit-core[robots]\""
+        ) from error
+    except Exception as error:  # a decoder's own errors are of any class
+        raise AssetError(f"mesh file '{path}' cannot be read ({error}): re-export it") from error
+
+
+class _Neighbours:
+    """The files that a mesh names, by their names."""
+
+    def __init__(self, path: Path, options: ReadOptions, model: Path) -> None:
+        self.path = path
+        self.options = options
+        self.model = model
+
+    def get(self, name: Any) -> bytes:
+        """The bytes of a file.
+
+        Raises:
+            AssetError: the model may not name it, or it is a picture of too many pixels.
+            FileNotFoundError: it is missing, which most decoders take for a mesh without a picture.
+        """
+        text = name.decode("utf-8", "replace") if isinstance(name, bytes) else str(name)
+        text = text.strip().replace("\\", "/")
+        if "://" not in text and not (self.path.parent / text).is_file():
+            raise FileNotFoundError(text)
+        data = resolve_file(text, self.path, self.options, model=self.model).read_bytes()
+        check_picture(data[:24], text, self.options)
+        return data
+
+    def as_trimesh(self) -> Any:
+        """As the class that trimesh asks for, which is not imported before a mesh is read."""
+        from trimesh.resolvers import Resolver
+
+        neighbours = self
+
+        class Neighbours(Resolver):
+            def __init__(self) -> None:
+                pass
+
+            def get(self, key: Any) -> bytes:
+                return neighbours.get(key)
+
+            def write(self, name: str, data: Any) -> None:
+                raise AssetError(f"reading a mesh writes no file '{name}'")
+
+            def namespaced(self, namespace: str) -> Any:
+                return self
+
+            def keys(self) -> Any:
+                return ()
+
+        return Neighbours()
+
+
+def _refuse_huge_pictures() -> None:
+    from PIL.Image import DecompressionBombWarning
+
+    warnings.simplefilter("error", DecompressionBombWarning)
+
+
+def _check_content(data: bytes, suffix: str, path: Path, options: ReadOptions) -> None:
+    """Refuse what makes a decoder ask for memory out of proportion to the file."""
+    if suffix == "dae" and _ENTITY.search(data.replace(b"\0", b"")[:65536]):
+        raise AssetError(f"mesh file '{path}' declares XML entities: export it again without")
+    if suffix in ("glb", "gltf"):
+        _check_accessors(_gltf_header(data, path), path, options)
+
+
+def _gltf_header(data: bytes, path: Path) -> Any:
+    """The JSON of a glTF file, text or binary."""
+    if data[:4] == b"glTF" and len(data) >= 20:
+        (length,) = struct.unpack("<I", data[12:16])
+        data = data[20 : 20 + length]
+    try:
+        return json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise AssetError(f"mesh file '{path}' is no glTF ({error}): export it again") from None
+
+
+def _check_accessors(header: Any, path: Path, options: ReadOptions) -> None:
+    """An accessor without data stands for as many zeros as it says."""
+    accessors = header.get("accessors", []) if isinstance(header, dict) else []
+    for accessor in accessors if isinstance(accessors, list) else []:
+        count = accessor.get("count", 0) if isinstance(accessor, dict) else 0
+        if not isinstance(count, int) or not 0 <= count <= 3 * options.limits.vertices:
+            raise AssetError(
+                f"mesh file '{path}' has an accessor of {count} elements: give {3 * options.limits.vertices} at most, "
+                "or raise ReadLimits.vertices"
+            )

@@ -1,0 +1,56 @@
+"""Errors of parsers and of arithmetic as :class:`AssetError`, with the file and the element that caused them."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Concatenate, ParamSpec, TypeVar
+
+from orbit_core.interfaces.errors import AssetError, OrbitError
+
+_LONGEST = 1000
+"""Characters of a message; parsers quote whole files."""
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+@contextmanager
+def naming(place: str) -> Iterator[None]:
+    """Let whatever is raised within leave as one :class:`AssetError` of one line that names ``place``.
+
+    An :class:`AssetError` that names the place already passes as it is. Nested uses name the outer place first.
+
+    Raises:
+        AssetError: anything was raised within, but for what ends the process.
+    """
+    try:
+        yield
+    except OrbitError as error:
+        text = str(error)
+        if isinstance(error, AssetError) and place in text and "\n" not in text:
+            raise
+        said = one_line(text)
+        raise AssetError(said if place in said else f"{place}: {said}") from error
+    except Exception as error:
+        cause = one_line(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
+        raise AssetError(f"{place} cannot be read ({cause}): mend the file or export it again") from error
+
+
+def names_file(read: Callable[Concatenate[Path | str, _P], _R]) -> Callable[Concatenate[Path | str, _P], _R]:
+    """A reader whose errors all name the file that is its first argument, see :func:`naming`."""
+
+    @functools.wraps(read)
+    def named(path: Path | str, *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        with naming(str(path)):
+            return read(path, *args, **kwargs)
+
+    return named
+
+
+def one_line(text: str) -> str:
+    """A message of any length on one line, cut where it quotes too much."""
+    joined = " ".join(text.split())
+    return joined if len(joined) <= _LONGEST else f"{joined[:_LONGEST]} ..."

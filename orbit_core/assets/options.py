@@ -1,0 +1,61 @@
+"""How asset files are read: what they may open, how large they may be, and what is done with what ORBIT lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+
+
+class Unsupported(Enum):
+    """What becomes of something in a file that the description cannot hold."""
+
+    REFUSE = "refuse"
+    """The file is refused, by the name of what it holds."""
+    DROP = "drop"
+    """It is left out, and the articulation's notes say so."""
+
+
+class Repair(Enum):
+    """What becomes of an inertia that no body can have."""
+
+    NONE = "none"
+    """The file is refused."""
+    BALANCE = "balance"
+    """The principal moments are raised to the nearest that a body can have, and the articulation's notes say so."""
+
+
+@dataclass(frozen=True)
+class ReadLimits:
+    """What one model may ask of the machine, its meshes and pictures included; more is refused before it is made."""
+
+    file_bytes: int = 512 * 2**20
+    """Of any one file."""
+    expanded_bytes: int = 2**30
+    """Of all that an archive holds, once unpacked."""
+    elements: int = 2_000_000
+    """XML elements of a file, bodies that a file replicates, or prims of a stage."""
+    nesting: int = 2_000
+    """XML elements, or folders of included files, within each other."""
+    vertices: int = 10_000_000
+    """Of one mesh; also the most triangles and corners of faces."""
+    pixels: int = 64 * 2**20
+    """Of one picture."""
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What a caller may tell every reader of asset files.
+
+    ``packages`` gives the folders of packages that ``package://`` names, besides the model's own. ``allow_outside``
+    lets a model name files outside its folder and its packages: those below the folders listed, or any (``True``).
+    ``articulation`` names one of several in a file.
+    """
+
+    packages: Mapping[str, Path] = field(default_factory=dict)
+    allow_outside: bool | tuple[Path, ...] = False
+    limits: ReadLimits = field(default_factory=ReadLimits)
+    articulation: str | None = None
+    unsupported: Unsupported = Unsupported.REFUSE
+    repair: Repair = Repair.NONE
