@@ -8,11 +8,12 @@ import torch
 
 from orbit_core import backends
 from orbit_core.conformance.bodies import pendulum, scene
-from orbit_core.interfaces import TERRAIN, ContactQuery, SceneLayout
+from orbit_core.interfaces import TERRAIN, ConfigurationError, ContactQuery, SceneLayout
 from orbit_core.plugin_kit import contact_signs, velocity_at
 from orbit_core.plugin_kit.markers import AXIS_COLORS, marker_shapes
+from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
 from orbit_core.plugin_kit.rotations import compose, multiply, rotate, rotate_inverse
-from orbit_core.scene import MarkerShape, MarkerSpec
+from orbit_core.scene import CameraSpec, Channel, MarkerShape, MarkerSpec
 
 
 def test_velocities_at_another_point_are_those_of_a_turning_body() -> None:
@@ -65,3 +66,53 @@ def test_a_frame_has_an_arrow_of_its_colour_along_each_axis() -> None:
         middle = np.zeros(3)
         middle[axis] = 0.15
         assert np.array(shaft.pose.position) == pytest.approx(middle)
+
+
+class _Painter(HostRenderer):
+    """Paints each environment's number and the height of its first link, whatever is asked for."""
+
+    freed = 0
+
+    def draw_pictures(self, request: HostRequest) -> Pictures:
+        rgb, depth, links = request.canvas("rgb"), request.canvas("depth"), request.canvas("links")
+        rgb[...] = request.environments[:, None, None, None]
+        depth[...] = request.links[:, 0, 2, None, None, None]
+        links[...] = 0 if request.markers is None else len(request.markers[0])
+        return Pictures(rgb, depth, links=links)
+
+    def free(self) -> None:
+        self.freed += 1
+
+
+CAMERA = CameraSpec(name="eye", width=6, height=4)
+EYES = torch.tensor([[0.0, 0, 1, 1, 0, 0, 0]]).expand(2, 7)
+LINKS = torch.tensor([[[0.0, 0, 0.25, 1, 0, 0, 0]], [[0.0, 0, 0.5, 1, 0, 0, 0]]])
+
+
+def test_a_renderer_on_the_host_gives_the_wanted_fields_alone_as_tensors() -> None:
+    painter = _Painter()
+    image = painter.render(CAMERA, EYES, LINKS, (Channel.RGB, Channel.DEPTH), env_ids=torch.tensor([3, 1]))
+    assert image.rgb is not None
+    assert image.depth is not None
+    assert (image.rgb.shape, image.rgb.dtype) == ((2, 4, 6, 3), torch.uint8)
+    assert (image.depth.shape, image.depth.dtype) == ((2, 4, 6, 1), torch.float32)
+    assert image.rgb[:, 0, 0, 0].tolist() == [3, 1]
+    assert image.depth[:, 0, 0, 0].tolist() == [0.25, 0.5]
+    assert image.links is image.normals is image.albedo is None
+
+
+@pytest.mark.parametrize("channel", [Channel.INSTANCE, Channel.SEMANTIC])
+def test_both_kinds_of_segmentation_are_served_by_links(channel: Channel) -> None:
+    image = _Painter().render(CAMERA, EYES, LINKS, (channel,), marker_poses=torch.zeros(2, 5, 7))
+    assert image.links is not None
+    assert image.links.unique().tolist() == [5]
+    assert image.rgb is image.depth is None
+
+
+def test_a_renderer_is_freed_once_and_refuses_pictures_afterwards() -> None:
+    painter = _Painter()
+    painter.close()
+    painter.close()
+    assert painter.freed == 1
+    with pytest.raises(ConfigurationError, match="the renderer is closed: make another"):
+        painter.render(CAMERA, EYES, LINKS, (Channel.RGB,))

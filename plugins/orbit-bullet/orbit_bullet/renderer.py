@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from torch import Tensor
 
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.library import Client, refusals, silence
@@ -23,15 +22,13 @@ from orbit_core.interfaces import (
     BACKGROUND,
     TERRAIN,
     ConfigurationError,
-    Image,
-    Renderer,
     SceneLayout,
     SimulationError,
     albedo_table,
     drawn_shapes,
 )
-from orbit_core.plugin_kit.images import image_tensor, pose_array
 from orbit_core.plugin_kit.markers import marker_shapes
+from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
 from orbit_core.plugin_kit.rotations import compose, rotate
 from orbit_core.scene import CameraSpec, Channel, Shape
 from orbit_core.scene.pose import Vector3
@@ -45,7 +42,7 @@ _egl_owner: list[object] = []
 """The one renderer of this process that has OpenGL: Bullet's plugin serves the last client that loaded it."""
 
 
-class BulletRenderer(Renderer):
+class BulletRenderer(HostRenderer):
     """Draws lit shapes, one picture at a time.
 
     Normals are those of the depth image. Markers are seen in colour alone.
@@ -59,7 +56,6 @@ class BulletRenderer(Renderer):
         """
         self._config, self._scene = config, layout.scene
         self._client = Client()
-        self._closed = False
         wanted = config.renderer == "egl" or (config.renderer == "auto" and _suits_opengl(cameras))
         self._opengl = wanted and self._load_opengl(required=config.renderer == "egl")
         refused = refusals("Bullet cannot draw the scene", SimulationError)
@@ -102,50 +98,27 @@ class BulletRenderer(Renderer):
             raise ConfigurationError(f"renderer 'egl' needs OpenGL, but {cause}: choose renderer = 'tiny'")
         return False
 
-    def render(
-        self,
-        camera: CameraSpec,
-        camera_poses: Tensor,
-        link_poses: Tensor,
-        channels: Sequence[Channel],
-        marker_poses: Tensor | None = None,
-        env_ids: Tensor | None = None,
-    ) -> Image:
-        if self._closed:
-            raise ConfigurationError("the renderer is closed: make another")
-        wanted = set(channels)
-        cameras, links = pose_array(camera_poses), pose_array(link_poses)
-        marks = None if marker_poses is None or not self._marker_bodies else pose_array(marker_poses)
-        shape = (len(cameras), camera.height, camera.width)
-        colored = Channel.RGB in wanted
-        measured = bool(wanted - {Channel.RGB})
-        rgb, depth = np.empty((*shape, 3), np.uint8), np.empty((*shape, 1), np.float32)
-        bodies = np.zeros(shape, np.int64)
-        for i, pose in enumerate(cameras):
-            self._place_links(links[i])
-            if colored:
-                middle = links[i, :, :3].mean(0) if len(links[i]) else np.zeros(3)
+    def draw_pictures(self, request: HostRequest) -> Pictures:
+        camera, wanted = request.camera, request.wanted
+        marks = request.markers if self._marker_bodies else None
+        rgb, depth = request.canvas("rgb"), request.canvas("depth")
+        bodies = np.zeros(depth.shape[:-1], np.int64)
+        for i, pose in enumerate(request.cameras):
+            links = request.links[i]
+            self._place_links(links)
+            if "rgb" in wanted:
+                middle = links[:, :3].mean(0) if len(links) else np.zeros(3)
                 rgb[i], depth[i], bodies[i] = self._draw_colors(
                     camera, pose, middle, None if marks is None else marks[i]
                 )
-            if measured and (marks is not None or not colored):
+            if wanted.measured and (marks is not None or "rgb" not in wanted):
                 _, depth[i], bodies[i] = self._draw(camera, pose)
-        seen = self._link_of_body[bodies][..., None]
-        normals = normals_of(depth, seen, camera, cameras) if Channel.NORMALS in wanted else None
-        device = link_poses.device
-        segmented = not wanted.isdisjoint((Channel.INSTANCE, Channel.SEMANTIC))
-        return Image(
-            rgb=image_tensor(rgb if colored else None, device),
-            depth=image_tensor(depth if Channel.DEPTH in wanted else None, device),
-            normals=image_tensor(normals, device),
-            links=image_tensor(seen if segmented else None, device),
-            albedo=image_tensor(self._albedo_of_body[bodies] if Channel.ALBEDO in wanted else None, device),
-        )
+        links = self._link_of_body[bodies][..., None]
+        normals = normals_of(depth, links, camera, request.cameras) if "normals" in wanted else None
+        albedo = self._albedo_of_body[bodies] if "albedo" in wanted else None
+        return Pictures(rgb, depth, normals, links, albedo)
 
-    def close(self) -> None:
-        if self._closed:
-            return
-        self._closed = True
+    def free(self) -> None:
         if self in _egl_owner:
             _egl_owner.remove(self)
         self._client.close()

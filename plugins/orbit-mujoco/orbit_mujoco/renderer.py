@@ -8,24 +8,22 @@ import atexit
 import math
 import weakref
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from torch import Tensor
 
 from orbit_core.interfaces import (
     BACKGROUND,
     TERRAIN,
     ConfigurationError,
-    Image,
-    Renderer,
     SceneLayout,
     albedo_table,
 )
-from orbit_core.plugin_kit.images import image_tensor, pose_array
-from orbit_core.scene import CameraSpec, Channel
+from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
+from orbit_core.scene import CameraSpec
 from orbit_mjmodel.visuals import all_variants
 from orbit_mujoco.config import MujocoConfig
 from orbit_mujoco.renderer_context import create_context
@@ -45,7 +43,7 @@ _Array = npt.NDArray[Any]
 _open_renderers: weakref.WeakSet[MujocoRenderer] = weakref.WeakSet()
 
 
-class MujocoRenderer(Renderer):
+class MujocoRenderer(HostRenderer):
     """Draws a scene with lights, shadows and a sky.
 
     Depth, links, albedo and normals take transparent shapes for solid ones, and belong to the surface at each pixel's
@@ -88,49 +86,25 @@ class MujocoRenderer(Renderer):
         self._option = mujoco.MjvOption()
         self._view = mujoco.MjvCamera()
         self._geoms_of_codes = [self._codes(kind) for kind in range(len(self._shown))]
-        self._closed = False
         _open_renderers.add(self)
         # Registered after EGL's own farewell, this runs before it.
         atexit.unregister(_close_all)
         atexit.register(_close_all)
 
-    def render(
-        self,
-        camera: CameraSpec,
-        camera_poses: Tensor,
-        link_poses: Tensor,
-        channels: Sequence[Channel],
-        marker_poses: Tensor | None = None,
-        env_ids: Tensor | None = None,
-    ) -> Image:
-        self._check(camera)
-        wanted = set(channels)
-        segmented = not wanted.isdisjoint((Channel.INSTANCE, Channel.SEMANTIC))
-        named = segmented or Channel.ALBEDO in wanted
-        colored = Channel.RGB in wanted
-        rows = np.arange(len(link_poses)) if env_ids is None else env_ids.cpu().numpy()
-        scene = (camera, pose_array(camera_poses), pose_array(link_poses), rows % len(self._shown))
-        rgb = depth = normals = links = albedo = None
-        if Channel.NORMALS in wanted:
-            depth, links, albedo, normals = self._trace(*scene)
-        elif named or (Channel.DEPTH in wanted and not (colored and self._color_has_depth and marker_poses is None)):
-            depth, links, albedo = self._draw_ids(*scene)
-        if colored:
-            rgb, color_depth = self._draw_colors(*scene, None if marker_poses is None else pose_array(marker_poses))
-            depth = color_depth if depth is None else depth
-        device = link_poses.device
-        return Image(
-            rgb=image_tensor(rgb, device),
-            depth=image_tensor(depth, device) if Channel.DEPTH in wanted else None,
-            normals=image_tensor(normals, device),
-            links=image_tensor(links, device) if segmented else None,
-            albedo=image_tensor(albedo, device) if Channel.ALBEDO in wanted else None,
-        )
+    def draw_pictures(self, request: HostRequest) -> Pictures:
+        self._check(request.camera)
+        wanted, pictures = request.wanted, Pictures()
+        colors_measure = "rgb" in wanted and self._color_has_depth and request.markers is None
+        if "normals" in wanted:
+            pictures = self._trace(request)
+        elif "links" in wanted or "albedo" in wanted or ("depth" in wanted and not colors_measure):
+            pictures = self._draw_ids(request)
+        if "rgb" in wanted:
+            rgb, depth = self._draw_colors(request)
+            pictures = replace(pictures, rgb=rgb, depth=depth if pictures.depth is None else pictures.depth)
+        return pictures
 
-    def close(self) -> None:
-        if self._closed:
-            return
-        self._closed = True
+    def free(self) -> None:
         _open_renderers.discard(self)
         self._context.make_current()
         self._buffers.free()
@@ -138,57 +112,58 @@ class MujocoRenderer(Renderer):
 
     # Kinds of pictures, (n, H, W, channels) --------------------------------------------------------------------------
 
-    def _trace(
-        self, camera: CameraSpec, cameras: _Array, links: _Array, kinds: _Array
-    ) -> tuple[_Array, _Array, _Array, _Array]:
-        shape = (len(cameras), camera.height, camera.width)
-        depth, normals = np.empty((*shape, 1), np.float32), np.empty((*shape, 3), np.float32)
-        geoms = np.empty((*shape, 1), np.int32)
-        for i, pose in enumerate(cameras):
-            self._place(links[i], kinds[i])
-            trace(self._model, self._data, camera, pose, depth[i], normals[i], geoms[i])
-        return depth, *self._looks(geoms[..., 0] + 1), normals
+    def _trace(self, request: HostRequest) -> Pictures:
+        depth, normals, geoms = request.canvas("depth"), request.canvas("normals"), request.canvas("links")
+        for i, pose in enumerate(request.cameras):
+            self._place(request, i)
+            trace(self._model, self._data, request.camera, pose, depth[i], normals[i], geoms[i])
+        return self._measured(depth, geoms[..., 0] + 1, normals)
 
-    def _draw_ids(
-        self, camera: CameraSpec, cameras: _Array, links: _Array, kinds: _Array
-    ) -> tuple[_Array, _Array, _Array]:
-        colors, heights = self._canvas(camera, len(cameras))
-        for i, pose in enumerate(cameras):
-            self._place(links[i], kinds[i])
-            self._aim(camera, pose)
-            self._draw(camera, _ID_FLAGS, colors[i], heights[i])
+    def _draw_ids(self, request: HostRequest) -> Pictures:
+        colors, heights = request.canvas("rgb"), request.canvas("depth")
+        for i in range(len(request.cameras)):
+            self._place(request, i)
+            self._aim(request, i)
+            self._draw(request.camera, _ID_FLAGS, colors[i], heights[i])
         # An id is spread over the three colours; OpenGL's rows count from below.
         codes = colors[:, ::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
-        geoms = [self._geoms_of_codes[kind][code] for kind, code in zip(kinds, codes, strict=True)]
-        depth = _metric_depth(heights, camera, self._reach)
+        geoms = [self._geoms_of_codes[self._kind(request, i)][code] for i, code in enumerate(codes)]
+        depth = _metric_depth(heights, request.camera, self._reach)
         seen = np.isfinite(depth[..., 0])
-        return depth, *self._looks(np.where(seen, np.array(geoms).reshape(codes.shape), 0))
+        return self._measured(depth, np.where(seen, np.array(geoms).reshape(codes.shape), 0))
 
-    def _looks(self, geoms: _Array) -> tuple[_Array, _Array]:
-        """Links and albedo of geoms (n, H, W) that count from one."""
-        return self._link_of_geom[geoms][..., None], self._albedo_of_geom[geoms]
+    def _measured(self, depth: _Array, geoms: _Array, normals: _Array | None = None) -> Pictures:
+        """With links and albedo of geoms (n, H, W) that count from one."""
+        return Pictures(
+            depth=depth,
+            normals=normals,
+            links=self._link_of_geom[geoms][..., None],
+            albedo=self._albedo_of_geom[geoms],
+        )
 
-    def _draw_colors(
-        self, camera: CameraSpec, cameras: _Array, links: _Array, kinds: _Array, markers: _Array | None
-    ) -> tuple[_Array, _Array]:
+    def _draw_colors(self, request: HostRequest) -> tuple[_Array, _Array]:
         flags = _COLOR_FLAGS + ((mujoco.mjtRndFlag.mjRND_SHADOW,) if self._shadows else ())
-        colors, heights = self._canvas(camera, len(cameras))
-        for i, pose in enumerate(cameras):
-            self._place(links[i], kinds[i])
-            self._aim(camera, pose)
-            if markers is not None:
-                add_markers(self._scene, self._layout.scene.markers, markers[i])
-            self._draw(camera, flags, colors[i], heights[i])
-        depth = _metric_depth(heights, camera, self._reach)
+        colors, heights = request.canvas("rgb"), request.canvas("depth")
+        for i in range(len(request.cameras)):
+            self._place(request, i)
+            self._aim(request, i)
+            if request.markers is not None:
+                add_markers(self._scene, self._layout.scene.markers, request.markers[i])
+            self._draw(request.camera, flags, colors[i], heights[i])
+        depth = _metric_depth(heights, request.camera, self._reach)
         colors = np.ascontiguousarray(colors[:, ::-1])
-        for picture, beyond, pose in zip(colors, np.isinf(depth[..., 0]), cameras, strict=True):
-            picture[beyond] = sky_colors(self._layout.scene.sky, camera, pose, beyond)
+        for picture, beyond, pose in zip(colors, np.isinf(depth[..., 0]), request.cameras, strict=True):
+            picture[beyond] = sky_colors(self._layout.scene.sky, request.camera, pose, beyond)
         return colors, depth
 
     # One environment -------------------------------------------------------------------------------------------------
 
-    def _place(self, links: _Array, kind: int) -> None:
-        self._show(kind)
+    def _kind(self, request: HostRequest, row: int) -> int:
+        return int(request.environments[row]) % len(self._shown)
+
+    def _place(self, request: HostRequest, row: int) -> None:
+        self._show(self._kind(request, row))
+        links = request.links[row]
         self._data.mocap_pos[:] = links[:, :3]
         self._data.mocap_quat[:] = links[:, 3:]
         mujoco.mj_kinematics(self._model, self._data)
@@ -196,8 +171,9 @@ class MujocoRenderer(Renderer):
     def _show(self, kind: int) -> None:
         self._model.geom_group = np.where(self._shown[kind], 0, HIDDEN_GROUP)
 
-    def _aim(self, camera: CameraSpec, pose: _Array) -> None:
+    def _aim(self, request: HostRequest, row: int) -> None:
         self._update_scene()
+        camera, pose = request.camera, request.cameras[row]
         rotation = quaternion_matrix(pose[3:])
         top = camera.near * math.tan(0.5 * camera.vertical_fov)
         for eye in self._scene.camera:
@@ -225,10 +201,6 @@ class MujocoRenderer(Renderer):
 
     # The rest --------------------------------------------------------------------------------------------------------
 
-    def _canvas(self, camera: CameraSpec, count: int) -> tuple[_Array, _Array]:
-        shape = (count, camera.height, camera.width)
-        return np.empty((*shape, 3), np.uint8), np.empty(shape, np.float32)
-
     def _codes(self, kind: int) -> npt.NDArray[np.int32]:
         """The geom's index plus one of each number in an id picture of a kind; zero stands for nothing."""
         self._show(kind)
@@ -239,8 +211,6 @@ class MujocoRenderer(Renderer):
         return geoms
 
     def _check(self, camera: CameraSpec) -> None:
-        if self._closed:
-            raise ConfigurationError("the renderer is closed: make another")
         width, height = self._size
         if camera.width > width or camera.height > height or camera.far > self._far:
             raise ConfigurationError(
@@ -252,7 +222,7 @@ class MujocoRenderer(Renderer):
 def _metric_depth(heights: _Array, camera: CameraSpec, drawn: float) -> _Array:
     """Metres (n, H, W, 1) from OpenGL's reversed depth: 1 at the near plane, 0 at ``drawn`` and beyond it."""
     near, far = np.float32(camera.near), np.float32(drawn)
-    heights = heights[:, ::-1, :, None]
+    heights = heights[:, ::-1]
     depth = near * far / (near + heights * (far - near))
     return np.where((heights > 0.0) & (depth <= camera.far), depth, np.float32(np.inf))
 

@@ -13,12 +13,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch import Tensor
 
-from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image, Renderer, SceneLayout
-from orbit_core.plugin_kit.images import image_tensor
-from orbit_core.scene import CameraSpec, Channel
+from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, SceneLayout
+from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
+from orbit_core.scene import CameraSpec
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.native import NativePose, sapien
 from orbit_sapien.renderer_lights import Lights
@@ -30,7 +28,7 @@ _AWAY = NativePose([0.0, 0.0, -1e4])
 """Where markers are while they are not drawn."""
 
 
-class SapienRenderer(Renderer):
+class SapienRenderer(HostRenderer):
     """Draws one copy of the scene, posed as each environment is in turn.
 
     Depth, normals, albedo and links come from a rasteriser at each pixel's centre in every tier; the tier is colour's.
@@ -59,7 +57,6 @@ class SapienRenderer(Renderer):
         self._lookup = np.full(max(self._link_of_id, default=0) + 2, BACKGROUND, np.int32)
         for number, link in self._link_of_id.items():
             self._lookup[number] = link
-        self._closed = False
 
     # What is drawn ---------------------------------------------------------------------------------------------------
 
@@ -88,63 +85,33 @@ class SapienRenderer(Renderer):
 
     # Pictures --------------------------------------------------------------------------------------------------------
 
-    def render(
-        self,
-        camera: CameraSpec,
-        camera_poses: Tensor,
-        link_poses: Tensor,
-        channels: Sequence[Channel],
-        marker_poses: Tensor | None = None,
-        env_ids: Tensor | None = None,
-    ) -> Image:
-        if self._closed:
-            raise ConfigurationError("the renderer is closed: make another")
-        wanted = set(channels)
-        colored, measured = Channel.RGB in wanted, bool(wanted - {Channel.RGB})
-        eyes, links = _numpy(camera_poses), _numpy(link_poses)
-        markers = None if marker_poses is None else _numpy(marker_poses)
-        colors: list[_Array] = []
-        surfaces: list[_Array] = []
-        numbers: list[_Array] = []
-        normals: list[_Array] = []
-        albedos: list[_Array] = []
-        for row in range(len(eyes)):
+    def draw_pictures(self, request: HostRequest) -> Pictures:
+        camera, wanted = request.camera, request.wanted
+        colored = "rgb" in wanted
+        rgb, depth, links = request.canvas("rgb"), request.canvas("depth"), request.canvas("links")
+        normals, albedo = request.canvas("normals"), request.canvas("albedo")
+        for row, pose in enumerate(request.cameras):
             taken = None
-            self._place(links[row])
+            self._place(request.links[row])
             if colored:
-                self._place_markers(None if markers is None else markers[row])
-                taken = self._take(camera, self._config.tier, eyes[row])
-                colors.append(self._checked(taken.get_picture("Color")[..., :3]))
-            if measured:
-                if not (colored and self._config.tier == "fast" and markers is None):
+                self._place_markers(None if request.markers is None else request.markers[row])
+                taken = self._take(camera, self._config.tier, pose)
+                rgb[row] = _bytes(self._checked(taken.get_picture("Color")[..., :3]))
+            if wanted.measured:
+                if taken is None or self._config.tier != "fast" or request.markers is not None:
                     self._place_markers(None)
-                    taken = self._take(camera, "fast", eyes[row])
-                assert taken is not None
-                surfaces.append(taken.get_picture("Position")[..., 2:3])
-                numbers.append(taken.get_picture("Segmentation")[..., 1:2])
-                normals.append(taken.get_picture("Normal")[..., :3] if Channel.NORMALS in wanted else _NOTHING)
-                albedos.append(taken.get_picture("Albedo")[..., :3] if Channel.ALBEDO in wanted else _NOTHING)
-        return self._image(wanted, colors, (surfaces, numbers, normals, albedos), link_poses.device)
-
-    def _image(
-        self, wanted: set[Channel], colors: list[_Array], measured: tuple[list[_Array], ...], device: torch.device
-    ) -> Image:
-        surfaces, numbers, normals, albedos = (np.stack(pictures) if pictures else None for pictures in measured)
-        rgb = depth = normal = links = albedo = None
-        if colors:
-            rgb = _bytes(np.stack(colors))
-        if surfaces is not None and numbers is not None and normals is not None and albedos is not None:
-            seen = numbers > 0
-            if Channel.DEPTH in wanted:
-                depth = np.where(seen, -surfaces, np.float32(np.inf))
-            if not wanted.isdisjoint((Channel.INSTANCE, Channel.SEMANTIC)):
-                links = self._lookup[numbers]
-            if Channel.NORMALS in wanted:
-                length = np.linalg.norm(normals, axis=-1, keepdims=True)
-                normal = np.where(seen, normals / np.maximum(length, 1e-12), np.float32(0.0))
-            if Channel.ALBEDO in wanted:
-                albedo = np.where(seen, _bytes(albedos), np.uint8(0))
-        return Image(*(image_tensor(array, device) for array in (rgb, depth, normal, links, albedo)))
+                    taken = self._take(camera, "fast", pose)
+                numbers = taken.get_picture("Segmentation")[..., 1:2]
+                seen = numbers > 0
+                links[row] = self._lookup[numbers]
+                depth[row] = np.where(seen, -taken.get_picture("Position")[..., 2:3], np.inf)
+                if "normals" in wanted:
+                    normal = taken.get_picture("Normal")[..., :3]
+                    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+                    normals[row] = np.where(seen, normal / np.maximum(length, 1e-12), 0.0)
+                if "albedo" in wanted:
+                    albedo[row] = np.where(seen, _bytes(taken.get_picture("Albedo")[..., :3]), 0)
+        return Pictures(rgb, depth, normals, links, albedo)
 
     def _checked(self, color: _Array) -> _Array:
         """A denoiser that fails leaves black and says so in SAPIEN's log alone."""
@@ -192,11 +159,9 @@ class SapienRenderer(Renderer):
         for number, entity in enumerate(self._markers):
             entity.set_pose(_AWAY if poses is None else NativePose(poses[number, :3], poses[number, 3:]))
 
-    def close(self) -> None:
-        if not self._closed:
-            self._closed = True
-            self._cameras.clear()
-            del self._links, self._markers, self._lights, self._scene, self._system
+    def free(self) -> None:
+        self._cameras.clear()
+        del self._links, self._markers, self._lights, self._scene, self._system
 
 
 def _render_system() -> sapien.render.RenderSystem:
@@ -209,9 +174,6 @@ def _render_system() -> sapien.render.RenderSystem:
             "libvulkan1 and Mesa's lavapipe of version 24 or later (on Debian 12: apt-get install -t "
             "bookworm-backports mesa-vulkan-drivers)"
         ) from error
-
-
-_NOTHING = np.zeros((0, 3), np.float32)
 
 
 def _looking_along_x(q: _Array) -> _Array:
@@ -231,7 +193,3 @@ def _looking_along_x(q: _Array) -> _Array:
 
 def _bytes(color: _Array) -> npt.NDArray[np.uint8]:
     return (255.0 * np.clip(color, 0.0, 1.0) + 0.5).astype(np.uint8)
-
-
-def _numpy(poses: Tensor) -> npt.NDArray[np.float32]:
-    return poses.detach().cpu().float().numpy()

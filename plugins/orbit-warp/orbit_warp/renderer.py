@@ -5,14 +5,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import torch
 import warp as wp
 from torch import Tensor
 
-from orbit_core.interfaces import CaptureFacet, ConfigurationError, Image, Renderer, SceneLayout
-from orbit_core.scene import CameraSpec, Channel
+from orbit_core.interfaces import CaptureFacet, Image, SceneLayout
+from orbit_core.plugin_kit.rendering import PIXELS, Kind, KitRenderer, Request
 from orbit_warp.config import WarpConfig
 from orbit_warp.renderer_model import PictureModel
 from orbit_warp.renderer_stage import Stage
@@ -20,14 +19,12 @@ from orbit_warp.renderer_trace import EVERY_TYPE, trace_kernel
 from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.start import start
 
-_SEGMENTED = (Channel.INSTANCE, Channel.SEMANTIC)
-
 
 class _Capture(CaptureFacet):
     takes_masks = frozenset({"render"})
 
 
-class WarpRenderer(Renderer):
+class WarpRenderer(KitRenderer):
     """Draws a scene with direct light, shadows and a sky, on the device where the poses are.
 
     Pictures are made of a ray through each pixel's centre; nothing waits for the host. Depth, links, albedo and normals
@@ -42,29 +39,18 @@ class WarpRenderer(Renderer):
         self._model = PictureModel(layout)
         self._shadows = config.shadows
         self._stages: dict[torch.device, tuple[Graphs, Stage]] = {}
-        self._closed = False
 
-    def render(
-        self,
-        camera: CameraSpec,
-        camera_poses: Tensor,
-        link_poses: Tensor,
-        channels: Sequence[Channel],
-        marker_poses: Tensor | None = None,
-        env_ids: Tensor | None = None,
-    ) -> Image:
-        if self._closed:
-            raise ConfigurationError("the renderer is closed: make another")
-        graphs, stage = self._stage(link_poses.device)
+    def draw(self, request: Request) -> Image:
+        graphs, stage = self._stage(request.link_poses.device)
         with torch.no_grad(), graphs.stream():
-            mask = env_ids if env_ids is not None and env_ids.dtype == torch.bool else None
-            stage.choose(env_ids if mask is None else None)
-            stage.place(link_poses, marker_poses)
-            return self._trace(camera, camera_poses, stage, set(channels), marker_poses is not None, mask)
+            ids = request.env_ids
+            mask = ids if ids is not None and ids.dtype == torch.bool else None
+            stage.choose(ids if mask is None else None)
+            stage.place(request.link_poses, request.marker_poses)
+            return self._trace(request, stage, mask)
 
-    def close(self) -> None:
+    def free(self) -> None:
         self._stages.clear()
-        self._closed = True
 
     def _stage(self, device: torch.device) -> tuple[Graphs, Stage]:
         if device not in self._stages:
@@ -73,40 +59,27 @@ class WarpRenderer(Renderer):
                 self._stages[device] = graphs, Stage(self._model)
         return self._stages[device]
 
-    def _trace(
-        self,
-        camera: CameraSpec,
-        camera_poses: Tensor,
-        stage: Stage,
-        wanted: set[Channel],
-        markers: bool,
-        mask: Tensor | None,
-    ) -> Image:
+    def _trace(self, request: Request, stage: Stage, mask: Tensor | None) -> Image:
         """Pictures, of the environments of a mask alone; others are black, and nothing is in them."""
-        count, device = len(camera_poses), camera_poses.device
-        pixels = camera.width * camera.height
-
-        def buffer(channels: tuple[Channel, ...], depth: int, dtype: torch.dtype) -> Tensor:
-            asked = not wanted.isdisjoint(channels)
-            make = torch.empty if mask is None else torch.zeros
-            return make(count if asked else 0, pixels, depth, dtype=dtype, device=device)
-
-        rgb, albedo = buffer((Channel.RGB,), 3, torch.uint8), buffer((Channel.ALBEDO,), 3, torch.uint8)
-        depth, normals = buffer((Channel.DEPTH,), 1, torch.float32), buffer((Channel.NORMALS,), 3, torch.float32)
-        links = buffer(_SEGMENTED, 1, torch.int32)
+        camera, wanted, poses = request.camera, request.wanted, request.camera_poses
+        count, pixels = len(poses), camera.width * camera.height
+        make = torch.empty if mask is None else torch.zeros
+        pictures: dict[Kind, Tensor] = {
+            kind: make(count if kind in wanted else 0, pixels, depth, dtype=dtype, device=poses.device)
+            for kind, (depth, dtype) in PIXELS.items()
+        }
         # A GPU gains by a kernel made for the scene; on a CPU, compiling one takes longer than what it saves.
         types = self._model.geom_types if stage.device.is_cuda else EVERY_TYPE
         wp.launch(
-            trace_kernel(types, Channel.RGB in wanted, self._shadows),
+            trace_kernel(types, "rgb" in wanted, self._shadows),
             dim=(count, pixels),
             inputs=[
-                stage.arrays, wp.from_torch(camera_poses.contiguous()), camera.width, camera.height,
-                2.0 * math.tan(0.5 * camera.vertical_fov) / camera.height, camera.near, camera.far, markers,
-                stage.everyone if mask is None else wp.from_torch(mask),
+                stage.arrays, wp.from_torch(poses.contiguous()), camera.width, camera.height,
+                2.0 * math.tan(0.5 * camera.vertical_fov) / camera.height, camera.near, camera.far,
+                request.marker_poses is not None, stage.everyone if mask is None else wp.from_torch(mask),
             ],
-            outputs=[wp.from_torch(tensor) for tensor in (rgb, depth, normals, links, albedo)],
+            outputs=[wp.from_torch(picture) for picture in pictures.values()],
             device=stage.device,
         )  # fmt: skip
         shape = (count, camera.height, camera.width, -1)
-        pictures = {"rgb": rgb, "depth": depth, "normals": normals, "links": links, "albedo": albedo}
-        return Image(**{name: picture.view(shape) for name, picture in pictures.items() if len(picture)})
+        return Image(**{kind: picture.view(shape) for kind, picture in pictures.items() if kind in wanted})

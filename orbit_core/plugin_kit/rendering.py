@@ -1,0 +1,166 @@
+"""The scaffold of a renderer: one call as one request, what a channel needs of an image, and the end of its life.
+
+A renderer that draws on the device of the poses derives from :class:`KitRenderer`, one that draws with NumPy on the
+host from :class:`HostRenderer`.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import ConfigurationError, Image, Renderer
+from orbit_core.scene import CameraSpec, Channel
+
+Kind = Literal["rgb", "depth", "normals", "links", "albedo"]
+"""A field of :class:`Image`."""
+
+_CHANNELS: Mapping[Kind, frozenset[Channel]] = {
+    "rgb": frozenset({Channel.RGB}),
+    "depth": frozenset({Channel.DEPTH}),
+    "normals": frozenset({Channel.NORMALS}),
+    "links": frozenset({Channel.INSTANCE, Channel.SEMANTIC}),
+    "albedo": frozenset({Channel.ALBEDO}),
+}
+PIXELS: Mapping[Kind, tuple[int, torch.dtype]] = {
+    "rgb": (3, torch.uint8),
+    "depth": (1, torch.float32),
+    "normals": (3, torch.float32),
+    "links": (1, torch.int32),
+    "albedo": (3, torch.uint8),
+}
+"""Numbers in a pixel, and their type."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which fields of an image serve the channels of a call."""
+
+    channels: frozenset[Channel]
+
+    def __contains__(self, kind: Kind) -> bool:
+        return not self.channels.isdisjoint(_CHANNELS[kind])
+
+    @property
+    def measured(self) -> bool:
+        """Whether anything but colour is asked for, on which markers and lights do not show."""
+        return bool(self.channels - _CHANNELS["rgb"])
+
+
+@dataclass(frozen=True)
+class Request:
+    """The arguments of :meth:`Renderer.render`."""
+
+    camera: CameraSpec
+    camera_poses: Tensor
+    """(n, 7)"""
+    link_poses: Tensor
+    """(n, L, 7)"""
+    wanted: Wanted
+    marker_poses: Tensor | None
+    """(n, M, 7)"""
+    env_ids: Tensor | None
+
+
+class KitRenderer(Renderer):
+    """Turns each call into a :class:`Request`, and refuses calls once it is closed."""
+
+    _closed = False
+
+    def render(
+        self,
+        camera: CameraSpec,
+        camera_poses: Tensor,
+        link_poses: Tensor,
+        channels: Sequence[Channel],
+        marker_poses: Tensor | None = None,
+        env_ids: Tensor | None = None,
+    ) -> Image:
+        if self._closed:
+            raise ConfigurationError("the renderer is closed: make another")
+        wanted = Wanted(frozenset(channels))
+        return self.draw(Request(camera, camera_poses, link_poses, wanted, marker_poses, env_ids))
+
+    def close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            self.free()
+
+    @abstractmethod
+    def draw(self, request: Request) -> Image:
+        """The pictures that are wanted; a field that is not wanted is None."""
+
+    @abstractmethod
+    def free(self) -> None:
+        """Give back what the renderer holds; called once."""
+
+
+@dataclass(frozen=True)
+class HostRequest:
+    """A request with its poses in double precision on the host."""
+
+    camera: CameraSpec
+    cameras: npt.NDArray[np.float64]
+    """(n, 7)"""
+    links: npt.NDArray[np.float64]
+    """(n, L, 7)"""
+    wanted: Wanted
+    markers: npt.NDArray[np.float64] | None
+    """(n, M, 7)"""
+    environments: npt.NDArray[np.int64]
+    """(n,) which environment each row is of."""
+
+    def canvas(self, kind: Kind) -> npt.NDArray[Any]:
+        """Pictures (n, H, W, numbers in a pixel) to be filled."""
+        count, dtype = PIXELS[kind]
+        shape = (len(self.cameras), self.camera.height, self.camera.width, count)
+        return torch.empty(shape, dtype=dtype).numpy()
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """As :class:`Image`, on the host; what was drawn and is not wanted may stay in it."""
+
+    rgb: npt.NDArray[np.uint8] | None = None
+    depth: npt.NDArray[np.float32] | None = None
+    normals: npt.NDArray[np.floating] | None = None
+    links: npt.NDArray[np.int32] | None = None
+    albedo: npt.NDArray[np.uint8] | None = None
+
+
+class HostRenderer(KitRenderer):
+    """Draws with NumPy on the host, whatever device the poses are on; waits for it."""
+
+    @abstractmethod
+    def draw_pictures(self, request: HostRequest) -> Pictures:
+        """All pictures that are wanted."""
+
+    def draw(self, request: Request) -> Image:
+        count, ids = len(request.link_poses), request.env_ids
+        pictures = self.draw_pictures(
+            HostRequest(
+                request.camera,
+                _on_host(request.camera_poses),
+                _on_host(request.link_poses),
+                request.wanted,
+                None if request.marker_poses is None else _on_host(request.marker_poses),
+                np.arange(count) if ids is None else ids.cpu().numpy(),
+            )
+        )
+        device = request.link_poses.device
+        return Image(**{kind: _tensor(getattr(pictures, kind), device) for kind in _CHANNELS if kind in request.wanted})
+
+
+def _on_host(poses: Tensor) -> npt.NDArray[np.float64]:
+    return poses.detach().cpu().numpy().astype(np.float64)
+
+
+def _tensor(pictures: npt.NDArray[Any], device: torch.device) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(pictures)).to(device)
