@@ -39,7 +39,9 @@ class MujocoReference:
 
     def masses(self, articulation: Articulation) -> dict[str, float]:
         """Of each body and all that is welded to it, by the link that they became."""
-        hosts = {frame.name: frame.link for frame in articulation.frames} | {name: name for name in articulation.link_names}
+        hosts = {frame.name: frame.link for frame in articulation.frames} | {
+            name: name for name in articulation.link_names
+        }
         found: dict[str, float] = {}
         for name, body in self._bodies.items():
             if name in hosts:
