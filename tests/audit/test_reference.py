@@ -29,7 +29,8 @@ ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="ba
 PENDULUM = """<robot name="pendulum"><link name="base"/>
 <link name="arm"><inertial><origin xyz="0 0 -0.5" rpy="0.1 0 0.2"/><mass value="1.5"/>
   <inertia ixx="0.1" iyy="0.12" izz="0.03" ixy="0.001" ixz="0" iyz="0"/></inertial></link>
-<link name="bob"><inertial><mass value="0.5"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="bob"><inertial><mass value="0.5"/>
+  <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <joint name="swing" type="continuous"><origin xyz="0 0 1" rpy="0 0.2 0"/><parent link="base"/><child link="arm"/>
   <axis xyz="0 1 0"/></joint>
 <joint name="hold" type="fixed"><origin xyz="0 0 -1"/><parent link="arm"/><child link="bob"/></joint></robot>"""
