@@ -1,74 +1,16 @@
 """What MuJoCo does of the contract, and why not more."""
 
 from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
+from orbit_mjmodel.capabilities import shared_support
 
 CAPABILITIES = Capabilities(
-    {
-        Capability.ARTICULATIONS: EXACT,
-        Capability.FLOATING_BASE: EXACT,
-        Capability.IMPLICIT_DRIVES: approximate(
-            "a weakly damped drive above one radian of natural frequency per physics step is damped further, to be "
-            "stable; the build report names its joint"
-        ),
-        Capability.EFFORT_LIMITS: EXACT,
-        Capability.VELOCITY_LIMITS: unsupported("MuJoCo does not limit the velocity of a joint"),
-        Capability.JOINT_DAMPING: EXACT,
-        Capability.JOINT_FRICTION: approximate("friction is a soft constraint: a held joint creeps slowly under load"),
-        Capability.ARMATURE: EXACT,
-        Capability.MIMIC_JOINTS: approximate(
-            "the coupling is a stiff soft constraint: it gives way slightly under load"
-        ),
-        Capability.LOOP_JOINTS: approximate(
-            "the ball joint is a stiff soft constraint: it gives way slightly under load"
-        ),
-        Capability.SELF_COLLISIONS: EXACT,
-        Capability.GRAVITY_COMPENSATION: EXACT,
-        Capability.FRICTION: approximate("friction is a soft constraint: a held contact creeps slowly under load"),
-        Capability.STATIC_FRICTION: approximate("one coefficient of sliding friction, the dynamic one"),
-        Capability.TORSIONAL_FRICTION: approximate(
-            "friction is a soft constraint: what a grip should hold turns, seven times slower with impratio=10"
-        ),
-        Capability.ROLLING_FRICTION: approximate(
-            "acts on round shapes of single bodies, and on any shape that asks for more than the default coefficient"
-        ),
-        Capability.RESTITUTION: approximate(
-            "contacts are spring-dampers tuned to the rebound; where both shapes ask for one, the weaker acts"
-        ),
-        Capability.COMPLIANT_CONTACT: approximate(
-            "stiffness scales with the effective mass: as asked where a single body meets an immovable one"
-        ),
-        Capability.CONVEX_MESHES: EXACT,
-        Capability.TRIANGLE_MESHES: approximate(
-            "each triangle is a prism that reaches 10 mm inward, so thinner walls become as thick"
-        ),
-        Capability.DYNAMIC_TRIANGLE_MESHES: unsupported(
-            "MuJoCo collides the convex hull of a moving mesh: split the mesh into convex pieces"
-        ),
-        Capability.HEIGHT_FIELDS: EXACT,
-        Capability.CONTACT_FORCES: EXACT,
-        Capability.JOINT_WRENCHES: EXACT,
-        Capability.EXTERNAL_WRENCHES: EXACT,
-        Capability.RAY_CASTS: EXACT,
-        Capability.RANDOMIZE_MASS: EXACT,
-        Capability.RANDOMIZE_CENTER_OF_MASS: EXACT,
-        Capability.RANDOMIZE_FRICTION: EXACT,
-        Capability.RANDOMIZE_GAINS: EXACT,
-        Capability.RANDOMIZE_GRAVITY: EXACT,
-        Capability.SHAPES_PER_ENVIRONMENT: EXACT,
-        Capability.SNAPSHOTS: EXACT,
+    shared_support("MuJoCo")
+    | {
         Capability.DETERMINISTIC: EXACT,
-        Capability.RGB: EXACT,
-        Capability.LIGHTING: EXACT,
         Capability.SHADOWS: approximate(
             "from a map of 6 mm squares that reaches 3 m around the middle of what moves; beyond, all is lit"
         ),
-        Capability.DEPTH: EXACT,
-        Capability.NORMALS: EXACT,
-        Capability.ALBEDO: EXACT,
-        Capability.SEGMENTATION: EXACT,
         Capability.RAY_TRACED_RGB: unsupported("MuJoCo rasterises"),
         Capability.GPU: unsupported("this backend simulates on the CPU"),
-        Capability.CLOTH: unsupported("MuJoCo's deformables are not connected to this backend"),
-        Capability.SOFT_BODIES: unsupported("MuJoCo's deformables are not connected to this backend"),
     }
 )
