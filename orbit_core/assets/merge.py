@@ -17,7 +17,7 @@ def merge_fixed_links(articulation: Articulation) -> Articulation:
     """
     if all(joint.movable for joint in articulation.joints):
         return articulation
-    hosts = _hosts(articulation)
+    hosts = link_hosts(articulation)
     groups: dict[str, list[tuple[Link, Pose]]] = {}
     for link in articulation.links:
         host, pose = hosts[link.name]
@@ -33,8 +33,8 @@ def merge_fixed_links(articulation: Articulation) -> Articulation:
     )
 
 
-def _hosts(articulation: Articulation) -> dict[str, tuple[str, Pose]]:
-    """For each link the link that it ends up in, and its pose there."""
+def link_hosts(articulation: Articulation) -> dict[str, tuple[str, Pose]]:
+    """For each link the link that it ends up in when fixed joints are taken out, and its pose there."""
     hosts: dict[str, tuple[str, Pose]] = {}
     joint_of = {joint.child: joint for joint in articulation.joints}
     for link in articulation.links:

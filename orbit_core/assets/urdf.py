@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from orbit_core.assets.naming import names_file, naming
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.outside import resolve_file
 from orbit_core.assets.source_text import read_xml
+from orbit_core.assets.urdf_text import UNLIMITED
 from orbit_core.assets.validation import sort_links
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import (
@@ -147,11 +149,11 @@ class _Reader:
             if joint.type is JointType.CONTINUOUS:
                 return joint
             raise self._error(f"{where} has no <limit>", "give it one, or make the joint continuous")
-        effort, velocity = (self._number(limit, key, where, np.inf) for key in ("effort", "velocity"))
+        effort, velocity = (_limit(self._number(limit, key, where, np.inf)) for key in ("effort", "velocity"))
         joint = replace(joint, effort_limit=effort, velocity_limit=velocity)
         if joint.type is JointType.CONTINUOUS:
             return joint
-        lower, upper = (self._number(limit, key, where, 0.0) for key in ("lower", "upper"))
+        lower, upper = (_limit(self._number(limit, key, where, 0.0)) for key in ("lower", "upper"))
         return replace(joint, lower_limit=lower, upper_limit=upper)
 
     def _collision(self, element: Element, where: str) -> Iterator[Shape]:
@@ -260,3 +262,7 @@ class _Reader:
 
     def _error(self, fault: str, remedy: str) -> AssetError:
         return AssetError(f"in URDF file '{self.path}', {fault}: {remedy}")
+
+
+def _limit(value: float) -> float:
+    return math.copysign(math.inf, value) if abs(value) >= UNLIMITED else value

@@ -1,0 +1,82 @@
+"""What of an articulation URDF has no word for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from orbit_core.scene import (
+    Articulation,
+    Capsule,
+    HeightField,
+    Joint,
+    Link,
+    Mesh,
+    MeshCollision,
+    PhysicsMaterial,
+    Plane,
+    Pose,
+)
+
+_OF_JOINTS: tuple[tuple[str, Callable[[Joint], object]], ...] = (
+    ("armature", lambda joint: joint.movable and joint.armature),
+    ("the stiffness of springs", lambda joint: joint.movable and joint.stiffness),
+    ("higher powers of couplings", lambda joint: joint.mimic is not None and not joint.mimic.linear),
+)
+_OF_LINKS: tuple[tuple[str, Callable[[Link], object]], ...] = (
+    ("planes and height fields", lambda link: _has(link, Plane, HeightField)),
+    ("collision with a mesh's own triangles", lambda link: _collides_by_triangles(link)),
+    ("friction, restitution and compliance", lambda link: _has_material(link)),
+    ("semantic labels", lambda link: link.semantic_label),
+)
+
+
+def losses(articulation: Articulation) -> tuple[str, ...]:
+    """What a URDF file of the articulation does not say, or says in words that few read; a sentence each."""
+    said = [
+        f"URDF does not hold {what}, which joints have: {_listed(j.name for j in articulation.joints if has(j))}"
+        for what, has in _OF_JOINTS
+        if any(has(joint) for joint in articulation.joints)
+    ]
+    said += [
+        f"URDF does not hold {what}, which links have: {_listed(link.name for link in articulation.links if has(link))}"
+        for what, has in _OF_LINKS
+        if any(has(link) for link in articulation.links)
+    ]
+    return (*said, *_of_the_whole(articulation))
+
+
+def _of_the_whole(articulation: Articulation) -> Iterable[str]:
+    if articulation.loops:
+        yield f"URDF does not hold joints that close loops: {_listed(loop.name for loop in articulation.loops)}"
+    if articulation.drives:
+        yield f"URDF does not hold drives' gains: {_listed(drive.joint for drive in articulation.drives)}"
+    if articulation.home:
+        yield "URDF does not hold a home pose"
+    if articulation.self_collisions:
+        yield "URDF does not say that the links collide with each other"
+    if articulation.collision_exclusions:
+        yield f"URDF does not hold {len(articulation.collision_exclusions)} pairs of links that never collide"
+    if any(_has(link, Capsule) for link in articulation.links):
+        yield "capsules are written as <capsule>, which MuJoCo and PyBullet read and ROS does not"
+    moved = [joint.child for joint in articulation.joints if joint.child_pose != Pose()]
+    if moved:
+        yield f"frames of links are written at their joints' frames: {_listed(moved)}"
+
+
+def _has(link: Link, *kinds: type) -> bool:
+    return any(isinstance(shape.geometry, kinds) for shape in (*link.collisions, *link.visuals))
+
+
+def _collides_by_triangles(link: Link) -> bool:
+    meshes = (shape.geometry for shape in link.collisions if isinstance(shape.geometry, Mesh))
+    return any(mesh.collision is MeshCollision.TRIANGLES for mesh in meshes)
+
+
+def _has_material(link: Link) -> bool:
+    return any(shape.material != PhysicsMaterial() for shape in link.collisions)
+
+
+def _listed(names: Iterable[str], most: int = 4) -> str:
+    every = list(names)
+    rest = f" and {len(every) - most} more" if len(every) > most else ""
+    return ", ".join(f"'{name}'" for name in every[:most]) + rest
