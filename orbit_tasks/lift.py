@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.objects import box
+from orbit_core.assets.object_kinds import BoxConfig, ObjectConfig
 from orbit_core.envs import (
     EventTerm,
     EventTime,
@@ -74,7 +74,7 @@ def reaching(world: World, task: Lift) -> Tensor:
 @once_per_state
 def lifted(world: World, task: Lift) -> Tensor:
     """(N,) 1 where the cube is off the table, else 0."""
-    return (cube_height(world, task) > task.cube_size).float()
+    return (cube_height(world, task) > 2.0 * task.rest_height).float()
 
 
 def tracking(world: World, task: Lift, scale: float) -> Tensor:
@@ -84,7 +84,7 @@ def tracking(world: World, task: Lift, scale: float) -> Tensor:
 
 def place_cube(world: World, task: Lift, env_ids: Tensor) -> None:
     """Somewhere on a 20 x 50 cm patch of the table, turned by any angle."""
-    height = 0.5 * task.cube_size
+    height = task.rest_height
     place = world.random.uniform((4,), (0.4, -0.25, height, -math.pi), (0.6, 0.25, height, math.pi), env_ids)
     pose = torch.cat((place[:, :3], common.turned(place[:, 3])), dim=1)
     world.objects["cube"].set_root_pose(pose, env_ids)
@@ -190,10 +190,8 @@ class Lift(Task):
     action: str = "joint_position"
     episode_length: float = 5.0
     ppo: PpoSettings = PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005)
-    cube_size: float = 0.05
-    """Metres, the edge."""
-    cube_mass: float = 0.1
-    """Kilograms."""
+    cube: ObjectConfig = BoxConfig(size=(0.05, 0.05, 0.05), mass=0.1, color=(0.8, 0.2, 0.15, 1.0))
+    """What is lifted; :func:`orbit_core.assets.object_kinds.object_kinds` has other kinds."""
     tolerance: float = 0.02
     """Metres."""
     observations: LiftObservations | LiftPixelObservations = field(default_factory=LiftObservations)
@@ -202,11 +200,11 @@ class Lift(Task):
     events: LiftEvents = field(default_factory=LiftEvents)
     goal: Tensor = field(init=False)
     """(N, 3) in the environment's frame."""
+    rest_height: float = field(init=False)
+    """Metres from the table to the middle of a cube that stands on it."""
 
     def scene(self) -> Scene:
-        size = (self.cube_size, self.cube_size, self.cube_size)
-        pose = Pose((0.5, 0.0, 0.5 * self.cube_size))
-        cube = box("cube", size=size, mass=self.cube_mass, pose=pose, color=(0.8, 0.2, 0.15, 1.0))
+        cube = self.cube.build("cube", Pose((0.5, 0.0, self.cube.rest_height)))
         return Scene(
             robots=(common.arm(self.robot),),
             objects=(cube, common.work_bench()),
@@ -218,6 +216,7 @@ class Lift(Task):
     def start(self, world: World) -> None:
         super().start(world)
         self.goal = torch.zeros(world.num_envs, 3, device=world.device)
+        self.rest_height = self.cube.rest_height
 
     def randomize(self) -> None:
         """The cube's mass, its friction and the fingers', the arm's gains, and noise on joints and cube."""

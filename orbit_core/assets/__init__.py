@@ -1,4 +1,4 @@
-"""Files to scene data and back, and the catalogue of robots. Names load on first use."""
+"""Files to scene data and back, and the catalogues of robots and objects. Names load on first use."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from orbit_core.assets.compose import add_frames, attach, edit_joints, edit_links, subtree
     from orbit_core.assets.files import asset_file, load_articulation
     from orbit_core.assets.merge import merge_fixed_links
+    from orbit_core.assets.object_kinds import ObjectConfig, object_config, object_kinds
     from orbit_core.assets.urdf import read_urdf
     from orbit_core.assets.urdf_writer import write_urdf
     from orbit_core.assets.validation import sort_links, validate, validate_entity
@@ -19,6 +20,7 @@ _MODULES = {
     "compose": ("add_frames", "attach", "edit_joints", "edit_links", "subtree"),
     "files": ("asset_file", "load_articulation"),
     "merge": ("merge_fixed_links",),
+    "object_kinds": ("ObjectConfig", "object_config", "object_kinds"),
     "urdf": ("read_urdf",),
     "urdf_writer": ("write_urdf",),
     "validation": ("sort_links", "validate", "validate_entity"),
@@ -26,9 +28,9 @@ _MODULES = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "RobotCatalogue", "RobotEntry", "add_frames", "asset_file", "attach", "edit_joints", "edit_links",
-    "load_articulation", "merge_fixed_links", "read_urdf", "robot", "robot_info", "robot_names", "sort_links",
-    "subtree", "validate", "validate_entity", "write_urdf",
+    "ObjectConfig", "RobotCatalogue", "RobotEntry", "add_frames", "asset_file", "attach", "edit_joints",
+    "edit_links", "load_articulation", "merge_fixed_links", "object_config", "object_kinds", "read_urdf", "robot",
+    "robot_info", "robot_names", "sort_links", "subtree", "validate", "validate_entity", "write_urdf",
 ]  # fmt: skip
 
 

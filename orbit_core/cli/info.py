@@ -1,10 +1,10 @@
-"""``orbit info``: everything about one task, robot, backend or renderer."""
+"""``orbit info``: everything about one task, robot, object, sensor, backend or renderer."""
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,14 +14,17 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from orbit_core.assets.catalogue import robot_info, robot_names
+from orbit_core.assets.object_kinds import ObjectConfig, object_kinds
 from orbit_core.backends import backend, backend_names, installable_backends, renderer, renderer_names
+from orbit_core.cli.info_scene import show_object, show_sensor
 from orbit_core.cli.output import console as make_console
-from orbit_core.cli.output import new_table
+from orbit_core.cli.output import new_table, print_heading, print_line, print_rows
 from orbit_core.cli.parsing import parse_words
 from orbit_core.envs.registry import task_entries
 from orbit_core.interfaces.capabilities import Capability
 from orbit_core.interfaces.errors import UnknownNameError
 from orbit_core.interfaces.requirements import IMAGES
+from orbit_core.sensors import sensor_types
 
 if TYPE_CHECKING:
     from orbit_core.envs.task import Task
@@ -31,10 +34,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class InfoSettings:
-    """Everything about one task, robot, backend or renderer."""
+    """Everything about one task, robot, object, sensor, backend or renderer."""
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
-    """Of a task, robot, backend or renderer."""
+    """Of a task, robot, object, sensor, backend or renderer."""
 
 
 def main(words: Sequence[str]) -> None:
@@ -45,13 +48,18 @@ def main(words: Sequence[str]) -> None:
         _show_task(console, name)
     elif name in robot_names():
         _show_robot(console, name)
+    elif name in object_kinds().names:
+        show_object(console, name)
+    elif name in sensor_types().names:
+        show_sensor(console, name)
     elif name in backend_names() or name in installable_backends():
         _show_plugin(console, f"Backend {name}", backend(name), tuple(Capability))  # if missing, says how to install it
     elif name in renderer_names():
         _show_plugin(console, f"Renderer {name}", renderer(name), IMAGES)
     else:
-        known = [*task_entries(), *robot_names(), *backend_names(), *installable_backends(), *renderer_names()]
-        raise UnknownNameError("task, robot, backend or renderer", name, known)
+        things = [*task_entries(), *robot_names(), *object_kinds().names, *sensor_types().names]
+        known = [*things, *backend_names(), *installable_backends(), *renderer_names()]
+        raise UnknownNameError("task, robot, object, sensor, backend or renderer", name, known)
 
 
 def _show_task(console: Console, name: str) -> None:
@@ -61,23 +69,23 @@ def _show_task(console: Console, name: str) -> None:
 
     entry = task_entries()[name]
     task = configure(entry.task_type(), {})
-    _heading(console, f"Task {name}", entry.description)
+    print_heading(console, f"Task {name}", entry.description)
     console.print(Text(f"\n{inspect.getdoc(type(task))}\n"))
     fields = {field.name: field.default for field in dataclasses.fields(task) if field.init and _is_plain(field)}
-    _rows(console, "field", "default", fields.items())
+    print_rows(console, "field", "default", fields.items())
     for name, group in groups_of(task).items():
         kind = "one tensor" if group.concatenate else "a dictionary"
-        _line(console, f"observations, {name} ({kind})", ", ".join(terms_of_group(group)))
+        print_line(console, f"observations, {name} ({kind})", ", ".join(terms_of_group(group)))
     presets = ", ".join((f"{DEFAULT_PRESET} (default)", *task.observation_presets))
-    _line(console, "presets of observations, --set observations=NAME", presets)
+    print_line(console, "presets of observations, --set observations=NAME", presets)
     for part in ("rewards", "terminations", "events"):
-        _line(console, part, _terms(task, part))
-    _line(console, "robots", _robots_like(task.robot))
+        print_line(console, part, _terms(task, part))
+    print_line(console, "robots", _robots_like(task.robot))
     scene = task.scene()
     _show_actions(console, task, scene)
     needs = required_capabilities(scene)
-    _rows(console, "ppo, in training", "default", dataclasses.asdict(task.ppo).items())
-    _rows(console, "needs", "for", ((need.value, culprit) for need, culprit in needs.items()))
+    print_rows(console, "ppo, in training", "default", dataclasses.asdict(task.ppo).items())
+    print_rows(console, "needs", "for", ((need.value, culprit) for need, culprit in needs.items()))
 
 
 def _show_actions(console: Console, task: Task, scene: Scene) -> None:
@@ -96,7 +104,7 @@ def _show_actions(console: Console, task: Task, scene: Scene) -> None:
 
 
 def _is_plain(field: dataclasses.Field[Any]) -> bool:
-    return isinstance(field.default, bool | int | float | str | tuple)
+    return isinstance(field.default, bool | int | float | str | tuple | ObjectConfig)
 
 
 def _terms(task: Task, part: str) -> str:
@@ -121,24 +129,24 @@ def _show_robot(console: Console, name: str) -> None:
     entry = robot_info(name)
     robot = entry.load()
     body = robot.articulation
-    _heading(console, f"Robot {name}", entry.description)
-    _line(console, "source", entry.source or "ORBIT")
-    _line(console, "licence", entry.licence or "unknown")
-    _line(console, "degrees of freedom", f"{entry.dof}{'' if robot.fixed_base else ', and 6 of its free base'}")
-    _line(console, "mass", f"{body.mass:.2f} kg")
-    _line(console, "links", f"{len(body.links)}: {', '.join(body.link_names)}")
+    print_heading(console, f"Robot {name}", entry.description)
+    print_line(console, "source", entry.source or "ORBIT")
+    print_line(console, "licence", entry.licence or "unknown")
+    print_line(console, "degrees of freedom", f"{entry.dof}{'' if robot.fixed_base else ', and 6 of its free base'}")
+    print_line(console, "mass", f"{body.mass:.2f} kg")
+    print_line(console, "links", f"{len(body.links)}: {', '.join(body.link_names)}")
     for effector in robot.end_effectors:
         hand = f", gripper {', '.join(effector.gripper.joints)}" if effector.gripper else ""
-        _line(console, "end effector", f"{effector.frame}, moved by {', '.join(effector.arm_joints)}{hand}")
+        print_line(console, "end effector", f"{effector.frame}, moved by {', '.join(effector.arm_joints)}{hand}")
     if robot.feet:
-        _line(console, "feet", ", ".join(robot.feet))
+        print_line(console, "feet", ", ".join(robot.feet))
     console.print(_joint_table(robot))
     for group in robot.actuators:
         values = {field.name: getattr(group, field.name) for field in dataclasses.fields(group)}
         described = ", ".join(f"{key} {value:g}" for key, value in values.items() if isinstance(value, float))
-        _line(console, f"actuators {', '.join(group.joints)}", f"{type(group).__name__}, {described}")
+        print_line(console, f"actuators {', '.join(group.joints)}", f"{type(group).__name__}, {described}")
     for note in body.notes:
-        _line(console, "note", note)
+        print_line(console, "note", note)
 
 
 def _joint_table(robot: RobotSpec) -> Table:
@@ -153,9 +161,9 @@ def _joint_table(robot: RobotSpec) -> Table:
 def _show_plugin(console: Console, title: str, plugin: Backend, shown: Sequence[Capability]) -> None:
     capabilities = plugin.capabilities()
     versions = ", ".join(f"{package} {version}" for package, version in plugin.versions().items())
-    _heading(console, title, versions)
+    print_heading(console, title, versions)
     settings = {field.name: field.default for field in dataclasses.fields(plugin.config_type)}
-    _rows(console, "setting", "default", settings.items())
+    print_rows(console, "setting", "default", settings.items())
     table = new_table("capability", "level", "how it differs, or why it is missing")
     for capability in shown:
         support = capabilities[capability]
@@ -174,19 +182,4 @@ def _show_gaps(console: Console, plugin: Backend) -> None:
     for gap in plugin.gaps():
         limit = f"{gap.limit:g} {units.get((gap.scenario, gap.metric), '')}"
         table.add_row(gap.scenario, gap.metric, limit.strip(), gap.reason)
-    console.print(table)
-
-
-def _heading(console: Console, title: str, text: str) -> None:
-    console.print(Text.assemble((title, "bold"), f": {text}"))
-
-
-def _line(console: Console, label: str, value: str) -> None:
-    console.print(Text.assemble((label, "bold"), f": {value}"))
-
-
-def _rows(console: Console, left: str, right: str, rows: Iterable[tuple[str, Any]]) -> None:
-    table = new_table(left, right)
-    for key, value in rows:
-        table.add_row(key, Text(str(value)))
     console.print(table)

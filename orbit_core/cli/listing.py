@@ -15,10 +15,10 @@ from orbit_core.interfaces.errors import OrbitError, UnknownNameError
 
 @dataclass(frozen=True)
 class ListSettings:
-    """Names of all tasks, robots, backends, renderers, kept policies, learning libraries, action spaces or motion
-    generators."""
+    """Names of all tasks, robots, objects, sensors, backends, renderers, kept policies, learning libraries, action
+    spaces or motion generators."""
 
-    kind: Annotated[Positional[str], arg(metavar="{tasks,robots,backends,renderers,policies,libraries,actions,motion}")]
+    kind: Annotated[Positional[str], arg(metavar="KIND")]
     """What to list."""
 
 
@@ -43,6 +43,25 @@ def _robots() -> list[tuple[str, str]]:
     from orbit_core.assets.catalogue import robot_info, robot_names
 
     return [(name, robot_info(name).description) for name in robot_names()]
+
+
+def _objects() -> list[tuple[str, str]]:
+    from orbit_core.assets.object_kinds import object_kinds
+
+    return [*object_kinds().descriptions.items()]
+
+
+def _sensors() -> list[tuple[str, str]]:
+    from orbit_core.registry import first_line
+    from orbit_core.sensors import sensor_types
+
+    rows = []
+    for name in sensor_types().names:
+        try:
+            rows.append((name, first_line(sensor_types().get(name))))
+        except OrbitError as error:
+            rows.append((name, f"broken: {error}"))
+    return rows
 
 
 def _backends() -> list[tuple[str, str]]:
@@ -95,6 +114,8 @@ def _state(name: str) -> str:
 _LISTS = {
     "tasks": _tasks,
     "robots": _robots,
+    "objects": _objects,
+    "sensors": _sensors,
     "backends": _backends,
     "renderers": _renderers,
     "libraries": _libraries,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from orbit_core.files import written_whole
 
@@ -44,3 +46,21 @@ def write_json(path: Path | None, values: Any) -> None:
         return
     with written_whole(path) as written:
         written.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
+
+
+def print_heading(console: Console, title: str, text: str) -> None:
+    """A title in bold, and a text after it."""
+    console.print(Text.assemble((title, "bold"), f": {text}"))
+
+
+def print_line(console: Console, label: str, value: str) -> None:
+    """A label in bold, and a value after it."""
+    console.print(Text.assemble((label, "bold"), f": {value}"))
+
+
+def print_rows(console: Console, left: str, right: str, rows: Iterable[tuple[str, Any]]) -> None:
+    """A table of two columns."""
+    table = new_table(left, right)
+    for key, value in rows:
+        table.add_row(key, Text(str(value)))
+    console.print(table)

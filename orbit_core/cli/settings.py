@@ -37,7 +37,7 @@ class EnvironmentSettings:
     seed: int = 0
     """Of every environment's random stream."""
     set: KeyValues = ()
-    """A field of the task, such as cube_size=0.06 ('orbit info TASK')."""
+    """A field of the task, such as tolerance=0.03 ('orbit info TASK')."""
     setting: KeyValues = ()
     """A setting of the physics backend, such as iterations=50 ('orbit info BACKEND')."""
     renderer_setting: KeyValues = ()

@@ -33,7 +33,7 @@ def printed(*words: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("kind", ["tasks", "robots", "backends", "policies"])
+@pytest.mark.parametrize("kind", ["tasks", "robots", "objects", "backends", "policies"])
 def test_lists_load_no_tensor_library_and_no_engine(kind: str):
     script = (
         "import sys; from orbit_core.cli import main; code = main(['list', sys.argv[1]]);"
@@ -45,6 +45,7 @@ def test_lists_load_no_tensor_library_and_no_engine(kind: str):
     names = {
         "tasks": list(task_entries()),
         "robots": ["franka_panda"],
+        "objects": ["box", "cabinet"],
         "backends": [BACKEND],
         "policies": ["reach"],
     }
@@ -52,8 +53,10 @@ def test_lists_load_no_tensor_library_and_no_engine(kind: str):
         assert f"\n{name} " in f"\n{done.stdout}"
 
 
-@pytest.mark.parametrize(("kind", "name"), [("actions", "ik_relative"), ("motion", "differential_ik")])
-def test_action_spaces_and_motion_generators_are_listed(kind: str, name: str):
+@pytest.mark.parametrize(
+    ("kind", "name"), [("actions", "ik_relative"), ("motion", "differential_ik"), ("sensors", "ImuSpec")]
+)
+def test_action_spaces_motion_generators_and_sensors_are_listed(kind: str, name: str):
     assert f"\n{name} " in f"\n{printed('list', kind)}"
 
 
@@ -70,8 +73,22 @@ def test_backends_are_listed_with_versions():
 
 def test_info_of_a_task():
     text = printed("info", "Lift")
-    for word in ("Lift", "cube_size", "0.05", "hand_to_cube", "action_rate", "franka_panda", "native PD", "clip"):
-        assert word in text
+    words = ("Lift", "BoxConfig(", "0.05", "hand_to_cube", "action_rate", "franka_panda", "native PD", "clip")
+    assert all(word in text for word in words)
+
+
+def test_info_of_an_object_tells_its_parameters_and_what_they_make():
+    text = printed("info", "cabinet")
+    assert "drawer_joint" in text
+    text = " ".join(printed("info", "sphere").split())
+    assert "radius 0.025" in text
+    assert "mass: 0.03272 kg" in text
+
+
+def test_info_of_a_sensor_tells_its_specification_and_its_values():
+    text = " ".join(printed("info", "ImuSpec").split())
+    assert "rate None" in text
+    assert "linear_acceleration (N, 3) m/s^2" in text
 
 
 def test_info_of_a_robot():
@@ -175,9 +192,9 @@ BUILT_MISTAKES = [
     (["--action", "ik_relativ"], "did you mean 'ik_relative'"),
     (["--device", "gpu"], "device 'gpu'"),
     (["--renderer", "crayons"], "unknown renderer 'crayons'"),
-    (["--set", "cube_siz=1"], "did you mean 'cube_size'"),
-    (["--set", "cube_size"], "key=value"),
-    (["--set", "cube_size=big"], "'cube_size' of task Lift is 'big'"),
+    (["--set", "cube.siz=1"], "did you mean 'size'"),
+    (["--set", "tolerance"], "key=value"),
+    (["--set", "tolerance=big"], "'tolerance' of task Lift is 'big'"),
     (["--setting", "nothing_of_the_kind=1"], "unknown setting 'nothing_of_the_kind'"),
 ]
 

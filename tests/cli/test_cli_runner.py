@@ -25,8 +25,8 @@ def lift(num_envs: int, episodes: int, agent: str = "random") -> RunSettings:
         num_envs=num_envs,
         episodes=episodes,
         agent=agent,
-        set=("cube_size=0.06",),
-        fields={"episode_length": 0.1, "cube_size": 0.05},
+        set=("tolerance=0.06",),
+        fields={"episode_length": 0.1, "tolerance": 0.05},
     )
 
 

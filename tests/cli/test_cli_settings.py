@@ -17,7 +17,7 @@ seed = 3
 json = "result.json"
 
 [fields]
-cube_size = 0.06
+tolerance = 0.06
 
 [settings]
 iterations = 50
@@ -46,7 +46,7 @@ def test_the_file_wins_over_defaults(file: Path):
     parsed = run_settings("--config", str(file))
     assert (parsed.task, parsed.num_envs, parsed.seed, parsed.episodes) == ("Lift", 8, 3, 200)
     assert parsed.json == Path("result.json")
-    assert parsed.fields == {"cube_size": 0.06}
+    assert parsed.fields == {"tolerance": 0.06}
     assert parsed.settings == {"iterations": 50}
     assert parsed.renderer_settings == {"samples_per_pixel": 4}
 
@@ -83,7 +83,7 @@ def test_a_video_has_a_width_and_a_height(tmp_path: Path):
         ("num_env = 3", ["num_env", "'num_envs'"]),
         ("cofig = 3", ["cofig"]),
         ('config = "other.toml"', ["config"]),
-        ('set = ["cube_size=1"]', ["set", "'settings'"]),
+        ('set = ["tolerance=1"]', ["set", "'settings'"]),
         ('num_envs = "many"', ["num_envs", "whole number"]),
         ("num_envs = true", ["num_envs", "whole number"]),
         ("seed = 1.5", ["seed", "whole number"]),

@@ -144,7 +144,7 @@ def test_closed_gymnasium_environments_say_so(kind: type[gymnasium.Env]) -> None
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"cube_size": float("nan")}, "cube_size.* is nan: give a finite number"),
+        ({"tolerance": float("nan")}, "tolerance.* is nan: give a finite number"),
         ({"physics_dt": float("inf")}, "physics_dt.* is inf"),
         ({"decimation": 10**30}, "decimation.* give at most 2147483647"),
     ],

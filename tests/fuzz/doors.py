@@ -192,7 +192,7 @@ class Doors:
         make(task, **{"backend": self.backend, "num_envs": 1, keyword: value}).close()
 
     def _make_keyword(self, pool: Pool) -> tuple[str, object]:
-        names = ("num_envs", "backend", "device", "seed", "renderer", "settings", "cube_size", "episode_length",
+        names = ("num_envs", "backend", "device", "seed", "renderer", "settings", "tolerance", "episode_length",
                  "physics_dt", "decimation", "robot", "action", "nonsense")  # fmt: skip
         return pool.random.choice(names), pool.anything()
 
