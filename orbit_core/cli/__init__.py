@@ -29,6 +29,10 @@ COMMANDS = {
     "play": ("play", "Run a learned policy on any backend, and report how it went"),
     "export": ("export", "Write a learned policy as safetensors and ONNX, with its description"),
     "bench": ("bench", "Measure throughput over numbers of environments"),
+    "check-asset": (
+        "check_asset",
+        "Check an asset file: masses, inertias, limits, shapes, and what was changed",
+    ),
     "conformance": ("conformance", "Hold backends against known answers and whole tasks, and report"),
 }
 
