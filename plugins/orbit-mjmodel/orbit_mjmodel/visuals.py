@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout
+from orbit_core.plugin_kit.markers import marker_shapes
 from orbit_core.scene import Box, Capsule, Cylinder, Entity, HeightField, Mesh, Plane, Scene, Shape, Sky, Sphere
 
 _HEIGHT_FIELD_BASE = 0.01
@@ -50,7 +51,10 @@ def _seen(entity: Entity) -> list[tuple[Shape, ...]]:
 
 
 def looks_spec(layout: SceneLayout) -> mujoco.MjSpec:
-    """What to compile and draw. Body ``i + 1`` is link ``i`` and has mocap index ``i``; body 0 carries the terrain."""
+    """What to compile and draw: :func:`drawn_shapes` in their order, then those of the markers.
+
+    Body 0 carries the terrain; then come the links' bodies, then the markers', each with the next mocap index.
+    """
     spec = mujoco.MjSpec()
     _set_lights(spec, layout.scene)
     looks = _Looks(spec)
@@ -59,6 +63,10 @@ def looks_spec(layout: SceneLayout) -> mujoco.MjSpec:
     for link in layout.links:
         body = spec.worldbody.add_body(mocap=True)
         for shape in link.visuals or link.collisions:
+            looks.add(body, shape)
+    for marker in layout.scene.markers:
+        body = spec.worldbody.add_body(mocap=True)
+        for shape in marker_shapes(marker):
             looks.add(body, shape)
     return spec
 

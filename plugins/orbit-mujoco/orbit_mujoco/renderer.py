@@ -27,8 +27,7 @@ from orbit_core.scene import CameraSpec
 from orbit_mjmodel.visuals import all_variants
 from orbit_mujoco.config import MujocoConfig
 from orbit_mujoco.renderer_context import create_context
-from orbit_mujoco.renderer_markers import MAX_GEOMS, add_markers
-from orbit_mujoco.renderer_model import build_model, quaternion_matrix, shape_count
+from orbit_mujoco.renderer_model import build_model, quaternion_matrix
 from orbit_mujoco.renderer_rays import HIDDEN_GROUP, sky_colors, trace
 
 _COLOR_FLAGS = (mujoco.mjtRndFlag.mjRND_SKYBOX, mujoco.mjtRndFlag.mjRND_CULL_FACE)
@@ -60,8 +59,8 @@ class MujocoRenderer(HostRenderer):
         Raises:
             ConfigurationError: no OpenGL works here; says what to install.
         """
-        layout, self._shown = all_variants(layout)
-        self._layout = layout
+        layout, shown = all_variants(layout)
+        self._sky, self._links = layout.scene.sky, len(layout.links)
         self._size = (max((c.width for c in cameras), default=1), max((c.height for c in cameras), default=1))
         self._far = max((camera.far for camera in cameras), default=1.0)
         self._reach = max(_SKY * self._far, _LIGHT_REACH)
@@ -69,20 +68,23 @@ class MujocoRenderer(HostRenderer):
         self._model = build_model(layout, self._size, self._reach, max(config.shadow_size, 1), config.antialiasing)
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
+        self._shown = np.zeros((len(shown), self._model.ngeom), dtype=bool)
+        self._shown[:, : shown.shape[1]] = shown
+        self._is_marker = np.arange(self._model.ngeom) >= shown.shape[1]
         bodies = self._model.geom_bodyid
         links = np.where(bodies > 0, bodies - 1, TERRAIN)
         # At the geom's index plus one; zero stands for nothing.
         self._link_of_geom = np.concatenate(((BACKGROUND,), links)).astype(np.int32)
         self._albedo_of_geom = albedo_table(layout)
         # A colour pass serves for depth where it draws the same surfaces as an id pass, once a pixel.
-        self._color_has_depth = config.antialiasing == 0 and bool(np.all(self._model.geom_rgba[:, 3] == 1.0))
+        opaque = self._model.geom_rgba[: shown.shape[1], 3] == 1.0
+        self._color_has_depth = config.antialiasing == 0 and bool(np.all(opaque))
         self._context = create_context(*self._size)
         self._context.make_current()
         self._buffers = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._buffers)
         self._buffers.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-        capacity = shape_count(layout) + MAX_GEOMS * len(layout.scene.markers)
-        self._scene = mujoco.MjvScene(self._model, maxgeom=max(capacity, 1))
+        self._scene = mujoco.MjvScene(self._model, maxgeom=max(self._model.ngeom, 1))
         self._option = mujoco.MjvOption()
         self._view = mujoco.MjvCamera()
         self._geoms_of_codes = [self._codes(kind) for kind in range(len(self._shown))]
@@ -145,15 +147,13 @@ class MujocoRenderer(HostRenderer):
         flags = _COLOR_FLAGS + ((mujoco.mjtRndFlag.mjRND_SHADOW,) if self._shadows else ())
         colors, heights = request.canvas("rgb"), request.canvas("depth")
         for i in range(len(request.cameras)):
-            self._place(request, i)
+            self._place(request, i, with_markers=True)
             self._aim(request, i)
-            if request.markers is not None:
-                add_markers(self._scene, self._layout.scene.markers, request.markers[i])
             self._draw(request.camera, flags, colors[i], heights[i])
         depth = _metric_depth(heights, request.camera, self._reach)
         colors = np.ascontiguousarray(colors[:, ::-1])
         for picture, beyond, pose in zip(colors, np.isinf(depth[..., 0]), request.cameras, strict=True):
-            picture[beyond] = sky_colors(self._layout.scene.sky, request.camera, pose, beyond)
+            picture[beyond] = sky_colors(self._sky, request.camera, pose, beyond)
         return colors, depth
 
     # One environment -------------------------------------------------------------------------------------------------
@@ -161,18 +161,26 @@ class MujocoRenderer(HostRenderer):
     def _kind(self, request: HostRequest, row: int) -> int:
         return int(request.environments[row]) % len(self._shown)
 
-    def _place(self, request: HostRequest, row: int) -> None:
-        self._show(self._kind(request, row))
-        links = request.links[row]
-        self._data.mocap_pos[:] = links[:, :3]
-        self._data.mocap_quat[:] = links[:, 3:]
+    def _place(self, request: HostRequest, row: int, with_markers: bool = False) -> None:
+        shown = self._shown[self._kind(request, row)]
+        poses = request.links[row]
+        if with_markers and request.markers is not None:
+            shown = shown | self._is_marker
+            poses = np.concatenate((poses, request.markers[row]))
+        self._show(shown)
+        self._data.mocap_pos[: len(poses)] = poses[:, :3]
+        self._data.mocap_quat[: len(poses)] = poses[:, 3:]
         mujoco.mj_kinematics(self._model, self._data)
 
-    def _show(self, kind: int) -> None:
-        self._model.geom_group = np.where(self._shown[kind], 0, HIDDEN_GROUP)
+    def _show(self, geoms: npt.NDArray[np.bool_]) -> None:
+        self._model.geom_group = np.where(geoms, 0, HIDDEN_GROUP)
 
     def _aim(self, request: HostRequest, row: int) -> None:
         self._update_scene()
+        if request.markers is not None:
+            for geom in self._scene.geoms[: self._scene.ngeom]:
+                if self._is_marker[geom.objid]:
+                    geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # which casts no shadow
         camera, pose = request.camera, request.cameras[row]
         rotation = quaternion_matrix(pose[3:])
         top = camera.near * math.tan(0.5 * camera.vertical_fov)
@@ -182,7 +190,7 @@ class MujocoRenderer(HostRenderer):
             eye.frustum_top, eye.frustum_bottom = top, -top
             eye.frustum_width = top * camera.width / camera.height
         # Shadows reach around a light's axis: point it at the middle of what moves.
-        middle = self._data.mocap_pos.mean(0) if self._model.nmocap else np.zeros(3)
+        middle = self._data.mocap_pos[: self._links].mean(0) if self._links else np.zeros(3)
         for light in self._scene.lights[: self._scene.nlight]:
             if light.castshadow:
                 light.pos = middle - _LIGHT_DISTANCE * np.asarray(light.dir)
@@ -203,7 +211,7 @@ class MujocoRenderer(HostRenderer):
 
     def _codes(self, kind: int) -> npt.NDArray[np.int32]:
         """The geom's index plus one of each number in an id picture of a kind; zero stands for nothing."""
-        self._show(kind)
+        self._show(self._shown[kind])
         self._update_scene()
         geoms = np.zeros(self._scene.ngeom + 1, np.int32)
         for geom in self._scene.geoms[: self._scene.ngeom]:

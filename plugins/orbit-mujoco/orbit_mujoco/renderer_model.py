@@ -18,7 +18,7 @@ SHADOW_RADIUS = 3.0
 def build_model(
     layout: SceneLayout, size: tuple[int, int], far: float, shadow_size: int, samples: int
 ) -> mujoco.MjModel:
-    """The model to draw from. Body ``i + 1`` is link ``i`` and has mocap index ``i``; body 0 carries the terrain.
+    """The model to draw from, with the bodies of :func:`looks_spec`.
 
     Args:
         layout: of the scene.
@@ -35,11 +35,6 @@ def build_model(
     visual.map.zfar, visual.map.znear = far, 0.01
     visual.map.shadowclip = SHADOW_RADIUS
     return spec.compile()
-
-
-def shape_count(layout: SceneLayout) -> int:
-    """How many shapes a picture of the scene holds."""
-    return len(layout.scene.terrain) + sum(len(link.visuals or link.collisions) for link in layout.links)
 
 
 def quaternion_matrix(quaternion: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

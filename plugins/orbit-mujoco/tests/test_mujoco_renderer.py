@@ -138,6 +138,15 @@ def test_markers_are_drawn_in_colour_alone(make, shape):
     torch.testing.assert_close(depth_alone.depth, plain.depth)
 
 
+def test_markers_cast_no_shadow(make):
+    goal = scene(MarkerSpec("goal", MarkerShape.BOX, 0.2, (0.1, 0.9, 0.1, 1.0)))
+    place = torch.tensor([[[0.0, 0.3, 0.4, 1.0, 0, 0, 0]]])
+    lit, shaded = (make(goal, shadow_size=size) for size in (0, 2048))
+    seen, seen_in_shadow = (((rgb(drawn, place) - rgb(drawn)).abs() > 20).any(-1) for drawn in (lit, shaded))
+    assert seen.sum() > 50
+    assert (seen_in_shadow & ~seen).sum() < 5
+
+
 def test_a_transparent_shape_is_solid_to_depth(make):
     glass = make(scene(color=(0.8, 0.2, 0.2, 0.3)))
     solid = make(scene())

@@ -26,9 +26,9 @@ class StageArrays:
     geom_size: wp.array2d[wp.vec3]
     geom_matid: wp.array2d[int]
     colors: wp.array2d[wp.vec4]
-    """All that may be seen."""
+    """All that is seen; where markers are not drawn, as the next."""
     solid_colors: wp.array2d[wp.vec4]
-    """The same, with markers invisible."""
+    """With markers invisible."""
     shadow_colors: wp.array2d[wp.vec4]
     """The same, with all that casts no shadow invisible."""
     link_of_geom: wp.array[int]
@@ -112,7 +112,7 @@ class Stage:
         self._bvh: wp.Bvh | None = None
         self.arrays = self._constant_arrays(model)
         self._colors = self._kinds_of_colors(model)
-        self.choose(None)
+        self.choose(None, with_markers=False)
 
     def place(self, link_poses: Tensor, marker_poses: Tensor | None) -> None:
         """Move everything to where it is in the n environments of poses (n, L, 7) and (n, M, 7)."""
@@ -146,9 +146,10 @@ class Stage:
             assert self._bvh is not None
             self._bvh.refit()
 
-    def choose(self, env_ids: Tensor | None) -> None:
-        """Let row i look as environment ``env_ids[i]``, or as environment i."""
-        for name, colors in self._colors.items():
+    def choose(self, env_ids: Tensor | None, with_markers: bool) -> None:
+        """Let row i look as environment ``env_ids[i]``, or as environment i; with markers or without."""
+        tables = self._colors if with_markers else self._colors | {"colors": self._colors["solid_colors"]}
+        for name, colors in tables.items():
             if env_ids is not None and len(colors) > 1:
                 colors = colors[env_ids.to(colors.device) % len(colors)]
             setattr(self.arrays, name, wp.from_torch(colors, dtype=wp.vec4))

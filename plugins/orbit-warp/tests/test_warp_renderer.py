@@ -70,6 +70,15 @@ def test_markers_are_drawn_in_colour_alone(shape):
         assert torch.equal(getattr(plain, name), getattr(marked, name)), name
 
 
+def test_a_marker_that_is_not_drawn_is_not_seen_through_glass_either():
+    """The marker lies behind the box, where the picture before left it."""
+    glass = renderer(MarkerSpec("goal", MarkerShape.BOX, 0.3, (0.1, 0.9, 0.1, 1.0)), color=(0.8, 0.2, 0.2, 0.5))
+    before = rgb(glass)
+    marked = rgb(glass, torch.tensor([[[-0.3, 0.0, 0.2, 1.0, 0, 0, 0]]]))
+    assert ((marked - before).abs() > 30).any(-1).sum() > 10
+    assert torch.equal(rgb(glass), before)
+
+
 def test_a_transparent_shape_shows_what_is_behind_it_and_is_solid_to_depth():
     glass, solid = renderer(color=(0.8, 0.2, 0.2, 0.5), shadows=False), renderer(shadows=False)
     nothing = renderer(color=(0.8, 0.2, 0.2, 0.001), shadows=False)
