@@ -3,6 +3,7 @@
 import gymnasium
 
 from orbit_core.envs import RewardTerm
+from orbit_core.rollout.estimates import proportion
 from orbit_tasks.lift import Lift, LiftRewards
 
 
@@ -19,5 +20,6 @@ observation, _ = env.reset(seed=0)  # {"policy": tensor (16, 38)}
 for _ in range(250):
     action = expert.compute({})["action"]  # (16, 7) in [-1, 1]; put your policy's here
     observation, reward, terminated, truncated, info = env.step(action)
-print(f"success rate {info['final_info']['success'].float().mean():.2f}")
+success = info["final_info"]["success"]
+print("success rate", proportion(int(success.sum()), len(success)).percent())
 env.close()

@@ -57,7 +57,7 @@ def _of_the_whole(articulation: Articulation) -> Iterable[str]:
     if articulation.collision_exclusions:
         yield f"URDF does not hold {len(articulation.collision_exclusions)} pairs of links that never collide"
     if any(_has(link, Capsule) for link in articulation.links):
-        yield "capsules are written as <capsule>, which MuJoCo and PyBullet read and ROS does not"
+        yield "capsules are written as <capsule>, which physics engines read and ROS does not"
     moved = [joint.child for joint in articulation.joints if joint.child_pose != Pose()]
     if moved:
         yield f"frames of links are written at their joints' frames: {_listed(moved)}"

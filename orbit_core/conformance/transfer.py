@@ -73,7 +73,7 @@ def judge(policy: PretrainedPolicy, backend: str, success: Estimate, renderer: s
     the whole interval lies below, or above, the rate that the policy is held to.
     """
     gap, least = policy.gap_on(backend, renderer), policy.least_success
-    told = f"success is {success.value:.2f} [{success.low:.2f}, {success.high:.2f}]"
+    told = f"success is {success.percent()}"
     if success.high < (gap.least_success if gap else least):
         held_to = f"the declared {gap.least_success:g}" if gap else f"{least:g}"
         return Status.FAIL, f"{told}, below {held_to}"

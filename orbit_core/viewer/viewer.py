@@ -13,6 +13,7 @@ from torch import Tensor
 
 from orbit_core.envs.actors import Actor
 from orbit_core.interfaces import ConfigurationError, Deformable, Marker, SceneLayout, Sensor
+from orbit_core.rollout.estimates import proportion
 from orbit_core.scene import CameraSpec, Channel
 from orbit_core.sensors import CameraSensor
 from orbit_core.viewer.camera_pictures import picture_of
@@ -232,7 +233,8 @@ class Viewer:
             "reward": f"{self._reward:.4f}",
         }
         if self._episodes:
-            rows["episodes"] = f"{self._episodes}, {self._successes / self._episodes:.0%} successful"
+            rate = proportion(self._successes, self._episodes).percent()
+            rows["episodes"] = f"{self._episodes}, {rate} successful"
         return rows | dict(self._information(index) if self._information else {})
 
 

@@ -163,9 +163,9 @@ def test_the_page_shows_what_comes_of_pictures_that_others_draw(tmp_path: Path) 
     cells = section.split("<td>")[1:]
     assert [cell.split('class="plain ')[1].split('"')[0] for cell in cells] == ["pass", "fail", "absent"]
     assert ["learned here" in cell for cell in cells] == [True, False, False]
-    assert "40 [" in cells[1]
+    assert "40.0 % [" in cells[1]
     matrix = page[: page.index('<section id="transfers">')]
-    assert "40 %" not in matrix, "the matrix shows what backends draw themselves"
+    assert "40.0 %" not in matrix, "the matrix shows what backends draw themselves"
 
 
 def test_the_page_shows_who_learned_where_and_why_it_does_worse(tmp_path: Path) -> None:
@@ -176,11 +176,11 @@ def test_the_page_shows_who_learned_where_and_why_it_does_worse(tmp_path: Path) 
     cells = section.split("<td>")[1:4]
     assert "learned here" in cells[0]
     assert ["learned here" in cell for cell in cells] == [True, False, False]
-    assert "76 [66.8, 83.3] %" in cells[1]
+    assert "76.0 % [66.8, 83.3]" in cells[1]
     assert "distance_m: " in cells[1]
     assert [cell.split('class="plain ')[1].split('"')[0] for cell in cells] == ["pass", "gap", "unsupported"]
     assert "nothing moves" in cells[2]
     assert "its bars are oiled" in section.split("Where a policy is known to do worse")[1]
     matrix = page[: page.index('<section id="transfers">')]
     assert "Learned policies" in matrix
-    assert "76 %" in matrix
+    assert "76.0 % [66.8, 83.3]" in matrix

@@ -233,7 +233,7 @@ def _worst_cell(result: Result, kind: Kind, name: str, backend: str) -> Cell:
     if not records:
         return Cell(None, "not run")
     worst = max(records, key=lambda record: list(_SYMBOLS).index(record.status))
-    label = f"{100 * worst.played.success.value:.0f} %" if worst.played else _label(worst)
+    label = worst.played.success.percent() if worst.played else _label(worst)
     return Cell(worst.status, label, worst.why)
 
 
@@ -263,7 +263,7 @@ def _transfer_cell(result: Result, info: PolicyInfo, backend: str, renderer: str
         standing = Cell(record.status, _label(record), record.why) if record else Cell(None, "not run")
         return TransferCell(standing, "", home)
     name, metric = next(iter(record.played.metrics.items()))
-    standing = Cell(record.status, f"{_estimate(record.played.success, 100)} %", record.why)
+    standing = Cell(record.status, record.played.success.percent(), record.why)
     return TransferCell(standing, f"{name}: {_estimate(metric)}", home)
 
 
@@ -297,7 +297,7 @@ def _task_row(backend: str, record: Record) -> tuple[str, ...]:
         return (backend, record.why, "", "", "")
     name, metric = next(iter(task.metrics.items()))
     time = _estimate(task.seconds_to_success) if task.seconds_to_success else "-"
-    return (backend, _estimate(task.success, 100), f"{name}: {_estimate(metric)}", _estimate(task.episode_return), time)
+    return (backend, task.success.percent(), f"{name}: {_estimate(metric)}", _estimate(task.episode_return), time)
 
 
 def _replay_text(
@@ -305,11 +305,11 @@ def _replay_text(
 ) -> str:
     if own is not None:
         task = own[backend].task if backend in own else None
-        return f"{100 * task.success.value:.0f} % (recorded)" if task else "-"
+        return f"{task.success.percent()} (recorded)" if task else "-"
     record = replays.get((source, backend))
     if record is None or record.replay is None:
         return record.why if record else "-"
-    return f"{100 * record.replay.result.success.value:.0f} %"
+    return record.replay.result.success.percent()
 
 
 def _rates(result: Result) -> Iterator[tuple[str, ...]]:
@@ -351,6 +351,5 @@ def _number(value: float, unit: str) -> str:
     return f"{value:.3g} {unit}".strip()
 
 
-def _estimate(estimate: Estimate, factor: float = 1.0) -> str:
-    value, low, high = (factor * number for number in (estimate.value, estimate.low, estimate.high))
-    return f"{value:.3g} [{low:.3g}, {high:.3g}]"
+def _estimate(estimate: Estimate) -> str:
+    return f"{estimate.value:.3g} [{estimate.low:.3g}, {estimate.high:.3g}]"

@@ -7,6 +7,7 @@ import argparse
 import torch
 
 from orbit_core.envs import make
+from orbit_core.rollout.estimates import proportion
 
 
 def main() -> None:
@@ -24,9 +25,10 @@ def main() -> None:
         for _ in range(environment.max_episode_steps):
             *_, info = environment.step(expert.compute({})["action"])
             ends += [info["final"]] if "final" in info else []
-        success = torch.cat([end.success for end in ends]).float()
+        success = torch.cat([end.success for end in ends])
+        rate = proportion(int(success.sum()), len(success)).percent()
         metrics = {name: torch.cat([end.metrics[name] for end in ends]).mean().item() for name in ends[0].metrics}
-        print(f"{task}: success {success.mean().item():.3f} of {len(success)} episodes; means {metrics}", flush=True)
+        print(f"{task}: success {rate} of {len(success)} episodes; means {metrics}", flush=True)
         environment.close()
 
 
