@@ -51,6 +51,8 @@ def _chain(link: str, joint_of: dict[str, Joint], massless: set[str]) -> list[Jo
 
 def _check_independent(articulation: Articulation, joints: list[Joint]) -> None:
     free = [joint.armature == 0 for joint in joints]
+    if not any(free):
+        return
     motions = _unit_motions(joints)[:, free]
     values = np.linalg.svd(motions, compute_uv=False)
     if motions.shape[1] > 6 or values[-1] < _DEPENDENT * values[0]:

@@ -42,7 +42,7 @@ def check_references(path: Path | str, options: ReadOptions) -> None:
         AssetError: a file named is missing or lies outside, an element asks for more than the limits allow, or a file
             is no well-formed XML.
     """
-    _Model(Path(path), options).check()
+    _Model(Path(path).absolute(), options).check()
 
 
 class _Model:
