@@ -53,7 +53,8 @@ class _Model:
         self.options = options
         self.above = above
         """The files that led here, the main model's first."""
-        self.folders: dict[str, str] = {}
+        self.folders: dict[str, list[str]] = {}
+        """All that the files give for each setting, for which of them counts depends on their order."""
         self.strip = False
         self.sources: list[tuple[Path, Element]] = []
 
@@ -77,7 +78,8 @@ class _Model:
         root = read_xml(path, self.options)
         self.sources.append((path, root))
         for compiler in root.iter("compiler"):
-            self.folders.update({key: compiler.get(key, "") for key in compiler.attrib if key.endswith("dir")})
+            for key in (key for key in compiler.attrib if key.endswith("dir")):
+                self.folders.setdefault(key, []).append(compiler.get(key, ""))
             self.strip = compiler.get("strippath", str(self.strip)).lower() == "true"
         for element in root.iter("include"):
             with naming(f"{path}, <include>"):
@@ -122,7 +124,7 @@ class _Model:
             if not key.startswith("file") or not reference:
                 continue
             name = Path(reference.replace("\\", "/")).name if self.strip else reference
-            folders = [self.path.parent / self.folders[key] for key in _FILES[element.tag] if key in self.folders]
+            folders = [self.path.parent / each for key in _FILES[element.tag] for each in self.folders.get(key, [])]
             found = self._allowed(name, (*folders, self.path.parent))
             if element.tag == "model":
                 _Model(found, self.options, (*self.above, self.path)).check()

@@ -64,7 +64,7 @@ class Loops:
             return None
         first, second = (self._rebased(end) for end in ends)
         if first is None or second is None:
-            self.compiled.unsupported(f"{called} holds a body to one of another articulation", "remove it")
+            self.compiled.unsupported(f"{called} holds a body to one that is not of its articulation", "remove it")
             return None
         if model.body_weldid[bodies[0]] == model.body_weldid[bodies[1]]:
             notes.append(f"{called} holds a rigid body to itself, and is left out")
