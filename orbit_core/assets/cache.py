@@ -47,7 +47,18 @@ _READERS = (
     "mjcf_trees",
     "urdf",
     "usd",
+    "usd_articulations",
+    "usd_contents",
+    "usd_dynamics",
+    "usd_freedoms",
     "usd_geometry",
+    "usd_joints",
+    "usd_links",
+    "usd_mass",
+    "usd_names",
+    "usd_stage",
+    "usd_surfaces",
+    "usd_tree",
     "validation",
 )
 

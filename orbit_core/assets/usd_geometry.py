@@ -1,105 +1,28 @@
-"""Where things stand in a USD stage, and the shapes, surfaces and colours found there, in SI units with z up."""
+"""Where things stand in a USD stage, and the shapes found there, in SI units with z up."""
 
 from __future__ import annotations
 
-import functools
-import importlib
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from orbit_core.assets.usd_contents import STAGE
+from orbit_core.assets.usd_library import pxr
+from orbit_core.assets.usd_stage import Reading, Units, array, attribute, label, number
+from orbit_core.assets.usd_surfaces import Surfaces
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.scene import (
-    Box,
-    Capsule,
-    Color,
-    Compliance,
-    Cylinder,
-    Geometry,
-    Mesh,
-    MeshCollision,
-    PhysicsMaterial,
-    Plane,
-    Pose,
-    Shape,
-    Sphere,
-)
+from orbit_core.scene import Box, Capsule, Cylinder, Geometry, Mesh, MeshCollision, Plane, Pose, Shape, Sphere
 from orbit_core.scene.pose import FloatArray, Quaternion, Vector3, canonical
 
+UNNAMED = "orbit:unnamed"
+"""The attribute that marks a shape without a name, as every prim has one."""
 _TO_Z = {"X": Pose.from_euler(0.0, math.pi / 2, 0.0), "Y": Pose.from_euler(-math.pi / 2, 0.0, 0.0), "Z": Pose()}
 """The rotation that takes z to a prim's own axis."""
 _SHEAR = 1e-4
 """Relative; stages hold most numbers in single precision."""
-
-
-@functools.cache
-def pxr() -> Any:
-    """USD's package ``pxr``, which has no types, with the modules used here imported.
-
-    Newton's schemas of joint friction, armature and mimic joints must register before USD first looks any schema up.
-
-    Raises:
-        AssetError: they are not installed.
-    """
-    try:
-        importlib.import_module("newton_usd_schemas")
-        for module in ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdPhysics", "UsdSemantics", "UsdShade", "Vt"):
-            importlib.import_module(f"pxr.{module}")
-    except ImportError as error:
-        raise AssetError(
-            f'USD files need the packages usd-core and newton-usd-schemas: pip install "orbit-core[usd]" ({error})'
-        ) from None
-    return importlib.import_module("pxr")
-
-
-def attribute(prim: Any, name: str, default: Any = None) -> Any:
-    """The value of an attribute, or ``default`` where the prim has no such attribute or no value for it."""
-    found = prim.GetAttribute(name)
-    value = found.Get() if found else None
-    return default if value is None else value
-
-
-def label(prim: Any) -> str:
-    """The name given to a prim: its display name, which may hold any characters, or else its name in the stage."""
-    return prim.GetDisplayName() or prim.GetName()
-
-
-@dataclass(frozen=True)
-class Units:
-    """A stage's units in SI, and the rotation that takes its up axis to z.
-
-    Link frames turn with the stage, so that a link at rest in a y-up stage has its frame's z up here; whatever is fixed
-    to a link is given in that frame.
-    """
-
-    length: float
-    mass: float
-    up: Pose
-
-    @staticmethod
-    def of(stage: Any) -> Units:
-        """Those that a stage's metadata name."""
-        upright = pxr().UsdGeom.GetStageUpAxis(stage) == pxr().UsdGeom.Tokens.z
-        return Units(
-            pxr().UsdGeom.GetStageMetersPerUnit(stage),
-            pxr().UsdPhysics.GetStageKilogramsPerUnit(stage),
-            Pose() if upright else Pose.from_euler(math.pi / 2, 0.0, 0.0),
-        )
-
-    def effort(self, angular: bool) -> float:
-        """N m (angular) or N of one unit of effort."""
-        return self.mass * self.length ** (2 if angular else 1)
-
-    def inertia(self, angular: bool) -> float:
-        """kg m^2 (angular) or kg of one unit of inertia."""
-        return self.mass * (self.length**2 if angular else 1.0)
-
-    def position(self, angular: bool) -> float:
-        """Radians or metres of one unit of joint position."""
-        return math.radians(1.0) if angular else self.length
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,15 +31,6 @@ class Placement:
 
     pose: Pose
     stretch: FloatArray
-
-    @staticmethod
-    def of(prim: Any, body: Any, units: Units) -> Placement:
-        """Of a prim that moves with the prim ``body``."""
-        inverse = Pose.from_matrix(_rigid(_world_matrix(body, units.length))).inverse()
-        matrix = _world_matrix(prim, units.length)
-        rigid = _rigid(matrix)
-        stretch = rigid[:3, :3].T @ matrix[:3, :3]
-        return Placement(units.up @ inverse @ Pose.from_matrix(rigid), stretch)
 
     def point(self, position: Any) -> FloatArray:
         """A point (3,) of the prim's own space in the link's frame."""
@@ -138,23 +52,105 @@ class Placement:
         return scale
 
 
-def read_shape(prim: Any, body: Any, units: Units, notes: list[str]) -> Shape | None:
-    """The shape of a geometric prim in its link's frame; ``None`` for a kind that holds no surface.
+class Placements:
+    """Where the prims of a stage stand, each body worked out once."""
 
-    Raises:
-        AssetError: no engine has a shape like it.
-    """
-    placement = Placement.of(prim, body, units)
-    kind = prim.GetTypeName()
-    if kind == "Mesh":
-        geometry: Geometry | None = _mesh(pxr().UsdGeom.Mesh(prim), placement, notes)
-        pose = placement.pose
-    else:
-        geometry = _primitive(prim, kind, placement)
-        pose = placement.pose @ _TO_Z[attribute(prim, "axis", "Z")]
-    if geometry is None:
-        return None
-    return Shape(geometry, pose, read_material(prim, units), read_color(prim), label(prim))
+    def __init__(self, units: Units) -> None:
+        self._units = units
+        self._cache = pxr().UsdGeom.XformCache(pxr().Usd.TimeCode.Default())
+        self._bodies: dict[str, Pose] = {}
+        self._inverses: dict[str, Pose] = {}
+
+    def of(self, prim: Any, body: Any) -> Placement:
+        """That of a prim which moves with the prim ``body``."""
+        matrix = self._matrix(prim)
+        rigid = _rigid(matrix)
+        stretch = rigid[:3, :3].T @ matrix[:3, :3]
+        path = str(body.GetPath())
+        if path not in self._inverses:
+            self._inverses[path] = self._units.up @ self._body(body).inverse()
+        return Placement(self._inverses[path] @ Pose.from_matrix(rigid), stretch)
+
+    def root(self, body: Any) -> Pose:
+        """Where the link frame of a body stands in the world, z up."""
+        up = self._units.up
+        return up @ self._body(body) @ up.inverse()
+
+    def _body(self, body: Any) -> Pose:
+        path = str(body.GetPath())
+        if path not in self._bodies:
+            self._bodies[path] = Pose.from_matrix(_rigid(self._matrix(body))) if path != STAGE else Pose()
+        return self._bodies[path]
+
+    def _matrix(self, prim: Any) -> FloatArray:
+        """The prim's transform (4, 4) in the stage, acting on columns, translation in metres."""
+        length = self._units.length
+        if prim.IsPseudoRoot():
+            return np.diag((length, length, length, 1.0))
+        matrix = np.array(self._cache.GetLocalToWorldTransform(prim)).T
+        matrix[:3] *= length
+        if not np.isfinite(matrix).all():
+            raise AssetError(f"{prim.GetPath()} has a transform that is not finite: correct it")
+        return matrix
+
+
+class Shapes:
+    """Reads the geometry of one stage."""
+
+    def __init__(self, reading: Reading, placements: Placements, gprims: list[Any]) -> None:
+        self._reading = reading
+        self._placements = placements
+        self.surfaces = Surfaces(reading, gprims)
+
+    def read(self, prim: Any, body: Any, *, collides: bool) -> Shape | None:
+        """The shape of a geometric prim in its link's frame; ``None`` for a kind that holds no surface.
+
+        Raises:
+            AssetError: no engine has a shape like it.
+        """
+        placement = self._placements.of(prim, body)
+        kind = prim.GetTypeName()
+        if kind == "Mesh":
+            geometry: Geometry | None = self._mesh(prim, placement, collides)
+            pose = placement.pose
+        else:
+            geometry = _primitive(prim, kind, placement)
+            pose = placement.pose @ _TO_Z[attribute(prim, "axis", "Z")]
+        if geometry is None:
+            return None
+        name = "" if attribute(prim, UNNAMED, False) else label(prim)
+        return Shape(geometry, pose, self.surfaces.material(prim), self.surfaces.color(prim), name)
+
+    def _mesh(self, prim: Any, placement: Placement, collides: bool) -> Mesh:
+        points = array(prim, "points", 3, float)
+        counts = array(prim, "faceVertexCounts", 1, int)
+        indices = array(prim, "faceVertexIndices", 1, int)
+        most = self._reading.options.limits.vertices
+        if max(len(points), len(indices)) > most:
+            raise AssetError(f"{prim.GetPath()} has over {most} vertices: simplify it, or raise ReadLimits.vertices")
+        if len(counts) and (counts.min() < 0 or counts.sum(dtype=float) != len(indices)):
+            raise AssetError(
+                f"{prim.GetPath()} has faces of {counts.sum(dtype=float):g} corners in all and names {len(indices)}: "
+                "export it again"
+            )
+        if len(points) == 0 or len(indices) == 0 or indices.min() < 0 or indices.max() >= len(points):
+            raise AssetError(f"{prim.GetPath()} is a mesh without faces, or with faces of vertices that it lacks")
+        faces = _triangles(counts, indices)
+        mirrored = np.linalg.det(placement.stretch) < 0
+        if mirrored != (attribute(prim, "orientation") == "leftHanded"):
+            faces = faces[:, ::-1]
+        collision = self._collision(prim) if collides else MeshCollision.CONVEX_HULL
+        return Mesh(points @ placement.stretch.T, np.ascontiguousarray(faces), collision)
+
+    def _collision(self, prim: Any) -> MeshCollision:
+        approximation = attribute(prim, "physics:approximation")
+        if approximation == "none":
+            return MeshCollision.TRIANGLES
+        if approximation not in (None, "convexHull"):
+            self._reading.note(
+                f"{prim.GetPath()} asks for the collision approximation '{approximation}'; it has its convex hull"
+            )
+        return MeshCollision.CONVEX_HULL
 
 
 def _primitive(prim: Any, kind: str, placement: Placement) -> Geometry | None:
@@ -164,7 +160,7 @@ def _primitive(prim: Any, kind: str, placement: Placement) -> Geometry | None:
         return None
     scale = placement.scale(prim)
     if kind == "Cube":
-        x, y, z = (float(value) for value in 0.5 * attribute(prim, "size") * scale)
+        x, y, z = (float(value) for value in 0.5 * number(prim, "size") * scale)
         return Box((x, y, z))
     axis = "XYZ".index(attribute(prim, "axis", "Z"))
     round_axes = (0, 1, 2) if kind == "Sphere" else tuple(index for index in range(3) if index != axis)
@@ -173,25 +169,11 @@ def _primitive(prim: Any, kind: str, placement: Placement) -> Geometry | None:
     must_agree = scale if kind == "Capsule" else across
     if np.ptp(must_agree) > _SHEAR * scale.max():
         raise AssetError(f"{prim.GetPath()} is a {kind.lower()} scaled by {scale}: make it round, or a mesh")
-    radius = float(attribute(prim, "radius") * across[0])
+    radius = float(number(prim, "radius") * across[0])
     if kind == "Sphere":
         return Sphere(radius)
-    half_length = float(0.5 * attribute(prim, "height") * scale[axis])
+    half_length = float(0.5 * number(prim, "height") * scale[axis])
     return Capsule(radius, half_length) if kind == "Capsule" else Cylinder(radius, half_length)
-
-
-def _mesh(mesh: Any, placement: Placement, notes: list[str]) -> Mesh:
-    prim = mesh.GetPrim()
-    points = np.asarray(mesh.GetPointsAttr().Get() or (), dtype=float).reshape(-1, 3)
-    counts = np.asarray(mesh.GetFaceVertexCountsAttr().Get() or (), dtype=int)
-    indices = np.asarray(mesh.GetFaceVertexIndicesAttr().Get() or (), dtype=int)
-    if len(points) == 0 or len(counts) == 0 or indices.max() >= len(points):
-        raise AssetError(f"{prim.GetPath()} is a mesh without faces, or with faces of vertices that it lacks")
-    faces = _triangles(counts, indices)
-    mirrored = np.linalg.det(placement.stretch) < 0
-    if mirrored != (mesh.GetOrientationAttr().Get() == "leftHanded"):
-        faces = faces[:, ::-1]
-    return Mesh(points @ placement.stretch.T, np.ascontiguousarray(faces), _mesh_collision(prim, notes))
 
 
 def _triangles(counts: npt.NDArray[np.int_], indices: npt.NDArray[np.int_]) -> npt.NDArray[np.int_]:
@@ -203,73 +185,12 @@ def _triangles(counts: npt.NDArray[np.int_], indices: npt.NDArray[np.int_]) -> n
     return indices[np.stack((first, first + step + 1, first + step + 2), axis=1)]
 
 
-def _mesh_collision(prim: Any, notes: list[str]) -> MeshCollision:
-    approximation = attribute(prim, "physics:approximation")
-    if approximation == "none":
-        return MeshCollision.TRIANGLES
-    if approximation not in (None, "convexHull"):
-        notes.append(f"{prim.GetPath()} asks for the collision approximation '{approximation}'; it has its convex hull")
-    return MeshCollision.CONVEX_HULL
-
-
-def read_material(prim: Any, units: Units) -> PhysicsMaterial:
-    """The physics material bound to a prim; the default one where none is."""
-    material, _ = pxr().UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
-    if not material or not material.GetPrim().HasAPI(pxr().UsdPhysics.MaterialAPI):
-        return PhysicsMaterial()
-    source = material.GetPrim()
-    read = PhysicsMaterial(
-        static_friction=float(attribute(source, "physics:staticFriction")),
-        dynamic_friction=float(attribute(source, "physics:dynamicFriction")),
-        restitution=float(attribute(source, "physics:restitution")),
-    )
-    if "NewtonMaterialAPI" not in source.GetAppliedSchemas():
-        return read
-    stiffness = float(attribute(source, "newton:contactStiffness", -math.inf))
-    damping = float(attribute(source, "newton:contactDamping", -math.inf))
-    return replace(
-        read,
-        torsional_friction=float(attribute(source, "newton:torsionalFriction")) * units.length,
-        rolling_friction=float(attribute(source, "newton:rollingFriction")) * units.length,
-        compliance=Compliance(stiffness * units.mass, max(damping, 0.0) * units.mass) if stiffness > 0 else None,
-    )
-
-
-def read_color(prim: Any) -> Color:
-    """A prim's display colour, or else the diffuse colour of the preview surface bound to it, or else grey."""
-    gprim = pxr().UsdGeom.Gprim(prim)
-    colors = gprim.GetDisplayColorPrimvar().Get()
-    if colors:
-        opacities = gprim.GetDisplayOpacityPrimvar().Get()
-        return _color(colors[0], opacities[0] if opacities else 1.0)
-    material, _ = pxr().UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
-    surface = material.ComputeSurfaceSource()[0] if material else None
-    if surface:
-        diffuse, opacity = surface.GetInput("diffuseColor"), surface.GetInput("opacity")
-        if diffuse and (value := diffuse.Get()) is not None:
-            alpha = opacity.Get() if opacity else None
-            return _color(value, 1.0 if alpha is None else alpha)
-    return Shape(Plane()).color
-
-
-def _color(rgb: Any, alpha: float) -> Color:
-    red, green, blue = (float(value) for value in rgb)
-    return (red, green, blue, float(alpha))
-
-
-def _world_matrix(prim: Any, length: float) -> FloatArray:
-    """The prim's transform (4, 4) in the stage, acting on columns, translation in metres."""
-    if prim.IsPseudoRoot():
-        return np.diag((length, length, length, 1.0))
-    matrix = np.array(pxr().UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(pxr().Usd.TimeCode.Default())).T
-    matrix[:3] *= length
-    return matrix
-
-
 def _rigid(matrix: FloatArray) -> FloatArray:
     """The nearest rigid transform: the rotation of the polar decomposition, and the translation."""
-    u, _, vt = np.linalg.svd(matrix[:3, :3])
-    rotation = u @ vt
+    rotation = matrix[:3, :3]
+    if np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-12:  # no rotation yet
+        u, _, vt = np.linalg.svd(rotation)
+        rotation = u @ vt
     result = matrix.copy()
     result[:3, :3] = rotation if np.linalg.det(rotation) > 0 else -rotation
     return result

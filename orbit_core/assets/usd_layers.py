@@ -9,7 +9,7 @@ from orbit_core.assets.archives import check_archive
 from orbit_core.assets.naming import one_line
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.outside import check_file, resolve_file
-from orbit_core.assets.usd_geometry import pxr
+from orbit_core.assets.usd_library import pxr
 from orbit_core.interfaces.errors import AssetError
 
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from orbit_core.assets.inertia import principal_axes
-from orbit_core.assets.usd import FRAME
-from orbit_core.assets.usd_geometry import pxr
+from orbit_core.assets.usd_contents import FRAME
+from orbit_core.assets.usd_library import pxr
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import (
     Articulation,
