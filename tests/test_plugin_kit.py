@@ -7,13 +7,26 @@ import pytest
 import torch
 
 from orbit_core import backends
-from orbit_core.conformance.bodies import pendulum, scene
+from orbit_core.assets.compound_joints import BALL, compound
+from orbit_core.conformance.bodies import pendulum, scene, slider
 from orbit_core.interfaces import TERRAIN, ConfigurationError, ContactQuery, SceneLayout
 from orbit_core.plugin_kit import contact_signs, velocity_at
 from orbit_core.plugin_kit.markers import AXIS_COLORS, marker_shapes
+from orbit_core.plugin_kit.massless import STAND_IN, stand_in_approximations, with_stand_in
 from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
 from orbit_core.plugin_kit.rotations import compose, multiply, rotate, rotate_inverse
-from orbit_core.scene import CameraSpec, Channel, MarkerShape, MarkerSpec
+from orbit_core.plugin_kit.springs import least_inertias, soft_springs
+from orbit_core.scene import (
+    Articulation,
+    CameraSpec,
+    Channel,
+    Joint,
+    JointType,
+    Link,
+    MarkerShape,
+    MarkerSpec,
+    RobotSpec,
+)
 
 
 def test_velocities_at_another_point_are_those_of_a_turning_body() -> None:
@@ -29,6 +42,38 @@ def test_contact_signs_count_both_sides_of_a_pair() -> None:
     queries = (ContactQuery(0), ContactQuery(0, frozenset({TERRAIN})), ContactQuery(1, frozenset({0})))
     signs = contact_signs(queries, [(0, TERRAIN), (0, 1), (1, 2)])
     assert signs.tolist() == [[1.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
+
+
+def gimbal() -> Articulation:
+    """A link of 2 kg on a hinge about x, on a link without mass, on a hinge about z."""
+    bob = Link("bob", 2.0, inertia=np.diag([0.1, 0.2, 0.25]))
+    joint = Joint("pivot", JointType.CONTINUOUS, "base", "bob", armature=0.5)
+    links, joints = compound(joint, (BALL[2], BALL[0]))
+    return Articulation("gimbal", (Link("base"), *links, bob), joints)
+
+
+def test_the_least_inertia_of_a_joint_that_moves_a_link_without_mass_is_of_what_that_carries() -> None:
+    layout = SceneLayout.of(scene(RobotSpec(name="gimbal", articulation=gimbal(), fixed_base=True)))
+    np.testing.assert_allclose(least_inertias(layout), [0.5 + 0.1, 0.5 + 0.1])
+
+
+@pytest.mark.parametrize(("stiffness", "soft"), [(0.0, True), (3.9e4, True), (4.1e4, False)])
+def test_springs_are_soft_below_one_radian_of_natural_frequency_per_step(stiffness: float, soft: bool) -> None:
+    layout = SceneLayout.of(scene(slider(mass=1.0, stiffness=stiffness)))
+    assert soft_springs(layout, 0.005).tolist() == [soft]
+
+
+def test_a_stand_in_is_a_share_of_what_a_link_without_mass_carries_and_is_reported() -> None:
+    articulation = gimbal()
+    base, ring, bob = articulation.links
+    stand_in = with_stand_in(articulation, ring)
+    assert stand_in.mass == pytest.approx(2.0 * STAND_IN)
+    np.testing.assert_allclose(stand_in.inertia, 0.1 * STAND_IN * np.eye(3))
+    assert with_stand_in(articulation, base) is base
+    assert with_stand_in(articulation, bob) is bob
+    layout = SceneLayout.of(scene(RobotSpec(name="gimbal", articulation=articulation, fixed_base=True)))
+    (line,) = stand_in_approximations(layout.entities[0], "an engine")
+    assert (line.subject, line.asked) == (f"link '{ring.name}' of 'gimbal'", "no mass")
 
 
 def test_saved_commands_are_copies_and_come_back_in_place() -> None:

@@ -243,3 +243,28 @@ class EnvironmentsWrittenInTheirOwnOrder(TorchEngine):
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
         super().write_joint_state(joints, positions, velocities, None if env_ids is None else env_ids.sort().values)
+
+
+@mutant("joint_springs")
+class SpringsIgnored(Misread):
+    """Has no springs in its joints."""
+
+    misread = with_parameters(spring_stiffness=lambda p: np.zeros_like(p.spring_stiffness))
+
+
+@mutant("joint_springs")
+class SpringsPullToZero(Misread):
+    """Takes zero for the rest position of every spring."""
+
+    misread = with_parameters(spring_rest=lambda p: np.zeros_like(p.spring_rest))
+
+
+@mutant("joint_springs")
+class SpringsWithinEffortLimits(TorchEngine):
+    """Counts the springs' force as the drives', which the effort limit bounds."""
+
+    def _drives(self, equation: Equation) -> tuple[Tensor, Tensor]:
+        pull = self._spring * (self._spring_rest - self._positions)
+        push, slope = super()._drives(equation)
+        within = (push + pull).clamp(-self._effort_limit, self._effort_limit)
+        return within - pull, slope

@@ -25,6 +25,7 @@ from orbit_core.interfaces import (
     diverged,
     divergence_error,
 )
+from orbit_core.plugin_kit.springs import soft_springs
 from orbit_torch.contacts import Contacts
 from orbit_torch.dynamics import Body, Chain, step_free_body
 from orbit_torch.impulses import JointRows, gather
@@ -76,6 +77,11 @@ class TorchEngine(Engine):
         self._effort_limit = torch.as_tensor(parameters.effort_limit)
         self._armature = torch.as_tensor(parameters.armature)
         self._damping = torch.as_tensor(parameters.damping)
+        self._spring = torch.as_tensor(parameters.spring_stiffness)
+        self._spring_rest = torch.as_tensor(parameters.spring_rest)
+        late = ~torch.as_tensor(soft_springs(self.layout, self._dt))
+        self._spring_slope = self._dt * self._spring * late
+        """(J,) what a spring adds to damping where it is taken at the end of a step."""
         self._home = torch.as_tensor(parameters.home)
         self._stiffness = torch.as_tensor(parameters.drive_stiffness).repeat(self.num_envs, 1)
         self._drive_damping = torch.as_tensor(parameters.drive_damping).repeat(self.num_envs, 1)
@@ -105,7 +111,7 @@ class TorchEngine(Engine):
         speeds = speeds + (inverse @ kicks[..., None])[..., 0]
         self._applied = (push - slope * speeds[:, :joints]).float()
         involved = kicks != 0.0
-        involved[:, :joints] |= (slope + self._damping) != 0.0
+        involved[:, :joints] |= (slope + self._damping + self._spring) != 0.0
         for entity, columns in zip(self.layout.entities, self._system.columns, strict=True):
             alone = ~involved[:, columns].any(1, keepdim=True)
             self._move(entity, bodies[entity.links], speeds[:, columns], alone)
@@ -150,8 +156,8 @@ class TorchEngine(Engine):
         """The mass matrix with what drives and damping add, and velocities (N, D) after a step without impulses."""
         joints = push.shape[1]
         mass, force = equation.mass.clone(), equation.force.clone()
-        mass[:, :joints, :joints] += torch.diag_embed(self._dt * (slope + self._damping))
-        force[:, :joints] += push
+        mass[:, :joints, :joints] += torch.diag_embed(self._dt * (slope + self._damping + self._spring_slope))
+        force[:, :joints] += push + self._spring * (self._spring_rest - self._positions)
         momentum = (equation.mass @ equation.velocity[..., None])[..., 0] + self._dt * force
         return mass, torch.linalg.solve(mass, momentum)
 

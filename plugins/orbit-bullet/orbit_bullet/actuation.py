@@ -10,6 +10,7 @@ import numpy.typing as npt
 from orbit_bullet.buffers import Buffers
 from orbit_bullet.drives import Wheels, write_wheels
 from orbit_bullet.stage import Stage
+from orbit_core.plugin_kit.springs import soft_springs
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -29,7 +30,13 @@ class Actuation:
         self.damping = np.tile(np.where(own, parameters.drive_damping, 0.0), (stage.count, 1)).reshape(shape)
         self._limit = parameters.effort_limit
         self._armature = parameters.armature
-        self._slow = parameters.armature + self._dt * parameters.damping
+        soft = soft_springs(layout, self._dt)
+        self._pulling = np.where(soft, parameters.spring_stiffness, 0.0)
+        """Stiffness (J,) of springs that are torques, taken at the beginning of each step."""
+        self._sprung = np.where(soft, 0.0, parameters.spring_stiffness)
+        """Stiffness (J,) of those too stiff for that, which the second wheel takes at the end of the step."""
+        self._rest = parameters.spring_rest
+        self._slow = parameters.armature + self._dt * (parameters.damping + self._dt * self._sprung)
         """Inertia of the second wheel of each joint (J,)."""
         self._shared = ~np.isfinite(self._limit)
         """Joints whose two wheels are one."""
@@ -127,28 +134,32 @@ class Actuation:
         buffers = self._buffers
         self._given = buffers.efforts + self.damping * buffers.velocity_targets
         torques = np.where(self._plain, np.clip(buffers.efforts, -self._limit, self._limit), 0.0)
-        self._torques = torques.tolist() if torques.any() else None
+        self._torques = torques if torques.any() or self._pulling.any() else None
 
     def apply(self, positions: FloatArray, velocities: FloatArray) -> None:
         """Before each step, given the joints' state (K, J)."""
         stage = self._stage
         self._push = self._given + self.stiffness * (self._buffers.position_targets - positions)
+        pull = self._rest - positions
+        drawn = self._dt * self._sprung * pull
         if self._drive_columns:
-            speeds = ((self._dt * self._push + self._carried * velocities) * self._inverse).tolist()
+            carried = np.where(self._joined, drawn, 0.0) + self._carried * velocities
+            speeds = ((self._dt * self._push + carried) * self._inverse).tolist()
             for (slot, entity), wheels in self._drives.items():
                 row = speeds[slot]
                 wheels.spin([row[column] for column in self._drive_columns[entity]])
         if self._passive_columns:
-            share = np.divide(self._armature, self._slow, out=np.zeros_like(self._slow), where=self._slow > 0)
-            speeds = (share * velocities).tolist()
+            share = np.divide(1.0, self._slow, out=np.zeros_like(self._slow), where=self._slow > 0)
+            speeds = (share * (self._armature * velocities + drawn)).tolist()
             for (slot, entity), wheels in self._passive.items():
                 row = speeds[slot]
                 wheels.spin([row[column] for column in self._passive_columns[entity]])
         if self._torques is not None:
             client = stage.client
+            given = (self._torques + self._pulling * pull).tolist()
             for entity in stage.layout.entities:
                 joints = stage.joints[entity.index]
-                for slot, row in enumerate(self._torques):
+                for slot, row in enumerate(given):
                     torques = row[entity.joints]
                     if any(torques):
                         body = stage.bodies[slot][entity.index]

@@ -18,6 +18,7 @@ CAPABILITIES = Capabilities(
         Capability.EFFORT_LIMITS: EXACT,
         Capability.VELOCITY_LIMITS: unsupported("Bullet does not limit the velocity of single joints"),
         Capability.JOINT_DAMPING: EXACT,
+        Capability.JOINT_SPRINGS: EXACT,
         Capability.JOINT_FRICTION: EXACT,
         Capability.ARMATURE: EXACT,
         Capability.MIMIC_JOINTS: EXACT,

@@ -5,7 +5,9 @@ of the step of h seconds: a soft constraint. Bullet's joint motors are hard ones
 ``J = h (k h + d)`` that spins at ``s = h (effort + k (target - q) + d target velocity) / J`` before the step, geared
 one to one to the joint, gives the joint exactly that impulse, ``J (s - v')``, and it is found by the solver together
 with contacts and limits. The gear's greatest force is the effort limit. Damping d and armature a add a second flywheel
-of ``J = a + h d`` that spins at ``a v / J``, without a limit; where the drive has no limit either, one serves for both.
+of ``J = a + h d`` that spins at ``a v / J``, without a limit. The joint's own spring, of stiffness c and rest r, is a
+torque; where it is too stiff for that, it adds ``h^2 c`` to the second wheel's J and ``h c (r - q)`` to its ``a v``.
+Where the drive has no limit either, one wheel serves for both.
 """
 
 from __future__ import annotations

@@ -63,10 +63,28 @@ def hold_drives(model: mujoco.MjModel, addresses: Addresses, layout: SceneLayout
     return [_told(int(number), model, layout, held) for number in np.flatnonzero(concerned)]
 
 
+def hold_springs(model: mujoco.MjModel, addresses: Addresses, layout: SceneLayout) -> list[Approximation]:
+    """Give joints whose own springs are as stiff the damping that they need, by the rule of drives."""
+    step, columns = model.opt.timestep, addresses.joint_velocities
+    stiffness, asked = layout.joint_parameters.spring_stiffness, model.dof_damping[columns]
+    needed = np.where(stiffness > 0, step * stiffness - 1.0 / (step * model.dof_invweight0[columns]), 0.0)
+    model.dof_damping[columns] = np.maximum(asked, needed)
+    report: list[Approximation] = []
+    for number in np.flatnonzero(needed > asked):
+        why = f"so stiff a spring needs it to be stable in steps of {step:g} s: use a smaller physics_dt"
+        spring = f"a spring of stiffness {stiffness[number]:.4g} and damping {asked[number]:.4g}"
+        report.append(Approximation(_subject(int(number), layout), spring, f"damping {needed[number]:.4g}", why))
+    return report
+
+
+def _subject(number: int, layout: SceneLayout) -> str:
+    entity = next(e for e in layout.entities if e.joints.start <= number < e.joints.stop)
+    return f"joint '{layout.joints[number].name}' of '{entity.name}'"
+
+
 def _told(number: int, model: mujoco.MjModel, layout: SceneLayout, held: bool) -> Approximation:
     stiffness, got, asked = -model.actuator_biasprm[number, [STIFFNESS, DAMPING, ASKED_DAMPING]]
-    entity = next(e for e in layout.entities if e.joints.start <= number < e.joints.stop)
-    subject = f"joint '{layout.joints[number].name}' of '{entity.name}'"
+    subject = _subject(number, layout)
     drive = f"a drive of stiffness {stiffness:.4g} and damping {asked:.4g}"
     if held:
         why = f"so stiff a drive needs it to be stable in steps of {model.opt.timestep:g} s: use a smaller physics_dt"

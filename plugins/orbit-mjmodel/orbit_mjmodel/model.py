@@ -22,7 +22,7 @@ from orbit_core.interfaces import Approximation, AssetError, EntityLayout, Scene
 from orbit_core.scene import Joint, JointType, Link, LoopJoint, Shape
 from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
-from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, hold_drives
+from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, hold_drives, hold_springs
 from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
 from orbit_mjmodel.materials import contact_parameters, material_approximations
 from orbit_mjmodel.variants import ABSENT, Slot, slots
@@ -89,6 +89,7 @@ def _compiled(builder: _Builder) -> BuiltModel:
     addresses = Addresses.of(builder.layout, model)
     _set_home(builder.layout, model, addresses)
     report = (*builder.report, *hold_drives(model, addresses, builder.layout))
+    report = (*report, *hold_springs(model, addresses, builder.layout))
     absent = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(ABSENT)]
     model.geom_rgba[absent, 3] = 0.0  # which rays take for not there
     return BuiltModel(model, addresses, report, np.array(absent, dtype=np.int64))
@@ -252,6 +253,8 @@ class _Builder:
             solref_friction=self._stiffest,
             solimp_friction=_HARD_FRICTION,
             armature=float(parameters.armature[number]),
+            stiffness=[float(parameters.spring_stiffness[number]), 0.0, 0.0],
+            springref=float(parameters.spring_rest[number]),
         )
         if joint.mimic:
             names = entity.spec.articulation.joint_names

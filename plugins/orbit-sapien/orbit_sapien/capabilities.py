@@ -53,6 +53,11 @@ CAPABILITIES = Capabilities(
         ),
         Capability.VELOCITY_LIMITS: EXACT,
         Capability.JOINT_DAMPING: EXACT,
+        Capability.JOINT_SPRINGS: approximate(
+            "exact where no drive acts on the joint; beside one, whose iterations end short of its balance with the "
+            "spring, the joint strays by some 1e-4 m for a moment; a spring of more than one radian of natural "
+            "frequency per step beside a drive or friction is refused"
+        ),
         Capability.JOINT_FRICTION: approximate(
             "exact where no drive acts on the joint; elsewhere a damper that saturates, so that a held joint creeps"
         ),

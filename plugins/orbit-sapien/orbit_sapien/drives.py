@@ -2,7 +2,8 @@
 
 A joint has one drive in PhysX: an implicit spring-damper whose effort is limited. A driven joint's takes the gains and
 the effort, as a shift of its target, so that one limit bounds their sum. On a joint without gains it plays the part of
-Coulomb friction (a damper that saturates) or of the joint's damping, and efforts are generalised forces.
+Coulomb friction (a damper that saturates) or of the joint's damping, and efforts are generalised forces. So are the
+forces of the joint's own spring; of one that is too stiff for that the drive takes the place, where it is free.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -14,7 +15,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import SceneLayout
+from orbit_core.interfaces import ConfigurationError, SceneLayout
+from orbit_core.plugin_kit.springs import least_inertias, soft_springs
 from orbit_sapien.model import BuiltWorld
 
 _RIGID = 1e5
@@ -33,6 +35,12 @@ class Drives:
         self._leads = ~follower
         self._limit = torch.as_tensor(parameters.effort_limit, dtype=torch.float32)
         self._passive, self._friction = parameters.damping, parameters.friction
+        self._rest = torch.as_tensor(parameters.spring_rest, dtype=torch.float32)
+        self._stiff = ~soft_springs(layout, layout.scene.physics_dt)
+        self._pulling = torch.as_tensor(np.where(self._stiff, 0.0, parameters.spring_stiffness), dtype=torch.float32)
+        """(J,) stiffness of springs that are generalised forces."""
+        self._sprung = torch.from_numpy(self._stiff)
+        """(J,) whether the joint's drive is its spring."""
         shape = (num_envs, len(layout.joints))
         self.stiffness = np.where(follower, 0.0, parameters.drive_stiffness) * np.ones(shape)
         """(N, J)"""
@@ -40,7 +48,7 @@ class Drives:
         """(N, J)"""
         self.efforts = torch.zeros(shape)
         """(N, J) of drives and commands in the last step."""
-        self._inertia = _least_inertias(layout)
+        self._inertia = torch.as_tensor(least_inertias(layout), dtype=torch.float32)
         self.joints = [
             [joint for entity in environment.entities for joint in entity.joints] for environment in world.environments
         ]
@@ -81,9 +89,11 @@ class Drives:
         """Give PhysX the drives that follow from the gains."""
         driven = (self.stiffness > 0) | (self.damping > 0)
         rubbing = ~driven & (self._friction > 0)
+        self._refuse_springs(self._stiff & (driven | rubbing).any(0))
         damping = np.where(rubbing, _RIGID, self.damping + self._passive)
+        stiffness = np.where(self._stiff, self._layout.joint_parameters.spring_stiffness, self.stiffness)
         limit = np.where(driven, self._limit.numpy(), np.where(rubbing, self._friction, np.inf))
-        wanted = np.stack((self.stiffness, damping, np.minimum(limit, _UNLIMITED)))
+        wanted = np.stack((stiffness, damping, np.minimum(limit, _UNLIMITED)))
         for row, column in zip(*np.nonzero((wanted != self._properties).any(0)), strict=True):
             self.joints[row][column].set_drive_properties(*map(float, wanted[:, row, column]), "force")
         self._properties = wanted
@@ -96,11 +106,20 @@ class Drives:
         self._velocity_share = torch.where(self._driven, gain / total, 0.0)
         self._effort_as_speed = torch.where(self._driven & ~sprung, 1.0 / total, 0.0)
         self._direct = (~self._driven).float() * torch.as_tensor(self._leads).float()
-        # What the drive's slot has no room for is a generalised force that follows the velocity, step by step.
+        # What the drive's slot has no room for is a generalised force that follows the state, step by step.
         self._dragging = torch.from_numpy(np.where(rubbing, self._passive, 0.0)).float()
         self._rubbing = torch.from_numpy(np.where(driven, self._friction, 0.0)).float()
-        self.follows_velocity = bool(self._dragging.any() or self._rubbing.any())
+        self.follows_state = bool(self._dragging.any() or self._rubbing.any() or self._pulling.any())
         """Whether :meth:`send_forces` must be called at each physics step."""
+
+    def _refuse_springs(self, wrong: npt.NDArray[np.bool_]) -> None:
+        for number in np.flatnonzero(wrong)[:1]:
+            parameters, step = self._layout.joint_parameters, self._layout.scene.physics_dt
+            raise ConfigurationError(
+                f"joint '{self._layout.joints[number].name}' has a spring of stiffness "
+                f"{parameters.spring_stiffness[number]:.4g} beside a drive or friction, too stiff for PhysX in steps "
+                f"of {step:g} s: use a smaller physics_dt, or an explicit drive (IdealPd)"
+            )
 
     # Commands --------------------------------------------------------------------------------------------------------
 
@@ -109,7 +128,7 @@ class Drives:
         shifted = positions + efforts * self._effort_as_shift
         speeds = velocities * self._velocity_share + efforts * self._effort_as_speed
         # A drive without gains must not carry NaN or leftovers of targets that nothing follows.
-        shifted = torch.where(self._driven, shifted, 0.0)
+        shifted = torch.where(self._driven, shifted, torch.where(self._sprung, self._rest, 0.0))
         forces = torch.clamp(efforts, -self._limit, self._limit) * self._direct
         return torch.stack((shifted, speeds, forces))
 
@@ -121,18 +140,19 @@ class Drives:
             self.joints[row][column].set_drive_target(float(wanted[0, row, column]))
         for row, column in zip(*(indices.tolist() for indices in np.nonzero(changed[1])), strict=True):
             self.joints[row][column].set_drive_velocity_target(float(wanted[1, row, column]))
-        if not self.follows_velocity:
+        if not self.follows_state:
             self._send_forces(wanted[2], changed[2])
         self.sent = wanted.copy()
 
-    def forces(self, commands: Tensor, velocities: Tensor, dt: float) -> Tensor:
-        """(N, J) generalised forces of efforts, and of friction and damping at the present velocity."""
+    def forces(self, commands: Tensor, positions: Tensor, velocities: Tensor, dt: float) -> Tensor:
+        """(N, J) generalised forces of efforts, and of springs, friction and damping at the present state."""
         friction = torch.minimum(self._rubbing, self._inertia * velocities.abs() / dt)
-        return commands[2] - friction * velocities.sign() - self._dragging * velocities
+        pull = self._pulling * (self._rest - positions)
+        return commands[2] + pull - friction * velocities.sign() - self._dragging * velocities
 
-    def send_forces(self, commands: Tensor, velocities: Tensor, dt: float) -> None:
+    def send_forces(self, commands: Tensor, positions: Tensor, velocities: Tensor, dt: float) -> None:
         """Write :meth:`forces`."""
-        forces = self.forces(commands, velocities, dt).numpy()
+        forces = self.forces(commands, positions, velocities, dt).numpy()
         self._send_forces(forces, np.ones(forces.shape, dtype=bool))
 
     def _send_forces(self, forces: npt.NDArray[np.float32], changed: npt.NDArray[np.bool_]) -> None:
@@ -149,16 +169,3 @@ class Drives:
         total = stiffness * (targets - q) + damping * (speeds - v) + efforts
         total = torch.where(self._driven, total, efforts * self._direct)
         torch.clamp(total, -self._limit, self._limit, out=self.efforts)
-
-
-def _least_inertias(layout: SceneLayout) -> Tensor:
-    """(J,) the least that each joint moves: its child link about the axis, and the armature."""
-    links = {(entity.index, link.name): link for entity in layout.entities for link in entity.spec.articulation.links}
-    values: list[float] = []
-    for entity in layout.entities:
-        for joint in entity.spec.articulation.movable_joints:
-            link = links[entity.index, joint.child]
-            axis = joint.child_pose.rotation_matrix() @ np.asarray(joint.axis)
-            prismatic = joint.type.value == "prismatic"
-            values.append(link.mass if prismatic else float(axis @ np.asarray(link.inertia) @ axis))
-    return torch.as_tensor(np.array(values) + layout.joint_parameters.armature, dtype=torch.float32)

@@ -90,8 +90,8 @@ class SapienEngine(Engine):
             self._wrenches.read(self._state.link_poses)
 
     def _step_once(self, commands: Tensor) -> None:
-        if self._drives.follows_velocity:
-            self._drives.send_forces(commands, self._state.joint_velocities, self._dt)
+        if self._drives.follows_state:
+            self._drives.send_forces(commands, self._state.joint_positions, self._state.joint_velocities, self._dt)
         if self._parameters.pushed:
             self._parameters.push()
         self._system.step()

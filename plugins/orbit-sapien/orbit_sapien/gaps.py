@@ -34,7 +34,12 @@ _FAST_BODY = (
     "tumbles out of its axis and loses its energy, and never gains any"
 )
 
+_SPRUNG_DRIVE = (
+    "a spring beside a drive is a force at the beginning of the step, with which the drive has not caught up"
+)
+
 _MOTION = (
+    Gap("joint_springs", "driven", 0.01, _SPRUNG_DRIVE),
     Gap("projectile", "spin", 1.5e-3, "PhysX reckons in single precision, and rounds 5e-7 of a spin off at each step"),
     Gap("energy_of_a_chain", "gained", 0.5, _UNDAMPED),
     Gap("energy_of_a_chain", "lost", 1.0, _UNDAMPED),

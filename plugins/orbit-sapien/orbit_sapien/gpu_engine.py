@@ -151,9 +151,11 @@ class SapienGpuEngine(Engine):
         self._system.gpu_apply_articulation_qf()
         self._contacts.clear()
         for _ in range(steps):
-            if self._drives.follows_velocity:
+            if self._drives.follows_state:
+                self._system.gpu_fetch_articulation_qpos()
                 self._system.gpu_fetch_articulation_qvel()
-                self._scatter(self._buffers.forces, self._drives.forces(commands, self.joint_velocities, self._dt))
+                forces = self._drives.forces(commands, self.joint_positions, self.joint_velocities, self._dt)
+                self._scatter(self._buffers.forces, forces)
                 self._system.gpu_apply_articulation_qf()
             self._system.step()
             self._contacts.add()
