@@ -18,7 +18,7 @@ def shared_support(engine: str) -> dict[Capability, Support]:
         Capability.VELOCITY_LIMITS: unsupported(f"{engine} does not limit the velocity of a joint"),
         Capability.JOINT_DAMPING: EXACT,
         Capability.JOINT_SPRINGS: approximate(
-            "exact below one radian of natural frequency per physics step; a stiffer and weakly damped spring is damped "
+            "exact below one radian of natural frequency per physics step; a stiffer, weakly damped spring is damped "
             "further, to be stable; the build report names its joint"
         ),
         Capability.JOINT_FRICTION: approximate("friction is a soft constraint: a held joint creeps slowly under load"),
