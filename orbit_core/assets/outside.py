@@ -91,7 +91,10 @@ def _located(reference: str, base: Path, model: Path, options: ReadOptions) -> t
     """Where a reference leads, and the folder of the package that it names, if it names one."""
     for scheme in _PACKAGE_SCHEMES:
         if reference.startswith(scheme):
-            package, _, inner = reference.removeprefix(scheme).partition("/")
+            # Some tools write an empty package before the package's name, or for the model's own folder.
+            package, _, inner = reference.removeprefix(scheme).removeprefix("/").partition("/")
+            if reference.startswith(f"{scheme}/") and not list(_folders_named(package, model, options)):
+                package, inner = "", f"{package}/{inner}" if inner else package
             folder, path = _in_package(reference, package, unquote(inner), model, options)
             return path, (folder,)
     if reference.startswith("file:"):
@@ -114,7 +117,7 @@ def _in_package(reference: str, package: str, inner: str, model: Path, options: 
 
 def _folders_named(package: str, model: Path, options: ReadOptions) -> Iterator[Path]:
     """Those that the caller gives, or folders above the model that have the package's name, below the user's home."""
-    if not package:  # package:///meshes/a.stl, as some tools write, is in the model's own
+    if not package:
         yield from allowed_folders(model, options)
     elif package in options.packages:
         yield Path(options.packages[package])

@@ -6,6 +6,9 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
+from orbit_core.assets.surface_checks import check_height_field, check_hulls, check_mesh
 from orbit_core.interfaces.divergence import MAX_DISTANCE, MAX_SPEED
 from orbit_core.interfaces.errors import ArgumentError
 from orbit_core.interfaces.typed import Typed, wrong
@@ -14,12 +17,17 @@ from orbit_core.scene import (
     Box,
     CameraSpec,
     Capsule,
+    Compliance,
     Cylinder,
     DirectionalLight,
+    HeightField,
+    Joint,
     Link,
+    Mesh,
     PhysicsMaterial,
     Pose,
     Scene,
+    Shape,
     Sky,
     Sphere,
 )
@@ -32,6 +40,13 @@ _BRIGHTEST = 1e3
 """Of a light, in pictures' full brightness."""
 _HEAVIEST = 1e9
 """Kilograms of a link; beyond, single precision holds little of what it touches."""
+
+_LARGEST_INERTIA = 1e15
+"""kg m^2; single precision holds its square."""
+_STIFFEST = 1e12
+"""N/m of a contact or a joint's spring, and the most of a joint's damping, friction and armature in their units."""
+
+_COEFFICIENTS = tuple(field.name for field in dataclasses.fields(PhysicsMaterial) if field.name != "compliance")
 
 
 def check_data(thing: object, where: str) -> None:
@@ -60,17 +75,36 @@ def _check_pose(pose: Pose, where: str) -> None:
 
 
 def _check_material(material: PhysicsMaterial, where: str) -> None:
-    for field in dataclasses.fields(material):
-        value = getattr(material, field.name)
-        if field.name != "compliance":
-            _within(f"{where}.{field.name}", (value,), 0.0, 1.0 if field.name == "restitution" else 1e6)
+    for name in _COEFFICIENTS:
+        _within(f"{where}.{name}", (getattr(material, name),), 0.0, 1.0 if name == "restitution" else 1e6)
 
 
 def _check_size(solid: Box | Sphere | Capsule | Cylinder, where: str) -> None:
     lengths = solid.half_extents if isinstance(solid, Box) else (solid.radius,)
     _within(f"{where}.{'half_extents' if isinstance(solid, Box) else 'radius'}", lengths, 1e-9, MAX_DISTANCE, "m")
     if isinstance(solid, Capsule | Cylinder):
-        _within(f"{where}.half_length", (solid.half_length,), 0.0, MAX_DISTANCE, "m")
+        shortest = 1e-9 if isinstance(solid, Cylinder) else 0.0
+        _within(f"{where}.half_length", (solid.half_length,), shortest, MAX_DISTANCE, "m")
+
+
+def _check_compliance(compliance: Compliance, where: str) -> None:
+    _within(f"{where}.stiffness", (compliance.stiffness,), 1e-9, _STIFFEST, "N/m")
+    _within(f"{where}.damping", (compliance.damping,), 0.0, _STIFFEST, "N s/m")
+
+
+def _check_shape(shape: Shape, where: str) -> None:
+    _within(f"{where}.color", shape.color, 0.0, 1.0)
+
+
+def _check_joint(joint: Joint, where: str) -> None:
+    _within(f"{where}.axis", joint.axis, -_STIFFEST, _STIFFEST)
+    _within(f"{where}.rest_position", (joint.rest_position,), -MAX_DISTANCE, MAX_DISTANCE)
+    for name in ("damping", "friction", "armature", "stiffness"):
+        _within(f"{where}.{name}", (getattr(joint, name),), 0.0, _STIFFEST)
+    for name in ("effort_limit", "velocity_limit"):
+        _within(f"{where}.{name}", (getattr(joint, name),), 0.0, math.inf)
+    if joint.lower_limit == math.inf or joint.upper_limit == -math.inf:
+        raise wrong(f"{where}'s limits", (joint.lower_limit, joint.upper_limit), "the lowest position and the highest")
 
 
 def _check_camera(camera: CameraSpec, where: str) -> None:
@@ -83,6 +117,11 @@ def _check_camera(camera: CameraSpec, where: str) -> None:
 
 def _check_link(link: Link, where: str) -> None:
     _within(f"{where}.mass", (link.mass,), 0.0, _HEAVIEST, "kg")
+    _within(f"{where}.center_of_mass", link.center_of_mass, -MAX_DISTANCE, MAX_DISTANCE, "m")
+    if np.shape(link.inertia) != (3, 3):
+        raise ArgumentError(f"{where}.inertia has shape {np.shape(link.inertia)}: give (3, 3)")
+    _within(f"{where}.inertia", link.inertia.ravel().tolist(), -_LARGEST_INERTIA, _LARGEST_INERTIA, "kg m^2")
+    check_hulls(link.collisions, f"{where}.collisions")
 
 
 def _check_ambient_light(light: AmbientLight, where: str) -> None:
@@ -103,6 +142,7 @@ def _check_sky(sky: Sky, where: str) -> None:
 
 
 def _check_scene(scene: Scene, where: str) -> None:
+    check_hulls(scene.terrain, f"{where}.terrain")
     _within(f"{where}.gravity", scene.gravity, -MAX_SPEED, MAX_SPEED, "m/s^2")
     _within(f"{where}.physics_dt", (scene.physics_dt,), 1e-7, 1.0, "s")
     count = len(scene.directional_lights)
@@ -118,6 +158,11 @@ _SCENES = Typed(
         Sphere: _check_size,
         Capsule: _check_size,
         Cylinder: _check_size,
+        Mesh: check_mesh,
+        HeightField: check_height_field,
+        Shape: _check_shape,
+        Compliance: _check_compliance,
+        Joint: _check_joint,
         CameraSpec: _check_camera,
         Link: _check_link,
         AmbientLight: _check_ambient_light,

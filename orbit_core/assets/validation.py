@@ -10,7 +10,8 @@ import numpy as np
 
 from orbit_core.assets.massless import check_massless
 from orbit_core.assets.merge import merge_fixed_links
-from orbit_core.interfaces.errors import AssetError
+from orbit_core.assets.scene_data import check_data
+from orbit_core.interfaces.errors import ArgumentError, AssetError
 from orbit_core.interfaces.layout import home_positions
 from orbit_core.scene import Articulation, Entity, HeightField, Joint, JointType, Link, LoopJoint, LoopType, Plane, Pose
 
@@ -33,9 +34,13 @@ def validate(articulation: Articulation) -> Articulation:
 
     Raises:
         AssetError: names repeat or are unknown, links form no single tree, are out of order (:func:`sort_links` mends
-            that), a joint's numbers or mimic are impossible, a drive or home position is of no movable joint, or a
-            body's mass or inertia is impossible.
+            that), a number of a shape, joint or link is impossible (:func:`orbit_core.assets.scene_data.check_data`),
+            a mimic is, a drive or home position is of no movable joint, or a body's mass or inertia is impossible.
     """
+    try:
+        check_data(articulation, f"'{articulation.name}'")
+    except ArgumentError as error:
+        raise AssetError(str(error)) from None
     check_structure(articulation)
     _check_order(articulation)
     links = set(articulation.link_names)
@@ -55,8 +60,6 @@ def validate(articulation: Articulation) -> Articulation:
     _check_home(articulation)
     if any(new is not old for new, old in zip(joints, articulation.joints, strict=True)):
         articulation = replace(articulation, joints=joints)
-    for link in articulation.links:
-        _check_finite(articulation, link)
     merged = merge_fixed_links(articulation)
     check_massless(merged)
     for link in merged.links:
@@ -186,18 +189,6 @@ def _check_unique(articulation: Articulation, kind: str, names: Iterable[str]) -
 
 
 def _checked_joint(articulation: Articulation, joint: Joint) -> Joint:
-    numbers = (*joint.parent_pose.position, *joint.parent_pose.orientation)
-    numbers += (*joint.child_pose.position, *joint.child_pose.orientation, *joint.axis)
-    if not all(math.isfinite(number) for number in numbers):
-        raise _error(articulation, f"joint '{joint.name}' has a pose or axis that is not finite: give finite numbers")
-    for name in ("effort_limit", "velocity_limit", "damping", "friction", "armature", "stiffness"):
-        value = getattr(joint, name)
-        if not value >= 0:
-            raise _error(articulation, f"joint '{joint.name}' has {name} {value}: give zero or more")
-    for name in ("stiffness", "rest_position"):
-        value = getattr(joint, name)
-        if not math.isfinite(value):
-            raise _error(articulation, f"joint '{joint.name}' has {name} {value}: give a finite number")
     if not joint.lower_limit <= joint.upper_limit:
         raise _error(
             articulation,
@@ -313,13 +304,6 @@ def _check_home(articulation: Articulation) -> None:
         if not math.isfinite(position):
             raise _error(articulation, f"joint '{joint}' has home position {position}: give a finite number")
     _check_unique(articulation, "home positions", (joint for joint, _ in articulation.home))
-
-
-def _check_finite(articulation: Articulation, link: Link) -> None:
-    if not (math.isfinite(link.mass) and link.mass >= 0):
-        raise _error(articulation, f"link '{link.name}' has mass {link.mass}: give a finite mass that is not negative")
-    if not (np.isfinite(link.inertia).all() and np.isfinite(link.center_of_mass).all()):
-        raise _error(articulation, f"link '{link.name}' has an inertia or centre of mass that is not finite: mend it")
 
 
 def _check_inertia(articulation: Articulation, link: Link) -> None:

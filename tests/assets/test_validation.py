@@ -100,41 +100,41 @@ def test_axes_get_unit_length() -> None:
         (chain(joints=(*chain().joints, joint("again", "base", "lower"))), "link 'lower' has two parents"),
         (chain(joints=chain().joints[::-1]), "sort_links"),
         (with_joint(axis=(0.0, 0.0, 0.0)), "axis of zero length"),
-        (with_joint(axis=(0.0, math.nan, 0.0)), "not finite"),
+        (with_joint(axis=(0.0, math.nan, 0.0)), "axis.* is nan"),
         (with_joint(lower_limit=1.0, upper_limit=-1.0), "lower limit 1.0 above upper limit -1.0"),
         (with_joint(lower_limit=math.nan), "limit"),
         (with_joint(type=JointType.CONTINUOUS, upper_limit=2.0), "continuous and has limits, -inf to 2.0"),
-        (with_joint(damping=-1.0), "damping -1.0"),
-        (with_joint(effort_limit=math.nan), "effort_limit nan"),
-        (with_joint(stiffness=-1.0), "stiffness -1.0"),
-        (with_joint(stiffness=math.inf), "stiffness inf"),
-        (with_joint(rest_position=math.nan), "rest_position nan"),
+        (with_joint(damping=-1.0), "damping is -1.0"),
+        (with_joint(effort_limit=math.nan), "effort_limit is nan"),
+        (with_joint(stiffness=-1.0), r"stiffness is -1\.0"),
+        (with_joint(stiffness=math.inf), "stiffness is inf"),
+        (with_joint(rest_position=math.nan), "rest_position is nan"),
         (with_joint(mimic=Mimic("shoulder", higher_powers=(1.0, 1.0, 1.0, 1.0))), "with 4 higher powers"),
-        (with_joint(mimic=Mimic("shoulder", higher_powers=(math.nan,))), "not finite"),
+        (with_joint(mimic=Mimic("shoulder", higher_powers=(math.nan,))), "higher_powers.* is nan"),
         (chain(drives=(DriveGains("knee"),)), "a drive is on 'knee'"),
         (chain(drives=(DriveGains("elbow", stiffness=-1.0),)), "stiffness -1.0"),
         (chain(drives=(DriveGains("elbow"), DriveGains("elbow"))), "two drives share the name 'elbow'"),
         (chain(home=(("knee", 0.0),)), "a home position is of 'knee'"),
-        (chain(home=(("elbow", math.nan),)), "home position nan"),
+        (chain(home=(("elbow", math.nan),)), "home.* is nan"),
         (chain(loops=(LoopJoint("l", "base", "lower", orientation=(2.0, 0.0, 0.0, 0.0)),)), "no unit quaternion"),
         (with_middle(inertia=INERTIA), "'upper' has an inertia but no mass"),
         (with_middle(collisions=(Shape(Box((0.1, 0.1, 0.1))),)), "'upper' collides but has no mass"),
         (with_middle(), "'shoulder', 'elbow' move link 'lower' in the same way"),
         (with_joint(mimic=Mimic("nowhere")), "does not exist"),
         (with_joint(mimic=Mimic("elbow")), "itself"),
-        (with_link(mass=-1.0), "mass -1.0"),
-        (with_link(mass=math.nan), "mass nan"),
+        (with_link(mass=-1.0), "mass is -1.0"),
+        (with_link(mass=math.nan), "mass is nan"),
         (with_link(mass=0.0), "'lower' moves but has no mass"),
         (with_link(inertia=np.diag([0.01, 0.02, -0.01])), "not all positive"),
         (with_link(inertia=np.diag([0.01, 0.02, 0.04])), "exceeds the sum"),
         (with_link(inertia=np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])), "not symmetric"),
-        (with_link(inertia=np.full((3, 3), math.nan)), "not finite"),
+        (with_link(inertia=np.full((3, 3), math.nan)), "inertia holds NaN"),
     ],
 )
 def test_faults_are_named(articulation: Articulation, message: str) -> None:
     with pytest.raises(AssetError, match=message) as caught:
         validate(articulation)
-    assert str(caught.value).startswith("'arm': ")
+    assert str(caught.value).startswith("'arm'")
 
 
 def test_mimic_of_fixed_or_mimicking_joint_is_refused() -> None:
@@ -162,7 +162,7 @@ def test_inertia_is_judged_per_rigid_body() -> None:
 def test_a_fixed_link_may_not_take_mass_away() -> None:
     shoulder, elbow = chain().joints
     fixed = replace(elbow, type=JointType.FIXED)
-    with pytest.raises(AssetError, match="'lower' has mass -0"):
+    with pytest.raises(AssetError, match=r"links\['lower'\]\.mass is -0"):
         validate(replace(with_link(mass=-0.5), joints=(shoulder, fixed)))
 
 
@@ -205,7 +205,7 @@ def test_a_loop_is_closed_at_home() -> None:
     [
         ({"second": "nothing"}, "unknown link 'nothing'"),
         ({"second": "upper"}, "to itself"),
-        ({"first_point": (math.nan, 0.0, 0.0)}, "not finite"),
+        ({"first_point": (math.nan, 0.0, 0.0)}, "first_point.* is nan"),
         ({"name": "left"}, "share the name 'left'"),
     ],
 )
