@@ -9,7 +9,7 @@ from orbit_core.assets.options import ReadOptions, Repair
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.scene import Articulation
 
-_SUFFIXES = (".urdf", ".xml", ".mjcf", ".usd", ".usda", ".usdc")
+_SUFFIXES = (".urdf", ".xacro", ".xml", ".mjcf", ".usd", ".usda", ".usdc")
 
 
 def asset_folder() -> Path:
@@ -60,7 +60,7 @@ def _read(path: Path, options: ReadOptions) -> Articulation:
         raise AssetError(f"'{path}' has no suffix of a known format: give one of {', '.join(_SUFFIXES)}")
     if not path.is_file():
         raise AssetError(f"asset file '{path}' does not exist: correct the path")
-    if suffix == ".urdf":
+    if suffix in (".urdf", ".xacro"):
         from orbit_core.assets.urdf import read_urdf
 
         return read_urdf(path, options=options)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from orbit_core.assets.archives import check_archive, check_picture
+from orbit_core.assets.mesh_faults import check_obj, check_obj_faces, check_stl, without_broken_textures
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.outside import check_file, resolve_file
 from orbit_core.interfaces.errors import AssetError
@@ -44,8 +45,13 @@ def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
     try:
         with warnings.catch_warnings():
             _refuse_huge_pictures()
+            if suffix == "dae":
+                data = without_broken_textures(data)
             return trimesh.load_scene(
-                io.BytesIO(data), file_type=suffix, resolver=_Neighbours(path, options, model).as_trimesh()
+                io.BytesIO(data),
+                file_type=suffix,
+                resolver=_Neighbours(path, options, model).as_trimesh(),
+                process=False,
             )
     except AssetError:
         raise
@@ -54,6 +60,8 @@ def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
             f"mesh file '{path}' needs a decoder that is not installed ({error}): pip install \"orbit-core[robots]\""
         ) from error
     except Exception as error:  # a decoder's own errors are of any class
+        if suffix == "obj":
+            check_obj_faces(data, path)
         raise AssetError(f"mesh file '{path}' cannot be read ({error}): re-export it") from error
 
 
@@ -112,9 +120,13 @@ def _refuse_huge_pictures() -> None:
 
 
 def _check_content(data: bytes, suffix: str, path: Path, options: ReadOptions) -> None:
-    """Refuse what makes a decoder ask for memory out of proportion to the file."""
+    """Refuse what is cut short, and what makes a decoder ask for memory out of proportion to the file."""
     if suffix == "dae" and _ENTITY.search(data.replace(b"\0", b"")[:65536]):
         raise AssetError(f"mesh file '{path}' declares XML entities: export it again without")
+    if suffix == "stl":
+        check_stl(data, path)
+    if suffix == "obj":
+        check_obj(data, path)
     if suffix in ("glb", "gltf"):
         _check_accessors(_gltf_header(data, path), path, options)
 

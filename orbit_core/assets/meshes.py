@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from orbit_core.assets.mesh_colors import surface_color
 from orbit_core.assets.mesh_files import open_mesh
-from orbit_core.assets.naming import names_file
+from orbit_core.assets.naming import names_file, naming
 from orbit_core.assets.options import ReadOptions
+from orbit_core.assets.vertices import merge_vertices
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Color, Mesh
 from orbit_core.scene.pose import Vector3
@@ -18,10 +21,14 @@ from orbit_core.scene.pose import Vector3
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """The part of a mesh file that has one colour; ``None`` where the file gives no colour."""
+    """The part of a mesh file that has one colour; ``None`` where the file gives no colour.
+
+    ``textured`` tells that the colour stands for a picture.
+    """
 
     mesh: Mesh
     color: Color | None
+    textured: bool = False
 
 
 @names_file
@@ -35,13 +42,13 @@ def load_mesh(
     """The triangles of an STL, OBJ, DAE, GLB or other mesh file, placed by its scene graph, in metres.
 
     A DAE file's unit is honoured and its up axis is not, as in ROS. ``scale`` may reflect: faces then turn round, so
-    that they still look outward. Equal vertices are merged. ``model`` is the file that names the mesh, whose folder and
-    packages hold what else the mesh names, such as pictures.
+    that they still look outward. Vertices that are equal in single precision are merged. ``model`` is the file that
+    names the mesh, whose folder and packages hold what else the mesh names, such as pictures.
 
     Raises:
         AssetError: the file is missing, cannot be decoded or holds no triangle.
     """
-    return _concatenated(_load(Path(path), scale, options, model))
+    return MeshFiles(options, model or Path(path)).mesh(Path(path), scale)
 
 
 @names_file
@@ -57,10 +64,66 @@ def load_parts(
     Raises:
         AssetError: as :func:`load_mesh`.
     """
-    by_color: dict[Color | None, list[Any]] = {}
-    for geometry in _load(Path(path), scale, options, model):
-        by_color.setdefault(_color(geometry), []).append(geometry)
-    return tuple(MeshPart(_concatenated(group), color) for color, group in by_color.items())
+    return MeshFiles(options, model or Path(path)).parts(Path(path), scale)
+
+
+class MeshFiles:
+    """The mesh files of one model: each is decoded once, whatever shapes and scales it is used for.
+
+    Args:
+        options: the limits, and what files may be opened.
+        model: the file that names the meshes.
+    """
+
+    def __init__(self, options: ReadOptions, model: Path) -> None:
+        self.options = options
+        self.model = model
+        self._decoded: dict[Path, list[Any]] = {}
+        self._meshes: dict[tuple[Path, Vector3], Mesh] = {}
+        self._parts: dict[tuple[Path, Vector3], tuple[MeshPart, ...]] = {}
+
+    def mesh(self, path: Path, scale: Vector3 = (1.0, 1.0, 1.0)) -> Mesh:
+        """As :func:`load_mesh`.
+
+        Raises:
+            AssetError: as :func:`load_mesh`.
+        """
+        key = (path, scale)
+        if key not in self._meshes:
+            with naming(str(path)):
+                parts = self._parts.get(key, ())
+                # One part is the whole: its visual and its collision shape then share one mesh.
+                self._meshes[key] = parts[0].mesh if len(parts) == 1 else _mesh(self._geometries(path), scale, path)
+        return self._meshes[key]
+
+    def parts(self, path: Path, scale: Vector3 = (1.0, 1.0, 1.0)) -> tuple[MeshPart, ...]:
+        """As :func:`load_parts`.
+
+        Raises:
+            AssetError: as :func:`load_mesh`.
+        """
+        key = (path, scale)
+        if key not in self._parts:
+            with naming(str(path)):
+                self._parts[key] = self._split(path, scale)
+        return self._parts[key]
+
+    def _split(self, path: Path, scale: Vector3) -> tuple[MeshPart, ...]:
+        by_color: dict[tuple[Color | None, bool], list[Any]] = {}
+        geometries = self._geometries(path)
+        for geometry in geometries:
+            by_color.setdefault(surface_color(geometry), []).append(geometry)
+        if len(by_color) == 1:
+            ((color, textured),) = by_color
+            return (MeshPart(self.mesh(path, scale), color, textured),)
+        return tuple(
+            MeshPart(_mesh(group, scale, path), color, textured) for (color, textured), group in by_color.items()
+        )
+
+    def _geometries(self, path: Path) -> list[Any]:
+        if path not in self._decoded:
+            self._decoded[path] = _decoded(path, self.options, self.model)
+        return self._decoded[path]
 
 
 def simplified_hull(mesh: Mesh, directions: int = 32) -> Mesh:
@@ -77,15 +140,14 @@ def simplified_hull(mesh: Mesh, directions: int = 32) -> Mesh:
     spread = np.concatenate([spread, np.eye(3), -np.eye(3)])
     points = np.asarray(mesh.vertices, dtype=np.float64)
     hull = convex_hull(points[np.unique(np.argmax(points @ spread.T, axis=0))])
-    return _mesh(hull.vertices, hull.faces)
+    return Mesh(np.ascontiguousarray(hull.vertices, dtype=np.float32), np.ascontiguousarray(hull.faces, dtype=np.int32))
 
 
-def _load(path: Path, scale: Vector3, options: ReadOptions, model: Path | None) -> list[Any]:
+def _decoded(path: Path, options: ReadOptions, model: Path) -> list[Any]:
+    """The file's surfaces, placed by its scene graph, in metres."""
     import trimesh
 
-    if 0.0 in scale or not np.isfinite(scale).all():
-        raise AssetError(f"mesh file '{path}' is scaled by {scale}: give finite factors that are not zero")
-    scene = open_mesh(path, options, model or path)
+    scene = open_mesh(path, options, model)
     if scene.units not in (None, "meters"):
         scene = scene.convert_units("meters")
     geometries = [
@@ -93,35 +155,21 @@ def _load(path: Path, scale: Vector3, options: ReadOptions, model: Path | None) 
     ]
     if not geometries:
         raise AssetError(f"mesh file '{path}' holds no triangle: export it as a triangle mesh")
-    for geometry in geometries:
-        geometry.apply_transform(np.diag([*scale, 1.0]))
     return geometries
 
 
-def _concatenated(geometries: list[Any]) -> Mesh:
-    import trimesh
-
-    bare = [trimesh.Trimesh(geometry.vertices, geometry.faces, process=False) for geometry in geometries]
-    joined: Any = trimesh.util.concatenate(bare)
-    joined.merge_vertices()
-    joined.update_faces(joined.nondegenerate_faces(height=1e-10))
-    joined.remove_unreferenced_vertices()
-    return _mesh(joined.vertices, joined.faces)
-
-
-def _mesh(vertices: Any, faces: Any) -> Mesh:
-    return Mesh(np.ascontiguousarray(vertices, dtype=np.float32), np.ascontiguousarray(faces, dtype=np.int32))
-
-
-def _color(geometry: Any) -> Color | None:
-    if not geometry.visual.defined:
-        return None
-    material = getattr(geometry.visual, "material", None)
-    if material is None:
-        color = geometry.visual.main_color
-    elif any(getattr(material, name, None) is not None for name in ("baseColorTexture", "image")):
-        color = np.median(geometry.visual.to_color().vertex_colors, axis=0)
-    else:
-        color = material.main_color
-    r, g, b, a = (round(float(channel) / 255.0, 4) for channel in color)
-    return (r, g, b, a)
+def _mesh(geometries: list[Any], scale: Vector3, path: Path) -> Mesh:
+    """Several surfaces as one mesh, scaled."""
+    if 0.0 in scale or not np.isfinite(scale).all():
+        raise AssetError(f"mesh file '{path}' is scaled by {scale}: give finite factors that are not zero")
+    vertices: list[npt.NDArray[np.float32]] = []
+    faces: list[npt.NDArray[np.int64]] = []
+    first = 0
+    for geometry in geometries:
+        vertices.append((np.asarray(geometry.vertices) * scale).astype(np.float32))
+        faces.append(np.asarray(geometry.faces, dtype=np.int64) + first)
+        first += len(vertices[-1])
+    joined = np.concatenate(faces)
+    if np.prod(np.sign(scale)) < 0:
+        joined = joined[:, ::-1]
+    return Mesh(*merge_vertices(np.concatenate(vertices), joined))

@@ -106,7 +106,7 @@ def _located(reference: str, base: Path, model: Path, options: ReadOptions) -> t
 
 def _in_package(reference: str, package: str, inner: str, model: Path, options: ReadOptions) -> tuple[Path, Path]:
     """The first folder that may be the package and has the file, or else the first; and the file in it."""
-    folders = list(_folders_named(package, model, options))
+    folders = list(package_folders(package, model, options))
     if not folders:
         raise AssetError(
             f"'{reference}' is in an unknown package: give its folder, ReadOptions(packages={{'{package}': folder}})"
@@ -115,8 +115,11 @@ def _in_package(reference: str, package: str, inner: str, model: Path, options: 
     return folder, folder / inner
 
 
-def _folders_named(package: str, model: Path, options: ReadOptions) -> Iterator[Path]:
-    """Those that the caller gives, or folders above the model that have the package's name, below the user's home."""
+def package_folders(package: str, model: Path, options: ReadOptions) -> Iterator[Path]:
+    """Where a package may be: the folder that the caller gives, or those of its name around the model.
+
+    These are the folders above the model, below the user's home, and one beside the model's file.
+    """
     if not package:
         yield from allowed_folders(model, options)
     elif package in options.packages:
@@ -129,6 +132,10 @@ def _folders_named(package: str, model: Path, options: ReadOptions) -> Iterator[
             near = level < _NEAR or folder.is_relative_to(shared)
             if folder.name == package and near and not home.is_relative_to(folder):
                 yield folder
+        own = model.parent.resolve()
+        beside = (own / package).resolve()
+        if beside.is_dir() and beside.parent == own:  # to some tools a package is a folder like others
+            yield beside
 
 
 def _installed_root(folder: Path) -> Path | None:

@@ -85,7 +85,7 @@ def _joint(root: Element, joint: Joint) -> None:
         SubElement(element, "dynamics", damping=repr(float(joint.damping)), friction=repr(float(joint.friction)))
     if joint.mimic is not None:
         law = {"multiplier": repr(float(joint.mimic.multiplier)), "offset": repr(float(joint.mimic.offset))}
-        SubElement(element, "mimic", joint=joint.mimic.joint, **law)
+        SubElement(element, "mimic", {"joint": joint.mimic.joint, **law})
 
 
 def _frame(root: Element, frame: Frame, taken: set[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,11 @@ from trimesh.visual.material import PBRMaterial
 
 from orbit_core.assets.files import asset_file, load_articulation
 from orbit_core.assets.meshes import load_mesh, load_parts, simplified_hull
+from orbit_core.assets.options import ReadOptions, Unsupported
 from orbit_core.assets.urdf import read_urdf
 from orbit_core.assets.validation import validate
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
-from orbit_core.scene import Articulation, Box, Capsule, Cylinder, JointType, Mesh, Mimic, Sphere
+from orbit_core.scene import Articulation, Box, Capsule, Cylinder, JointType, Mesh, Mimic, Plane, Pose, Sphere
 
 INERTIAL = """<inertial><mass value="2"/><origin xyz="0.1 0 0" rpy="0 0 1.5707963267948966"/>
 <inertia ixx="1" iyy="2" izz="2.5" ixy="0.1" ixz="0" iyz="0"/></inertial>"""
@@ -98,12 +100,12 @@ def test_prefixes_that_nobody_declared(tmp_path: Path) -> None:
         ("<link/>", "a link lacks attribute 'name'"),
         ('<link name="a"><inertial><mass value="1"/></inertial></link>', "link 'a' lacks <inertia>"),
         ('<link name="a"><inertial><mass value="heavy"/><inertia/></inertial></link>', 'value="heavy"'),
-        ('<link name="a"><collision><geometry><cone/></geometry></collision></link>', "no known kind"),
-        ('<joint name="j" type="floating"/>', "fixed_base=False"),
-        ('<joint name="j" type="planar"/>', "two prismatic joints"),
+        ('<link name="a"><collision><geometry><cone/></geometry></collision></link>', "<cone>, which ORBIT does not"),
+        ('<link name="a"><collision><geometry/></collision></link>', "empty <geometry>"),
+        ('<joint name="j" type="planar"/>', "joint 'j' lacks <parent>"),
+        ('<link name="a"/><link name="b"/>', "several roots, 'a', 'b'.*ReadOptions\\(articulation"),
         ('<joint name="j" type="screw"/>', "use one of fixed, revolute"),
         ('<joint name="j" type="prismatic"><parent link="a"/><child link="b"/></joint>', "joint 'j' has no <limit>"),
-        ('<link name="base"/><xacro:macro name="m"/>', "expand it with xacro"),
         ("<link name='a'>", "not well-formed"),
         (visual('<mesh filename="missing.stl"/>'), "link 'base': file '.*missing.stl' does not exist"),
         (visual('<mesh filename="package://nobody/a.stl"/>'), r"packages=\{'nobody': folder\}"),
@@ -189,3 +191,129 @@ def test_load_articulation_by_suffix(tmp_path: Path) -> None:
         load_articulation(tmp_path / "other.urdf")
     with pytest.raises(UnknownNameError, match="asset file 'nothing"):
         asset_file("nothing.usda")
+
+
+BODY = f'<link name="base">{INERTIAL}</link><link name="arm">{INERTIAL}</link>'
+
+
+def joint(kind: str, rest: str = "", ends: tuple[str, str] = ("base", "arm")) -> str:
+    parent, child = ends
+    return f'<joint name="j" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{rest}</joint>'
+
+
+def tip_at(articulation: Articulation, positions: dict[str, float]) -> np.ndarray:
+    """The last link's transform in the root, by the definition of a joint."""
+    poses = {articulation.root.name: Pose()}
+    for each in articulation.joints:
+        value = positions.get(each.name, 0.0)
+        moved = Pose.from_axis_angle(each.axis, value)
+        if each.type is JointType.PRISMATIC:
+            moved = Pose(tuple(value * along for along in each.axis))
+        poses[each.child] = poses[each.parent] @ each.parent_pose @ moved @ each.child_pose.inverse()
+    return poses[articulation.links[-1].name].matrix()
+
+
+def test_a_planar_joint_moves_in_the_plane_of_its_normal(tmp_path: Path) -> None:
+    origin = '<origin xyz="0 0 1" rpy="0.3 0.2 0.1"/><axis xyz="0 1 0"/>'
+    articulation = validate(read(tmp_path, BODY + joint("planar", origin)))
+    assert articulation.joint_names == ("j_tx", "j_ty", "j_rz")
+    frame = Pose.from_euler(0.3, 0.2, 0.1, (0.0, 0.0, 1.0)).matrix()
+    np.testing.assert_allclose(tip_at(articulation, {}), frame, atol=1e-12)
+    moved = np.linalg.inv(frame) @ tip_at(articulation, {"j_tx": 0.5, "j_ty": -0.7, "j_rz": 0.4})
+    np.testing.assert_allclose(moved[1, :], [0, 1, 0, 0], atol=1e-12, err_msg="y, the normal, stays")
+    assert np.linalg.norm(moved[:3, 3]) == pytest.approx(np.hypot(0.5, 0.7))
+    np.testing.assert_allclose(moved[:3, :3], Pose.from_axis_angle((0, 1, 0), 0.4).rotation_matrix(), atol=1e-12)
+
+
+def test_a_floating_joint_within_the_robot_is_six_joints_and_a_base_that_floats_is_none(tmp_path: Path) -> None:
+    within = validate(read(tmp_path, BODY + joint("floating")))
+    assert len(within.joint_names) == 6
+    assert within.links[-1].name == "arm"
+    base = read(
+        tmp_path, f'<link name="world"/><link name="arm">{INERTIAL}</link>' + joint("floating", "", ("world", "arm"))
+    )
+    assert (base.link_names, base.joints) == (("arm",), ())
+    assert "fixed_base=False" in base.notes[0]
+
+
+def test_a_ball_joint_turns_all_ways(tmp_path: Path) -> None:
+    articulation = validate(read(tmp_path, BODY + joint("spherical", '<limit effort="5"/>')))
+    assert [each.effort_limit for each in articulation.movable_joints] == [5.0] * 3
+    expected = np.eye(4)
+    for axis, angle in (((1, 0, 0), 0.3), ((0, 1, 0), 0.4), ((0, 0, 1), 0.5)):
+        expected[:3, :3] = expected[:3, :3] @ Pose.from_axis_angle(axis, angle).rotation_matrix()
+    found = tip_at(articulation, {"j_rx": 0.3, "j_ry": 0.4, "j_rz": 0.5})
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_a_mimic_of_a_mimic_follows_the_leader_of_both(tmp_path: Path) -> None:
+    laws = ("", '<mimic joint="a_joint" multiplier="2" offset="0.1"/>', '<mimic joint="b_joint" multiplier="-3"/>')
+    fingers = "".join(FINGER.format(name, law) for name, law in zip("abc", laws, strict=True))
+    articulation = read(tmp_path, '<link name="arm"/>' + fingers)
+    law = articulation.joints[2].mimic
+    assert law is not None
+    assert (law.joint, law.multiplier) == ("a_joint", -6.0)
+    assert law.offset == pytest.approx(-0.3)
+    assert "'c_joint'" in articulation.notes[0]
+    circle = FINGER.format("a", '<mimic joint="b_joint"/>') + FINGER.format("b", '<mimic joint="a_joint"/>')
+    with pytest.raises(AssetError, match="itself mimics"):
+        validate(read(tmp_path, '<link name="arm"/>' + circle))
+
+
+def test_what_is_not_read_is_noted_once_a_kind(tmp_path: Path) -> None:
+    safety = '<safety_controller k_velocity="1"/><calibration rising="0"/>'
+    body = BODY + joint("continuous", safety) + "<transmission/><transmission/><gazebo/>"
+    notes = read(tmp_path, body).notes
+    assert notes == (
+        "<transmission> is left out of the robot",
+        "<gazebo> is left out of the robot",
+        "<safety_controller> is left out of joint 'j'",
+        "<calibration> is left out of joint 'j'",
+    )
+
+
+def test_what_orbit_lacks_is_dropped_where_asked(tmp_path: Path) -> None:
+    path = tmp_path / "thing.urdf"
+    path.write_text(f'<robot name="thing">{visual("<cone/>", "collision")}</robot>')
+    articulation = read_urdf(path, options=ReadOptions(unsupported=Unsupported.DROP))
+    assert articulation.root.collisions == ()
+    assert articulation.notes == ("a <geometry> of kind <cone> is left out of link 'base'",)
+
+
+def test_one_of_several_trees_is_read_by_its_root(tmp_path: Path) -> None:
+    path = tmp_path / "two.urdf"
+    path.write_text(f'<robot name="two">{BODY}<link name="other"/>{joint("continuous")}</robot>')
+    articulation = read_urdf(path, options=ReadOptions(articulation="base"))
+    assert (articulation.name, articulation.link_names) == ("base", ("base", "arm"))
+    with pytest.raises(AssetError, match=r"unknown articulation 'arm'.*base, other"):
+        read_urdf(path, options=ReadOptions(articulation="arm"))
+
+
+def test_planes_face_their_normals(tmp_path: Path) -> None:
+    for normal in ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, -2.0, 0.5)):
+        text = " ".join(str(component) for component in normal)
+        (shape,) = read(tmp_path, visual(f'<plane normal="{text}"/>', "collision")).root.collisions
+        assert shape.geometry == Plane()
+        found = shape.pose.rotation_matrix()[:, 2]
+        np.testing.assert_allclose(found, np.asarray(normal) / np.linalg.norm(normal), atol=1e-12)
+
+
+def test_a_package_may_be_a_folder_beside_the_file(tmp_path: Path) -> None:
+    (tmp_path / "meshes").mkdir()
+    trimesh.creation.box((1, 2, 3)).export(tmp_path / "meshes" / "box.stl")
+    assert read(tmp_path, visual('<mesh filename="package://meshes/box.stl"/>')).root.visuals
+    with pytest.raises(AssetError, match="unknown package"):
+        read(tmp_path, visual('<mesh filename="package://../box.stl"/>'))
+
+
+def test_ten_thousand_links_take_seconds(tmp_path: Path) -> None:
+    chain = "".join(
+        f'<link name="l{i}">{INERTIAL}</link><joint name="j{i}" type="{"fixed" if i % 2 else "continuous"}">'
+        f'<parent link="l{i - 1}"/><child link="l{i}"/><origin xyz="0 0 1"/></joint>'
+        for i in range(1, 10_000)
+    )
+    path = tmp_path / "chain.urdf"
+    path.write_text(f'<robot name="chain"><link name="l0">{INERTIAL}</link>{chain}</robot>')
+    start = time.process_time()
+    assert len(load_articulation(path).links) == 5_000
+    assert time.process_time() - start < 20.0, "on a slow machine; quadratic time would be minutes"

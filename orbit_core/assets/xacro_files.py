@@ -1,0 +1,60 @@
+"""Xacro files expanded to URDF in a process that can read the model's files alone."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+from orbit_core.assets.options import ReadOptions
+from orbit_core.assets.outside import allowed_folders
+from orbit_core.assets.source_text import parse_xml
+from orbit_core.interfaces.errors import AssetError
+
+_SECONDS = 20
+"""For one file; macros may call themselves."""
+
+
+def is_xacro(root: Element) -> bool:
+    """Whether an XML document holds xacro's macros."""
+    return any(element.tag.startswith("xacro:") for element in root.iter())
+
+
+def expand_xacro(path: Path, options: ReadOptions) -> Element:
+    """The root element of the URDF that a xacro file expands to, with the defaults of its arguments.
+
+    A xacro file is a program: its expressions are Python. It runs in a process of its own, which may read files below
+    the folders that the model may name, write none, start no other process and use no network, for a limited time.
+
+    Raises:
+        AssetError: the package ``xacro`` is not installed, or the file cannot be expanded.
+    """
+    if importlib.util.find_spec("xacro") is None:
+        raise AssetError(
+            f"URDF file '{path}' holds xacro macros: pip install \"orbit-core[xacro]\", or expand it with xacro first"
+        )
+    order = {
+        "path": str(path.absolute()),
+        "packages": {name: str(folder) for name, folder in options.packages.items()},
+        "folders": None if options.allow_outside is True else [str(f) for f in allowed_folders(path, options)],
+        "megabytes": 2048,
+    }
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "orbit_core.assets.xacro_process"],
+            input=json.dumps(order),
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            timeout=_SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise AssetError(f"xacro file '{path}' takes over {_SECONDS} s to expand: a macro may call itself") from None
+    if done.returncode != 0:
+        said = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
+        raise AssetError(f"xacro file '{path}' cannot be expanded ({said[-1]}): correct it, or expand it yourself")
+    return parse_xml(done.stdout, str(path), options.limits)
