@@ -93,7 +93,7 @@ def _located(reference: str, base: Path, model: Path, options: ReadOptions) -> t
         if reference.startswith(scheme):
             # Some tools write an empty package before the package's name, or for the model's own folder.
             package, _, inner = reference.removeprefix(scheme).removeprefix("/").partition("/")
-            if reference.startswith(f"{scheme}/") and not list(_folders_named(package, model, options)):
+            if reference.startswith(f"{scheme}/") and not list(package_folders(package, model, options)):
                 package, inner = "", f"{package}/{inner}" if inner else package
             folder, path = _in_package(reference, package, unquote(inner), model, options)
             return path, (folder,)
