@@ -13,7 +13,7 @@ Everything is taken from the compiled model, in which defaults, units, nested fr
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,16 +29,8 @@ from orbit_core.assets.mjcf_model import Compiled, compile_file, pose_of, vector
 from orbit_core.assets.mjcf_trees import WORLD, Tree, Trees
 from orbit_core.assets.naming import names_file
 from orbit_core.assets.options import ReadOptions
+from orbit_core.assets.placed import PlacedArticulation
 from orbit_core.scene import Articulation, Frame, Joint, Link, Pose
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedArticulation:
-    """One of several articulations of a file: where its root stands in the world, and whether it is fixed there."""
-
-    articulation: Articulation
-    pose: Pose
-    fixed_base: bool
 
 
 @names_file

@@ -14,11 +14,11 @@ class PlacedArticulation:
     """An articulation of a file, and the pose of its root link in the file's world, z up."""
 
     articulation: Articulation
-    path: str
-    """Where the file itself keeps it: a prim's path, a body's name."""
     pose: Pose = field(default_factory=Pose)
     fixed_base: bool = False
     """Whether its root does not move."""
+    path: str = ""
+    """Where the file itself keeps it, as a prim's path, in formats that have any."""
 
 
 def chosen(placed: Sequence[PlacedArticulation], name: str | None) -> PlacedArticulation:

@@ -59,7 +59,7 @@ class StageReader:
         self.reading.note("the stage has no rigid body: its colliders are one link without mass, for a fixed base")
         link = self.links.static(self.reading.stage.GetPseudoRoot(), self.contents.parts[STAGE], WORLD)
         frames = tuple(self._frames({STAGE: WORLD}))
-        return PlacedArticulation(Articulation(self._only_name(), (link,), frames=frames), STAGE, fixed_base=True)
+        return PlacedArticulation(Articulation(self._only_name(), (link,), frames=frames), fixed_base=True, path=STAGE)
 
     def _only_name(self) -> str:
         top = self.reading.stage.GetDefaultPrim()
@@ -145,7 +145,7 @@ class StageReader:
         )
         ordered = articulation if _in_order(articulation) else sort_links(articulation)
         kinematic = tree.root != STAGE and attribute(self.contents.bodies[tree.root], "physics:kinematicEnabled", False)
-        return PlacedArticulation(ordered, path, self._pose(tree.root), tree.fixed_base or bool(kinematic))
+        return PlacedArticulation(ordered, self._pose(tree.root), tree.fixed_base or bool(kinematic), path)
 
     def _link_names(self, tree: Tree) -> dict[str, str]:
         """Names of the links by their bodies' paths."""

@@ -90,8 +90,10 @@ def _prims(reading: Reading) -> Iterator[Any]:
     for count, prim in enumerate(prims):
         if count > most:
             raise AssetError(f"the stage has over {most} prims: make it smaller, or raise ReadLimits.elements")
+        if prim.IsPseudoRoot():
+            continue
         parent = prim.GetParent()
-        if parent and parent.GetTypeName() == "PointInstancer" and not prim.GetName().startswith(_INSTANCES):
+        if parent.GetTypeName() == "PointInstancer" and not prim.GetName().startswith(_INSTANCES):
             prims.PruneChildren()
             continue
         yield prim
