@@ -118,7 +118,8 @@ class _Owner:
         try:
             return dataclasses.replace(config, **changes) if changes else config
         except (TypeError, ValueError) as error:
-            raise ConfigurationError(f"{self.name}: {error}") from error
+            place = f"'{above[:-1]}' of {self.name}" if above else self.name
+            raise ConfigurationError(f"{place}: {error}") from error
 
     def _set_below(self, present: Any, below: _Paths, where: str) -> Any:
         if not dataclasses.is_dataclass(present) or isinstance(present, type):
@@ -155,7 +156,7 @@ def _from_text(text: str, hint: Any, present: Any, what: str) -> Any:
     branches = [type(present)] if hint is Any and present is not None else _branches(hint)
     plain = [branch for branch in branches if _is_plain(branch)]
     if not plain:
-        raise ConfigurationError(f"{what} cannot be set to {text!r}: it takes {_words(branches, present)}")
+        raise ConfigurationError(f"{what} cannot be set to {text!r}: {_told(branches, present)}")
     if any((typing.get_origin(branch) or branch) is tuple for branch in plain):
         parts = [part.strip() for part in text.strip().strip("[]()").split(",")]
         return _converted([part for part in parts if part], plain, what, strict=False, shown=text)
@@ -214,6 +215,15 @@ def _optional(hint: Any) -> bool:
 def _off(text: str, hint: Any, present: Any) -> bool:
     """Whether a text switches the field off."""
     return text.strip().lower() == _OFF and (_optional(hint) or (hint is Any and not isinstance(present, str)))
+
+
+def _told(branches: list[Any], present: Any) -> str:
+    """What may be set of a field whose values cannot be typed."""
+    if dataclasses.is_dataclass(present):
+        return f"set what it holds by its path ({', '.join(field_types(type(present)))})"
+    if all(branch in (Any, types.NoneType) for branch in branches):
+        return "it is given in Python alone"
+    return f"it takes {_words(branches, present)}, which is no text"
 
 
 def _words(branches: list[Any], present: Any) -> str:

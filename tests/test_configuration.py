@@ -103,7 +103,10 @@ def test_a_text_is_read_as_its_field_says(pair: str, name: str, value: object) -
         ("cone=round", "must be 'elliptic' or 'pyramidal'"),
         ("size=none", "must be a number"),
         ("rewards=none", "unknown preset 'none' in field 'rewards' of task T"),
-        ("rewards.lift=3", "field 'rewards.lift' of task T cannot be set to '3': it takes a Term"),
+        (
+            "rewards.lift=3",
+            "field 'rewards.lift' of task T cannot be set to '3': set what it holds by its path",
+        ),
         ("rewards.lift.function=min", "field 'rewards.lift.function' of task T cannot be set to 'min'"),
         ("rewards.reach.weight=3", "'rewards.reach' of task T is None, with nothing below it: 'rewards.reach.weight'"),
         ("size.big=3", "'size' of task T is 0.5, with nothing below it"),

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+from orbit_core.interfaces import ArgumentError
+
+_MOST_UNITS = 2**16
 
 
 @dataclass(frozen=True)
@@ -22,10 +27,40 @@ class PpoSettings:
     """Of the actions, whose range is [-1, 1]."""
     learning_rate: float = 1e-3
     target_kl: float = 0.01
+    """Kullback-Leibler divergence from the last iteration's policy that the learning rate is adapted to."""
     epochs: int = 5
+    """Passes over an iteration's steps."""
     minibatches: int = 4
+    """Parts of an iteration's steps, each of which makes one gradient step of a pass."""
     discount: float = 0.98
+    """Of the next step's return, per environment step."""
     gae_lambda: float = 0.95
+    """Schulman et al., High-Dimensional Continuous Control Using Generalized Advantage Estimation (2016)."""
     clip: float = 0.2
+    """Of the ratio of probabilities, about 1."""
     entropy_weight: float = 0.002
     normalize_observations: bool = True
+    """To mean 0 and deviation 1, by the statistics of what was observed."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ArgumentError: a setting is out of its range.
+        """
+        for name in ("iterations", "steps_per_iteration", "epochs", "minibatches"):
+            self._check(name, 1, math.inf)
+        for name in ("initial_std", "learning_rate", "target_kl", "clip"):
+            self._check(name, math.ulp(0.0), math.inf)
+        for name in ("discount", "gae_lambda"):
+            self._check(name, 0.0, 1.0)
+        self._check("entropy_weight", 0.0, math.inf)
+        if not all(1 <= units <= _MOST_UNITS for units in self.hidden_sizes):
+            raise ArgumentError(f"hidden_sizes are {self.hidden_sizes}: give each layer 1 to {_MOST_UNITS} units")
+
+    def _check(self, name: str, least: float, most: float) -> None:
+        value = getattr(self, name)
+        if not least <= value <= most:
+            wanted = {math.inf: f"at least {least:g}"}.get(most, f"{least:g} to {most:g}")
+            wanted = "a number above zero" if least == math.ulp(0.0) else wanted
+            raise ArgumentError(f"{name} is {value!r}: give {wanted}")
