@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
-from orbit_core.interfaces.errors import UnknownNameError
+from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 from orbit_core.registry import Registry, faults_named
 
 if TYPE_CHECKING:
+    from orbit_core.assets.parts import RobotPart
     from orbit_core.scene import RobotSpec
 
 ENTRY_POINT_GROUP = "orbit.robots"
@@ -24,17 +25,20 @@ ENTRY_POINT_GROUP = "orbit.robots"
 
 @dataclass(frozen=True)
 class RobotEntry:
-    """A robot that can be built by name.
+    """A robot that can be built by name, or a part of one.
 
     ``build`` takes nothing and returns the robot; as text, ``"module:function"``, it is imported only when needed.
+    Where it is empty, the robot is ``part`` with its own end effector.
     """
 
     name: str
     description: str
-    build: Callable[[], RobotSpec] | str
+    build: Callable[[], RobotSpec] | str = ""
     source: str = ""
     """The package that the model comes from."""
     licence: str = ""
+    part: str = ""
+    """``"module:NAME"`` of a :class:`~orbit_core.assets.parts.RobotPart`; empty where robots cannot be composed of it."""
 
     def load(self) -> RobotSpec:
         """Build the robot.
@@ -45,10 +49,27 @@ class RobotEntry:
         """
         if callable(self.build):
             return self.build()
-        module, _, function = self.build.partition(":")
-        with faults_named(f"robot '{self.name}' ({self.build})"):
-            build = getattr(importlib.import_module(module), function)
-        return build()
+        if not self.build:
+            return composed(self.name)
+        return self._imported(self.build)()
+
+    def load_part(self) -> RobotPart:
+        """The part that a robot may be composed of.
+
+        Raises:
+            ConfigurationError: this robot is none, or the module of it cannot be imported.
+        """
+        if not self.part:
+            parts = [name for name, entry in robots().entries.items() if entry.part]
+            raise ConfigurationError(
+                f"robot '{self.name}' is whole, and no part to compose robots of: take one of {', '.join(parts)}"
+            )
+        return self._imported(self.part)
+
+    def _imported(self, where: str) -> Any:
+        module, _, attribute = where.partition(":")
+        with faults_named(f"robot '{self.name}' ({where})"):
+            return getattr(importlib.import_module(module), attribute)
 
     @cached_property
     def dof(self) -> int:
@@ -76,13 +97,40 @@ class RobotCatalogue:
         self._registry.add(entry.name, entry)
 
     def entry(self, name: str) -> RobotEntry:
-        """The robot's entry.
+        """The robot's entry; of a composition such as ``"ur10+allegro_right"``, one made of its parts' entries.
 
         Raises:
             UnknownNameError: there is none of that name.
             ConfigurationError: two packages bring it.
         """
-        return self._registry.get(name)
+        if not isinstance(name, str) or "+" not in name:
+            return self._registry.get(name)
+        parts = [self._registry.get(part.strip()) for part in name.split("+")]
+        return RobotEntry(
+            name,
+            "; ".join(part.description for part in parts),
+            lambda: composed(name),
+            ", ".join(dict.fromkeys(part.source for part in parts)),
+            "; ".join(dict.fromkeys(f"{part.licence} ({part.name})" for part in parts)),
+        )
+
+
+def composed(names: str) -> RobotSpec:
+    """The robot of the parts whose names stand between plus signs, the base first; see :mod:`orbit_core.assets.parts`.
+
+    An arm named last mounts its own end effector, if it has one.
+
+    Raises:
+        UnknownNameError: there is no robot of a name.
+        ConfigurationError: a robot is no part, or the parts cannot be mounted on each other.
+        AssetError: a part's model cannot be had.
+    """
+    from orbit_core.assets.parts import compose
+
+    parts = [robots().entry(name.strip()).load_part() for name in names.split("+")]
+    if parts[-1].end_effector:
+        parts.append(robots().entry(parts[-1].end_effector).load_part())
+    return compose(names.replace(" ", ""), parts)
 
 
 @cache

@@ -92,6 +92,34 @@ def subtree(articulation: Articulation, link: str, name: str | None = None) -> A
     )
 
 
+def without(articulation: Articulation, link: str) -> Articulation:
+    """The articulation without the link and everything beyond it, as an arm without its hand.
+
+    Raises:
+        UnknownNameError: there is no such link.
+        AssetError: the link is the root, or a mimic or loop reaches from what is kept to what is not.
+    """
+    gone = set(subtree(articulation, link).link_names)
+    if link == sort_links(articulation).root.name:
+        raise AssetError(f"'{articulation.name}': link '{link}' is the root: nothing would be left without it")
+    joints = tuple(joint for joint in articulation.joints if joint.child not in gone)
+    kept = {joint.name for joint in joints}
+    for follower in joints:
+        if follower.mimic and follower.mimic.joint not in kept:
+            raise AssetError(
+                f"'{articulation.name}': joint '{follower.name}' mimics '{follower.mimic.joint}', which lies beyond "
+                f"link '{link}': cut elsewhere, or drop the mimic"
+            )
+    return replace(
+        articulation,
+        links=tuple(body for body in articulation.links if body.name not in gone),
+        joints=joints,
+        frames=tuple(frame for frame in articulation.frames if frame.link not in gone),
+        collision_exclusions=tuple(pair for pair in articulation.collision_exclusions if gone.isdisjoint(pair)),
+        loops=tuple(loop for loop in articulation.loops if gone.isdisjoint((loop.first, loop.second))),
+    )
+
+
 def edit_joints(articulation: Articulation, joints: tuple[str, ...], note: str, **changes: Any) -> Articulation:
     """The articulation with fields of :class:`Joint` changed on every movable joint that a pattern matches in full.
 

@@ -34,6 +34,8 @@ class EndEffector:
     arm_joints: tuple[str, ...]
     """Regular expressions over joint names (full match)."""
     gripper: Gripper | None = None
+    finger_tips: tuple[str, ...] = ()
+    """Links or frames at the ends of a hand's fingers."""
 
 
 @dataclass(frozen=True, kw_only=True)

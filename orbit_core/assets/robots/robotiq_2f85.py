@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from orbit_core.assets.cache import Model
 from orbit_core.assets.compose import add_frames, edit_joints, edit_links, simplify_collisions, subtree
 from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.parts import PartKind, RobotPart
 from orbit_core.assets.sources import model_folder
 from orbit_core.assets.urdf import read_urdf
 from orbit_core.scene import Articulation, Box, Frame, Gripper, ImplicitPd, Link, Pose, Shape
@@ -37,6 +39,16 @@ def gripper() -> Articulation:
     hand = edit_joints(hand, (".*",), note, armature=0.002)
     note = "velocity limit of 1.4 rad/s on the 2F-85's joints: the maker's 150 mm/s over 85 mm and 0.8 rad, not 0.5"
     return edit_joints(hand, (".*",), note, velocity_limit=1.4)
+
+
+PART = RobotPart(
+    name="robotiq_2f85",
+    kind=PartKind.END_EFFECTOR,
+    model=Model("robotiq_2f85", gripper, (SOURCE,), LICENCE),
+    drives=(DRIVE,),
+    frame=TCP,
+    gripper=GRIPPER,
+)
 
 
 def _boxed_tip(link: Link) -> Link:

@@ -1,0 +1,171 @@
+"""Bases, arms and end effectors, and robots composed of them.
+
+``"base_omni+franka_panda+allegro_right"`` names a robot by its parts: a base carries an arm, an arm carries an end
+effector. Each part brings its model, home position, drives and licence; gains are computed for the robot as a whole,
+because an arm moves its hand and a base moves all.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import TYPE_CHECKING, TypeVar
+
+from orbit_core.assets.cache import Model, cached_articulation
+from orbit_core.assets.compose import attach
+from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.interfaces.errors import ConfigurationError
+from orbit_core.scene import (
+    ActuatorConfig,
+    Articulation,
+    EndEffector,
+    Gripper,
+    PlanarBase,
+    Pose,
+    RobotSpec,
+)
+
+if TYPE_CHECKING:
+    from orbit_core.dynamics.drive_design import DriveDesign
+
+    _Drive = TypeVar("_Drive", ActuatorConfig, DriveDesign)
+
+
+class PartKind(Enum):
+    """Where a part stands in a robot: each kind carries those after it."""
+
+    BASE = "base"
+    ARM = "arm"
+    END_EFFECTOR = "end effector"
+
+
+_ORDER = tuple(PartKind)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotPart:
+    """A base, an arm or an end effector.
+
+    An end effector's frame, and the frame that an arm mounts it on, have z out of the hand; the fingers open along y.
+    """
+
+    name: str
+    kind: PartKind
+    model: Model
+    home: Mapping[str, float] = field(default_factory=dict)
+    """Joint positions by regular expression over joint names."""
+    drives: tuple[ActuatorConfig, ...] = ()
+    designs: tuple[DriveDesign, ...] = ()
+    """For joints without gains of their own: these are computed for the whole robot."""
+    mount: str = ""
+    """Frame that carries the next part; empty where nothing can be mounted."""
+    frame: str = ""
+    """An end effector's: between its fingers. An arm's: what a task moves where no end effector is mounted."""
+    joints: tuple[str, ...] = ()
+    """An arm's joints, by regular expression."""
+    gripper: Gripper | None = None
+    finger_tips: tuple[str, ...] = ()
+    end_effector: str = ""
+    """An arm's own end effector, by name, mounted where a composition names none."""
+    feet: tuple[str, ...] = ()
+    planar_base: PlanarBase | None = None
+    pose: Pose = field(default_factory=Pose)
+    """Of the root link, where this part is the first."""
+    fixed_base: bool = True
+    """Whether the root is held, where this part is the first."""
+
+
+def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
+    """The robot of these parts, from the base up.
+
+    Names of a part's links, joints and frames that a part below it has already get the part's name as prefix.
+
+    Raises:
+        ConfigurationError: the parts are in no order in which they could be mounted, or one has no mount.
+        UnknownNameError: a mount is no link or frame of its part.
+        AssetError: a part's model cannot be had.
+    """
+    from orbit_core.dynamics.drive_design import designed_drives
+
+    _check_order(name, parts)
+    first, *others = parts
+    mounted, body = [first], cached_articulation(first.model)
+    for part in others:
+        carrier = mounted[-1]
+        articulation = cached_articulation(part.model)
+        prefix = f"{part.name}_" if _taken(body) & _taken(articulation) else ""
+        mounted.append(_prefixed(part, prefix))
+        body = attach(body, articulation, carrier.mount, prefix=prefix)
+    body = replace(merge_fixed_links(body), name=name)
+    designs = [design for part in mounted for design in part.designs]
+    drives: tuple[ActuatorConfig, ...] = tuple(drive for part in mounted for drive in part.drives)
+    if designs:
+        computed, note = designed_drives(body, designs, fixed_base=first.fixed_base)
+        drives, body = drives + computed, replace(body, notes=(*body.notes, note))
+    return RobotSpec(
+        name=name,
+        articulation=body,
+        pose=first.pose,
+        fixed_base=first.fixed_base,
+        home={pattern: value for part in mounted for pattern, value in part.home.items()},
+        actuators=drives,
+        semantic_label="robot",
+        gravity_compensation=first.fixed_base,
+        end_effectors=_end_effectors(mounted),
+        feet=first.feet,
+        planar_base=first.planar_base,
+        licence="; ".join(f"{part.model.licence} ({part.name})" for part in parts),
+        source=", ".join(dict.fromkeys(package for part in parts for package in part.model.packages)),
+    )
+
+
+def _check_order(name: str, parts: Sequence[RobotPart]) -> None:
+    ranks = [_ORDER.index(part.kind) for part in parts]
+    for lower, upper in zip(parts, parts[1:], strict=False):
+        if not lower.mount:
+            raise ConfigurationError(
+                f"'{name}': '{lower.name}' has no mount for '{upper.name}': it carries nothing, put it last"
+            )
+    if ranks != sorted(set(ranks)):
+        kinds = " + ".join(f"{part.name} ({part.kind.value})" for part in parts)
+        raise ConfigurationError(
+            f"'{name}' is {kinds}: name at most one base, then one arm, then one end effector, in this order"
+        )
+
+
+def _taken(articulation: Articulation) -> set[str]:
+    frames = (frame.name for frame in articulation.frames)
+    return {*articulation.link_names, *frames, *(joint.name for joint in articulation.joints)}
+
+
+def _prefixed(part: RobotPart, prefix: str) -> RobotPart:
+    """The part with its names as :func:`attach` gives them."""
+    if not prefix:
+        return part
+    pattern = re.escape(prefix)
+    gripper = part.gripper and replace(part.gripper, joints=tuple(prefix + name for name in part.gripper.joints))
+    return replace(
+        part,
+        home={f"{pattern}(?:{key})": value for key, value in part.home.items()},
+        drives=tuple(_patterned(drive, pattern) for drive in part.drives),
+        designs=tuple(_patterned(design, pattern) for design in part.designs),
+        mount=part.mount and prefix + part.mount,
+        frame=part.frame and prefix + part.frame,
+        joints=tuple(f"{pattern}(?:{joint})" for joint in part.joints),
+        gripper=gripper,
+        finger_tips=tuple(prefix + name for name in part.finger_tips),
+    )
+
+
+def _patterned(drive: _Drive, pattern: str) -> _Drive:
+    return replace(drive, joints=tuple(f"{pattern}(?:{joint})" for joint in drive.joints))
+
+
+def _end_effectors(parts: Sequence[RobotPart]) -> tuple[EndEffector, ...]:
+    arm = next((part for part in parts if part.kind is PartKind.ARM), None)
+    if arm is None:
+        return ()
+    tool = parts[-1]
+    return (EndEffector(tool.frame or arm.mount, arm.joints, tool.gripper, tool.finger_tips),)

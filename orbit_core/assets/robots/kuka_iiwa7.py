@@ -1,0 +1,33 @@
+"""KUKA LBR iiwa 7, an arm of seven joints."""
+
+from __future__ import annotations
+
+from orbit_core.assets.cache import Model
+from orbit_core.assets.compose import add_frames, edit_joints, simplify_collisions
+from orbit_core.assets.installed import installed_urdf
+from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.parts import PartKind, RobotPart
+from orbit_core.dynamics.drive_design import DriveDesign, with_armature
+from orbit_core.scene import Articulation, Frame, Pose
+
+SOURCE = "pybullet"
+
+
+def articulation() -> Articulation:
+    """The arm up to the frame ``flange`` on its last link, 45 mm out, with z out of it."""
+    source = installed_urdf(SOURCE, "pybullet_data/kuka_iiwa/model.urdf", "kuka_iiwa7")
+    arm = simplify_collisions(merge_fixed_links(source))
+    note = "velocity limit of 1.71 rad/s, the maker's for its slowest axes: the URDF has 10 rad/s on all"
+    arm = edit_joints(arm, (".*",), note, velocity_limit=1.71)
+    return with_armature(add_frames(arm, Frame("flange", "lbr_iiwa_link_7", Pose((0.0, 0.0, 0.045)))))
+
+
+PART = RobotPart(
+    name="kuka_iiwa7",
+    kind=PartKind.ARM,
+    model=Model("kuka_iiwa7", articulation, (SOURCE,), "zlib (Bullet's data)"),
+    home={},
+    designs=(DriveDesign(joints=("lbr_iiwa_joint_[1-7]",)),),
+    mount="flange",
+    joints=("lbr_iiwa_joint_[1-7]",),
+)

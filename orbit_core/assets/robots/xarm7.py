@@ -1,0 +1,30 @@
+"""UFACTORY xArm 7, an arm of seven joints."""
+
+from __future__ import annotations
+
+from orbit_core.assets.cache import Model
+from orbit_core.assets.compose import simplify_collisions
+from orbit_core.assets.installed import installed_urdf
+from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.parts import PartKind, RobotPart
+from orbit_core.dynamics.drive_design import DriveDesign, with_armature
+from orbit_core.scene import Articulation
+
+SOURCE = "example-robot-data"
+
+
+def articulation() -> Articulation:
+    """The arm up to its flange ``link_eef``, which has z out of it."""
+    source = installed_urdf(SOURCE, "robots/xarm_description/urdf/xarm7.urdf", "xarm7")
+    return with_armature(simplify_collisions(merge_fixed_links(source)))
+
+
+PART = RobotPart(
+    name="xarm7",
+    kind=PartKind.ARM,
+    model=Model("xarm7", articulation, (SOURCE,), "BSD-3-Clause"),
+    home={},
+    designs=(DriveDesign(joints=("joint[1-7]",)),),
+    mount="link_eef",
+    joints=("joint[1-7]",),
+)
