@@ -26,7 +26,7 @@ RANKS = {
     "backends": 2,
     "pretrained": 2,
     "dynamics": 2,
-    "assets": 2,
+    "assets": 2.5,
     "audit": 3,
     "actuators": 3,
     "sensors": 3,

@@ -2,8 +2,8 @@
 
     python tools/home_pose.py ur5 --position 0.45 0.0 0.35
 
-prints joint positions for the catalogue entry's ``home``. Several starts are tried; the one whose worst joint is farthest
-from its limits wins.
+prints joint positions for the catalogue entry's ``home``. Several starts are tried; the one whose worst joint is
+farthest from its limits wins.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class RobotEntry:
     """The package that the model comes from."""
     licence: str = ""
     part: str = ""
-    """``"module:NAME"`` of a :class:`~orbit_core.assets.parts.RobotPart`; empty where robots cannot be composed of it."""
+    """``"module:NAME"`` of a :class:`~orbit_core.assets.parts.RobotPart`; empty where this is no part."""
 
     def load(self) -> RobotSpec:
         """Build the robot.

@@ -7,6 +7,7 @@ because an arm moves its hand and a base moves all.
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -123,7 +124,7 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
 
 def _check_order(name: str, parts: Sequence[RobotPart]) -> None:
     ranks = [_ORDER.index(part.kind) for part in parts]
-    for lower, upper in zip(parts, parts[1:], strict=False):
+    for lower, upper in itertools.pairwise(parts):
         if not lower.mount:
             raise ConfigurationError(
                 f"'{name}': '{lower.name}' has no mount for '{upper.name}': it carries nothing, put it last"

@@ -22,7 +22,7 @@ from orbit_core.cli.output import new_table, print_heading, print_line, print_ro
 from orbit_core.cli.parsing import parse_words
 from orbit_core.envs.registry import task_entries
 from orbit_core.interfaces.capabilities import Capability
-from orbit_core.interfaces.errors import UnknownNameError
+from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.interfaces.requirements import IMAGES
 from orbit_core.sensors import sensor_types
 
@@ -115,12 +115,16 @@ def _terms(task: Task, part: str) -> str:
 
 def _robots_like(name: str) -> str:
     """The default robot of a task, then those of its kind: arms, arms with grippers, legged robots."""
-    kind = _kind(robot_info(name).load())
-    others = [other for other in robot_names() if other != name and _kind(robot_info(other).load()) == kind]
+    kind = _kind(name)
+    others = [other for other in robot_names() if other != name and _kind(other) == kind]
     return ", ".join([f"{name} (default)", *others])
 
 
-def _kind(robot: RobotSpec) -> tuple[bool, bool, bool]:
+def _kind(name: str) -> tuple[bool, bool, bool] | None:
+    try:
+        robot = robot_info(name).load()
+    except AssetError:  # its package is not installed
+        return None
     grippers = any(effector.gripper is not None for effector in robot.end_effectors)
     return bool(robot.end_effectors), grippers, bool(robot.feet)
 

@@ -167,8 +167,9 @@ def unstable_drive(
     free = np.flatnonzero(np.abs(fold).sum(axis=0))
     folded = _mass_matrices(articulation, fixed_base, 0)[:, free][:, :, free]
     values, vectors = np.linalg.eig(np.linalg.solve(folded, np.diag(load[free])[None]))
-    sample, mode = np.unravel_index(int(values.real.argmax()), values.shape)
-    worst = float(values.real[sample, mode])
+    rates = np.real(values)
+    sample, mode = np.unravel_index(int(rates.argmax()), rates.shape)
+    worst = float(rates[sample, mode])
     if worst < 4.0:
         return None
     energy = np.abs(vectors[sample, :, mode]) ** 2 * np.abs(load[free])

