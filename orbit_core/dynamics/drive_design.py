@@ -24,7 +24,7 @@ from orbit_core.scene import Articulation, ImplicitPd, Joint, JointType
 MOTOR_TIME = 0.005
 """Seconds in which a motor without load reaches its joint's velocity limit at its effort limit. The reflected inertia
 of a rotor is then ``MOTOR_TIME * effort / velocity``: 0.004 kg m^2 for Unitree's Go1 (23.7 N m, 30.1 rad/s) and 0.2 for
-the Panda's shoulder (87 N m, 2.2 rad/s), where the models of MuJoCo's Menagerie have 0.005 and 0.1."""
+the Panda's shoulder (87 N m, 2.2 rad/s), where models that others tuned have 0.005 and 0.1."""
 _SAMPLES = 256
 _TURN = math.pi
 """Range in which joints without limits are sampled, to either side of zero."""
