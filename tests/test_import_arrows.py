@@ -106,8 +106,8 @@ def test_a_plugin_imports_no_other_but_what_is_shared() -> None:
 
 
 def test_neither_core_nor_tasks_name_an_engine() -> None:
-    # A file format is no engine, though one is named after its parser; the schemas of USD bear their maker's name; and a
-    # package of robots' models may be an engine's.
+    # A file format is no engine, though one is named after its parser; the schemas of USD bear their maker's name; and
+    # a package of robots' models may be an engine's.
     models = re.compile(r'"pybullet[^"]*"')
     formats = {"mjcf", "usd", "urdf"}
     named = [
