@@ -8,8 +8,10 @@ import sys
 import pytest
 
 from orbit_core.backends import backend_names
+from tests.fuzz.run import fuzz
 
 CALLS = 120
+FILES = 300
 SECONDS_PER_CALL = 2.0
 
 
@@ -22,3 +24,8 @@ def test_bad_calls_are_refused_and_leave_the_rest_usable(backend: str, request: 
     failures = [line for line in done.stdout.splitlines() if not line.startswith("call ")]
     last = done.stdout.splitlines()[-1:]
     assert done.returncode == 0, "\n".join([*failures[:40], f"last: {last}", done.stderr[-2000:]])
+
+
+def test_spoilt_files_are_refused_in_our_words_or_read_soundly() -> None:
+    failures = [outcome for outcome in fuzz(FILES) if outcome.verdict == "failed"]
+    assert not failures, "\n".join(f"{failure.number}: {failure.why}" for failure in failures)

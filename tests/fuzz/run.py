@@ -1,0 +1,146 @@
+"""Reads spoilt asset files by the thousand: `python -m tests.fuzz.run --count 10000`.
+
+Each file is made from the kept corpus by the seed and its own number, and read in a process that may take 20 s a file,
+and 2 GiB of memory besides what the readers' libraries take; ``--first N --count 1`` repeats it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import multiprocessing
+import os
+import resource
+import shutil
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+SECONDS = 20.0
+"""That a file may take."""
+MEMORY = 2 * 2**30
+"""Bytes that a file may take, above what the libraries take."""
+_START = 180.0
+"""Seconds until a new process has its libraries."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one spoilt file."""
+
+    number: int
+    verdict: str
+    why: str
+
+
+def fuzz(count: int, *, first: int = 0, seed: int = 0, workers: int = 1) -> list[Outcome]:
+    """Read as many spoilt files, and say of each whether it was accepted, refused or failed."""
+    numbers = iter(range(first, first + count))
+    outcomes: list[Outcome] = []
+    lock = threading.Lock()
+
+    def work() -> None:
+        for outcome in _outcomes(_shared(numbers, lock), seed):
+            outcomes.append(outcome)
+            if len(outcomes) % 500 == 0:
+                print(f"{len(outcomes)} files read", file=sys.stderr, flush=True)
+
+    threads = [threading.Thread(target=work) for _ in range(workers)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return sorted(outcomes, key=lambda outcome: outcome.number)
+
+
+def _shared(numbers: Iterator[int], lock: threading.Lock) -> Iterator[int]:
+    while True:
+        with lock:
+            number = next(numbers, None)
+        if number is None:
+            return
+        yield number
+
+
+def _outcomes(numbers: Iterator[int], seed: int) -> Iterator[Outcome]:
+    """By one process after another: a new one for each that was lost."""
+    waiting = next(numbers, None)
+    while waiting is not None:
+        ours, theirs = multiprocessing.Pipe()
+        process = multiprocessing.get_context("spawn").Process(target=_serve, args=(theirs, seed), daemon=True)
+        process.start()
+        theirs.close()
+        alive = ours.poll(_START) and ours.recv() == "ready"
+        if not alive:
+            raise RuntimeError("the fuzz's process did not start")
+        while alive and waiting is not None:
+            ours.send(waiting)
+            outcome, alive = _awaited(ours, waiting)
+            yield outcome
+            waiting = next(numbers, None)
+        process.kill()
+        process.join()
+
+
+def _awaited(connection: Connection, number: int) -> tuple[Outcome, bool]:
+    """The outcome of a file, and whether the process still lives."""
+    if not connection.poll(SECONDS):
+        return Outcome(number, "failed", f"not read within {SECONDS:g} s"), False
+    try:
+        return connection.recv(), True
+    except EOFError:
+        return Outcome(number, "failed", "the process died"), False
+
+
+def _serve(connection: Connection, seed: int) -> None:
+    from tests.fuzz.files import CORPUS, judge, spoil
+
+    silence = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silence, 1)
+    os.dup2(silence, 2)
+    for name in ("arm.usda", "arm.xml", "box.dae"):  # loads the libraries, whose memory is not the files'
+        judge(CORPUS / name)
+    status = Path("/proc/self/status").read_text().splitlines()
+    used = next(int(line.split()[1]) for line in status if line.startswith("VmData")) * 1024
+    resource.setrlimit(resource.RLIMIT_DATA, (used + MEMORY, used + MEMORY))
+    connection.send("ready")
+    while True:
+        try:
+            number = connection.recv()
+        except EOFError:
+            return
+        folder = Path(tempfile.mkdtemp())
+        path, how = spoil(folder / "robot", f"{seed}:{number}")
+        verdict, why = judge(path)
+        shutil.rmtree(folder)
+        connection.send(Outcome(number, verdict, f"{how}: {why}" if why else how))
+
+
+def main() -> int:
+    """Run the fuzz and print what failed, and a summary by file."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--count", type=int, default=10_000)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
+    outcomes = fuzz(options.count, first=options.first, seed=options.seed, workers=options.workers)
+    for outcome in outcomes:
+        if outcome.verdict == "failed" or options.count == 1:
+            print(f"{outcome.verdict} {outcome.number} of seed {options.seed}: {outcome.why[:600]}")
+    verdicts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
+    for outcome in outcomes:
+        verdicts[outcome.why.partition(":")[0]][outcome.verdict] += 1
+    for name, counts in sorted(verdicts.items()):
+        print(f"{name}: {', '.join(f'{counts[each]} {each}' for each in ('accepted', 'refused', 'failed'))}")
+    failures = sum(outcome.verdict == "failed" for outcome in outcomes)
+    print(f"{len(outcomes)} files, {failures} failures")
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
