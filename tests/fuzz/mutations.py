@@ -1,4 +1,4 @@
-"""Ways to spoil a file: what exporters, hands and ill will do to it. Each draws from a generator that a seed repeats."""
+"""Ways to spoil a file: what exporters, hands and ill will do to it. A seed repeats them."""
 
 from __future__ import annotations
 
