@@ -1,4 +1,4 @@
-"""One of the things that a file holds, and where the file puts it."""
+"""What a file holds, and where the file puts it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.scene import Articulation, Pose
+from orbit_core.scene import Articulation, Light, Pose, Shape
+from orbit_core.scene.pose import Vector3
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,6 +20,22 @@ class PlacedArticulation:
     """Whether its root does not move."""
     path: str = ""
     """Where the file itself keeps it, as a prim's path, in formats that have any."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneParts:
+    """All that a file holds: what stands where, the ground, light and gravity as far as the file says."""
+
+    placed: tuple[PlacedArticulation, ...]
+    terrain: tuple[Shape, ...] = ()
+    """Static shapes in the world's frame."""
+    lights: tuple[Light, ...] | None = None
+    gravity: Vector3 | None = None
+    """In m/s^2."""
+    physics_dt: float | None = None
+    """In seconds."""
+    notes: tuple[str, ...] = ()
+    """What was changed against the file as a whole."""
 
 
 def chosen(placed: Sequence[PlacedArticulation], name: str | None) -> PlacedArticulation:
