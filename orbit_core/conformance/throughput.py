@@ -88,13 +88,6 @@ class ThroughputResult:
     backend: str
     rates: tuple[Throughput, ...]
 
-    @property
-    def memory_mib_per_env(self) -> float | None:
-        """Growth of memory with the number of environments, from the smallest to the largest; None of one number."""
-        first, last = self.rates[0], self.rates[-1]
-        more = last.num_envs - first.num_envs
-        return (last.memory_mib - first.memory_mib) / more if more else None
-
 
 def measure_throughput(
     task: str,

@@ -86,11 +86,6 @@ _RATIOS = (0.1, 0.3, 1.0, 2.0)
 """Damping ratios."""
 
 
-def _peak(ratio: float) -> float:
-    """Of the linear system's step, relative to the step, at a damping ratio."""
-    return 1.0 + (math.exp(-math.pi * ratio / math.sqrt(1 - ratio**2)) if ratio < 1 else 0.0)
-
-
 def _frequencies(trial: Trial) -> Mapping[str, float]:
     """Steps of drives whose natural frequency is from well to not at all resolved by the time step."""
     robots: list[RobotSpec] = []
