@@ -9,6 +9,7 @@ import numpy as np
 
 from orbit_core.assets.compound_joints import BALL, compound
 from orbit_core.assets.mjcf_model import Compiled, vector_of
+from orbit_core.assets.urdf_text import UNLIMITED
 from orbit_core.scene import Joint, JointType, Link, Pose
 from orbit_core.scene.pose import canonical
 
@@ -88,6 +89,7 @@ def _simple(compiled: Compiled, index: int, ends: tuple[str, str], at_rest: Pose
     angular = compiled.joint_kind(index) == "HINGE"
     limited = bool(model.jnt_limited[index])
     lower, upper = model.jnt_range[index].tolist() if limited else (-math.inf, math.inf)
+    lower, upper = lower if lower > -UNLIMITED else -math.inf, upper if upper < UNLIMITED else math.inf
     address = int(model.jnt_qposadr[index])
     axis = vector_of(model.jnt_axis[index])
     anchor = Pose(vector_of(model.jnt_pos[index]))

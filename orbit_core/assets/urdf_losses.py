@@ -33,12 +33,12 @@ _OF_LINKS: tuple[tuple[str, Callable[[Link], object]], ...] = (
 def losses(articulation: Articulation) -> tuple[str, ...]:
     """What a URDF file of the articulation does not say, or says in words that few read; a sentence each."""
     said = [
-        f"URDF does not hold {what}, which joints have: {_listed(j.name for j in articulation.joints if has(j))}"
+        f"URDF does not hold {what}, which joints have: {listed(j.name for j in articulation.joints if has(j))}"
         for what, has in _OF_JOINTS
         if any(has(joint) for joint in articulation.joints)
     ]
     said += [
-        f"URDF does not hold {what}, which links have: {_listed(link.name for link in articulation.links if has(link))}"
+        f"URDF does not hold {what}, which links have: {listed(link.name for link in articulation.links if has(link))}"
         for what, has in _OF_LINKS
         if any(has(link) for link in articulation.links)
     ]
@@ -47,9 +47,9 @@ def losses(articulation: Articulation) -> tuple[str, ...]:
 
 def _of_the_whole(articulation: Articulation) -> Iterable[str]:
     if articulation.loops:
-        yield f"URDF does not hold joints that close loops: {_listed(loop.name for loop in articulation.loops)}"
+        yield f"URDF does not hold joints that close loops: {listed(loop.name for loop in articulation.loops)}"
     if articulation.drives:
-        yield f"URDF does not hold drives' gains: {_listed(drive.joint for drive in articulation.drives)}"
+        yield f"URDF does not hold drives' gains: {listed(drive.joint for drive in articulation.drives)}"
     if articulation.home:
         yield "URDF does not hold a home pose"
     if articulation.self_collisions:
@@ -60,7 +60,7 @@ def _of_the_whole(articulation: Articulation) -> Iterable[str]:
         yield "capsules are written as <capsule>, which physics engines read and ROS does not"
     moved = [joint.child for joint in articulation.joints if joint.child_pose != Pose()]
     if moved:
-        yield f"frames of links are written at their joints' frames: {_listed(moved)}"
+        yield f"frames of links are written at their joints' frames: {listed(moved)}"
 
 
 def _has(link: Link, *kinds: type) -> bool:
@@ -76,7 +76,8 @@ def _has_material(link: Link) -> bool:
     return any(shape.material != PhysicsMaterial() for shape in link.collisions)
 
 
-def _listed(names: Iterable[str], most: int = 4) -> str:
+def listed(names: Iterable[str], most: int = 4) -> str:
+    """Some names, and how many more there are."""
     every = list(names)
     rest = f" and {len(every) - most} more" if len(every) > most else ""
     return ", ".join(f"'{name}'" for name in every[:most]) + rest
