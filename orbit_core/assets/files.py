@@ -9,7 +9,7 @@ from orbit_core.assets.options import ReadOptions, Repair
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.scene import Articulation
 
-_SUFFIXES = (".urdf", ".xacro", ".xml", ".mjcf", ".usd", ".usda", ".usdc")
+_SUFFIXES = (".urdf", ".xacro", ".xml", ".mjcf", ".usd", ".usda", ".usdc", ".sdf")
 
 
 def asset_folder() -> Path:
@@ -35,7 +35,7 @@ def asset_file(name: str) -> Path:
 
 @names_file
 def load_articulation(path: Path | str, *, merge: bool = True, options: ReadOptions = ReadOptions()) -> Articulation:
-    """The articulation that a URDF, MJCF or USD file describes, validated.
+    """The articulation that a URDF, xacro, MJCF, USD or SDFormat file describes, validated.
 
     ``merge`` takes fixed joints out, as every scene needs it; a converter keeps them. ``options`` says which files the
     model may open, how large it may be, and what is done with what ORBIT lacks or no body can have.
@@ -68,6 +68,10 @@ def _read(path: Path, options: ReadOptions) -> Articulation:
         from orbit_core.assets.mjcf import read_mjcf
 
         return read_mjcf(path, options=options)
+    if suffix == ".sdf":
+        from orbit_core.assets.sdf import read_sdf
+
+        return read_sdf(path, options=options)
     from orbit_core.assets.usd import read_usd
 
     return read_usd(path, options=options)

@@ -41,7 +41,9 @@ def check_obj(data: bytes, path: Path) -> None:
     Raises:
         AssetError: the last line lacks words.
     """
-    last = data.rstrip().rpartition(b"\n")[2].split()
+    if data.endswith(b"\n"):
+        return
+    last = data.rpartition(b"\n")[2].split()
     if last and len(last) < _LEAST_WORDS.get(last[0], 0):
         said = b" ".join(last)[:80].decode("utf-8", "replace")
         raise AssetError(f"mesh file '{path}' ends within a line, '{said}': it is cut short, export it again")
@@ -68,7 +70,8 @@ def check_obj_faces(data: bytes, path: Path) -> None:
 def without_broken_textures(data: bytes) -> bytes:
     """A COLLADA file with a grey in place of each texture that names a picture which the file does not describe.
 
-    Decoders drop the material then, and with it the geometry that bears it. A file without such is given back as it is.
+    Samplers and surfaces that lead to none are taken out. Decoders drop the material over them, and with it the
+    geometry that bears it. A file without such is given back as it is.
     """
     root = ElementTree.fromstring(data)
     images = {image.get("id") for image in root.iter(_tag("image"))}
@@ -81,8 +84,7 @@ def without_broken_textures(data: bytes) -> bytes:
                     slot.remove(texture)
                     ElementTree.SubElement(slot, _tag("color")).text = _GREY
                     broken += 1
-        if broken:
-            _remove_dangling(effect, parameters, images)
+        broken += _remove_dangling(effect, parameters, images)
     if not broken:
         return data
     ElementTree.register_namespace("", _COLLADA)
@@ -102,14 +104,15 @@ def _leads_to(name: str | None, parameters: dict[str | None, Element], images: s
     return True
 
 
-def _remove_dangling(effect: Element, parameters: dict[str | None, Element], images: set[str | None]) -> None:
-    """Take out the samplers and surfaces that lead to no picture, over which decoders stumble."""
+def _remove_dangling(effect: Element, parameters: dict[str | None, Element], images: set[str | None]) -> int:
+    """Take out the samplers and surfaces that lead to no picture, over which decoders stumble; how many there were."""
     dangling = {id(each) for name, each in parameters.items() if _holds_picture(each)}
     dangling -= {id(each) for name, each in parameters.items() if _leads_to(name, parameters, images)}
     for holder in list(effect.iter()):
         for parameter in holder.findall(_tag("newparam")):
             if id(parameter) in dangling:
                 holder.remove(parameter)
+    return len(dangling)
 
 
 def _holds_picture(parameter: Element) -> bool:

@@ -80,15 +80,16 @@ def test_obj_files_that_are_cut_short_say_so(tmp_path: Path) -> None:
             load_mesh(path)
 
 
-def test_a_dae_whose_texture_is_missing_keeps_its_geometry(tmp_path: Path) -> None:
+@pytest.mark.parametrize("texture", ["t", "there"])
+def test_a_dae_whose_texture_is_broken_keeps_its_geometry(tmp_path: Path, texture: str) -> None:
     text = export_collada(trimesh.creation.box((1, 1, 1))).decode()
-    broken = (
-        '<library_effects><effect id="e"><profile_COMMON>'
-        '<newparam sid="s"><surface type="2D"><init_from>nowhere</init_from></surface></newparam>'
-        '<newparam sid="t"><sampler2D><source>s</source></sampler2D></newparam><technique sid="common"><phong><diffuse>'
-        '<texture texture="t" texcoord="UV"/></diffuse></phong></technique></profile_COMMON></effect></library_effects>'
-        '<library_materials><material id="m"><instance_effect url="#e"/></material></library_materials>'
-    )
+    broken = f"""<library_images><image id="there"><init_from>there.png</init_from></image></library_images>
+    <library_effects><effect id="e"><profile_COMMON>
+    <newparam sid="s"><surface type="2D"><init_from>nowhere</init_from></surface></newparam>
+    <newparam sid="t"><sampler2D><source>s</source></sampler2D></newparam>
+    <technique sid="common"><phong><diffuse><texture texture="{texture}" texcoord="UV"/></diffuse></phong></technique>
+    </profile_COMMON></effect></library_effects>
+    <library_materials><material id="m"><instance_effect url="#e"/></material></library_materials>"""
     for library in ("effects", "materials"):
         start, end = text.find(f"<library_{library}"), text.find(f"</library_{library}>")
         if start >= 0:
@@ -100,8 +101,9 @@ def test_a_dae_whose_texture_is_missing_keeps_its_geometry(tmp_path: Path) -> No
     (tmp_path / "box.dae").write_text(text)
     (part,) = load_parts(tmp_path / "box.dae")
     assert len(part.mesh.faces) == 12
-    assert part.color is not None
-    assert part.color[:3] == pytest.approx((0.7, 0.7, 0.7), abs=0.01)
+    if texture == "t":  # it leads nowhere; the other names a picture, of which only the file is missing
+        assert part.color is not None
+        assert part.color[:3] == pytest.approx((0.7, 0.7, 0.7), abs=0.01)
 
 
 def test_a_texture_without_coordinates_counts_whole(tmp_path: Path) -> None:
