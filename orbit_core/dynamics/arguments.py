@@ -46,6 +46,7 @@ ACCELERATIONS = Bounds.either_way(MAX_SPEED, "m/s^2")
 EFFORTS = Bounds.either_way(1e9, "N or N m")
 MASSES = Bounds(0.0, 1e9, "kg")
 MOVING_MASSES = Bounds(1e-9, 1e9, "kg")
+NO_MASS = Bounds(0.0, 0.0, "kg")
 FRICTIONS = Bounds(0.0, 1e6)
 GAINS = Bounds(0.0, 1e12)
 

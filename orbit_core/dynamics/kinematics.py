@@ -30,9 +30,17 @@ class PointJacobian:
         link: index of the link that carries the point.
         joints: indices of the movable joints that give the columns.
         device: where poses live.
+        dtype: of the poses.
     """
 
-    def __init__(self, articulation: Articulation, link: int, joints: Sequence[int], device: torch.device) -> None:
+    def __init__(
+        self,
+        articulation: Articulation,
+        link: int,
+        joints: Sequence[int],
+        device: torch.device,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
         children = child_links(articulation)
         moves = joint_ancestry(articulation)[link]
         movable = articulation.movable_joints
@@ -47,7 +55,7 @@ class PointJacobian:
                 constants[column, :, 6:] = _rotated(axis)
             else:
                 constants[column, :, :3], constants[column, :, 3:6] = _rotated(axis), _rotated(origin)
-        self._constants = torch.as_tensor(constants, dtype=torch.float32, device=device)
+        self._constants = torch.as_tensor(constants, dtype=dtype, device=device)
 
     def __call__(self, link_poses: Tensor, point: Tensor) -> Tensor:
         """(N, 6, k) at ``point`` (N, 3) for link poses (N, L, 7) of the articulation, all in one frame."""
@@ -91,11 +99,19 @@ class KinematicTree:
     """Kinematics of one articulation, fixed or floating alike: the root's pose and velocity are inputs.
 
     L links and J movable joints, in the articulation's order. Mimic joints count as free: give them their positions.
+
+    Args:
+        articulation: the description.
+        device: where tensors live.
+        dtype: of the tensors that are given and returned; float64 where rounding must not count.
     """
 
-    def __init__(self, articulation: Articulation, device: torch.device | str = "cpu") -> None:
+    def __init__(
+        self, articulation: Articulation, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32
+    ) -> None:
         self.articulation = articulation
         self.device = torch.device(device)
+        self.dtype = dtype
         joints = articulation.movable_joints
         revolute = [float(joint.type is not JointType.PRISMATIC) for joint in joints]
         self._parents = parent_links(articulation)
@@ -115,7 +131,7 @@ class KinematicTree:
         Each joint's transform is ``C0 + sin(q) C1 + (1 - cos(q)) C2 + q C3`` with constant matrices (Rodrigues'
         formula), so that all of them are made at once and only the products down the tree are a loop.
         """
-        root = torch.eye(4, device=self.device).repeat(root_pose.shape[0], 1, 1)
+        root = torch.eye(4, dtype=self.dtype, device=self.device).repeat(root_pose.shape[0], 1, 1)
         root[:, :3, :3] = quat_to_matrix(root_pose[:, 3:])
         root[:, :3, 3] = root_pose[:, :3]
         q = joint_positions
@@ -168,7 +184,9 @@ class KinematicTree:
         """
         if frame not in self._jacobians:
             columns = range(len(self.articulation.movable_joints))
-            self._jacobians[frame] = PointJacobian(self.articulation, self._frame(frame)[0], columns, self.device)
+            self._jacobians[frame] = PointJacobian(
+                self.articulation, self._frame(frame)[0], columns, self.device, self.dtype
+            )
         point = self.frame_pose(link_poses, frame)[:, :3]
         joints = self._jacobians[frame](link_poses, point)
         return torch.cat((_base_columns(point - link_poses[:, 0, :3]), joints), -1) if floating_base else joints
@@ -185,7 +203,7 @@ class KinematicTree:
         return self._frames[name]
 
     def _tensor(self, values: object) -> Tensor:
-        return torch.as_tensor(np.asarray(values, dtype=np.float32), device=self.device)
+        return torch.as_tensor(np.asarray(values, dtype=np.float64), dtype=self.dtype, device=self.device)
 
 
 def mimic_matrix(articulation: Articulation) -> FloatArray:
@@ -224,7 +242,7 @@ def _rotated(vector: FloatArray) -> FloatArray:
 
 def _base_columns(arm: Tensor) -> Tensor:
     """(N, 6, 6): twist of the point at ``arm`` (N, 3) from the base's origin, per unit of the base's twist."""
-    columns = torch.eye(6, device=arm.device).repeat(arm.shape[0], 1, 1)
+    columns = torch.eye(6, dtype=arm.dtype, device=arm.device).repeat(arm.shape[0], 1, 1)
     x, y, z = arm.unbind(-1)
     columns[:, 0, 4], columns[:, 0, 5] = z, -y
     columns[:, 1, 3], columns[:, 1, 5] = -z, x

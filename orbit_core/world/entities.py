@@ -16,6 +16,7 @@ from orbit_core.dynamics.arguments import (
     GAINS,
     MASSES,
     MOVING_MASSES,
+    NO_MASS,
     POSITIONS,
     VELOCITIES,
     check_numbers,
@@ -218,6 +219,11 @@ class SimulatedObject(Object):
         return torch.tensor([link.mass > 0.0 for link in links], device=self._engine.device)
 
     @cached_property
+    def _weightless(self) -> frozenset[int]:
+        """Links without mass: the root of a fixed base, and those between the simple joints of a compound one."""
+        return frozenset(index for index, link in enumerate(self.spec.articulation.links) if link.mass == 0.0)
+
+    @cached_property
     def nominal_gains(self) -> Mapping[int, tuple[float, float]]:
         """Stiffness and damping in the scene, by joint, of those that have an actuator."""
         gains: dict[int, tuple[float, float]] = {}
@@ -227,10 +233,10 @@ class SimulatedObject(Object):
         return gains
 
     def set_masses(self, masses: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
-        """Masses (n, k) in kg of some links; inertias scale with them.
+        """Masses (n, k) in kg of some links; inertias scale with them. Links without mass keep to none.
 
         Raises:
-            ArgumentError: among others, a link that has mass in the scene is given none.
+            ArgumentError: among others, a link that has mass in the scene is given none, or one that moves without any.
             UnsupportedCapabilityError: the engine cannot.
         """
         indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
@@ -238,6 +244,12 @@ class SimulatedObject(Object):
         masses = chosen.values(masses, (len(indices),), what, MASSES)
         if chosen.seen:
             check_numbers(masses[:, self._massive[indices - self.layout.root_link]], MOVING_MASSES, what, chosen.rows)
+        if self._weightless:
+            kept = [column for column, link in enumerate(self._links_named(links)) if link not in self._weightless]
+            if chosen.seen:
+                moving = [c for c, link in enumerate(self._links_named(links)) if link and link in self._weightless]
+                check_numbers(masses[:, moving], NO_MASS, f"{what} without any", chosen.rows)
+            indices, masses = indices[kept], masses[:, kept]
         self._engine.set_masses(indices, masses, chosen.rows)
 
     def set_centers_of_mass(
@@ -298,10 +310,15 @@ class SimulatedObject(Object):
     def _joint_columns(self, joints: Sequence[int]) -> tuple[int, ...]:
         return columns_chosen(joints, len(self.joint_names), f"joints of '{self.name}'")
 
-    def _link_indices(self, links: Sequence[int] | None) -> Tensor:
+    def _links_named(self, links: Sequence[int] | None) -> Sequence[int]:
         count = len(self.link_names)
-        chosen = range(count) if links is None else columns_chosen(links, count, f"links of '{self.name}'")
-        return torch.tensor(chosen, dtype=torch.int64, device=self._engine.device) + self.layout.root_link
+        return range(count) if links is None else columns_chosen(links, count, f"links of '{self.name}'")
+
+    def _link_indices(self, links: Sequence[int] | None) -> Tensor:
+        return (
+            torch.tensor(self._links_named(links), dtype=torch.int64, device=self._engine.device)
+            + self.layout.root_link
+        )
 
     def _with_followers(
         self, chosen: list[int], positions: Tensor | None, velocities: Tensor | None, rows: Tensor | None

@@ -101,6 +101,27 @@ def test_pendulum_has_its_closed_form() -> None:
     torch.testing.assert_close(model.gravity_forces(poses), mass * 9.81 * length * angle.sin())
 
 
+def test_double_precision_keeps_what_single_precision_loses_of_small_fingers() -> None:
+    """Far from the root, a finger's moment is the small difference of large ones."""
+    inertia = 1e-6
+    links = (Link("base"), Link("hand", 1.0, inertia=0.01 * np.eye(3)), Link("tip", 1e-3, inertia=inertia * np.eye(3)))
+    joints = (
+        Joint("arm", JointType.CONTINUOUS, "base", "hand"),
+        Joint("finger", JointType.CONTINUOUS, "hand", "tip", Pose((3.0, 2.0, 1.0)), axis=(0.0, 1.0, 0.0)),
+    )
+    articulation = Articulation("hand", links, joints)
+    errors = {}
+    for dtype in (torch.float32, torch.float64):
+        model = RigidBodyModel(articulation, True, dtype=dtype)
+        root = torch.tensor([[0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0]], dtype=dtype)
+        poses = model.kinematics.forward(root, torch.tensor([[0.3, 0.2]], dtype=dtype))
+        mass = model.mass_matrix(poses)
+        assert mass.dtype is poses.dtype is model.gravity_forces(poses).dtype is dtype
+        errors[dtype] = abs(float(mass[0, 1, 1]) / inertia - 1.0)
+    assert errors[torch.float64] < 1e-8
+    assert errors[torch.float32] > 1e-5
+
+
 def _random_state(articulation: Articulation, seed: int, floating: bool) -> tuple[torch.Tensor, ...]:
     generator = torch.Generator().manual_seed(seed)
     joints = len(articulation.joint_names)

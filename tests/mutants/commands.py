@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from torch import Tensor
 from orbit_core.interfaces import JointParameters, SceneLayout
 from orbit_core.scene import IdealPd, JointType
 
-from .mutant import Misread, mutant, with_actuators, with_parameters
+from .mutant import Misread, mutant, with_actuators, with_links, with_parameters
 
 LIMITS = "drives::test_limits_hold"
 ORDER = "state::test_order_is_the_descriptions_and_not_depth_first"
@@ -268,3 +269,10 @@ class SpringsWithinEffortLimits(TorchEngine):
         push, slope = super()._drives(equation)
         within = (push + pull).clamp(-self._effort_limit, self._effort_limit)
         return within - pull, slope
+
+
+@mutant("compound_joints")
+class MasslessLinksWeighed(Misread):
+    """Gives links without mass a hundredth of a kilogram."""
+
+    misread = with_links(lambda link: link if link.mass else replace(link, mass=0.01, inertia=1e-4 * np.eye(3)))

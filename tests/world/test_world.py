@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from orbit_core.assets.catalogue import robot
+from orbit_core.assets.compound_joints import BALL, compound
 from orbit_core.assets.objects import box
 from orbit_core.backends import default_backend
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import (
+    ArgumentError,
     AssetError,
     ConfigurationError,
     NonFiniteError,
@@ -21,12 +24,17 @@ from orbit_core.interfaces import (
     World,
 )
 from orbit_core.scene import (
+    Articulation,
     ContactSensorSpec,
     IdealPd,
     ImuSpec,
+    Joint,
     JointSensorSpec,
+    JointType,
+    Link,
     MarkerSpec,
     Pose,
+    RobotSpec,
     Scene,
 )
 from orbit_core.sensors import ContactSensor, ImuSensor, JointSensor
@@ -235,3 +243,18 @@ def test_a_free_body_without_mass_is_refused(make_world: MakeWorld) -> None:
 def test_two_things_of_one_name_are_refused(make_world: MakeWorld) -> None:
     with pytest.raises(ConfigurationError, match="two entity specifications share the name 'cube'"):
         make_world(Scene(objects=(CUBE, CUBE)))
+
+
+def test_links_without_mass_keep_to_none(make_world: MakeWorld) -> None:
+    links, joints = compound(Joint("pivot", JointType.CONTINUOUS, "base", "bob"), BALL)
+    bob = Link("bob", 2.0, (0.0, 0.0, -0.5), 0.01 * np.eye(3))
+    pivoted = Articulation("pivoted", (Link("base"), *links, bob), joints)
+    world = make_world(Scene(robots=(RobotSpec(name="pivoted", articulation=pivoted, fixed_base=True),)))
+    robot = world.robots["pivoted"]
+    assert [line.asked for line in world.build_report] == ["no mass", "no mass"]
+    robot.set_masses(2 * robot.nominal_masses)
+    robot.set_joint_state(torch.full((world.num_envs, 3), 0.3))
+    world.step(10)
+    assert robot.joint_positions.isfinite().all()
+    with pytest.raises(ArgumentError, match="masses of 'pivoted' without any"):
+        robot.set_masses(torch.ones(world.num_envs, 1), links=[1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.scenarios import (
     as_described,
+    compound,
     contact_forces,
     dominoes,
     drives,
@@ -38,6 +39,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     *joints.SCENARIOS,
     *drives.SCENARIOS,
     *springs.SCENARIOS,
+    *compound.SCENARIOS,
     *linkages.SCENARIOS,
     *as_described.SCENARIOS,
     *friction.SCENARIOS,

@@ -22,6 +22,7 @@ CAPABILITIES = Capabilities(
         Capability.JOINT_FRICTION: EXACT,
         Capability.ARMATURE: EXACT,
         Capability.MIMIC_JOINTS: EXACT,
+        Capability.MASSLESS_LINKS: EXACT,
         Capability.LOOP_JOINTS: EXACT,
         Capability.SELF_COLLISIONS: EXACT,
         Capability.GRAVITY_COMPENSATION: EXACT,

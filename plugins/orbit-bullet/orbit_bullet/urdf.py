@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.plugin_kit.massless import with_stand_in
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -122,7 +123,8 @@ def write_entity(entity: Entity, path: Path, meshes: MeshFiles) -> None:
     for number, link in enumerate(articulation.links):
         subject = f"link '{link.name}' of '{entity.name}'"
         static = entity.fixed_base and number == 0
-        _add_link(robot, number, link, places[number], meshes, static, subject)
+        solid = with_stand_in(articulation, link)
+        _add_link(robot, number, solid, places[number], meshes, static, subject)
     for joint in articulation.joints:
         parent = numbers[joint.parent]
         _add_joint(robot, joint, parent, numbers[joint.child], places[parent])

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, AssetError, EntityLayout, SceneLayout
+from orbit_core.plugin_kit.massless import stand_in_approximations, with_stand_in
 from orbit_core.scene import Joint, JointType, Link, LoopJoint, Shape
 from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
@@ -159,6 +160,7 @@ class _Builder:
             self._add_loop(f"{entity.index}_{loop.name}", loop, bodies)
         self._exclude_pairs(entity)
         self._report_joints(entity)
+        self.report += stand_in_approximations(entity, "MuJoCo")
 
     def _add_root(self, entity: EntityLayout, number: int) -> mujoco.MjsBody:
         pose = entity.spec.pose
@@ -178,10 +180,11 @@ class _Builder:
         subject = f"link '{link.name}' of '{entity.name}'"
         body.gravcomp = float(entity.spec.gravity_compensation)
         body.simple = False  # a body compiled as simple cannot have its centre of mass moved
-        if link.mass > 0:
+        solid = with_stand_in(entity.spec.articulation, link)
+        if solid.mass > 0:
             body.explicitinertial = True
-            body.mass, body.ipos = link.mass, link.center_of_mass
-            inertia = np.asarray(link.inertia)
+            body.mass, body.ipos = solid.mass, solid.center_of_mass
+            inertia = np.asarray(solid.inertia)
             body.fullinertia = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
             self._report_inertia(inertia, subject)
         rolls = len(entity.spec.articulation.links) == 1 and not entity.spec.fixed_base

@@ -66,6 +66,7 @@ CAPABILITIES = Capabilities(
             "the coupling is a stiff spring: it gives way slightly under load, and loads joints between leader and "
             "follower that are not parallel to them"
         ),
+        Capability.MASSLESS_LINKS: EXACT,
         Capability.LOOP_JOINTS: EXACT,
         Capability.SELF_COLLISIONS: EXACT,
         Capability.GRAVITY_COMPENSATION: EXACT,

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import MAX_SPEED, TERRAIN, Approximation, AssetError, EntityLayout, SceneLayout
+from orbit_core.plugin_kit.massless import stand_in_approximations, with_stand_in
 from orbit_core.scene import Joint, JointType, Link, LoopJoint, PhysicsMaterial, Plane, Pose, Shape
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.geometry import collision_shape
@@ -258,7 +259,8 @@ class _Builder:
             made.set_collision_groups([isolation[0], isolation[0], group, isolation[1] | (entity.index + 1)])
         if isinstance(body, physx.PhysxRigidStaticComponent):
             return
-        _set_mass(body, link, subject, massless=entity.spec.fixed_base and offset == 0)
+        solid = with_stand_in(entity.spec.articulation, link)
+        _set_mass(body, solid, subject, massless=entity.spec.fixed_base and offset == 0)
         body.disable_gravity = entity.spec.gravity_compensation
         body.linear_damping = body.angular_damping = 0.0
         body.max_linear_velocity = body.max_angular_velocity = _FAST
@@ -308,6 +310,7 @@ class _Builder:
     def _report_joints(self, entity: EntityLayout) -> None:
         parameters, joints = self.layout.joint_parameters, self.layout.joints
         driven = parameters.drive_stiffness + parameters.drive_damping > 0
+        self.report += stand_in_approximations(entity, "PhysX")
         for number in range(entity.joints.start, entity.joints.stop):
             subject = f"joint '{joints[number].name}' of '{entity.name}'"
             if joints[number].mimic:
