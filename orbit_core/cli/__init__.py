@@ -33,6 +33,7 @@ COMMANDS = {
         "check_asset",
         "Check an asset file: masses, inertias, limits, shapes, and what was changed",
     ),
+    "convert": ("convert", "Convert between URDF, MJCF and USD, and meshes into rigid bodies"),
     "conformance": ("conformance", "Hold backends against known answers and whole tasks, and report"),
 }
 

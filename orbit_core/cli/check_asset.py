@@ -5,39 +5,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from rich.table import Table
 from rich.text import Text
-from tyro.conf import Positional, UseAppendAction, arg
+from tyro.conf import Positional, arg
 
-from orbit_core.assets.options import ReadOptions, Repair, Unsupported
 from orbit_core.audit.audit import AssetReport, audit_file
 from orbit_core.audit.bodies import Body
 from orbit_core.audit.findings import Severity
 from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, write_json
 from orbit_core.cli.parsing import parse_words
-from orbit_core.interfaces.errors import ConfigurationError
+from orbit_core.cli.reading import ReadSettings
 
 
-@dataclass(frozen=True)
-class CheckAssetSettings:
+@dataclass(frozen=True, kw_only=True)
+class CheckAssetSettings(ReadSettings):
     """Check a URDF, MJCF or USD file: masses, inertias, limits and shapes, and what the reader changed. Exits with 1
     where the simulation would be wrong."""
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
     """The file."""
-    articulation: str | None = None
-    """Which one, where the file holds several."""
-    package: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=FOLDER")] = ()
-    """Where package://NAME is; repeatable."""
-    allow_outside: bool = False
-    """Let the file name files outside its folder and packages."""
-    unsupported: Literal["refuse", "drop"] = "refuse"
-    """What becomes of what ORBIT cannot describe."""
-    repair: Literal["none", "balance"] = "none"
-    """What becomes of inertias that no body can have."""
     json: Path | None = None
     """Write the findings there."""
     overwrite: bool = False
@@ -48,7 +37,7 @@ def main(words: Sequence[str]) -> int:
     """Audit the file, print what was found, and say by the exit code whether it has faults."""
     settings = parse_words(CheckAssetSettings, words, "orbit check-asset")
     check_output(settings.json, ".json", settings.overwrite)
-    report = audit_file(settings.file, read_options(settings))
+    report = audit_file(settings.file, settings.options())
     write_json(settings.json, values_of(report))
     out = console()
     body = report.articulation
@@ -59,27 +48,6 @@ def main(words: Sequence[str]) -> int:
     counts = {level: sum(finding.severity is level for finding in report.findings) for level in Severity}
     out.print(", ".join(f"{count} {level.value}{'' if count == 1 else 's'}" for level, count in counts.items()))
     return 1 if report.faults else 0
-
-
-def read_options(settings: CheckAssetSettings) -> ReadOptions:
-    """How the file is to be read.
-
-    Raises:
-        ConfigurationError: a package is not given as NAME=FOLDER.
-    """
-    packages: dict[str, Path] = {}
-    for words in settings.package:
-        name, _, folder = words.partition("=")
-        if not (name and folder):
-            raise ConfigurationError(f"--package takes NAME=FOLDER, not '{words}'")
-        packages[name] = Path(folder)
-    return ReadOptions(
-        packages=packages,
-        allow_outside=settings.allow_outside,
-        articulation=settings.articulation,
-        unsupported=Unsupported(settings.unsupported),
-        repair=Repair(settings.repair),
-    )
 
 
 def values_of(report: AssetReport) -> dict[str, Any]:

@@ -1,0 +1,48 @@
+"""How the command line says which files a model may open, and what is done with what ORBIT lacks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import UseAppendAction, arg
+
+from orbit_core.assets.options import ReadOptions, Repair, Unsupported
+from orbit_core.interfaces.errors import ConfigurationError
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadSettings:
+    """How an asset file is read."""
+
+    articulation: str | None = None
+    """Which one, where the file holds several."""
+    package: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=FOLDER")] = ()
+    """Where package://NAME is; repeatable."""
+    allow_outside: bool = False
+    """Let the file name files outside its folder and packages."""
+    unsupported: Literal["refuse", "drop"] = "refuse"
+    """What becomes of what ORBIT cannot describe."""
+    repair: Literal["none", "balance"] = "none"
+    """What becomes of inertias that no body can have."""
+
+    def options(self) -> ReadOptions:
+        """The same for readers.
+
+        Raises:
+            ConfigurationError: a package is not given as NAME=FOLDER.
+        """
+        packages: dict[str, Path] = {}
+        for words in self.package:
+            name, _, folder = words.partition("=")
+            if not (name and folder):
+                raise ConfigurationError(f"--package takes NAME=FOLDER, not '{words}'")
+            packages[name] = Path(folder)
+        return ReadOptions(
+            packages=packages,
+            allow_outside=self.allow_outside,
+            articulation=self.articulation,
+            unsupported=Unsupported(self.unsupported),
+            repair=Repair(self.repair),
+        )

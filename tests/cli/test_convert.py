@@ -1,0 +1,80 @@
+"""``orbit convert``: one format into another, and what is told on the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from orbit_core.assets import load_articulation
+from orbit_core.cli import main
+
+ROBOT = """<robot name="lamp">
+  <link name="base"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <link name="arm"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><box size="0.1 0.1 0.4"/></geometry></collision></link>
+  <link name="plate"/>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="2" effort="9" velocity="3"/><dynamics damping="0.5" friction="0.25"/></joint>
+  <joint name="end" type="fixed"><parent link="arm"/><child link="plate"/><origin xyz="0 0 0.4"/></joint>
+</robot>"""
+
+
+def robot(folder: Path) -> Path:
+    path = folder / "lamp.urdf"
+    path.write_text(ROBOT)
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["usda", "usdc", "urdf", "xml"])
+def test_a_robot_survives_conversion(tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]) -> None:
+    if suffix == "xml":
+        pytest.importorskip("mujoco", reason="MJCF files are read by MuJoCo's own parser")
+    out = tmp_path / f"copy.{suffix}"
+    assert main(["convert", str(robot(tmp_path)), str(out)]) == 0
+    assert "lamp, 3 kg, links: 3, joints: 1" in " ".join(capsys.readouterr().out.split())
+    got, asked = load_articulation(out), load_articulation(robot(tmp_path))
+    assert got.joint_names == asked.joint_names == ("turn",)
+    (one,), (other,) = got.joints, asked.joints
+    for name in ("lower_limit", "upper_limit", "effort_limit", "damping", "friction"):
+        assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-6), name
+    assert [link.mass for link in got.links] == pytest.approx([link.mass for link in asked.links])
+
+
+def test_a_mesh_becomes_usd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mesh = tmp_path / "wedge.obj"
+    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    out = tmp_path / "wedge.usda"
+    words = ["--friction", "0.4", "--density", "600", "--collision", "triangles", "--scale", "0.1"]
+    assert main(["convert", str(mesh), str(out), *words]) == 0
+    assert "changed: mesh wedge.obj is one rigid body of 0.1 kg" in capsys.readouterr().out
+    root = load_articulation(out).root
+    assert root.mass == pytest.approx(0.1, rel=1e-5)
+    assert root.collisions[0].material.static_friction == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--friction", "1"], "--friction is for meshes"),
+        (["--package", "nonsense"], "--package takes NAME=FOLDER"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(
+    tmp_path: Path, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["convert", str(robot(tmp_path)), str(tmp_path / "a.usda"), *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_files_are_not_overwritten_unasked_and_formats_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, out = robot(tmp_path), tmp_path / "copy.usda"
+    assert main(["convert", str(source), str(out)]) == 0
+    assert main(["convert", str(source), str(out)]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert main(["convert", str(source), str(out), "--overwrite"]) == 0
+    assert main(["convert", str(source), str(tmp_path / "copy.step")]) == 2
+    assert "of no format that is written" in capsys.readouterr().err
