@@ -35,7 +35,7 @@ class Geoms:
     """Those of one tree of a model; ``terrain`` takes over planes and height fields that do not move.
 
     Raises:
-        AssetError: a plane or height field moves, and the options have what cannot be held refused.
+        AssetError: a height field moves, and the options have what cannot be held refused.
     """
 
     def __init__(self, compiled: Compiled, tree: Tree, *, terrain: bool = False) -> None:
@@ -47,7 +47,7 @@ class Geoms:
         ours = np.isin(model.geom_bodyid, tree.bodies) & endless
         moves = ours & ((model.body_weldid[model.geom_bodyid] != 0) | tree.floating)
         for geom in np.flatnonzero(moves):
-            compiled.unsupported(f"{self.called(int(geom))} is a plane or height field that moves", "make it a box")
+            compiled.unsupported(f"{self.called(int(geom))} is a height field that moves", "make it a mesh")
         still = ours & ~moves
         if still.any() and not terrain:
             compiled.notes.append(f"planes and height fields, which are the scene's, are left out: {still.sum()}")
