@@ -15,6 +15,7 @@ from orbit_core.plugin_kit.markers import AXIS_COLORS, marker_shapes
 from orbit_core.plugin_kit.massless import STAND_IN, stand_in_approximations, with_stand_in
 from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
 from orbit_core.plugin_kit.rotations import compose, multiply, rotate, rotate_inverse
+from orbit_core.plugin_kit.rows import block, host_rows, rows_of
 from orbit_core.plugin_kit.springs import least_inertias, soft_springs
 from orbit_core.scene import (
     Articulation,
@@ -161,3 +162,12 @@ def test_a_renderer_is_freed_once_and_refuses_pictures_afterwards() -> None:
     assert painter.freed == 1
     with pytest.raises(ConfigurationError, match="the renderer is closed: make another"):
         painter.render(CAMERA, EYES, LINKS, (Channel.RGB,))
+
+
+def test_rows_and_columns_pick_the_same_block_on_the_host_and_on_the_device() -> None:
+    table = torch.arange(12.0).reshape(3, 4)
+    columns, some = torch.tensor([3, 1]), torch.tensor([2, 0])
+    for env_ids in (None, some):
+        chosen = table[block(rows_of(env_ids), columns)]
+        assert chosen.tolist() == table[[0, 1, 2] if env_ids is None else [2, 0]][:, [3, 1]].tolist()
+        assert table.numpy()[block(host_rows(env_ids), columns.numpy())].tolist() == chosen.tolist()

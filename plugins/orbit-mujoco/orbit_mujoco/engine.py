@@ -17,20 +17,21 @@ from torch import Tensor
 from orbit_core.interfaces import (
     Approximation,
     BuiltModel,
-    Engine,
     RayHits,
     SceneLayout,
     SimulationError,
     divergence_error,
     first_few,
 )
+from orbit_core.plugin_kit.parts import PartedEngine
+from orbit_core.plugin_kit.rows import HostRows, block, host_rows
 from orbit_mjmodel.readback import read_back
 from orbit_mujoco.capture import MujocoCapture
 from orbit_mujoco.config import MujocoConfig
 from orbit_mujoco.measurements import ContactMeter, WrenchMeter
 from orbit_mujoco.model import build_models
 from orbit_mujoco.parameters import Parameters
-from orbit_mujoco.state import DERIVED_STAGE, Rows, State, block
+from orbit_mujoco.state import DERIVED_STAGE, State
 
 _NO_STAGE = mujoco.mjtStage.mjSTAGE_NONE.value
 
@@ -45,7 +46,7 @@ class Snapshot:
     """Commands, then what the last step measured."""
 
 
-class MujocoEngine(Engine):
+class MujocoEngine(PartedEngine[State, Parameters]):
     """Holds one MjData per environment, whose derived fields are current after each step.
 
     A step ends with MuJoCo's position and velocity stages, with which the next step begins, so they cost nothing.
@@ -137,37 +138,21 @@ class MujocoEngine(Engine):
     # State -----------------------------------------------------------------------------------------------------------
 
     @property
-    def joint_positions(self) -> Tensor:
-        return self._state.joint_positions
-
-    @property
-    def joint_velocities(self) -> Tensor:
-        return self._state.joint_velocities
-
-    @property
     def joint_efforts(self) -> Tensor:
         return self._joint_efforts
-
-    @property
-    def link_poses(self) -> Tensor:
-        return self._state.link_poses
-
-    @property
-    def link_velocities(self) -> Tensor:
-        return self._state.link_velocities
 
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
-        self._state.write_joints(joints.numpy(), _array(positions), _array(velocities), _rows(env_ids))
+        self._state.write_joints(joints.numpy(), _array(positions), _array(velocities), self._rows(env_ids))
 
     def write_root_state(
         self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
-        self._state.write_root(entity, _array(pose), _array(velocity), _rows(env_ids))
+        self._state.write_root(entity, _array(pose), _array(velocity), self._rows(env_ids))
 
     def reset(self, env_ids: Tensor | None = None) -> None:
-        rows = _rows(env_ids)
+        rows = self._rows(env_ids)
         if self._failed[rows].any():
             self._clear_failures(rows)
         self._batch.state[rows] = self._initial
@@ -176,7 +161,7 @@ class MujocoEngine(Engine):
             cleared[rows] = 0.0
         self._state.mark_written(rows)
 
-    def _clear_failures(self, rows: Rows) -> None:
+    def _clear_failures(self, rows: HostRows) -> None:
         # Not for every reset: it clears all that MuJoCo derives as well, which costs a hundred times the state alone.
         chosen = np.zeros(self.num_envs, dtype=bool)
         chosen[rows] = True
@@ -212,25 +197,13 @@ class MujocoEngine(Engine):
 
     # Parameters per environment --------------------------------------------------------------------------------------
 
-    def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
-        self._xfrc_applied[block(_rows(env_ids), self._addresses.bodies[links.numpy()])] = wrenches.numpy()
-
-    def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_masses(links.numpy(), masses.numpy(), _rows(env_ids))
-
-    def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_centers_of_mass(links.numpy(), centers.numpy(), _rows(env_ids))
-
-    def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_friction(links.numpy(), coefficients.numpy(), _rows(env_ids))
-
     def set_drive_gains(
         self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
     ) -> None:
-        self._parameters.set_drive_gains(joints.numpy(), stiffness.numpy(), damping.numpy(), _rows(env_ids))
+        self._parameters.set_drive_gains(joints.numpy(), stiffness.numpy(), damping.numpy(), self._rows(env_ids))
 
-    def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_gravity(gravity.numpy(), _rows(env_ids))
+    def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
+        self._xfrc_applied[block(self._rows(env_ids), self._addresses.bodies[links.numpy()])] = wrenches.numpy()
 
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
@@ -261,16 +234,18 @@ class MujocoEngine(Engine):
         """The model and the batch."""
         return self._model, self._batch
 
+    def _rows(self, env_ids: Tensor | None) -> HostRows:
+        return host_rows(env_ids)
+
+    def _own(self, tensor: Tensor) -> npt.NDArray:
+        return tensor.numpy()
+
     def close(self) -> None:
         vars(self).clear()  # the batch, its threads and memory go with the last array that views them
 
 
 def _ignore(message: str) -> None:
     """MuJoCo's warnings are read from its counters."""
-
-
-def _rows(env_ids: Tensor | None) -> Rows:
-    return slice(None) if env_ids is None else env_ids.numpy()
 
 
 def _array(values: Tensor | None) -> npt.NDArray[np.float32] | None:

@@ -16,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import MODEL_FIELDS, Batch
 
+from orbit_core.plugin_kit.rows import HostRows, block
 from orbit_mjmodel.addresses import Addresses
 from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, VELOCITY_IMPLICIT, damping_bias
-from orbit_mujoco.state import FloatArray, Rows, block
+from orbit_mujoco.state import FloatArray
 
 Indices = npt.NDArray[np.int64]
 
@@ -50,7 +51,7 @@ class Parameters:
             if self._model.nu:
                 self._hold_drives()
 
-    def set_masses(self, links: Indices, masses: FloatArray, rows: Rows) -> None:
+    def set_masses(self, links: Indices, masses: FloatArray, rows: HostRows) -> None:
         bodies = self._addresses.bodies[links]
         index = block(rows, bodies)
         mass, inertia = self._field("body_mass"), self._field("body_inertia")
@@ -59,17 +60,17 @@ class Parameters:
         inertia[index] = self._nominal["body_inertia"][index] * scale[..., None]
         self._constants_due[rows] = True
 
-    def set_centers_of_mass(self, links: Indices, centers: FloatArray, rows: Rows) -> None:
+    def set_centers_of_mass(self, links: Indices, centers: FloatArray, rows: HostRows) -> None:
         self._field("body_ipos")[block(rows, self._addresses.bodies[links])] = centers
         self._constants_due[rows] = True
 
-    def set_friction(self, links: Indices, coefficients: FloatArray, rows: Rows) -> None:
+    def set_friction(self, links: Indices, coefficients: FloatArray, rows: HostRows) -> None:
         friction = self._field("geom_friction")
         for column, link in enumerate(links):
             index = (*block(rows, self._addresses.geoms(int(link))), 0)
             friction[index] = coefficients[:, column, None]
 
-    def set_drive_gains(self, joints: Indices, stiffness: FloatArray, damping: FloatArray, rows: Rows) -> None:
+    def set_drive_gains(self, joints: Indices, stiffness: FloatArray, damping: FloatArray, rows: HostRows) -> None:
         driven = self._model.actuator_gainprm[joints, 0] > 0  # a mimic joint has no drive of its own
         index = block(rows, joints[driven])
         bias = self._field("actuator_biasprm")
@@ -77,7 +78,7 @@ class Parameters:
         bias[(*index, DAMPING)] = bias[(*index, ASKED_DAMPING)] = -damping[:, driven]
         self._hold_drives()
 
-    def set_gravity(self, gravity: FloatArray, rows: Rows) -> None:
+    def set_gravity(self, gravity: FloatArray, rows: HostRows) -> None:
         self._field("opt.gravity")[rows] = gravity
 
     def save(self) -> dict[str, npt.NDArray]:

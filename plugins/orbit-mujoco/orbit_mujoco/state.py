@@ -18,11 +18,10 @@ from torch import Tensor
 
 from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED
 from orbit_core.plugin_kit.rotations import rotate, rotate_inverse
+from orbit_core.plugin_kit.rows import HostRows, block
 from orbit_mjmodel.addresses import Addresses, columns
 
 FloatArray = npt.NDArray[np.floating]
-Rows = slice | npt.NDArray[np.int64]
-"""Environments: all, or indices."""
 
 DERIVED_STAGE = mujoco.mjtStage.mjSTAGE_VEL.value
 
@@ -56,7 +55,7 @@ class State:
         self._current.clear()
         self._written.fill(False)
 
-    def mark_written(self, rows: Rows) -> None:
+    def mark_written(self, rows: HostRows) -> None:
         """After a write: derived fields of ``rows`` are out of date too."""
         self._current.clear()
         self._written[rows] = True
@@ -125,7 +124,7 @@ class State:
     # Writing ---------------------------------------------------------------------------------------------------------
 
     def write_joints(
-        self, joints: npt.NDArray[np.int64], positions: FloatArray | None, velocities: FloatArray | None, rows: Rows
+        self, joints: npt.NDArray[np.int64], positions: FloatArray | None, velocities: FloatArray | None, rows: HostRows
     ) -> None:
         if positions is not None:
             self._qpos[block(rows, self._addresses.joint_positions[joints])] = positions
@@ -133,7 +132,7 @@ class State:
             self._qvel[block(rows, self._addresses.joint_velocities[joints])] = velocities
         self.mark_written(rows)
 
-    def write_root(self, entity: int, pose: FloatArray | None, velocity: FloatArray | None, rows: Rows) -> None:
+    def write_root(self, entity: int, pose: FloatArray | None, velocity: FloatArray | None, rows: HostRows) -> None:
         """A free root's angular velocity is in its own axes, so that a new pose alone must turn it."""
         mocap = self._addresses.mocaps[entity]
         if mocap >= 0:
@@ -155,11 +154,6 @@ class State:
             if spin is not None:
                 self._qvel[rows, angular] = rotate_inverse(self._qpos[rows, orientation], spin)
         self.mark_written(rows)
-
-
-def block(rows: Rows, indices: npt.NDArray[np.int64]) -> tuple[Rows, npt.NDArray[np.int64]]:
-    """The index of ``indices`` (k,) in each of ``rows``."""
-    return (rows, indices) if isinstance(rows, slice) else (rows[:, None], indices)
 
 
 def _normalized(quaternions: FloatArray) -> npt.NDArray[np.float64]:

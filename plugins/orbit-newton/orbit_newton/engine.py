@@ -16,11 +16,12 @@ from orbit_core.interfaces import (
     Approximation,
     BuiltModel,
     Capabilities,
-    Engine,
     SceneLayout,
     SimulationError,
     divergence_error,
 )
+from orbit_core.plugin_kit.parts import PartedEngine
+from orbit_core.plugin_kit.rows import Rows, rows_of
 from orbit_newton.builder import build_model
 from orbit_newton.config import NewtonConfig
 from orbit_newton.contacts import ContactFinder, ContactMeter
@@ -32,7 +33,6 @@ from orbit_newton.report import approximations
 from orbit_newton.state import State
 from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.kernels import reset_tensors
-from orbit_warpkit.rows import rows_of
 from orbit_warpkit.start import start
 
 _DIVERGED, _OVERFLOWN = 1, 2
@@ -56,7 +56,7 @@ class Snapshot:
     parameters: tuple[Tensor, ...]
 
 
-class NewtonEngine(Engine):
+class NewtonEngine(PartedEngine[State, Parameters]):
     """Holds all environments in Newton's arrays; a physics step is a recorded graph."""
 
     def __init__(
@@ -135,33 +135,13 @@ class NewtonEngine(Engine):
     # State -----------------------------------------------------------------------------------------------------------
 
     @property
-    def joint_positions(self) -> Tensor:
-        self._state.settle()
-        return self._state.joint_positions
-
-    @property
-    def joint_velocities(self) -> Tensor:
-        self._state.settle()
-        return self._state.joint_velocities
-
-    @property
     def joint_efforts(self) -> Tensor:
         return self._plant.joint_efforts
-
-    @property
-    def link_poses(self) -> Tensor:
-        self._state.settle()
-        return self._state.link_poses
-
-    @property
-    def link_velocities(self) -> Tensor:
-        self._state.settle()
-        return self._state.link_velocities
 
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
-        self._state.write_joints(joints, positions, velocities, rows_of(env_ids))
+        self._state.write_joints(joints, positions, velocities, self._rows(env_ids))
 
     def write_root_state(
         self, entity: int, pose: Tensor | None, velocity: Tensor | None, env_ids: Tensor | None = None
@@ -199,28 +179,19 @@ class NewtonEngine(Engine):
         rows = self._all if env_ids is None else env_ids
         self._plant.applied[rows[:, None], links] = wrenches
 
-    def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_masses(links, masses, rows_of(env_ids))
-
     def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
         velocities = self.link_velocities.clone()
-        self._parameters.set_centers_of_mass(links, centers, rows_of(env_ids))
+        self._parameters.set_centers_of_mass(links, centers, self._rows(env_ids))
         for entity in self.layout.entities:  # a free root's coordinates are of its centre of mass
             if not entity.spec.fixed_base:
                 rows = self._all if env_ids is None else env_ids
                 self.write_root_state(entity.index, None, velocities[rows, entity.root_link], rows)
-        self._state.mark_written(rows_of(env_ids))
-
-    def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_friction(links, coefficients, rows_of(env_ids))
+        self._state.mark_written(self._rows(env_ids))
 
     def set_drive_gains(
         self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
     ) -> None:
-        self._parameters.set_drive_gains(joints, stiffness, damping, rows_of(env_ids))
-
-    def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_gravity(gravity, rows_of(env_ids))
+        self._parameters.set_drive_gains(joints, stiffness, damping, self._rows(env_ids))
 
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
@@ -253,6 +224,9 @@ class NewtonEngine(Engine):
     def native(self) -> Native:
         plant = self._plant
         return Native(plant.model, plant.state, plant.control, plant.finder.contacts)
+
+    def _rows(self, env_ids: Tensor | None) -> Rows:
+        return rows_of(env_ids)
 
     def close(self) -> None:
         vars(self).clear()  # the arrays go with the last tensor that views them

@@ -11,8 +11,8 @@ import warp as wp
 from torch import Tensor
 
 from orbit_core.interfaces import TERRAIN
+from orbit_core.plugin_kit.rows import Rows, block
 from orbit_newton.plant import Plant
-from orbit_warpkit.rows import Rows, block
 
 
 class Parameters:

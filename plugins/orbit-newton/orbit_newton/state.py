@@ -17,6 +17,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from orbit_core.plugin_kit.rows import Rows, block
 from orbit_core.scene import Joint, JointType
 from orbit_newton.kernels import (
     mark_articulations,
@@ -27,9 +28,9 @@ from orbit_newton.kernels import (
     write_root,
 )
 from orbit_newton.plant import Plant
+from orbit_warpkit.arrays import array_of
 from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.kernels import read_joints
-from orbit_warpkit.rows import Rows, array_of, block
 
 
 class State:
@@ -44,10 +45,10 @@ class State:
         self._position_columns = torch.as_tensor(built.positions, device=device)
         self._velocity_columns = torch.as_tensor(built.velocities, device=device)
         self._zeros = torch.as_tensor(built.zeros, dtype=torch.float32, device=device)
-        self.joint_positions = torch.zeros(envs, len(plant.layout.joints), device=device)
-        self.joint_velocities = torch.zeros_like(self.joint_positions)
-        self.link_poses = torch.zeros(envs, len(plant.layout.links), 7, device=device)
-        self.link_velocities = torch.zeros(envs, len(plant.layout.links), 6, device=device)
+        self._joint_positions = torch.zeros(envs, len(plant.layout.joints), device=device)
+        self._joint_velocities = torch.zeros_like(self._joint_positions)
+        self._link_poses = torch.zeros(envs, len(plant.layout.links), 7, device=device)
+        self._link_velocities = torch.zeros(envs, len(plant.layout.links), 6, device=device)
         self._written = torch.ones(envs, dtype=torch.bool, device=device)
         with wp.ScopedDevice(plant.model.device):
             self._columns = [wp.array(columns, dtype=int) for columns in (built.positions, built.velocities)]
@@ -97,21 +98,21 @@ class State:
         if plant.layout.joints:
             wp.launch(
                 read_joints,
-                dim=self.joint_positions.shape,
+                dim=self._joint_positions.shape,
                 inputs=[*self._columns, self._joint_q, self._joint_qd],
-                outputs=[wp.from_torch(self.joint_positions), wp.from_torch(self.joint_velocities)],
+                outputs=[wp.from_torch(self._joint_positions), wp.from_torch(self._joint_velocities)],
             )
             wp.launch(
                 shift_joints,
-                dim=self.joint_positions.shape,
+                dim=self._joint_positions.shape,
                 inputs=[wp.from_torch(self._zeros)],
-                outputs=[wp.from_torch(self.joint_positions)],
+                outputs=[wp.from_torch(self._joint_positions)],
             )
         wp.launch(
             read_links,
-            dim=self.link_poses.shape[:2],
+            dim=self._link_poses.shape[:2],
             inputs=[plant.state.body_q, plant.state.body_qd, plant.model.body_com],
-            outputs=[wp.from_torch(self.link_poses), wp.from_torch(self.link_velocities)],
+            outputs=[wp.from_torch(self._link_poses), wp.from_torch(self._link_velocities)],
         )
 
     def _derive(self) -> None:
@@ -125,6 +126,28 @@ class State:
         state = plant.state
         newton.eval_fk(plant.model, state.joint_q, state.joint_qd, state, mask=self._articulations)
         self.read()
+
+    # Reading ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def joint_positions(self) -> Tensor:
+        self.settle()
+        return self._joint_positions
+
+    @property
+    def joint_velocities(self) -> Tensor:
+        self.settle()
+        return self._joint_velocities
+
+    @property
+    def link_poses(self) -> Tensor:
+        self.settle()
+        return self._link_poses
+
+    @property
+    def link_velocities(self) -> Tensor:
+        self.settle()
+        return self._link_velocities
 
     # Writing ---------------------------------------------------------------------------------------------------------
 

@@ -14,12 +14,12 @@ from torch import Tensor
 from orbit_core.interfaces import (
     Approximation,
     BuiltModel,
-    Engine,
     RayHits,
     SceneLayout,
     SimulationError,
     divergence_error,
 )
+from orbit_core.plugin_kit.parts import PartedEngine
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.drives import Drives
 from orbit_sapien.measurements import ContactMeter, WrenchMeter, held_links
@@ -46,7 +46,7 @@ class Snapshot:
     """Commands, then what the last step measured."""
 
 
-class SapienEngine(Engine):
+class SapienEngine(PartedEngine[State, Parameters]):
     """Steps one PhysX world that holds every environment, and reads it in bulk."""
 
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: SapienConfig) -> None:
@@ -121,24 +121,8 @@ class SapienEngine(Engine):
     # State -----------------------------------------------------------------------------------------------------------
 
     @property
-    def joint_positions(self) -> Tensor:
-        return self._state.joint_positions
-
-    @property
-    def joint_velocities(self) -> Tensor:
-        return self._state.joint_velocities
-
-    @property
     def joint_efforts(self) -> Tensor:
         return self._drives.efforts
-
-    @property
-    def link_poses(self) -> Tensor:
-        return self._state.link_poses
-
-    @property
-    def link_velocities(self) -> Tensor:
-        return self._state.link_velocities
 
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
@@ -189,24 +173,12 @@ class SapienEngine(Engine):
     # Parameters per environment --------------------------------------------------------------------------------------
 
     def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_wrenches(links.numpy(), wrenches, self._rows(env_ids))
-
-    def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_masses(links.numpy(), masses, self._rows(env_ids))
-
-    def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_centers_of_mass(links.numpy(), centers, self._rows(env_ids))
-
-    def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_friction(links.numpy(), coefficients, self._rows(env_ids))
+        self._parameters.set_wrenches(links.numpy(), wrenches.numpy(), self._rows(env_ids))
 
     def set_drive_gains(
         self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
     ) -> None:
         self._drives.set_gains(joints.numpy(), stiffness, damping, self._rows(env_ids))
-
-    def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_gravity(gravity, self._rows(env_ids))
 
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
@@ -260,3 +232,6 @@ class SapienEngine(Engine):
 
     def _rows(self, env_ids: Tensor | None) -> list[int]:
         return list(range(self.num_envs)) if env_ids is None else env_ids.tolist()
+
+    def _own(self, tensor: Tensor) -> npt.NDArray:
+        return tensor.numpy()

@@ -7,13 +7,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor
 
 from orbit_core.interfaces import TERRAIN, SceneLayout, UnsupportedCapabilityError
 from orbit_sapien.model import BuiltWorld
 from orbit_sapien.native import NativePose, physx
 from orbit_sapien.state import State
 
+FloatArray = npt.NDArray[np.floating]
 _NAMES = ("masses", "centers", "static", "dynamic", "gravity", "wrenches")
 
 
@@ -48,13 +48,13 @@ class Parameters:
 
     # Setting ---------------------------------------------------------------------------------------------------------
 
-    def set_masses(self, links: npt.NDArray[np.int64], masses: Tensor, rows: list[int]) -> None:
-        self.masses[np.ix_(np.asarray(rows, np.int64), links)] = masses.numpy()
+    def set_masses(self, links: npt.NDArray[np.int64], masses: FloatArray, rows: list[int]) -> None:
+        self.masses[np.ix_(np.asarray(rows, np.int64), links)] = masses
         self._apply_inertial(links, rows)
 
-    def set_centers_of_mass(self, links: npt.NDArray[np.int64], centers: Tensor, rows: list[int]) -> None:
+    def set_centers_of_mass(self, links: npt.NDArray[np.int64], centers: FloatArray, rows: list[int]) -> None:
         velocities = self._state.root_velocities.float()
-        self.centers[np.ix_(np.asarray(rows, np.int64), links)] = centers.numpy()
+        self.centers[np.ix_(np.asarray(rows, np.int64), links)] = centers
         self._apply_inertial(links, rows)
         for entity in self._layout.entities:
             if entity.root_link in links and not entity.spec.fixed_base:
@@ -62,7 +62,7 @@ class Parameters:
                 self._state.root_centers[rows, entity.index] = center
                 self._state.write_root(entity.index, None, velocities[rows, entity.index], rows)
 
-    def set_friction(self, links: npt.NDArray[np.int64], coefficients: Tensor, rows: list[int]) -> None:
+    def set_friction(self, links: npt.NDArray[np.int64], coefficients: FloatArray, rows: list[int]) -> None:
         if self._world.shared_ground and TERRAIN in links:
             raise UnsupportedCapabilityError(
                 f"the ground is shared by {len(self.masses)} environments, so it has one friction: set "
@@ -71,15 +71,15 @@ class Parameters:
         groups = self._world.rule.groups
         for column, link in enumerate(links):
             for group in [number for number, group in enumerate(groups) if group.link == link]:
-                self.static[rows, group] = self.dynamic[rows, group] = coefficients[:, column].numpy()
+                self.static[rows, group] = self.dynamic[rows, group] = coefficients[:, column]
         self._apply_friction(rows)
 
-    def set_gravity(self, gravity: Tensor, rows: list[int]) -> None:
-        self.gravity[rows] = gravity.numpy()
+    def set_gravity(self, gravity: FloatArray, rows: list[int]) -> None:
+        self.gravity[rows] = gravity
         self._find_pushed()
 
-    def set_wrenches(self, links: npt.NDArray[np.int64], wrenches: Tensor, rows: list[int]) -> None:
-        self.wrenches[np.ix_(np.asarray(rows, np.int64), links)] = wrenches.numpy()
+    def set_wrenches(self, links: npt.NDArray[np.int64], wrenches: FloatArray, rows: list[int]) -> None:
+        self.wrenches[np.ix_(np.asarray(rows, np.int64), links)] = wrenches
         self._find_pushed()
 
     def clear_wrenches(self, rows: list[int]) -> None:

@@ -12,7 +12,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from orbit_core.interfaces import Approximation, BuiltModel, Engine, RayHits, SceneLayout
+from orbit_core.interfaces import Approximation, BuiltModel, RayHits, SceneLayout
+from orbit_core.plugin_kit.parts import PartedEngine
+from orbit_core.plugin_kit.rows import Rows, rows_of
 from orbit_warp.buffers import BufferSizes, buffer_sizes
 from orbit_warp.capture import WarpCapture
 from orbit_warp.config import WarpConfig
@@ -26,7 +28,6 @@ from orbit_warp.rays import RayCaster
 from orbit_warp.state import State
 from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.kernels import reset_tensors
-from orbit_warpkit.rows import rows_of
 from orbit_warpkit.start import start
 
 _MOST_RECORDED = 16
@@ -41,7 +42,7 @@ class Snapshot:
     parameters: dict[str, Tensor]
 
 
-class WarpEngine(Engine):
+class WarpEngine(PartedEngine[State, Parameters]):
     """Holds all environments in MuJoCo-Warp's arrays; a step is one recorded graph on a GPU, and a few on a CPU.
 
     The graph writes the commands, takes the physics steps, adds up contact forces, notes faults, and brings poses and
@@ -154,24 +155,8 @@ class WarpEngine(Engine):
     # State -----------------------------------------------------------------------------------------------------------
 
     @property
-    def joint_positions(self) -> Tensor:
-        return self._state.joint_positions
-
-    @property
-    def joint_velocities(self) -> Tensor:
-        return self._state.joint_velocities
-
-    @property
     def joint_efforts(self) -> Tensor:
         return self._joint_efforts
-
-    @property
-    def link_poses(self) -> Tensor:
-        return self._state.link_poses
-
-    @property
-    def link_velocities(self) -> Tensor:
-        return self._state.link_velocities
 
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
@@ -203,6 +188,9 @@ class WarpEngine(Engine):
                 outputs=[*self._warp_commands, data.actuator_force, self._contacts.forces, data.sensordata],
             )
         self._state.mark_written()
+
+    def _rows(self, env_ids: Tensor | None) -> Rows:
+        return rows_of(env_ids)
 
     def _indices(self, env_ids: Tensor | None) -> Tensor:
         """Of environments given by index or by mask; -1 stands for one outside of the mask."""
@@ -241,23 +229,17 @@ class WarpEngine(Engine):
         self._applied[rows[:, None], self._bodies[links]] = wrenches
 
     def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_masses(links, masses, rows_of(env_ids))
+        self._parameters.set_masses(links, masses, self._rows(env_ids))
         self._state.mark_written()
 
     def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_centers_of_mass(links, centers, rows_of(env_ids))
+        self._parameters.set_centers_of_mass(links, centers, self._rows(env_ids))
         self._state.mark_written()
-
-    def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_friction(links, coefficients, rows_of(env_ids))
 
     def set_drive_gains(
         self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
     ) -> None:
-        self._parameters.set_drive_gains(joints, stiffness, damping, rows_of(env_ids))
-
-    def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
-        self._parameters.set_gravity(gravity, rows_of(env_ids))
+        self._parameters.set_drive_gains(joints, stiffness, damping, self._rows(env_ids))
 
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 

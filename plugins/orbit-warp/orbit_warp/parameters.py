@@ -13,11 +13,11 @@ import warp as wp
 from torch import Tensor
 
 from orbit_core.interfaces import TERRAIN, SceneLayout
+from orbit_core.plugin_kit.rows import Rows, block
 from orbit_mjmodel.addresses import Addresses
 from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, VELOCITY_IMPLICIT, damping_bias
 from orbit_warp.model import LEAST_FRICTION
 from orbit_warpkit.graphs import Graphs
-from orbit_warpkit.rows import Rows, block
 
 _OF_MASS = ("body_mass", "body_inertia", "body_ipos", "body_subtreemass", "body_invweight0", "dof_invweight0")
 

@@ -18,9 +18,9 @@ from orbit_mjmodel.addresses import Addresses, columns
 from orbit_warp.forward import ForwardKinematics
 from orbit_warp.kernels import write_root
 from orbit_warp.native import Native
+from orbit_warpkit.arrays import array_of
 from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.kernels import read_joints
-from orbit_warpkit.rows import array_of
 
 
 class State:

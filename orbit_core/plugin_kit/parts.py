@@ -1,0 +1,85 @@
+"""Engines that keep their state and their parameters in parts of their own, and pass on what the contract asks."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, Generic, Protocol, TypeVar
+
+from torch import Tensor
+
+from orbit_core.interfaces import Engine
+
+
+class StatePart(Protocol):
+    """Positions and velocities, as the contract has them."""
+
+    @property
+    def joint_positions(self) -> Tensor: ...
+
+    @property
+    def joint_velocities(self) -> Tensor: ...
+
+    @property
+    def link_poses(self) -> Tensor: ...
+
+    @property
+    def link_velocities(self) -> Tensor: ...
+
+
+class ParametersPart(Protocol):
+    """Sets parameters; indices, values and rows come in the engine's own form, as :class:`PartedEngine` makes them."""
+
+    def set_masses(self, links: Any, masses: Any, rows: Any) -> None: ...
+
+    def set_centers_of_mass(self, links: Any, centers: Any, rows: Any) -> None: ...
+
+    def set_friction(self, links: Any, coefficients: Any, rows: Any) -> None: ...
+
+    def set_gravity(self, gravity: Any, rows: Any) -> None: ...
+
+
+_State = TypeVar("_State", bound=StatePart)
+_Parameters = TypeVar("_Parameters", bound=ParametersPart)
+
+
+class PartedEngine(Engine, Generic[_State, _Parameters]):
+    """Reads from the one part and sets in the other; a derived class makes both, and writes and steps by itself."""
+
+    _state: _State
+    _parameters: _Parameters
+
+    @abstractmethod
+    def _rows(self, env_ids: Tensor | None) -> Any:
+        """Environments as the parts take them; all for None."""
+
+    def _own(self, tensor: Tensor) -> Any:
+        """Indices or values as the parts take them."""
+        return tensor
+
+    @property
+    def joint_positions(self) -> Tensor:
+        return self._state.joint_positions
+
+    @property
+    def joint_velocities(self) -> Tensor:
+        return self._state.joint_velocities
+
+    @property
+    def link_poses(self) -> Tensor:
+        return self._state.link_poses
+
+    @property
+    def link_velocities(self) -> Tensor:
+        return self._state.link_velocities
+
+    def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_masses(self._own(links), self._own(masses), self._rows(env_ids))
+
+    def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_centers_of_mass(self._own(links), self._own(centers), self._rows(env_ids))
+
+    def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_friction(self._own(links), self._own(coefficients), self._rows(env_ids))
+
+    def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_gravity(self._own(gravity), self._rows(env_ids))

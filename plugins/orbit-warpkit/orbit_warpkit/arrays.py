@@ -1,0 +1,14 @@
+"""Tensors as kernels take them."""
+
+# pyright: reportArgumentType=false
+# Warp's arrays carry their types at run time.
+
+from __future__ import annotations
+
+import warp as wp
+from torch import Tensor
+
+
+def array_of(values: Tensor | None, otherwise: wp.array) -> wp.array:
+    """``values`` as a kernel takes them, or what stands for none."""
+    return otherwise if values is None else wp.from_torch(values.contiguous())
