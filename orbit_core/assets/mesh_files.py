@@ -47,12 +47,10 @@ def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
             _refuse_huge_pictures()
             if suffix == "dae":
                 data = without_broken_textures(data)
-            return trimesh.load_scene(
-                io.BytesIO(data),
-                file_type=suffix,
-                resolver=_Neighbours(path, options, model).as_trimesh(),
-                process=False,
-            )
+            neighbours = _Neighbours(path, options, model).as_trimesh()
+            scene: Any = trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=neighbours, process=False)
+        _check_size(scene, path, options)
+        return scene
     except AssetError:
         raise
     except ImportError as error:
@@ -111,6 +109,17 @@ class _Neighbours:
                 return ()
 
         return Neighbours()
+
+
+def _check_size(scene: Any, path: Path, options: ReadOptions) -> None:
+    """Refuse more triangles than the limits allow, each instance of a mesh counted, before they are set out."""
+    instances = scene.graph.geometry_nodes
+    faces = sum(len(instances.get(name, ())) * len(getattr(each, "faces", ())) for name, each in scene.geometry.items())
+    if faces > options.limits.vertices:
+        raise AssetError(
+            f"mesh file '{path}' holds {faces} triangles: make it smaller, or raise ReadLimits.vertices from "
+            f"{options.limits.vertices}"
+        )
 
 
 def _refuse_huge_pictures() -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
+import struct
+import zipfile
 from pathlib import Path
 
 import pytest
 
 from orbit_core.assets import load_articulation
+from orbit_core.assets.meshes import load_mesh
 from orbit_core.assets.options import ReadLimits, ReadOptions
 from orbit_core.assets.outside import model_folder, resolve_file
 from orbit_core.interfaces.errors import AssetError
@@ -118,3 +122,48 @@ def test_files_over_the_limit_are_refused_before_they_are_read(model: Path) -> N
     options = ReadOptions(limits=ReadLimits(file_bytes=10))
     with pytest.raises(AssetError, match=r"mesh\.obj.*raise ReadLimits\.file_bytes"):
         resolve_file("mesh.obj", model / "robot.urdf", options)
+
+
+def test_meshes_of_more_triangles_than_the_limit_are_refused(model: Path) -> None:
+    with pytest.raises(AssetError, match="holds 4 triangles: make it smaller"):
+        load_mesh(model / "mesh.obj", options=ReadOptions(limits=ReadLimits(vertices=3)))
+    assert len(load_mesh(model / "mesh.obj", options=ReadOptions(limits=ReadLimits(vertices=4))).faces) == 4
+
+
+def test_archives_and_pictures_are_measured_before_they_are_unpacked(model: Path) -> None:
+    with zipfile.ZipFile(model / "bomb.zae", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("bomb.dae", b"0" * 10_000_000)
+    assert (model / "bomb.zae").stat().st_size < 20_000
+    with pytest.raises(AssetError, match="unpacks to 10000000 bytes"):
+        load_mesh(model / "bomb.zae", options=ReadOptions(limits=ReadLimits(expanded_bytes=1_000_000)))
+    (model / "huge.png").write_bytes(b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII", 13, b"IHDR", 100_000, 100_000))
+    path = model / "robot.xml"
+    path.write_text('<mujoco><asset><texture type="2d" name="t" file="huge.png"/></asset></mujoco>')
+    with pytest.raises(AssetError, match=r"huge\.png has 100000 x 100000 pixels"):
+        load_articulation(path)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        '<worldbody><replicate count="2000000000"><geom size="1"/></replicate></worldbody>',
+        f"<worldbody>{2 * '<replicate count="2000">'}<geom size='1'/>{2 * '</replicate>'}</worldbody>",
+        '<worldbody><body><composite type="cable" count="2000000000 1 1"/></body></worldbody>',
+        '<asset><texture type="2d" builtin="flat" name="t" width="100000" height="100000"/></asset>',
+        '<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>',
+        '<size nuser_body="2000000000"/>',
+        '<custom><numeric name="n" size="2000000000"/></custom>',
+    ],
+)
+def test_mjcf_that_asks_for_gigabytes_is_refused_before_it_is_compiled(model: Path, body: str) -> None:
+    path = model / "robot.xml"
+    path.write_text(f"<mujoco>{body}</mujoco>")
+    with pytest.raises(AssetError, match=r"robot\.xml.*raise ReadLimits"):
+        load_articulation(path)
+
+
+def test_an_accessor_of_zeros_is_refused_before_they_are_made(model: Path) -> None:
+    accessor = {"componentType": 5126, "count": 2_000_000_000, "type": "VEC3"}
+    (model / "zeros.gltf").write_text(json.dumps({"asset": {"version": "2.0"}, "accessors": [accessor]}))
+    with pytest.raises(AssetError, match=r"zeros\.gltf' has an accessor of 2000000000 elements"):
+        load_mesh(model / "zeros.gltf")
