@@ -24,7 +24,7 @@ from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 
 Config = TypeVar("Config")
 _LARGEST = 2**31 - 1
-"""Of whole numbers, which engines hold in 32 bits."""
+"""Largest whole number, for engines hold them in 32 bits."""
 _OFF = "none"
 """What switches a field off in text, where it may be None."""
 

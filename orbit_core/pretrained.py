@@ -42,12 +42,12 @@ ABOUT = "policy.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class TransferGap:
-    """Where a policy is known to succeed less often than it is held to elsewhere: a backend, a renderer, or both."""
+    """A backend, a renderer or both on which a policy is known to succeed less often than it is held to elsewhere."""
 
     backend: str | None = None
-    """That simulates; any if None."""
+    """Backend that simulates; any if None."""
     renderer: str | None = None
-    """That draws what the policy sees, be it another's or the backend's own; any if None."""
+    """Renderer that draws what the policy sees, be it another's or the backend's own; any if None."""
     least_success: float
     """The rate that it is held to there, in [0, 1]."""
     reason: str
@@ -74,7 +74,7 @@ class PretrainedPolicy:
     least_success: float
     """The success rate that it is held to, in [0, 1], wherever no gap says otherwise."""
     fields: Mapping[str, Any] = field(default_factory=dict)
-    """Of the task that it was learned for, those that are not as they are by default; robot and action left out."""
+    """Fields of the task that differed from their defaults in learning, but robot and action."""
     gaps: tuple[TransferGap, ...] = ()
 
     def __post_init__(self) -> None:

@@ -96,7 +96,7 @@ class Registry(Generic[Value]):
         return self._origins[name]
 
     def add_lazily(self, name: str, load: Callable[[], Value]) -> None:
-        """As :meth:`add`, of a value that is made whenever it is asked for.
+        """Add a value that is made whenever it is asked for.
 
         Raises:
             ConfigurationError: the package, or this program, has added that name before.

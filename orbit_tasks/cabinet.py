@@ -59,7 +59,7 @@ def opened(world: World, task: Cabinet) -> Tensor:
 
 
 def place_cabinet(world: World, task: Cabinet, env_ids: Tensor) -> None:
-    """Up to 5 cm off its place each way, turned by up to 0.1 rad."""
+    """Place the cabinet up to 5 cm off its place each way, turned by up to 0.1 rad."""
     u = 2.0 * world.random.uniform((3,), env_ids=env_ids) - 1.0
     cabinet = world.objects["cabinet"]
     zero = torch.zeros_like(u[:, 0])
@@ -122,7 +122,7 @@ class CabinetObservations:
 
 @dataclass
 class CabinetRewards:
-    """For the hand at the handle and the drawer at its goal, less what is fast or abrupt."""
+    """Rewards of the hand at the handle and the drawer at its goal, less what is fast or abrupt."""
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     open: RewardTerm | None = RewardTerm(opened, 5.0)

@@ -119,7 +119,7 @@ def tracking(world: World, task: Handover, scale: float) -> Tensor:
 
 
 def place_rod(world: World, task: Handover, env_ids: Tensor) -> None:
-    """On a 10 x 40 cm patch of the table that the giver alone can reach, turned by up to half a radian."""
+    """Place the rod on a 10 x 40 cm patch that the giver alone can reach, turned by up to half a radian."""
     height = 0.5 * WIDTH
     low, high = (0.37, -0.2, height, -0.5), (0.47, 0.2, height, 0.5)
     place = world.random.uniform((4,), low, high, env_ids)
@@ -204,7 +204,7 @@ class HandoverObservations:
 
 @dataclass
 class HandoverRewards:
-    """To each arm for its own part, and to both for the rod at the goal, less what is fast or abrupt."""
+    """Rewards of each arm for its own part, and of both for the rod at the goal, less what is fast or abrupt."""
 
     giver_reach: RewardTerm | None = RewardTerm(reaching, 1.0, agent=GIVER)
     giver_offer: RewardTerm | None = RewardTerm(offering, 8.0, agent=GIVER)

@@ -33,19 +33,19 @@ from orbit_tasks.pixels import ArmPixels
 
 
 def cube_pose(world: World, task: Lift) -> Tensor:
-    """(N, 7)"""
+    """(N, 7) of the cube in the environment's frame."""
     return world.objects["cube"].root_pose
 
 
 @once_per_state
 def cube_position(world: World, task: Lift) -> Tensor:
-    """(N, 3)"""
+    """(N, 3) of the cube in the environment's frame."""
     return cube_pose(world, task)[:, :3]
 
 
 @once_per_state
 def cube_height(world: World, task: Lift) -> Tensor:
-    """(N,) of its centre above the table."""
+    """(N,) metres of the cube's centre above the table."""
     return cube_pose(world, task)[:, 2]
 
 
@@ -83,7 +83,7 @@ def tracking(world: World, task: Lift, scale: float) -> Tensor:
 
 
 def place_cube(world: World, task: Lift, env_ids: Tensor) -> None:
-    """Somewhere on a 20 x 50 cm patch of the table, turned by any angle."""
+    """Place the cube on a 20 x 50 cm patch of the table, turned by any angle."""
     height = task.rest_height
     place = world.random.uniform((4,), (0.4, -0.25, height, -math.pi), (0.6, 0.25, height, math.pi), env_ids)
     pose = torch.cat((place[:, :3], common.turned(place[:, 3])), dim=1)
@@ -91,7 +91,7 @@ def place_cube(world: World, task: Lift, env_ids: Tensor) -> None:
 
 
 def sample_goal(world: World, task: Lift, env_ids: Tensor) -> None:
-    """25 to 50 cm above the patch."""
+    """Sample the goal 25 to 50 cm above the patch."""
     task.goal[env_ids] = goal = world.random.uniform((3,), (0.4, -0.25, 0.25), (0.6, 0.25, 0.5), env_ids)
     upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=world.device).expand(len(env_ids), 4)
     world.markers["goal"].set_pose(torch.cat((goal, upright), dim=1), env_ids)
@@ -149,7 +149,7 @@ class LiftPixelObservations:
 
 @dataclass
 class LiftRewards:
-    """For the hand at the cube, the cube off the table and at its goal, less what is fast or abrupt."""
+    """Rewards of the hand at the cube, the cube off the table and at its goal, less what is fast or abrupt."""
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     lift: RewardTerm | None = RewardTerm(lifted, 15.0)

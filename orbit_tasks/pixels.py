@@ -28,7 +28,7 @@ HAND = CameraSpec(
     pose=look_at(eye=(0.1, 0.0, -0.12), target=(0.045, 0.0, 0.03), up=(1.0, 0.0, 0.0)),
     far=2.0,
 )
-"""Beside the fingers, which close across the picture; it looks at what lies between and before them."""
+"""A camera beside the fingers, which close across the picture; it looks at what lies between and before them."""
 
 FRONT = CameraSpec(
     name="front",

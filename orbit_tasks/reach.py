@@ -45,7 +45,7 @@ def near(world: World, task: Reach) -> Tensor:
 
 
 def sample_goal(world: World, task: Reach, env_ids: Tensor) -> None:
-    """A box 25 x 50 x 35 cm in front of the robot; any yaw within a radian, tilted by up to 0.3 rad."""
+    """Sample the goal in a box of 25 x 50 x 35 cm before the robot, within a radian of yaw and 0.3 rad of tilt."""
     low = torch.tensor([0.4, -0.25, 0.15, -0.3, -0.3, -1.0], device=world.device)
     high = torch.tensor([0.65, 0.25, 0.5, 0.3, 0.3, 1.0], device=world.device)
     sample = world.random.uniform((6,), low, high, env_ids)
@@ -85,7 +85,7 @@ class ReachPixelObservations:
 
 @dataclass
 class ReachRewards:
-    """For the hand's position and rotation at the goal, less what is fast or abrupt."""
+    """Rewards of the hand's position and rotation at the goal, less what is fast or abrupt."""
 
     position: RewardTerm | None = RewardTerm(position_error, -2.0)
     position_finely: RewardTerm | None = RewardTerm(near, 1.0)

@@ -118,7 +118,7 @@ def fallen(world: World, task: VelocityFlat) -> Tensor:
 
 
 def place_robot(world: World, task: VelocityFlat, env_ids: Tensor) -> None:
-    """At home height, facing anywhere, joints around their home."""
+    """Place the robot at home height, facing anywhere, joints around their home."""
     trunk = common.robot_of(world)
     yaw = world.random.uniform((), -torch.pi, torch.pi, env_ids)
     position = torch.tensor(trunk.spec.pose.position, device=world.device).expand(len(env_ids), 3)
@@ -156,7 +156,7 @@ class VelocityObservations:
 
 @dataclass
 class VelocityRewards:
-    """For velocities as commanded, less bouncing, rolling, tilt, effort, abrupt actions and joints too fast."""
+    """Rewards of velocities as commanded, less bouncing, rolling, tilt, effort, abrupt actions and joints too fast."""
 
     linear_tracking: RewardTerm | None = RewardTerm(linear_tracking, 1.0)
     yaw_tracking: RewardTerm | None = RewardTerm(yaw_tracking, 0.5)

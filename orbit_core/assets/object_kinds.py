@@ -46,7 +46,7 @@ class ObjectConfig(ABC):
     """What an object of one kind is made from; every parameter has a default."""
 
     name: ClassVar[str]
-    """Of the kind, in the catalogue."""
+    """The kind's name in the catalogue."""
 
     @abstractmethod
     def build(self, name: str, pose: Pose | None = None) -> ObjectSpec:

@@ -47,7 +47,7 @@ class SolidOptions(TypedDict, total=False):
     color: Color
     material: PhysicsMaterial
     pose: Pose
-    """Of the object at reset."""
+    """Pose of the object at reset, in the environment's frame."""
     fixed_base: bool
     label: str
     """Semantic label; the object's name where it is left out."""

@@ -24,7 +24,7 @@ class Schedule(Protocol):
     """Says what is due when, and is moved on where Python did not run."""
 
     def moment(self) -> Moment:
-        """Where it stands now."""
+        """The phase in which the schedule stands now."""
         ...
 
     def move(self, phase: Hashable, physics_steps: int, agent_steps: int) -> None:

@@ -1,4 +1,4 @@
-"""Who acts, by the name that a user gives: an agent's, a kept policy's, or the file of a learned policy."""
+"""Actors by the name that a user gives: a scripted one, a kept policy, or the file of a learned policy."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 
 def check_actor(name: str) -> None:
-    """Refuse a name that no agent and no kept policy bears and that is no file or folder.
+    """Refuse a name that no actor and no kept policy bears and that is no file or folder.
 
     Raises:
         UnknownNameError: there is none.
     """
     if name not in ACTORS and not Path(name).exists() and name not in pretrained_policies():
-        raise UnknownNameError("agent or policy", name, {*ACTORS, *pretrained_policies()})
+        raise UnknownNameError("actor or policy", name, {*ACTORS, *pretrained_policies()})
 
 
 def make_actor(name: str, environment: Environment, seed: int) -> Actor:
-    """The agent of that name, the policy in that file or folder, or the kept policy of that name.
+    """The actor of that name, the policy in that file or folder, or the kept policy of that name.
 
     Raises:
         UnknownNameError: there is none.

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Throughput:
-    """Of one number of environments."""
+    """Measurements of one number of environments."""
 
     num_envs: int
     env_steps_per_second: float
     """Steps of single environments."""
     milliseconds_per_step: float
-    """Of all environments together."""
+    """Time in which every environment makes one step."""
     peak_memory_mib: float | None
     """Largest resident size of the process so far, smaller numbers of environments included; None if unknown."""
 

@@ -38,7 +38,7 @@ class RunSettings:
     backend: Names = ()
     """Backends; all that are installed if left out."""
     part: Names = ()
-    """Of scenarios, tasks, transfers and throughput; all if left out, or what --scenario and --task name."""
+    """Parts of the suite; all if left out, or those that --scenario and --task name."""
     scenario: Names = ()
     """Scenarios; all if left out."""
     task: Names = ()
@@ -56,7 +56,7 @@ class RunSettings:
     device: Annotated[str, arg(metavar="NAME")] = "cpu"
     """Torch device of the backends that simulate on a GPU; the others take the CPU."""
     seed: int = 0
-    """Of every random stream."""
+    """Seed of every random stream."""
     setting: KeyValues = ()
     """A setting of a backend, as BACKEND.KEY=VALUE, or KEY=VALUE where one --backend is named; repeatable."""
     fresh: bool = False

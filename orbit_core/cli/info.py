@@ -37,7 +37,7 @@ class InfoSettings:
     """Everything about one task, robot, object, sensor, backend or renderer."""
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
-    """Of a task, robot, object, sensor, backend or renderer."""
+    """Name of a task, robot, object, sensor, backend or renderer."""
 
 
 def main(words: Sequence[str]) -> None:

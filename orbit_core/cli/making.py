@@ -1,4 +1,4 @@
-"""From a command's settings to an environment."""
+"""An environment is made from a command's settings."""
 
 from __future__ import annotations
 

@@ -38,18 +38,18 @@ class RunResult:
     seed: int
     num_envs: int
     versions: dict[str, str]
-    """Of ORBIT, of what the backend depends on, of torch and of Python."""
+    """Versions of ORBIT, of what the backend depends on, of torch and of Python."""
     episodes: int
     success_rate: Estimate
-    """In [0, 1], with the 95 % interval."""
+    """Success rate in [0, 1], with its 95 % interval."""
     metrics: dict[str, Statistic]
-    """By name; the first leads."""
+    """Means and deviations of the task's metrics by name; the first leads."""
     episode_return: Statistic
     episode_steps: Statistic
     env_steps_per_second: float
     """Steps of single environments over the time spent acting and stepping; building and filming left out."""
     wall_seconds: float
-    """From the settings to the result, building and filming included."""
+    """Seconds from the settings to the result, building and filming included."""
 
     def as_json(self) -> dict[str, Any]:
         """For a file: all fields, the success rate's interval apart, and ``metric``, the leading one with its name."""

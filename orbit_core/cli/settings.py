@@ -33,9 +33,9 @@ class EnvironmentSettings:
     compile: bool = False
     """Compile the layer's part of a step: seconds at the first steps, and less time in all that follow."""
     check_finite: bool = False
-    """On a GPU too, stop at an observation that is NaN or infinite: each step then waits for the device."""
+    """Stop at an observation that is NaN or infinite on a GPU too; each step then waits for the device."""
     seed: int = 0
-    """Of every environment's random stream."""
+    """Seed of every environment's random stream."""
     set: KeyValues = ()
     """A field of the task, such as tolerance=0.03 ('orbit info TASK')."""
     setting: KeyValues = ()

@@ -38,9 +38,9 @@ class TrainSettings(EnvironmentSettings):
     library: Annotated[str, arg(metavar="NAME")] = "rsl-rl"
     """Learning library ('orbit list libraries'); distill imitates a teacher."""
     teacher: Annotated[str | None, arg(metavar="POLICY")] = None
-    """Of library distill: a kept policy's name ('orbit list policies'), a policy's file, or a training's folder."""
+    """Teacher, for distill: a kept policy's name ('orbit list policies'), a policy's file, or a training's folder."""
     iterations: Annotated[int | None, arg(metavar="INT")] = None
-    """Of collecting and learning, in all; the task's own number if left out."""
+    """Iterations of collecting and learning in all; the task's own number if left out."""
     ppo: KeyValues = ()
     """A setting of the algorithm, such as learning_rate=3e-4 ('orbit info TASK')."""
     distillation: KeyValues = ()

@@ -26,7 +26,7 @@ class TaskResult:
     backend: str
     seed: int
     fields: Mapping[str, Any]
-    """Of the task, where they differ from its defaults."""
+    """Fields of the task that differ from its defaults."""
     num_envs: int
     success: Estimate
     """Rate in [0, 1]."""

@@ -34,7 +34,7 @@ class ActionManager:
             task.action = COMPOSED
         self.terms = terms
         self.generators = task.generators = tuple(_built(world, name, term) for name, term in terms.items())
-        """In the order of the action's components."""
+        """Motion generators in the order of the action's components."""
         self.slices = task.action_slices = _slices_by_agent(self.generators)
         """Which components of the action are each agent's."""
         self.size = sum(generator.command_size for generator in self.generators)

@@ -62,11 +62,11 @@ ACTORS = {"expert": ExpertActor, "random": RandomActor, "zero": ZeroActor}
 
 
 def scripted_actor(name: str, environment: Environment, seed: int) -> Actor:
-    """The agent of that name.
+    """The actor of that name.
 
     Raises:
         UnknownNameError: there is none.
     """
     if name not in ACTORS:
-        raise UnknownNameError("agent", name, ACTORS)
+        raise UnknownNameError("actor", name, ACTORS)
     return ACTORS[name](environment, seed)

@@ -265,7 +265,7 @@ class Environment:
         return result
 
     def advance(self) -> tuple[Tensor, Tensor, Tensor]:
-        """From the action to reward, terminated and truncated, and no reset yet: nothing here waits for the device."""
+        """Apply the action; gives reward, terminated and truncated before any reset. Nothing waits for the device."""
         task = self.task
         self._events.advance()
         self.cut.act({"action": self._action})
@@ -300,7 +300,7 @@ class Environment:
         return self.observer()
 
     def _observe_new(self, began: Tensor) -> Observation:
-        """Where episodes began (N,) bool; the other environments have been observed already."""
+        """(N,) bool, the environments whose episodes began; the other environments have been observed already."""
         with self.world.masking.only(began):
             return self._observe()
 

@@ -17,7 +17,7 @@ class EpisodeEnd:
     env_ids: Tensor
     """(n,)"""
     observation: Observation
-    """Of the last state, before the reset, with n rows."""
+    """Observation of the last state, before the reset, with n rows."""
     success: Tensor
     """(n,) bool"""
     metrics: dict[str, Tensor]
@@ -28,7 +28,7 @@ class EpisodeEnd:
     """(n,) int64"""
 
     def only(self, rows: Tensor) -> EpisodeEnd:
-        """Those of the rows (k,), by index."""
+        """The ends in the rows (k,), by index."""
         return EpisodeEnd(
             env_ids=self.env_ids[rows],
             observation=map_leaves(lambda value: value[rows], self.observation),
@@ -50,7 +50,7 @@ class StepInfo(Mapping[str, EpisodeEnd]):
         self.done = done
         """(N,) bool: whose episode ended."""
         self.everyone = everyone
-        """Of all environments: what their episodes would have come to, had they ended with this step."""
+        """Ends of all environments' episodes, as if each had ended with this step."""
         self._final: EpisodeEnd | None = None
         self._looked = False
 

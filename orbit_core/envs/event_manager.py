@@ -43,7 +43,7 @@ class EventManager:
             term.function(self._world, self._task, self._all)
 
     def reset(self, env_ids: Tensor | None) -> None:
-        """At the beginning of an episode, by index or mask."""
+        """Run the events of an episode's beginning, in environments by index or mask."""
         for timer in self._timers:
             timer.draw(env_ids)
         terms = self._at[EventTime.RESET]
@@ -53,7 +53,7 @@ class EventManager:
             self._run(self._all if env_ids is None else env_ids, terms)
 
     def advance(self) -> None:
-        """At the beginning of a step: what is due."""
+        """Run the events that are due at the beginning of a step."""
         for timer in self._timers:
             due = timer.left == 0
             if self._world.masking.traced:

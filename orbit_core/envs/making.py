@@ -1,4 +1,4 @@
-"""From a task's name to its environment."""
+"""An environment is made from its task's name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where several robots act: whose each part of an environment's observation, action and reward is."""
+"""Several robots in one environment: each one's part of the observation, the action and the reward."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def groups_of(task: Task) -> dict[str, ObservationGroup]:
 
 
 def terms_of_group(group: ObservationGroup) -> dict[str, ObservationTerm]:
-    """Its terms in the order of their fields; those set to None are left out."""
+    """A group's terms in the order of their fields; those set to None are left out."""
     named = ((field.name, getattr(group, field.name)) for field in fields(group) if field.name not in _OWN_FIELDS)
     return {name: term for name, term in named if term is not None}
 

@@ -20,7 +20,7 @@ class TermLayout:
     """A term as its group shows it, history included."""
 
     shape: tuple[int, ...]
-    """Of one environment."""
+    """Shape of one environment's value."""
     dtype: torch.dtype
     low: float
     high: float
@@ -69,7 +69,7 @@ def one_tensor(observation: Observation, group: str = "policy") -> Tensor:
 
 
 def leaf_shapes(layouts: Mapping[str, GroupLayout]) -> dict[str, tuple[int, ...]]:
-    """Of each tensor of an observation, of one environment, by ``group`` or ``group/term``."""
+    """Shape of each tensor in one environment's observation, by ``group`` or ``group/term``."""
     shapes: dict[str, tuple[int, ...]] = {}
     for group, layout in layouts.items():
         if layout.concatenated:

@@ -18,13 +18,13 @@ class PpoSettings:
     """
 
     iterations: int = 500
-    """Of collecting and learning."""
+    """Number of iterations, each of collecting steps and learning from them."""
     steps_per_iteration: int = 24
     """Environment steps that every environment contributes to an iteration."""
     hidden_sizes: tuple[int, ...] = (256, 128, 64)
     """Units of the hidden layers, of actor and critic each."""
     initial_std: float = 0.5
-    """Of the actions, whose range is [-1, 1]."""
+    """Standard deviation of the actions at first; their range is [-1, 1]."""
     learning_rate: float = 1e-3
     target_kl: float = 0.01
     """Kullback-Leibler divergence from the last iteration's policy that the learning rate is adapted to."""
@@ -33,14 +33,14 @@ class PpoSettings:
     minibatches: int = 4
     """Parts of an iteration's steps, each of which makes one gradient step of a pass."""
     discount: float = 0.98
-    """Of the next step's return, per environment step."""
+    """Weight of the next step's return, per environment step."""
     gae_lambda: float = 0.95
     """Schulman et al., High-Dimensional Continuous Control Using Generalized Advantage Estimation (2016)."""
     clip: float = 0.2
-    """Of the ratio of probabilities, about 1."""
+    """Largest deviation from 1 of the ratio of probabilities."""
     entropy_weight: float = 0.002
     normalize_observations: bool = True
-    """To mean 0 and deviation 1, by the statistics of what was observed."""
+    """Whether observations are shifted and scaled to mean 0 and deviation 1 by their own statistics."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

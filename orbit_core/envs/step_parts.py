@@ -35,7 +35,7 @@ class StepParts(Protocol):
     """(N,) whose episode ended in the last step."""
 
     def advance(self) -> tuple[Tensor, Tensor, Tensor]:
-        """From the action to reward (N,), terminated (N,) and truncated (N,); sets :attr:`done`."""
+        """Apply the action; gives reward (N,), terminated (N,) and truncated (N,); sets :attr:`done`."""
         ...
 
     def metrics(self) -> dict[str, Tensor]:

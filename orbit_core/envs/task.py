@@ -22,7 +22,7 @@ ROBOT = "robot"
 """The robot that acts, where a task has one."""
 
 COMPOSED = "composed"
-"""In the place of an action space's name, where a task has action terms of its own."""
+"""The word that stands for an action space's name where a task has action terms of its own."""
 
 
 @dataclass(kw_only=True)
@@ -57,11 +57,11 @@ class Task(ABC):
     events: Any = None
     curriculum: Any = None
     domain_randomization: bool = False
-    """Whether what a policy has no way to know differs between environments, as :meth:`randomize` says."""
+    """Whether physical parameters and noise are randomised between environments, as :meth:`randomize` says."""
     curriculum_enabled: bool = False
     """Whether the curriculum sets how difficult episodes are; else they are as difficult as can be."""
     view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.35, 0.0, 0.2))
-    """Where pictures and videos are taken from, in the environment's frame."""
+    """Pose of the camera that takes pictures and videos, in the environment's frame."""
     backend_presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Engine settings by backend name, where this task needs other than an engine's defaults."""
 

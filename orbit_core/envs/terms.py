@@ -32,9 +32,9 @@ class ObservationTerm:
     function: TermFunction
     scale: float = 1.0
     noise_std: float = 0.0
-    """Of white noise, drawn anew at each step."""
+    """Standard deviation of white noise, drawn anew at each step."""
     bias_std: float = 0.0
-    """Of an error that each episode draws once and keeps."""
+    """Standard deviation of a bias that each episode draws once and keeps."""
     delay: tuple[int, int] = (0, 0)
     """Fewest and most steps of the environment that a measurement is late by, drawn for each episode. What was measured
     first counts as measured ever since."""

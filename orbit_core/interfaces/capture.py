@@ -28,7 +28,7 @@ class CaptureFacet:
     count for nothing. An engine whose :meth:`record` records needs them for what happens within a recording."""
 
     def record(self, operations: Callable[[], None]) -> Callable[[], None]:
-        """What does the same as ``operations``, where the engine can without Python: recorded once, then replayed.
+        """A function that does what ``operations`` do, without Python where the engine can: recorded once, then replayed.
 
         ``operations`` steps the engine and works on tensors of its device, and no step of it waits for the device.
         What it remembers it writes in place. Its calls on the host happen when it is recorded, and when it is replayed
@@ -41,8 +41,8 @@ class CaptureFacet:
     def expression(self, name: str) -> Tensor | None:
         """A state tensor, by name, as operations of torch on memory of the engine's that always stays at its place.
 
-        So that a trace of a step takes them in, and computes what it needs of the tensor and no more. None where there
-        is nothing to gain. What they compute is current after :meth:`settle`.
+        A trace of a step takes these operations in, and computes what it needs of the tensor and no more. None where
+        there is nothing to gain. What they compute is current after :meth:`settle`.
         """
         return None
 
@@ -122,7 +122,7 @@ class Watched:
     """A class whose marked methods, and what overrides them, tell the watcher of their use."""
 
     capture: CaptureFacet = CaptureFacet()
-    """What it does for captured steps."""
+    """What the engine does for captured steps."""
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)

@@ -26,7 +26,7 @@ class Object(ABC):
     @property
     @abstractmethod
     def spec(self) -> Entity:
-        """What it was made from."""
+        """Specification that the entity was made from."""
 
     # Reading
 
@@ -174,7 +174,7 @@ class Robot(Object):
     @property
     @abstractmethod
     def spec(self) -> RobotSpec:
-        """What it was made from."""
+        """Specification that the entity was made from."""
 
     @abstractmethod
     def set_position_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Where a backend is known to miss the truth, by how much and why."""
+"""Declared gaps: the scenarios in which a backend is known to miss the truth, by how much and why."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where every link and joint of a scene stands in the flat tensors that core and engine share.
+"""The place of every link and joint of a scene in the flat tensors that core and engine share.
 
 All links of a scene are numbered through, and so are all movable joints: entity by entity in the scene's order, within
 an entity in the articulation's order. An engine then moves one tensor per kind of state, whatever the scene holds.
@@ -68,11 +68,11 @@ class JointParameters:
     friction: npt.NDArray[np.float64]
     armature: npt.NDArray[np.float64]
     spring_stiffness: npt.NDArray[np.float64]
-    """Of the mechanism's own spring, N/m or N m/rad."""
+    """Stiffness of the mechanism's own spring, N/m or N m/rad."""
     spring_rest: npt.NDArray[np.float64]
     """Position at which the spring exerts nothing, rad or m."""
     drive_stiffness: npt.NDArray[np.float64]
-    """Of the engine's own drive; zero where the core computes the effort."""
+    """Gain of the engine's own drive; zero where the core computes the effort."""
     drive_damping: npt.NDArray[np.float64]
     home: npt.NDArray[np.float64]
     """Position at reset."""

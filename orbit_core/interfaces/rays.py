@@ -16,7 +16,7 @@ _PAST_SURFACE = 1e-4  # metres
 
 @dataclass(frozen=True)
 class RayHits:
-    """Where rays met the scene."""
+    """The points at which rays met the scene."""
 
     distances: Tensor
     """(n, R) metres; infinite for a miss."""

@@ -49,7 +49,7 @@ class PictureEncoder:
     height: int
     width: int
     filters: tuple[int, ...] = (32, 64, 64)
-    """Of each convolution: the first is 5 x 5 pixels wide, the others are 3 x 3."""
+    """Channels of each convolution: the first is 5 x 5 pixels wide, the others are 3 x 3."""
     features: int = 128
     """Units of the linear layer."""
 
@@ -83,7 +83,7 @@ class Convolutional:
     hidden_sizes: tuple[int, ...]
     """Units of the hidden layers behind them."""
     activation: str = "elu"
-    """Between layers: elu, relu or tanh."""
+    """Activation between layers: elu, relu or tanh."""
 
     def __post_init__(self) -> None:
         activation_type(self.activation)
@@ -94,7 +94,7 @@ class Convolutional:
 
     @property
     def features(self) -> int:
-        """That the encoders give, together."""
+        """Number of features that the encoders give together."""
         return sum(encoder.features for encoder in self.encoders)
 
     @property

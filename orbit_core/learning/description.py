@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from orbit_core.envs.observation_layout import GroupLayout
 
 FORMAT = 1
-"""Of the documents in policies' files; one of another number is refused."""
+"""Version of the documents in policies' files; another is refused."""
 _MOST_COMPONENTS = 2**20
 _FORMS = {True: "side by side", False: "as a dictionary"}
 _DTYPES = {
@@ -35,9 +35,9 @@ class Part:
     size: int
     """Components of one environment."""
     shape: tuple[int, ...] | None = None
-    """Of one environment; (size,) if None."""
+    """Shape of one environment's value; (size,) if None."""
     dtype: str = "float32"
-    """As torch calls it."""
+    """Name of the dtype in torch."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.size <= _MOST_COMPONENTS:
@@ -79,12 +79,12 @@ class PolicyDescription:
     step_dt: float
     """Seconds between two actions."""
     backend: str
-    """Where it was learned."""
+    """Backend that the policy was learned on."""
     library: str
     """Which learned it."""
     iteration: int
     versions: dict[str, str] = field(default_factory=dict)
-    """Of the distributions that took part in learning."""
+    """Versions of the distributions that took part in learning."""
     group: str = "policy"
     """The observation group that it sees."""
     concatenated: bool = True
@@ -98,7 +98,7 @@ class PolicyDescription:
     def of(
         environment: Environment, task: str, library: str, iteration: int, versions: Mapping[str, str] | None = None
     ) -> PolicyDescription:
-        """Of a policy for this environment's group ``policy``."""
+        """The description of a policy for this environment's group ``policy``."""
         layout = environment.observation["policy"]
         return PolicyDescription(
             task=task,
@@ -186,7 +186,7 @@ class PolicyDescription:
         return None if given == self.observation_parts else f"has {_told(group_parts(layout))}"
 
     def document(self) -> dict[str, Any]:
-        """For a file, as plain data."""
+        """The description as plain data, for a file."""
         return {"format": FORMAT, "policy": asdict(self)}
 
     @staticmethod

@@ -18,7 +18,7 @@ class DistillSettings:
     teacher: str = ""
     """A kept policy's name, a policy's file, or a training's folder."""
     iterations: int = 1000
-    """Of collecting and learning."""
+    """Number of iterations, each of collecting steps and learning from them."""
     steps_per_iteration: int = 16
     """Environment steps that every environment contributes to an iteration."""
     hidden_sizes: tuple[int, ...] = (256, 128)
@@ -32,7 +32,7 @@ class DistillSettings:
     batch_size: int = 2048
     """Remembered steps that each of them takes."""
     learning_rate: float = 1e-3
-    """At first."""
+    """Learning rate at first."""
     shift: int = 0
     """Most pixels that pictures are shifted by, at random, while learning: Yarats et al., Mastering Visual Continuous
     Control: Improved Data-Augmented Reinforcement Learning (2021)."""

@@ -52,7 +52,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
 
     @property
     def device(self) -> torch.device:
-        """Where all tensors live."""
+        """Device of all tensors."""
         return self.environment.device
 
     def reset(  # pyright: ignore[reportIncompatibleMethodOverride] - Gymnasium types infos loosely

@@ -47,7 +47,7 @@ def library_names() -> tuple[str, ...]:
 
 
 def library_description(name: str) -> str:
-    """What it offers, or which package brings it, in a line."""
+    """One line: what the library offers, or which package brings it."""
     return _LIBRARIES[name][1] if name in _LIBRARIES else learners().origin(name)
 
 

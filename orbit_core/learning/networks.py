@@ -31,7 +31,7 @@ class Network(Protocol):
     """Settings of a network: a frozen dataclass of what :func:`~orbit_core.learning.plain.from_plain` reads."""
 
     name: ClassVar[str]
-    """As files call it."""
+    """The network's name in files."""
 
     def build(self, observation_size: int, action_size: int) -> nn.Module:
         """The module that maps an observation to an action (N, A) in [-1, 1], for any N.
@@ -59,7 +59,7 @@ class Perceptron:
     hidden_sizes: tuple[int, ...]
     """Units of the hidden layers."""
     activation: str = "elu"
-    """Between layers: elu, relu or tanh."""
+    """Activation between layers: elu, relu or tanh."""
     observation_limit: float | None = None
     """Standard deviations from the mean at which the observation is cut off; none if None."""
 

@@ -1,4 +1,4 @@
-"""A learned policy: its file, its fit to an environment, and as a node of an agent."""
+"""A learned policy: its file, its fit to an environment, and the node and the actor that it becomes."""
 
 from __future__ import annotations
 

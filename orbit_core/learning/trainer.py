@@ -23,13 +23,13 @@ class Progress:
     iteration: int
     """The one just done, from 0."""
     env_steps: int
-    """Of all environments together; a trainer counts since it was made, a training since its first iteration."""
+    """Steps of all environments together; a trainer counts since it was made, a training since its first iteration."""
     seconds: float
-    """Of collecting and learning, counted likewise."""
+    """Seconds of collecting and learning, counted likewise."""
     episode_return: float
     """Mean over the last episodes; NaN before any has ended."""
     success_rate: float
-    """Of the last episodes; NaN before any has ended."""
+    """Success rate of the last episodes; NaN before any has ended."""
     episodes: int = 0
     """How many these are."""
     loss: float = math.nan
@@ -41,7 +41,7 @@ class LearningSettings(Protocol):
 
     @property
     def iterations(self) -> int:
-        """Of collecting and learning."""
+        """Number of iterations, each of collecting steps and learning from them."""
         ...
 
     @property
@@ -64,7 +64,7 @@ class Trainer(ABC, Generic[Settings]):
     """
 
     name: ClassVar[str]
-    """As the user types it."""
+    """The library's name as the user types it."""
     several_gpus: ClassVar[bool] = False
     """Whether processes that torchrun starts, one a GPU, learn one policy together."""
     settings_type: ClassVar[type[Any]] = PpoSettings

@@ -23,8 +23,8 @@ class BinaryGripperConfig(ActionTerm):
     name: ClassVar[str] = "binary_gripper"
 
     frame: str | None = None
-    """Of the end effector that carries the gripper; None takes the first one. ``joints`` are by default its gripper's,
-    and so are the positions below."""
+    """Frame of the end effector that carries the gripper; None takes the first one. ``joints`` are by default its
+    gripper's, and so are the positions below."""
     open_position: float | None = None
     """rad or m, of every joint."""
     closed_position: float | None = None

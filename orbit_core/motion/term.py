@@ -19,7 +19,7 @@ class ActionTerm(ABC):
     """Which joints of which robot a motion generator moves, and how: a subclass is that generator's configuration."""
 
     name: ClassVar[str]
-    """Of the motion generator, in the registry."""
+    """The motion generator's name in the registry."""
     unwanted_gains: ClassVar[tuple[str, ...]] = ()
     """Gains of an actuator that would work against the commands: they are zero on the joints of the term."""
 

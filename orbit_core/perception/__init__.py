@@ -1,4 +1,4 @@
-"""From pictures to geometry: point clouds and truncated signed distance fields, in all environments at once."""
+"""Geometry from pictures: point clouds and truncated signed distance fields, in all environments at once."""
 
 from orbit_core.perception.clouds import PointCloud, PointCloudConfig, Sampling, sample_point_cloud
 from orbit_core.perception.nodes import CloudFrame, PointCloudNode, TsdfNode

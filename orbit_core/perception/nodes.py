@@ -73,7 +73,7 @@ class PointCloudNode(Node):
         return {"points": cloud.points, "colors": cloud.colors, "valid": cloud.valid}
 
     def _pose(self, inputs: Mapping[str, Tensor]) -> Tensor | None:
-        """Of the camera in the frame of the points."""
+        """Pose of the camera in the frame of the points."""
         if self._frame is CloudFrame.CAMERA:
             return None
         if self._frame is CloudFrame.ENVIRONMENT:

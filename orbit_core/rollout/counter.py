@@ -33,7 +33,7 @@ class Episodes:
 
     @property
     def success_rate(self) -> Estimate:
-        """In [0, 1], with the 95 % interval."""
+        """Success rate in [0, 1], with its 95 % interval."""
         return proportion(int(self.success.sum()), len(self.success))
 
 

@@ -21,12 +21,12 @@ class Estimate:
     high: float
 
     def percent(self) -> str:
-        """For people: the value and its interval in percent."""
+        """The value and its interval in percent, for people."""
         return f"{100.0 * self.value:.1f} % [{100.0 * self.low:.1f}, {100.0 * self.high:.1f}]"
 
 
 def proportion(successes: int, trials: int) -> Estimate:
-    """Of successes among independent trials, with Wilson's score interval.
+    """Share of successes among independent trials, with Wilson's score interval.
 
     E. B. Wilson, Probable inference, the law of succession, and statistical inference, JASA 22 (1927), 209-212.
     """
@@ -38,7 +38,7 @@ def proportion(successes: int, trials: int) -> Estimate:
 
 
 def mean(values: Sequence[float]) -> Estimate:
-    """Of independent values of any distribution, with the bootstrap's percentile interval; the same values give the
+    """Mean of independent values of any distribution, with the bootstrap's percentile interval; equal values give the
     same interval.
 
     Efron and Tibshirani, An Introduction to the Bootstrap (1993), section 13.3.

@@ -33,7 +33,7 @@ class Recording:
     backend: str
     seed: int
     fields: Mapping[str, Any]
-    """Of the task, where they differ from its defaults."""
+    """Fields of the task that differ from its defaults."""
     step_dt: float
     """Seconds between two rows."""
     actions: npt.NDArray[np.float32]

@@ -44,7 +44,7 @@ class Mimic:
 
     @property
     def coefficients(self) -> tuple[float, ...]:
-        """Of the leader's powers, from the zeroth on."""
+        """Coefficients of the leader's powers, from the zeroth on."""
         return (self.offset, self.multiplier, *self.higher_powers)
 
     def position(self, leader: Any) -> Any:

@@ -21,7 +21,7 @@ Rgb = tuple[float, float, float]
 """Red, green and blue."""
 
 MAX_DIRECTIONAL_LIGHTS = 3
-"""Of one scene: what every renderer can draw."""
+"""Most directional lights of one scene, which every renderer can draw."""
 
 
 @dataclass(frozen=True)

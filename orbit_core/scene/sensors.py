@@ -92,7 +92,7 @@ class RayCasterSpec(SensorSpec):
     directions: tuple[Vector3, ...]
     origins: tuple[Vector3, ...] = ()
     pose: Pose = field(default_factory=Pose)
-    """Of the sensor in the frame."""
+    """Pose of the sensor in the frame."""
     max_distance: float = 10.0
     yaw_only: bool = False
 

@@ -31,9 +31,9 @@ class ContactSensor(AveragingSensor):
         super().__init__(spec, context, (count, per_link, 3))
         columns = [layout.contact_queries.index(query) for query in queries]
         self.filters = spec.filters
-        """Of the third dimension of :attr:`filtered_forces`."""
+        """Names of the entities along the third dimension of :attr:`filtered_forces`."""
         self.link_names = tuple(layout.links[query.link].name for query in queries[::per_link])
-        """Of the second dimension of all values."""
+        """Names of the links along the second dimension of all values."""
         self._columns = torch.tensor(columns, dtype=torch.int64, device=self.device)
         self._timers: dict[float, ContactTimer] = {}
 
@@ -82,7 +82,7 @@ class ContactSensor(AveragingSensor):
 
 
 class ContactTimer:
-    """For how long links have touched something, and for how long they have not.
+    """A stopwatch of how long links have touched something, and how long they have not.
 
     It sees forces without noise or delay, as often as the world steps its engine.
     """

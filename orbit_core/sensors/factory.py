@@ -1,4 +1,4 @@
-"""From a sensor's specification to the sensor. Packages add theirs through the entry-point group ``orbit.sensors``.
+"""Sensors are made from their specifications. Packages add theirs through the entry-point group ``orbit.sensors``.
 
 An entry point is named as the specification's class, and its value is the sensor's class::
 

@@ -24,7 +24,7 @@ class JointSensor(TimedSensor):
         names = entity.spec.articulation.joint_names
         joints = match_names(spec.joints, names, "joint", f"sensor '{spec.name}'")
         self.joint_names = tuple(names[joint] for joint in joints)
-        """Of the columns, in the articulation's order."""
+        """Names of the joints of the columns, in the articulation's order."""
         self._joints = torch.tensor(joints, dtype=torch.int64, device=self.device) + entity.joints.start
 
     @property

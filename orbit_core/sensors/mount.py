@@ -1,4 +1,4 @@
-"""Where a sensor sits: a link, and its own pose in it."""
+"""The mount of a sensor: a link, and the sensor's pose in it."""
 
 from __future__ import annotations
 

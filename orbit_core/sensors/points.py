@@ -1,4 +1,4 @@
-"""From depth images to points, and between pixels and directions."""
+"""Points from depth images, and directions of pixels."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _MULTIPLE = 16
 """Pixels; an encoder's macroblock. Other sizes would be rescaled."""
 _FRAMES_PER_SECOND = 25.0
-"""At most about; steps in between are not drawn."""
+"""About the most frames in a second of a video; steps in between are not drawn."""
 
 
 class VideoFile:

@@ -80,7 +80,7 @@ class ViewedEnvironment(Protocol):
 
 
 class Viewer:
-    """Shows an environment that an agent drives, in real time, at a web address of this computer alone.
+    """Shows an environment that an actor drives, in real time, at a web address of this computer alone.
 
     Args:
         env: what to show.
@@ -114,7 +114,7 @@ class Viewer:
         self.controls = Controls(env.num_envs, paused)
         self._server, token = _start_server(host, port, title)
         self.url = f"http://{host}:{self._server.get_port()}{f'/?token={token}' if token else ''}"
-        """Where the page is; with a token where other computers reach the address."""
+        """Address of the page, with a token where other computers reach it."""
         self._scene = SceneView(self._server, env.world.layout)
         self._panel = Panel(self._server, self.controls, env.num_envs, list(self._cameras), title)
         self._pacer = Pacer()

@@ -27,7 +27,7 @@ precision, some of them far from the origin."""
 _TOLD = 1e-4
 """Radians or metres, of joint positions."""
 _RELATIVE = 1e-4
-"""Of masses, limits and armatures, and of inertias by the largest moment."""
+"""Relative tolerance of masses, limits and armatures, and of inertias by the largest moment."""
 _CENTER = 1e-5
 """Metres, of centres of mass."""
 _UNLIMITED = 1e8

@@ -184,7 +184,7 @@ MISTAKES = [
     (["run", "Lift", "--video", "a.gif"], "must end in .mp4"),
     (["run", "--config", "/nowhere/a.toml"], "/nowhere/a.toml"),
     (["bench", "Lift", "--steps", "0"], "steps must be at least 1"),
-    (["view", "Lift", "--agent", "nobody"], "unknown agent or policy 'nobody'"),
+    (["view", "Lift", "--agent", "nobody"], "unknown actor or policy 'nobody'"),
     (["run", "Lift", "--robot", "franka"], "did you mean 'franka_panda'"),
 ]
 BUILT_MISTAKES = [
