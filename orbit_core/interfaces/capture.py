@@ -28,7 +28,7 @@ class CaptureFacet:
     count for nothing. An engine whose :meth:`record` records needs them for what happens within a recording."""
 
     def record(self, operations: Callable[[], None]) -> Callable[[], None]:
-        """A function that does what ``operations`` do, without Python where the engine can: recorded once, then replayed.
+        """A function that does what ``operations`` do: where the engine can, recorded once and then replayed.
 
         ``operations`` steps the engine and works on tensors of its device, and no step of it waits for the device.
         What it remembers it writes in place. Its calls on the host happen when it is recorded, and when it is replayed
