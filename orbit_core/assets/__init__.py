@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from orbit_core.assets.files import asset_file, load_articulation
     from orbit_core.assets.merge import merge_fixed_links
     from orbit_core.assets.object_kinds import ObjectConfig, object_config, object_kinds
+    from orbit_core.assets.sdf import read_sdf
     from orbit_core.assets.urdf import read_urdf
     from orbit_core.assets.urdf_writer import write_urdf
     from orbit_core.assets.validation import sort_links, validate, validate_entity
@@ -21,6 +22,7 @@ _MODULES = {
     "files": ("asset_file", "load_articulation"),
     "merge": ("merge_fixed_links",),
     "object_kinds": ("ObjectConfig", "object_config", "object_kinds"),
+    "sdf": ("read_sdf",),
     "urdf": ("read_urdf",),
     "urdf_writer": ("write_urdf",),
     "validation": ("sort_links", "validate", "validate_entity"),
@@ -29,8 +31,8 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 
 __all__ = [
     "ObjectConfig", "RobotCatalogue", "RobotEntry", "add_frames", "asset_file", "attach", "edit_joints",
-    "edit_links", "load_articulation", "merge_fixed_links", "object_config", "object_kinds", "read_urdf", "robot",
-    "robot_info", "robot_names", "sort_links", "subtree", "validate", "validate_entity", "write_urdf",
+    "edit_links", "load_articulation", "merge_fixed_links", "object_config", "object_kinds", "read_sdf", "read_urdf",
+    "robot", "robot_info", "robot_names", "sort_links", "subtree", "validate", "validate_entity", "write_urdf",
 ]  # fmt: skip
 
 

@@ -173,7 +173,7 @@ class SdfModelReader:
             return (), ()
         at = self.frames.pose(name)
         ends = [(self._pose_of(link).inverse() @ at) for link in (parent, child)]
-        joint = Joint(name, _JOINT_TYPES.get(kind, JointType.CONTINUOUS), parent, child, *ends)
+        joint = Joint(name, _JOINT_TYPES.get(kind, JointType.CONTINUOUS), parent, child, ends[0], ends[1])
         if child in carried:
             self._close_loop(joint, kind, where)
             return (), ()

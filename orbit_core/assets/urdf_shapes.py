@@ -17,6 +17,7 @@ from orbit_core.assets.xml_fields import Fields
 from orbit_core.scene import Box, Capsule, Color, Cylinder, Geometry, Plane, Pose, Shape, Sphere
 from orbit_core.scene.pose import Vector3
 
+_UPRIGHT = Pose()
 HULLS = "collision meshes of the URDF collide as their convex hulls"
 TEXTURES = "surfaces with a texture are drawn in one colour, the median of its pixels"
 
@@ -55,7 +56,8 @@ class UrdfShapes:
             self.fields.findings.note(HULLS)
             yield Shape(self.meshes.mesh(*self._mesh_file(mesh, where)), pose, name=name)
         else:
-            yield from (Shape(solid, pose @ turned, name=name) for solid, turned in self._primitive(geometry, where))
+            for solid, turned in self._primitive(geometry, where):
+                yield Shape(solid, pose if turned is _UPRIGHT else pose @ turned, name=name)
 
     def visual(self, element: Element, where: str) -> Iterator[Shape]:
         """The shapes that are drawn, one for each colour of a mesh.
@@ -97,12 +99,12 @@ class UrdfShapes:
             match child.tag:
                 case "box":
                     x, y, z = fields.vector(child, "size", where)
-                    yield Box((x / 2, y / 2, z / 2)), Pose()
+                    yield Box((x / 2, y / 2, z / 2)), _UPRIGHT
                 case "sphere":
-                    yield Sphere(fields.number(child, "radius", where)), Pose()
+                    yield Sphere(fields.number(child, "radius", where)), _UPRIGHT
                 case "cylinder" | "capsule":
                     radius, length = (fields.number(child, key, where) for key in ("radius", "length"))
-                    yield (Cylinder if child.tag == "cylinder" else Capsule)(radius, length / 2), Pose()
+                    yield (Cylinder if child.tag == "cylinder" else Capsule)(radius, length / 2), _UPRIGHT
                 case "plane":  # no word of ROS, but a common one
                     yield Plane(), facing(fields.vector(child, "normal", where, (0.0, 0.0, 1.0)))
                 case _:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from orbit_core.assets.massless import check_massless
-from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.merge import link_hosts, merge_fixed_links
 from orbit_core.assets.scene_data import check_data
 from orbit_core.interfaces.errors import ArgumentError, AssetError
 from orbit_core.interfaces.layout import home_positions
@@ -19,6 +19,7 @@ _TRIANGLE_TOLERANCE = 1e-3
 """Of the largest principal moment: published models round their inertias to three digits."""
 _CLOSED = 1e-3
 """Metres by which a loop may be open at home, and radians by which a weld may be turned."""
+_MEND = "compute its inertia from its shape, or have it mended by ReadOptions(repair=Repair.BALANCE)"
 _POWERS = 3
 """Of a mimic joint's law beyond the linear term, at most: the most that an engine's constraint takes."""
 _UNIT = 1e-3
@@ -52,10 +53,12 @@ def validate(articulation: Articulation) -> Articulation:
             if name not in links:
                 raise _error(articulation, f"a collision exclusion names unknown link '{name}': name a link")
     joints = tuple(_checked_joint(articulation, joint) for joint in articulation.joints)
+    by_name = {joint.name: joint for joint in joints}
     for joint in joints:
-        _check_mimic(articulation, joint)
+        _check_mimic(articulation, joint, by_name)
+    hosts = link_hosts(articulation) if articulation.loops else {}
     for loop in articulation.loops:
-        _check_loop(articulation, loop)
+        _check_loop(articulation, loop, hosts)
     _check_drives(articulation)
     _check_home(articulation)
     if any(new is not old for new, old in zip(joints, articulation.joints, strict=True)):
@@ -209,11 +212,10 @@ def _checked_joint(articulation: Articulation, joint: Joint) -> Joint:
     return replace(joint, axis=(x / length, y / length, z / length))
 
 
-def _check_mimic(articulation: Articulation, joint: Joint) -> None:
+def _check_mimic(articulation: Articulation, joint: Joint, joints: dict[str, Joint]) -> None:
     if joint.mimic is None:
         return
-    leaders = {other.name: other for other in articulation.joints}
-    leader = leaders.get(joint.mimic.joint)
+    leader = joints.get(joint.mimic.joint)
     if leader is None:
         fault = "which does not exist"
     elif leader.name == joint.name:
@@ -236,16 +238,15 @@ def _check_mimic(articulation: Articulation, joint: Joint) -> None:
     )
 
 
-def _check_loop(articulation: Articulation, loop: LoopJoint) -> None:
+def _check_loop(articulation: Articulation, loop: LoopJoint, hosts: dict[str, tuple[str, Pose]]) -> None:
     for name in (loop.first, loop.second):
-        if name not in articulation.link_names:
+        if name not in hosts:
             raise _error(articulation, f"loop '{loop.name}' names unknown link '{name}': define the link")
     if not all(math.isfinite(number) for number in (*loop.first_point, *loop.second_point)):
         raise _error(articulation, f"loop '{loop.name}' has a point that is not finite: give finite numbers")
     if not abs(math.hypot(*loop.orientation) - 1.0) < _UNIT:
         raise _error(articulation, f"loop '{loop.name}' has an orientation that is no unit quaternion: give one")
-    merged = merge_fixed_links(replace(articulation, loops=(loop,))).loops[0]
-    if merged.first == merged.second:
+    if hosts[loop.first][0] == hosts[loop.second][0]:
         raise _error(articulation, f"loop '{loop.name}' holds a rigid body to itself: remove it")
 
 
@@ -312,14 +313,11 @@ def _check_inertia(articulation: Articulation, link: Link) -> None:
     small, middle, large = np.linalg.eigvalsh(link.inertia)
     moments = f"principal moments ({small:.3g}, {middle:.3g}, {large:.3g}) kg m^2"
     if small <= 0:
-        raise _error(
-            articulation, f"link '{link.name}' has {moments}, not all positive: compute its inertia from its shape"
-        )
+        raise _error(articulation, f"link '{link.name}' has {moments}, not all positive: {_MEND}")
     if small + middle < large * (1 - _TRIANGLE_TOLERANCE):
         raise _error(
             articulation,
-            f"link '{link.name}' has {moments}, of which one exceeds the sum of the others as no body's can: "
-            "compute its inertia from its shape",
+            f"link '{link.name}' has {moments}, of which one exceeds the sum of the others as no body's can: {_MEND}",
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import resource
@@ -25,9 +26,10 @@ def main() -> None:
     order = json.load(sys.stdin)
     limit = order["megabytes"] * 2**20
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-    import xacro
-    import yaml  # noqa: F401  # xacro imports it when it first needs it, when no file of Python's can be opened
-    from xacro import substitution_args
+    # xacro imports yaml when it first needs it, when no file of Python's can be opened.
+    xacro, substitution_args, _ = (
+        importlib.import_module(name) for name in ("xacro", "xacro.substitution_args", "yaml")
+    )
 
     folders = [*(order["folders"] or ["/"]), *order["packages"].values(), os.path.dirname(os.__file__)]
     substitution_args._eval_find = _finder(order, folders)
