@@ -10,6 +10,7 @@ from orbit_core.assets.naming import one_line
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.outside import check_file, resolve_file
 from orbit_core.assets.usd_library import pxr
+from orbit_core.assets.usd_sizes import composed_prims
 from orbit_core.interfaces.errors import AssetError
 
 
@@ -21,7 +22,12 @@ def open_stage(path: Path | str, options: ReadOptions) -> Any:
             or composition fails otherwise; or USD is not installed.
     """
     usd = pxr()
-    _check_layers(Path(path), options)
+    layers = _checked_layers(Path(path), options)
+    if (prims := composed_prims(layers[0])) > options.limits.elements:
+        raise AssetError(
+            f"{path} composes to some {prims} prims: let it refer to less, or raise ReadLimits.elements from "
+            f"{options.limits.elements}"
+        )
     try:
         stage = usd.Usd.Stage.Open(str(path))
     except usd.Tf.ErrorException as error:
@@ -31,8 +37,8 @@ def open_stage(path: Path | str, options: ReadOptions) -> Any:
     return stage
 
 
-def _check_layers(path: Path, options: ReadOptions) -> None:
-    """Follow the layers from one to the next, each held to be allowed before it is opened.
+def _checked_layers(path: Path, options: ReadOptions) -> list[Any]:
+    """The layers, the file's own first, followed from one to the next, each held to be allowed before it is opened.
 
     A layer that is missing is left to composition, to which one that only an unselected variant names does not matter.
     """
@@ -40,6 +46,7 @@ def _check_layers(path: Path, options: ReadOptions) -> None:
     check_file(path, options)
     seen: set[str] = set()
     waiting = [str(path)]
+    layers: list[Any] = []
     while waiting:
         found = waiting.pop()
         if found in seen:
@@ -53,8 +60,10 @@ def _check_layers(path: Path, options: ReadOptions) -> None:
             raise AssetError(f"{found} is no USD file that can be opened: {one_line(str(error))}") from None
         if layer is None:
             raise AssetError(f"{found} is no USD file that can be opened: correct it")
+        layers.append(layer)
         for reference in layer.GetCompositionAssetDependencies():
             # A path within an archive, scene.usdz[part.usda], opens no other file than the archive.
             target = layer.ComputeAbsolutePath(reference).partition("[")[0]
             if reference and Path(target).exists():
                 waiting.append(str(resolve_file(target, Path(found), options, model=path)))
+    return layers
