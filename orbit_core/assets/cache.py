@@ -44,6 +44,7 @@ _READERS = (
     "mjcf_loops",
     "mjcf_model",
     "mjcf_relations",
+    "mjcf_tendons",
     "mjcf_trees",
     "urdf",
     "usd",

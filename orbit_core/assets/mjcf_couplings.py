@@ -8,6 +8,7 @@ import numpy as np
 
 from orbit_core.assets.mjcf_model import Compiled, vector_of
 from orbit_core.assets.mjcf_relations import Law, linear_law, polynomial_law
+from orbit_core.assets.mjcf_tendons import Share, share_of
 from orbit_core.assets.mjcf_trees import Tree
 from orbit_core.scene import Joint, JointType, Pose
 
@@ -20,6 +21,8 @@ class Couplings:
     tree: Tree
     laws: dict[int, Law] = field(default_factory=dict)
     """By their followers' numbers."""
+    shares: dict[int, list[Share]] = field(default_factory=dict)
+    """What tendons over one joint add to it, by the joint's number."""
 
     def __post_init__(self) -> None:
         self._members = set(self.tree.bodies)
@@ -32,6 +35,8 @@ class Couplings:
 
     def applied(self, joint: Joint, number: int) -> Joint:
         """A joint of the file with what its constraint says: it follows another, or is fixed where it is held."""
+        for share in self.shares.get(number, ()):
+            joint = share.added(joint)
         law = self.laws.get(number)
         if law is None:
             return joint
@@ -146,6 +151,12 @@ class Couplings:
             if weights is not None and not any(self._body(joint) in self._members for joint in weights):
                 continue
             called = f"tendon '{self._tendon_names[tendon] or tendon}'"
+            if weights is not None and len(weights) == 1:
+                ((joint, coefficient),) = weights.items()
+                share = share_of(self.compiled, tendon, coefficient)
+                if share is not None:
+                    self.shares.setdefault(joint, []).append(share)
+                    continue
             if acts := self._acts(tendon):
                 self.compiled.unsupported(f"{called} has {' and '.join(acts)}", "remove it or move it to the joints")
             if tendon in driven and weights is not None and len(weights) == 2:

@@ -60,6 +60,11 @@ class _Model:
 
     def check(self) -> None:
         self._collect(self.path, self.above)
+        kind = self.sources[0][1].tag
+        if kind == "mujocoinclude":
+            raise AssetError(f"{self.path} is a part that other MJCF files include: read one of those")
+        if kind != "mujoco":
+            raise AssetError(f"{self.path} does not compile: it is a <{kind}> and no <mujoco> model")
         made = 0
         for source, root in self.sources:
             with naming(str(source)):

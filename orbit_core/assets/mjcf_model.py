@@ -118,8 +118,6 @@ def compile_file(path: Path, options: ReadOptions) -> Compiled:
             spec = _parsed(mujoco, path, options)
             model = spec.compile()
     except ValueError as error:
-        if "'mujocoinclude'" in str(error):
-            raise AssetError(f"{path} is a part that other MJCF files include: read one of those") from None
         raise AssetError(f"{path} does not compile: {one_line(str(error))}") from None
     finally:
         mujoco.set_mju_user_warning(before)

@@ -125,6 +125,25 @@ def test_a_joint_that_is_held_is_fixed_there(tmp_path: Path) -> None:
     np.testing.assert_allclose(two[:3, :3], data.body("two").xmat.reshape(3, 3), atol=1e-12)
 
 
+def test_a_tendon_over_one_joint_is_the_joints_own(tmp_path: Path) -> None:
+    tendon = (
+        '<fixed name="t" limited="true" range="-1 2" stiffness="3" springlength="0.4" damping="0.5" armature="0.25">'
+        '<joint joint="a" coef="-2"/></fixed>'
+    )
+    got = read(tmp_path, TWO.replace('name="a"', 'name="a" stiffness="4"'), f"<tendon>{tendon}</tendon>")
+    joint = got.joints[0]
+    assert (joint.type, joint.lower_limit, joint.upper_limit) == (JointType.REVOLUTE, -1.0, 0.5)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
+    data = mujoco.MjData(model)
+    data.joint("a").qpos[:], data.joint("a").qvel[:] = 0.3, 0.7
+    mujoco.mj_forward(model, data)
+    assert data.qfrc_spring[0] == pytest.approx(-joint.stiffness * (0.3 - joint.rest_position))
+    assert data.qfrc_damper[0] == pytest.approx(-joint.damping * 0.7)
+    full = np.zeros((2, 2))
+    mujoco.mj_fullM(model, data, full)
+    assert mass_matrix(got, posture(got, {}))[0, 0] == pytest.approx(full[0, 0])
+
+
 def test_a_motor_that_pulls_on_two_joints_couples_them(tmp_path: Path) -> None:
     tendon = '<tendon><fixed name="t"><joint joint="a" coef="1"/><joint joint="b" coef="2"/></fixed></tendon>'
     got = read(tmp_path, TWO, f'{tendon}<actuator><position name="m" tendon="t" kp="1"/></actuator>')
