@@ -13,7 +13,7 @@ from orbit_core.capture.replay import CapturedFunction
 
 @dataclass(frozen=True)
 class Moment:
-    """Where a schedule stands. All that Python decides in a step follows from the phase."""
+    """The place at which a schedule stands. All that Python decides in a step follows from the phase."""
 
     phase: Hashable
     physics_steps: int

@@ -189,5 +189,5 @@ def _results(stage: Stage) -> list[Tensor]:
 
 
 def _address(tensor: Tensor) -> int:
-    """Of the memory that the tensor lies in; an empty one has its own name for it."""
+    """Address of the memory that the tensor lies in; for an empty tensor, a number of its own."""
     return tensor.untyped_storage().data_ptr() or -id(tensor)

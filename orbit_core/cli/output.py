@@ -20,7 +20,7 @@ _WIDTH = 140
 
 
 def console() -> Console:
-    """Where results are printed."""
+    """The console that results are printed on."""
     plain = Console()
     return plain if plain.is_terminal else Console(width=_WIDTH)
 
@@ -34,7 +34,7 @@ def new_table(*headings: str, title: str | None = None) -> Table:
 
 
 def progress_bar() -> Progress:
-    """On stderr, gone when it is done; nothing at all where stderr is no terminal."""
+    """A progress bar on stderr, gone when it is done; it shows nothing where stderr is no terminal."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)

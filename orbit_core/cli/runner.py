@@ -52,7 +52,7 @@ class RunResult:
     """Seconds from the settings to the result, building and filming included."""
 
     def as_json(self) -> dict[str, Any]:
-        """For a file: all fields, the success rate's interval apart, and ``metric``, the leading one with its name."""
+        """The result as a file has it: all fields, the rate's interval apart, and ``metric``, the leading one with its name."""
         name, leading = next(iter(self.metrics.items()))
         rate = self.success_rate
         success = {"success_rate": rate.value, "success_interval": [rate.low, rate.high]}
@@ -138,7 +138,7 @@ def _video(environment: Environment, settings: RunSettings) -> AbstractContextMa
 
 
 def versions_of(*backends: str | None) -> dict[str, str]:
-    """Of ORBIT, Python, torch, and what the backends depend on."""
+    """Versions of ORBIT, Python, torch, and what the backends depend on."""
     import torch
 
     versions = {"orbit": __version__, "python": platform.python_version(), "torch": torch.__version__}

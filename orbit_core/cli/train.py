@@ -121,7 +121,7 @@ def _ranked(settings: TrainSettings) -> tuple[TrainSettings, bool]:
 
 
 def _processes() -> int:
-    """That torchrun started."""
+    """Number of processes that torchrun started."""
     return int(os.environ.get("WORLD_SIZE", "1"))
 
 

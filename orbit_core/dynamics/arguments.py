@@ -22,7 +22,7 @@ MOST_STEPS = 1_000_000
 """Physics steps in one call, which nothing interrupts before its end."""
 _LARGEST_SEED = 2**63 - 1  # seeds are hashed as signed 64-bit integers
 _UNIT = 1e-3
-"""By how much a quaternion's length may differ from 1: engines take care of what is rounded."""
+"""Largest difference of a quaternion's length from 1: engines take care of what is rounded."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Bounds:
 
     @staticmethod
     def either_way(most: float, unit: str = "") -> Bounds:
-        """From -``most`` to ``most``."""
+        """Bounds from -``most`` to ``most``."""
         return Bounds(-most, most, unit)
 
 

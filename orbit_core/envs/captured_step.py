@@ -21,7 +21,7 @@ from orbit_core.envs.task import Task
 from orbit_core.interfaces import World
 
 MOST_PHASES = 64
-"""Of a schedule that is captured: each costs a trace, and where asked a compilation."""
+"""Most phases of a schedule that is captured: each costs a trace, and where asked a compilation."""
 StepResult = tuple[Observation, Tensor, Tensor, Tensor, Mapping[str, EpisodeEnd]]
 
 
@@ -145,7 +145,7 @@ class StepSchedule:
         self._world, self._cut = world, cut
 
     def moment(self) -> Moment:
-        """Where it stands now."""
+        """The place at which the schedule stands now."""
         phase = self._world.phase, self._cut.phase()
         return Moment(phase, self._world.clock.steps, self._cut.graph.step_count)
 

@@ -37,7 +37,7 @@ class ObservationManager:
         self._task = task
         self._measurements: list[_Measurement] = []
         self._corruptions: list[tuple[int, Corruption]] = []
-        """With which of the measurements each is of."""
+        """Corruptions of terms, each with the index of the measurement that it changes."""
         self._corrupted: list[ObservationTerm] = []
         self._groups = {name: self._group(name, group) for name, group in groups_of(task).items()}
         self.layouts = {name: group.layout for name, group in self._groups.items()}

@@ -250,7 +250,7 @@ def _entity_parameters(entity: Entity) -> dict[str, npt.NDArray[np.float64]]:
 
 
 def home_positions(entity: Entity) -> npt.NDArray[np.float64]:
-    """Of the movable joints (J,), at reset."""
+    """Positions (J,) of the movable joints at reset."""
     return _entity_parameters(entity)["home"]
 
 
@@ -271,5 +271,5 @@ def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.
 
 
 def joint_limits(entity: Entity, name: Literal["effort_limit", "velocity_limit"]) -> npt.NDArray[np.float64]:
-    """Of the movable joints (J,): an actuator's where it names one, else the joint's own."""
+    """Limits (J,) of the movable joints: an actuator's where it names one, else the joint's own."""
     return _entity_parameters(entity)[name]

@@ -161,7 +161,7 @@ def _hints(kind: type) -> dict[str, Any]:
 
 
 def _check_nothing(value: Any, where: str) -> None:
-    """Of types that say nothing about values."""
+    """Check nothing, for types that say nothing about values."""
 
 
 def _check_number(value: Any, where: str) -> None:

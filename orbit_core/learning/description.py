@@ -176,7 +176,7 @@ class PolicyDescription:
             )
 
     def _misfit(self, layout: GroupLayout) -> str | None:
-        """In which way a group is not what the policy sees; None if it is."""
+        """How a group differs from what the policy sees; None if it does not."""
         if layout.concatenated != self.concatenated:
             return f"gives its terms {_FORMS[layout.concatenated]}"
         given = group_parts(layout)

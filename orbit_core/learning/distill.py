@@ -112,7 +112,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         self._draw_leaders(terminated | truncated, iteration)
 
     def _draw_leaders(self, began: Tensor, iteration: int) -> None:
-        """Where episodes began (N,) bool."""
+        """Draw who leads, in the environments whose episodes began (N,) bool."""
         while_led = self.settings.teacher_led * self.settings.iterations
         share = max(0.0, 1.0 - iteration / while_led) if while_led else 0.0
         drawn = torch.rand(len(began), device=began.device) >= share

@@ -57,6 +57,6 @@ def tensors_by_name(observation: Observation) -> dict[str, Tensor]:
 
 
 def tensor_names(environment: Environment, group: str) -> list[str]:
-    """Of a group, as :func:`tensors_by_name` calls them."""
+    """Names of a group's tensors, as :func:`tensors_by_name` gives them."""
     layout = environment.observation[group]
     return [group] if layout.concatenated else [f"{group}/{term}" for term in layout.terms]

@@ -24,7 +24,7 @@ class LoopTrainer(Trainer[Settings]):
         super().__init__(environment, settings, folder, seed)
         torch.manual_seed(seed)
         self.tally = EpisodeTally(environment.device)
-        """To be told of every step."""
+        """Counts episodes; it is to be told of every step."""
         self.batch = environment.num_envs * settings.steps_per_iteration
         """Steps of all environments in an iteration."""
         self.steps_ahead = 0

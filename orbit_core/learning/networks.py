@@ -148,7 +148,7 @@ def perceptron_actor(
 
 
 def layer_weights(layers: nn.Module) -> dict[str, Tensor]:
-    """Of the linear layers within, as :func:`perceptron` names them where it is called ``layers``."""
+    """Weights of the linear layers within, named as :func:`perceptron` names them where it is called ``layers``."""
     linear = [layer for layer in layers.modules() if isinstance(layer, nn.Linear)]
     # The activations lie between, at the odd places.
     return {

@@ -17,7 +17,7 @@ from orbit_core.interfaces import ConfigurationError, NonFiniteError, UnknownNam
 
 _MOST_NODES = 10_000
 _MOST_NUMBERS = 2**24
-"""Of an environment, between two operators."""
+"""Most numbers of one environment between two operators."""
 
 
 def _gemm(

@@ -138,7 +138,7 @@ class _Runner(OnPolicyRunner):
 
 
 def _model(settings: PpoSettings, environment: Environment, group: str) -> dict[str, Any]:
-    """Of actor or critic: linear layers, behind encoders where the group holds pictures."""
+    """Settings of an actor or critic: linear layers, behind encoders where the group holds pictures."""
     linear = {
         "hidden_dims": list(settings.hidden_sizes),
         "activation": "elu",

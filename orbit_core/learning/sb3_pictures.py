@@ -49,7 +49,7 @@ class PictureExtractor(BaseFeaturesExtractor):
 
 
 def observed_space(layout: GroupLayout) -> spaces.Space[Any]:
-    """Of a group: pictures as they are, all else unbounded float32, which is normalised."""
+    """Space of a group: pictures as they are, all else unbounded float32, which is normalised."""
     if layout.concatenated:
         return spaces.Box(-np.inf, np.inf, (layout.size,), np.float32)
     whole: Any = group_space(layout)
@@ -69,7 +69,7 @@ def seen_arrays(group: Tensor | Mapping[str, Tensor]) -> Seen:
 
 
 def row_of(seen: Seen, row: int) -> Seen:
-    """Of one environment."""
+    """What one environment sees."""
     return {name: values[row] for name, values in seen.items()} if isinstance(seen, dict) else seen[row]
 
 

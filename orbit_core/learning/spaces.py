@@ -47,7 +47,7 @@ def action_space(environment: Environment) -> spaces.Space[Any]:
 
 
 def _ordered(boxes: Mapping[str, spaces.Space[Any]]) -> spaces.Dict:
-    """In the order of an observation: Gymnasium sorts plain dictionaries by name."""
+    """A dictionary of boxes in the order of an observation: Gymnasium sorts plain dictionaries by name."""
     return spaces.Dict(OrderedDict(boxes))
 
 

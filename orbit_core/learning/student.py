@@ -67,7 +67,7 @@ class RunningMoments:
         return (self._squares / self.count.clamp(min=1.0)).sqrt() + _LEAST_STD
 
     def state(self) -> dict[str, Tensor]:
-        """For a checkpoint."""
+        """The statistics, for a checkpoint."""
         return {"count": self.count, "mean": self.mean, "squares": self._squares}
 
     def load(self, state: dict[str, Tensor]) -> None:

@@ -36,7 +36,7 @@ class ObservedGroup:
 
     @property
     def keys(self) -> list[NestedKey]:
-        """Of its tensors."""
+        """Keys of the group's tensors."""
         name = self._layout.name
         return [name] if self._network is None else [(name, term) for term in self._layout.terms]
 
@@ -89,14 +89,14 @@ class TermLayers(nn.Module):
 
 
 class Normalization(nn.BatchNorm1d):
-    """By the mean and variance of all batches so far, which weigh the same; over any leading dimensions."""
+    """Normalise by the mean and variance of all batches so far, which weigh the same; over any leading dimensions."""
 
     def forward(self, input: Tensor) -> Tensor:
         return super().forward(input.reshape(-1, self.num_features)).view_as(input)
 
 
 def group_spec(layout: GroupLayout, count: int, device: torch.device) -> Composite | Unbounded:
-    """Of the group of so many environments: one tensor, or its terms with their dtypes."""
+    """Specification of the group of so many environments: one tensor, or its terms with their dtypes."""
     if layout.concatenated:
         return Unbounded(torch.Size((count, layout.size)), device=device)
     terms = {

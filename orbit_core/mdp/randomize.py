@@ -129,7 +129,7 @@ def push(entity: str, speed: Range) -> EventFunction:
 
 
 def by_success(raised: float = 0.05, lowered: float = 0.02) -> TermFunction:
-    """For a curriculum: the next episode is harder after a success, by ``raised``, and else easier, by ``lowered``."""
+    """A curriculum's change: the next episode is harder by ``raised`` after a success, else easier by ``lowered``."""
 
     def change(world: World, task: Task) -> Tensor:
         return torch.where(task.success(world), raised, -lowered)

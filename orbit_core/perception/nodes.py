@@ -24,7 +24,7 @@ class CloudFrame(Enum):
     """-z forward, y up."""
     ENVIRONMENT = "environment"
     BODY = "body"
-    """That of a body, such as a robot's base, whose pose is an input of the node."""
+    """The frame of a body, such as a robot's base, whose pose is an input of the node."""
 
 
 class PointCloudNode(Node):

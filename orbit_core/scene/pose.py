@@ -55,14 +55,14 @@ class Pose:
 
     @staticmethod
     def from_matrix(matrix: npt.ArrayLike) -> Pose:
-        """From a rotation (3, 3) or a homogeneous transform (4, 4); the rotation must be proper."""
+        """The pose of a rotation (3, 3) or a homogeneous transform (4, 4); the rotation must be proper."""
         values = np.asarray(matrix, dtype=float)
         position = _vector(values[:3, 3]) if values.shape == (4, 4) else (0.0, 0.0, 0.0)
         return Pose(position, _quaternion_of_matrix(values[:3, :3]))
 
     @staticmethod
     def from_euler(roll: float, pitch: float, yaw: float, position: Vector3 = (0.0, 0.0, 0.0)) -> Pose:
-        """From fixed-axis roll, pitch, yaw in radians: ``Rz(yaw) Ry(pitch) Rx(roll)``, as URDF's ``rpy``."""
+        """The pose of fixed-axis roll, pitch, yaw in radians: ``Rz(yaw) Ry(pitch) Rx(roll)``, as URDF's ``rpy``."""
         cr, sr = math.cos(roll / 2), math.sin(roll / 2)
         cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
         cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)

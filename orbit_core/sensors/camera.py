@@ -90,7 +90,7 @@ class CameraSensor(TimedSensor):
         return point_cloud(self._read(Channel.DEPTH.value), self.intrinsics, self.pose)
 
     def bounding_boxes_2d(self, entities: Sequence[str] = (".*",)) -> BoundingBoxes2d:
-        """Where entities are in the pictures: tight around the pixels that show them, and loose around all of them.
+        """Boxes around entities in the pictures: tight around the pixels that show them, and loose around all of them.
 
         Args:
             entities: regular expressions over the names of entities (full match).

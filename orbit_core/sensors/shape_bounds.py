@@ -121,7 +121,7 @@ def _box_corners(shape: Shape) -> _Array:
 
 
 def _rounds(geometry: Geometry) -> Rounds:
-    """In the shape's own frame."""
+    """Round parts of a shape in its own frame."""
     match geometry:
         case Box():
             return _points(_CORNERS * geometry.half_extents)

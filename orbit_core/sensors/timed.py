@@ -65,9 +65,9 @@ class TimedSensor(Sensor):
         self._waiting = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
         """(N,) environments that were reset and not measured since."""
         self._present: Values = {}
-        """Of a fleeting sensor."""
+        """Values of a fleeting sensor at the present state."""
         self._held = Memory(self._masking)
-        """Of all others: (1 + delay, N, ...) the last measurements, the newest first."""
+        """Last measurements (1 + delay, N, ...) of all other sensors, the newest first."""
         self._bias = Memory(self._masking)
 
     # The world's side ------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def task_information(environment: Environment) -> Callable[[int], Mapping[str, str]]:
-    """For one environment's number: the seconds of its episode, whether it succeeds now, and the task's metrics."""
+    """A function of an environment's number: its episode's seconds, whether it succeeds now, the task's metrics."""
     task, world = environment.task, environment.world
 
     def information(index: int) -> Mapping[str, str]:

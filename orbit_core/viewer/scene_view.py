@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.float32]
 
 VIEW_DIRECTION = np.array((0.35, 0.83, 0.43)) / math.hypot(0.35, 0.83, 0.43)
-"""From the scene to the camera: from the left of a robot that faces +x, so that it does not hide its work."""
+"""Direction from the scene to the camera: to the left of a robot that faces +x, so that it does not hide its work."""
 FIELD_OF_VIEW = math.radians(45.0)
 _ALL = slice(None)
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Where everything is in each of the n environments that are drawn, in its own frame."""
+    """Poses of everything in each of the n environments that are drawn, in its own frame."""
 
     link_poses: FloatArray
     """(n, L, 7) in the layout's order."""

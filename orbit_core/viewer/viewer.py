@@ -35,7 +35,7 @@ class ViewedWorld(Protocol):
 
     @property
     def layout(self) -> SceneLayout:
-        """Where each entity stands in the world's tensors."""
+        """The place of each entity in the world's tensors."""
         ...
 
     @property

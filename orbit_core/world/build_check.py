@@ -22,8 +22,8 @@ from orbit_core.interfaces import BuildError, BuiltModel, Engine, EntityLayout, 
 FloatArray = npt.NDArray[np.float64]
 
 _LENGTH, _ANGLE = 2e-4, 2e-3
-"""Of links: metres, per metre of distance from the origin where that is more, and radians. Engines reckon in single
-precision, some of them far from the origin."""
+"""Tolerances of links: metres, per metre of distance from the origin where that is more, and radians. Engines reckon in
+single precision, some of them far from the origin."""
 _TOLD = 1e-4
 """Radians or metres, of joint positions."""
 _RELATIVE = 1e-4

@@ -18,7 +18,7 @@ _MARK = "_was_closed"
 
 
 def close_for_good(thing: object, what: str) -> None:
-    """From now on every public method and property of ``thing`` raises, but ``close``; plain attributes can be read.
+    """Let every public method and property of ``thing`` raise, but ``close``; plain attributes can be read.
 
     Args:
         thing: an object of a class without slots.
