@@ -52,7 +52,7 @@ class RunResult:
     """Seconds from the settings to the result, building and filming included."""
 
     def as_json(self) -> dict[str, Any]:
-        """The result as a file has it: all fields, the rate's interval apart, and ``metric``, the leading one with its name."""
+        """All fields for a file, the rate's interval apart, and ``metric``, the leading one with its name."""
         name, leading = next(iter(self.metrics.items()))
         rate = self.success_rate
         success = {"success_rate": rate.value, "success_interval": [rate.low, rate.high]}

@@ -251,7 +251,7 @@ def _base_columns(arm: Tensor) -> Tensor:
 
 
 def _local_transforms(articulation: Articulation) -> tuple[FloatArray, FloatArray]:
-    """Each link's transform in its parent: the constant part (L, 4, 4), and of movable joints the parts (J, 3, 4, 4)."""
+    """Each link's transform in its parent: the constant part (L, 4, 4), and of each movable joint (J, 3, 4, 4)."""
     index = {name: i for i, name in enumerate(articulation.link_names)}
     constant = np.tile(np.eye(4), (len(index), 1, 1))
     varying = np.zeros((len(articulation.movable_joints), 3, 4, 4))
