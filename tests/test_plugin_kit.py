@@ -13,6 +13,7 @@ from orbit_core.interfaces import TERRAIN, ConfigurationError, ContactQuery, Sce
 from orbit_core.plugin_kit import contact_signs, velocity_at
 from orbit_core.plugin_kit.markers import AXIS_COLORS, marker_shapes
 from orbit_core.plugin_kit.massless import STAND_IN, stand_in_approximations, with_stand_in
+from orbit_core.plugin_kit.meshes import height_field_mesh
 from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
 from orbit_core.plugin_kit.rotations import compose, multiply, rotate, rotate_inverse
 from orbit_core.plugin_kit.rows import block, host_rows, rows_of
@@ -21,6 +22,7 @@ from orbit_core.scene import (
     Articulation,
     CameraSpec,
     Channel,
+    HeightField,
     Joint,
     JointType,
     Link,
@@ -171,3 +173,12 @@ def test_rows_and_columns_pick_the_same_block_on_the_host_and_on_the_device() ->
         chosen = table[block(rows_of(env_ids), columns)]
         assert chosen.tolist() == table[[0, 1, 2] if env_ids is None else [2, 0]][:, [3, 1]].tolist()
         assert table.numpy()[block(host_rows(env_ids), columns.numpy())].tolist() == chosen.tolist()
+
+
+def test_the_triangles_of_a_height_field_face_up_and_cover_it() -> None:
+    vertices, faces = height_field_mesh(HeightField(np.random.default_rng(0).random((4, 6)), (3.0, 2.0)))
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert len(faces) == 2 * 3 * 5
+    assert (normals[:, 2] > 0).all()
+    assert 0.5 * normals[:, 2].sum() == pytest.approx(3.0 * 2.0)

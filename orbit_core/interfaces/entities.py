@@ -9,6 +9,7 @@ from functools import cached_property
 from torch import Tensor
 
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
+from orbit_core.interfaces.names import match_names
 from orbit_core.scene import Cloth, Entity, Joint, MarkerSpec, RobotSpec, SoftBody
 
 
@@ -79,18 +80,18 @@ class Object(ABC):
 
     # Looking up
 
-    @abstractmethod
     def find_joints(self, *patterns: str) -> list[int]:
         """Indices of the joints whose names a regular expression matches in full, in joint order."""
+        return match_names(patterns, self.joint_names, "joint", f"'{self.name}'")
 
-    @abstractmethod
     def find_links(self, *patterns: str) -> list[int]:
         """Indices of the links whose names a regular expression matches in full, in link order."""
+        return match_names(patterns, self.link_names, "link", f"'{self.name}'")
 
     @property
-    @abstractmethod
     def joints(self) -> tuple[Joint, ...]:
         """The movable joints' descriptions."""
+        return self.spec.articulation.movable_joints
 
     @property
     @abstractmethod

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.plugin_kit.meshes import height_field_mesh
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -87,23 +88,10 @@ def triangles(geometry: Geometry) -> Trimesh:
         case Mesh(vertices=vertices, faces=faces):
             mesh = trimesh.Trimesh(vertices, faces, process=False)
         case HeightField():
-            return _height_field(geometry)
+            return trimesh.Trimesh(*height_field_mesh(geometry), process=False)
         case Plane():
             raise ConfigurationError("a plane has no end and cannot be made of triangles: draw it as a grid")
     return trimesh.graph.smooth_shade(mesh, angle=CREASE_ANGLE)
-
-
-def _height_field(field: HeightField) -> Trimesh:
-    import trimesh
-
-    rows, columns = field.heights.shape
-    x = np.linspace(-field.size[0] / 2, field.size[0] / 2, columns)
-    y = np.linspace(-field.size[1] / 2, field.size[1] / 2, rows)
-    vertices = np.column_stack([*(axis.ravel() for axis in np.meshgrid(x, y)), np.ravel(field.heights)])
-    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    first = np.column_stack([corner, corner + 1, corner + columns + 1])
-    second = np.column_stack([corner, corner + columns + 1, corner + columns])
-    return trimesh.Trimesh(vertices, np.concatenate([first, second]), process=False)
 
 
 def _material(color: Color) -> Any:

@@ -25,8 +25,8 @@ from orbit_core.dynamics.arguments import (
 from orbit_core.dynamics.indexing import Masking, write_block
 from orbit_core.dynamics.kinematics import FixedFrame, PointJacobian
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.interfaces import Engine, EntityLayout, Object, UnknownNameError, match_names
-from orbit_core.scene import Entity, Frame, Joint, Pose
+from orbit_core.interfaces import Engine, EntityLayout, Object, UnknownNameError
+from orbit_core.scene import Entity, Frame, Pose
 from orbit_core.world.clock import Clock
 
 
@@ -148,16 +148,6 @@ class SimulatedObject(Object):
         return jacobian(self.link_poses, self.frame_pose(frame)[:, :3])
 
     # Looking up
-
-    def find_joints(self, *patterns: str) -> list[int]:
-        return match_names(patterns, self.joint_names, "joint", f"'{self.name}'")
-
-    def find_links(self, *patterns: str) -> list[int]:
-        return match_names(patterns, self.link_names, "link", f"'{self.name}'")
-
-    @property
-    def joints(self) -> tuple[Joint, ...]:
-        return self.spec.articulation.movable_joints
 
     @property
     def home_positions(self) -> Tensor:

@@ -12,8 +12,8 @@ from torch import Tensor
 from orbit_core.assets.catalogue import robot as catalogue_robot
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.dynamics.kinematics import KinematicTree, PointJacobian
-from orbit_core.interfaces import Robot, match_names
-from orbit_core.scene import Joint, RobotSpec
+from orbit_core.interfaces import Robot
+from orbit_core.scene import RobotSpec
 
 
 class KinematicRobot(Robot):
@@ -80,16 +80,6 @@ class KinematicRobot(Robot):
         columns = range(len(self.joints)) if joints is None else joints
         point = self.frame_pose(frame)[:, :3]
         return PointJacobian(self.spec.articulation, link, columns, self.q.device)(self.link_poses, point)
-
-    def find_joints(self, *patterns: str) -> list[int]:
-        return match_names(patterns, self.joint_names, "joint")
-
-    def find_links(self, *patterns: str) -> list[int]:
-        return match_names(patterns, self.link_names, "link")
-
-    @property
-    def joints(self) -> tuple[Joint, ...]:
-        return self.spec.articulation.movable_joints
 
     @property
     def home_positions(self) -> Tensor:

@@ -15,8 +15,8 @@ from orbit_core.dynamics.indexing import Masking, write_rows
 from orbit_core.dynamics.kinematics import FixedFrame, PointJacobian
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.interfaces import EntityLayout, Marker, NamedThings, Object, Robot, SceneLayout, World, match_names
-from orbit_core.scene import Entity, Frame, Joint, MarkerSpec, RobotSpec, Scene, SensorSpec
+from orbit_core.interfaces import EntityLayout, Marker, NamedThings, Object, Robot, SceneLayout, World
+from orbit_core.scene import Entity, Frame, MarkerSpec, RobotSpec, Scene, SensorSpec
 from orbit_core.sensors import ContactSensor
 from orbit_core.world.clock import Clock
 
@@ -181,16 +181,6 @@ class PlaybackObject(Object):
         link = self.link_names.index(self._frame(frame).link)
         jacobian = PointJacobian(self.spec.articulation, link, columns, self._played.device)
         return jacobian(self.link_poses, self.frame_pose(frame)[:, :3])
-
-    def find_joints(self, *patterns: str) -> list[int]:
-        return match_names(patterns, self.joint_names, "joint", f"'{self.name}'")
-
-    def find_links(self, *patterns: str) -> list[int]:
-        return match_names(patterns, self.link_names, "link", f"'{self.name}'")
-
-    @property
-    def joints(self) -> tuple[Joint, ...]:
-        return self.spec.articulation.movable_joints
 
     @property
     def home_positions(self) -> Tensor:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from orbit_bullet.urdf import write_obj
+from orbit_core.plugin_kit.meshes import height_field_mesh
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -63,19 +64,6 @@ class VisualShapes:
         self._files += 1
         write_obj(path, vertices, faces)
         return {"shapeType": self._client.GEOM_MESH, "fileName": str(path)}
-
-
-def height_field_mesh(field: HeightField) -> tuple[Any, Any]:
-    """Vertices and faces of a height field's surface."""
-    heights = np.asarray(field.heights, dtype=np.float64)
-    rows, columns = heights.shape
-    y = np.linspace(-field.size[1] / 2, field.size[1] / 2, rows)
-    x = np.linspace(-field.size[0] / 2, field.size[0] / 2, columns)
-    vertices = np.stack((*np.meshgrid(x, y), heights), -1).reshape(-1, 3)
-    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    lower = np.stack((corner, corner + 1, corner + columns + 1), -1)
-    upper = np.stack((corner, corner + columns + 1, corner + columns), -1)
-    return vertices, np.concatenate((lower, upper))
 
 
 def _capsule_profile(radius: float, half_length: float) -> tuple[Any, Any]:

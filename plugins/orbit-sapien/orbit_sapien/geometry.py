@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, AssetError
+from orbit_core.plugin_kit.meshes import height_field_mesh
 from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, MeshCollision, Plane, Pose, Shape, Sphere
 from orbit_sapien.native import native_pose, physx
 
@@ -49,10 +50,9 @@ def collision_shape(
                 if report is not None:
                     report += _hull_approximation(mesh.vertices, made, subject)
             case Mesh() as mesh:
-                vertices, faces = mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32)
-                made = _surface(vertices, faces, material)
+                made = _surface(mesh.vertices, mesh.faces, material)
             case HeightField() as field:
-                made = _surface(*height_field_triangles(field), material)
+                made = _surface(*height_field_mesh(field), material)
     except RuntimeError as error:
         what = (
             f"shape '{shape.name}' of {subject}" if shape.name else f"the {type(shape.geometry).__name__} of {subject}"
@@ -63,27 +63,13 @@ def collision_shape(
 
 
 def _surface(
-    vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], material: physx.PhysxMaterial
+    vertices: npt.NDArray[np.floating], faces: npt.NDArray[np.integer], material: physx.PhysxMaterial
 ) -> physx.PhysxCollisionShapeTriangleMesh:
     if not len(faces):  # of which PhysX would make a triangle of its own
         raise RuntimeError("it has no triangles")
-    return physx.PhysxCollisionShapeTriangleMesh(vertices, faces, _UNSCALED, material)
-
-
-def height_field_triangles(field: HeightField) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
-    """Vertices (V, 3) and faces (F, 3), two a cell, seen from above."""
-    heights = np.asarray(field.heights, np.float32)
-    rows, columns = heights.shape
-    y, x = np.meshgrid(
-        np.linspace(-field.size[1] / 2, field.size[1] / 2, rows),
-        np.linspace(-field.size[0] / 2, field.size[0] / 2, columns),
-        indexing="ij",
+    return physx.PhysxCollisionShapeTriangleMesh(
+        vertices.astype(np.float32), faces.astype(np.uint32), _UNSCALED, material
     )
-    vertices = np.stack((x, y, heights), -1).reshape(-1, 3).astype(np.float32)
-    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    right, above, across = corner + 1, corner + columns, corner + columns + 1
-    faces = np.concatenate((np.stack((corner, right, across), -1), np.stack((corner, across, above), -1)))
-    return vertices, faces.astype(np.uint32)
 
 
 def _hull_approximation(

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.plugin_kit import markers
+from orbit_core.plugin_kit.meshes import height_field_mesh
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -25,7 +26,7 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
-from orbit_sapien.geometry import Z_TO_X, height_field_triangles
+from orbit_sapien.geometry import Z_TO_X
 from orbit_sapien.native import native_pose, sapien
 
 _SMOOTH = math.cos(math.radians(40.0))
@@ -58,7 +59,7 @@ def render_shape(shape: Shape, reach: float) -> sapien.render.RenderShape:
         case Mesh() as mesh:
             made = _mesh(mesh.vertices, mesh.faces, look)
         case HeightField() as field:
-            made = _mesh(*height_field_triangles(field), look)
+            made = _mesh(*height_field_mesh(field), look)
     made.set_local_pose(native_pose(pose))
     return made
 

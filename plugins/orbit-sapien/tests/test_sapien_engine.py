@@ -37,7 +37,6 @@ from orbit_core.scene import (
 )
 from orbit_core.world import simulate
 from orbit_sapien.config import SapienConfig
-from orbit_sapien.geometry import height_field_triangles
 from orbit_sapien.isolation import color, grid_offset
 from orbit_sapien.materials import PairRule
 
@@ -150,16 +149,6 @@ def test_a_simplified_hull_is_reported() -> None:
     hull = Shape(Mesh(points, np.zeros((0, 3), np.int64)))
     report = engine(Scene(objects=(thing("stone", hull, height=0.2),))).build_report
     assert any("stone" in line.subject and "hull" in line.asked for line in report)
-
-
-def test_height_field_triangles_face_upwards() -> None:
-    from orbit_core.scene import HeightField
-
-    vertices, faces = height_field_triangles(HeightField(np.random.default_rng(0).random((4, 6)), (3.0, 2.0)))
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert len(faces) == 2 * 3 * 5
-    assert (normals[:, 2] > 0).all()
 
 
 def sagging_chain() -> RobotSpec:
