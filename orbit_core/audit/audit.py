@@ -59,7 +59,7 @@ def audit_file(path: Path, options: ReadOptions = ReadOptions()) -> AssetReport:
     ]
     comparison: Comparison | None = None
     try:
-        if (reference := reference_of(path, articulation)) is not None:
+        if (reference := reference_of(path, articulation.root.name)) is not None:
             comparison = compare(articulation, reference)
             findings += _differences(comparison, repaired=options.repair is not Repair.NONE)
     except AssetError as error:
@@ -67,8 +67,10 @@ def audit_file(path: Path, options: ReadOptions = ReadOptions()) -> AssetReport:
     return AssetReport(path, articulation, bodies, tuple(findings), comparison)
 
 
-def reference_of(path: Path, articulation: Articulation) -> Reference | None:
-    """Another reader's model of the file: Pinocchio's of a URDF, MuJoCo's of an MJCF; ``None`` where there is none.
+def reference_of(path: Path, root: str) -> Reference | None:
+    """Another reader's model of the file: MuJoCo's of an MJCF, Pinocchio's or else MuJoCo's of a URDF.
+
+    ``None`` for other formats. ``root`` names the description's root link.
 
     Raises:
         AssetError: the other reader refuses the file.
@@ -76,8 +78,8 @@ def reference_of(path: Path, articulation: Articulation) -> Reference | None:
     suffix = path.suffix.lower()
     if suffix == ".urdf" and pinocchio_installed():
         return PinocchioReference(path)
-    if suffix in (".xml", ".mjcf"):
-        return MujocoReference(path, articulation.root.name)
+    if suffix in (".xml", ".mjcf", ".urdf"):
+        return MujocoReference(path, root)
     return None
 
 

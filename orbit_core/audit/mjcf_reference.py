@@ -1,4 +1,4 @@
-"""An MJCF file as MuJoCo, whose format it is, compiles it."""
+"""An MJCF file as MuJoCo, whose format it is, compiles it; and a URDF file as it imports that."""
 
 from __future__ import annotations
 
@@ -6,9 +6,13 @@ import importlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
+from orbit_core.assets.naming import one_line
+from orbit_core.assets.options import ReadOptions
+from orbit_core.assets.source_text import read_xml
 from orbit_core.audit.mechanics import FloatArray, Posture
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation
@@ -20,17 +24,32 @@ class MujocoReference:
     reader = "MuJoCo"
 
     def __init__(self, path: Path, root: str) -> None:
-        """``root`` names the description's root link. Raises AssetError where MuJoCo refuses the file."""
-        self._mujoco: Any = importlib.import_module("mujoco")
+        """``root`` names the description's root link.
+
+        Raises:
+            AssetError: MuJoCo refuses the file, or is not installed.
+        """
         try:
-            self._model = self._mujoco.MjModel.from_xml_path(str(path))
+            self._mujoco: Any = importlib.import_module("mujoco")
+        except ImportError:
+            raise AssetError('a comparison with MuJoCo needs the package: pip install "orbit-core[mjcf]"') from None
+        try:
+            self._model = self._compiled(path)
         except ValueError as error:
-            raise AssetError(f"mujoco refuses '{path}': {' '.join(str(error).split())}") from None
+            raise AssetError(f"mujoco refuses '{path}': {one_line(str(error))}") from None
         self._data = self._mujoco.MjData(self._model)
         self._bodies = {self._body_name(body): body for body in range(self._model.nbody)}
         self._root = self._bodies.get(root, 0)
         hinges = range(self._model.njnt)
         self._simple = {self._joint_name(joint): joint for joint in hinges if self._coordinates(joint) == 1}
+
+    def _compiled(self, path: Path) -> Any:
+        if path.suffix.lower() != ".urdf":
+            return self._mujoco.MjModel.from_xml_path(str(path))
+        text = urdf_without_shapes(path)
+        if 'type="planar"' in text:
+            raise AssetError(f"mujoco names the joints that a planar one becomes itself: '{path}' cannot be compared")
+        return self._mujoco.MjModel.from_xml_string(text)
 
     @property
     def joints(self) -> frozenset[str]:
@@ -103,3 +122,19 @@ class MujocoReference:
 
     def _body_name(self, body: int) -> str:
         return self._model.body(body).name or f"body_{body}"
+
+
+def urdf_without_shapes(path: Path) -> str:
+    """A URDF file's text without what collides and is seen, told to keep fixed joints, as MuJoCo imports it.
+
+    Raises:
+        AssetError: it is no XML.
+    """
+    root = read_xml(path, ReadOptions())
+    for link in root.iter("link"):
+        for shape in [child for child in link if child.tag in ("visual", "collision")]:
+            link.remove(shape)
+    for other in [child for child in root if child.tag not in ("link", "joint")]:
+        root.remove(other)
+    ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", fusestatic="false")
+    return ElementTree.tostring(root, encoding="unicode")

@@ -86,7 +86,7 @@ def _findings_table(report: AssetReport) -> Table:
 def _compared(report: AssetReport) -> str:
     found = report.comparison
     if found is None:
-        return "not compared with another reader (URDF: pip install pin)"
+        return "not compared with another reader"
     return (
         f"against {found.reader}, over {found.links} links and {found.joints} joints: "
         f"masses within {found.mass:.1e} kg, kinematics within {found.kinematics:.1e} m, "
