@@ -26,7 +26,11 @@ def shared_support(engine: str) -> dict[Capability, Support]:
         Capability.MIMIC_JOINTS: approximate(
             "the coupling is a stiff soft constraint: it gives way slightly under load"
         ),
+        Capability.POLYNOMIAL_MIMICS: approximate(
+            "the coupling is a stiff soft constraint: it gives way slightly under load"
+        ),
         Capability.MASSLESS_LINKS: EXACT,
+        Capability.WELD_LOOPS: approximate("the weld is a stiff soft constraint: it gives way slightly under load"),
         Capability.LOOP_JOINTS: approximate(
             "the ball joint is a stiff soft constraint: it gives way slightly under load"
         ),

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, AssetError, EntityLayout, SceneLayout
 from orbit_core.plugin_kit.massless import stand_in_approximations, with_stand_in
-from orbit_core.scene import Joint, JointType, Link, LoopJoint, Shape
+from orbit_core.scene import Joint, JointType, Link, LoopJoint, LoopType, Shape
 from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
 from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, hold_drives, hold_springs
@@ -34,6 +34,10 @@ _UNLIMITED = 1e10
 """Stands for infinity where only one side of a joint is limited."""
 _STIFF_COUPLING = (0.99, 0.999, 0.001, 0.5, 2.0)
 """Impedance of mimic joints and of loops."""
+_TORQUE_SCALE = 10
+"""Among a weld's data, the weight of its angles beside its distances."""
+_NO_WIDTH = 5e-7
+"""Radians or metres on either side of a joint whose limits are one position, as MuJoCo takes no range without width."""
 _HARD_FRICTION = (0.999, 0.9999, 0.001, 0.5, 2.0)
 """Impedance of joint friction. With MuJoCo's own, 0.9, a joint that friction holds creeps two hundred times faster."""
 
@@ -243,6 +247,12 @@ class _Builder:
         parameters = self.layout.joint_parameters
         lower, upper = float(parameters.lower_limit[number]), float(parameters.upper_limit[number])
         prismatic = joint.type is JointType.PRISMATIC
+        if lower == upper:
+            subject = f"joint '{joint.name}' of '{entity.name}'"
+            why = "MuJoCo takes no range without width: make the joint a fixed one"
+            asked, got = f"both limits at {lower:g}", f"limits {_NO_WIDTH:g} on either side"
+            self.report.append(Approximation(subject, asked, got, why))
+            lower, upper = lower - _NO_WIDTH, upper + _NO_WIDTH
         limited = joint.type is not JointType.CONTINUOUS and bool(np.isfinite(lower) or np.isfinite(upper))
         body.add_joint(
             name=joint_name(number),
@@ -281,7 +291,7 @@ class _Builder:
     def _add_mimic(self, number: int, driver: int, joint: Joint) -> None:
         assert joint.mimic is not None
         data = np.zeros(mujoco.mjNEQDATA)
-        data[:2] = joint.mimic.offset, joint.mimic.multiplier
+        data[: len(joint.mimic.coefficients)] = joint.mimic.coefficients
         self.spec.add_equality(
             type=mujoco.mjtEq.mjEQ_JOINT,
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
@@ -293,16 +303,18 @@ class _Builder:
         )
 
     def _add_loop(self, name: str, loop: LoopJoint, bodies: dict[str, mujoco.MjsBody]) -> None:
+        weld = loop.type is LoopType.WELD
         sites = [f"{name}_first", f"{name}_second"]
-        for site, link, point in zip(
-            sites, (loop.first, loop.second), (loop.first_point, loop.second_point), strict=True
-        ):
-            bodies[link].add_site(name=site, pos=point)
+        bodies[loop.first].add_site(name=sites[0], pos=loop.first_point, quat=loop.orientation)
+        bodies[loop.second].add_site(name=sites[1], pos=loop.second_point)
+        data = np.zeros(mujoco.mjNEQDATA)
+        data[_TORQUE_SCALE] = 1.0
         self.spec.add_equality(
-            type=mujoco.mjtEq.mjEQ_CONNECT,
+            type=mujoco.mjtEq.mjEQ_WELD if weld else mujoco.mjtEq.mjEQ_CONNECT,
             objtype=mujoco.mjtObj.mjOBJ_SITE,
             name1=sites[0],
             name2=sites[1],
+            data=data,
             solref=self._stiffest,
             solimp=_STIFF_COUPLING,
         )

@@ -219,3 +219,31 @@ def test_closing_twice_is_no_error() -> None:
     engine = make(Scene(objects=(cube(),)))
     engine.close()
     engine.close()
+
+
+def slider(**joint: object) -> Scene:
+    """A carriage of 1 kg along x."""
+    joints = (Joint("slide", JointType.PRISMATIC, "base", "carriage", axis=(1.0, 0.0, 0.0), **joint),)  # type: ignore[arg-type]
+    articulation = Articulation("slider", (Link("base"), Link("carriage", 1.0, inertia=0.1 * np.eye(3))), joints)
+    return Scene(robots=(RobotSpec(name="slider", articulation=articulation, fixed_base=True),), terrain=())
+
+
+def test_limits_at_one_position_hold_the_joint_there_and_are_reported() -> None:
+    engine = make(slider(lower_limit=0.3, upper_limit=0.3))
+    (line,) = engine.build_report
+    assert (line.subject, line.asked) == ("joint 'slide' of 'slider'", "both limits at 0.3")
+    engine.efforts[:] = 10.0
+    engine.step(50)
+    assert engine.joint_positions.item() == pytest.approx(0.3, abs=1e-3)
+
+
+def test_a_spring_too_stiff_for_the_step_is_damped_and_that_is_reported() -> None:
+    soft = make(slider(stiffness=3e4, rest_position=0.1))
+    assert soft.build_report == ()
+    assert (model_of(soft).jnt_stiffness[0], model_of(soft).qpos_spring[0]) == (3e4, 0.1)
+    stiff = make(slider(stiffness=1e6))
+    (line,) = stiff.build_report
+    assert "a spring of stiffness 1e+06" in line.asked
+    stiff.write_joint_state(torch.tensor([0]), torch.tensor([[0.1]]), None, torch.tensor([0]))
+    stiff.step(200)
+    assert abs(stiff.joint_positions.item()) < 1e-6

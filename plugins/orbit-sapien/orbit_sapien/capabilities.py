@@ -66,7 +66,9 @@ CAPABILITIES = Capabilities(
             "the coupling is a stiff spring: it gives way slightly under load, and loads joints between leader and "
             "follower that are not parallel to them"
         ),
+        Capability.POLYNOMIAL_MIMICS: unsupported("PhysX's fixed tendons weigh joint positions linearly"),
         Capability.MASSLESS_LINKS: EXACT,
+        Capability.WELD_LOOPS: unsupported("welds that close loops are not connected to this backend"),
         Capability.LOOP_JOINTS: EXACT,
         Capability.SELF_COLLISIONS: EXACT,
         Capability.GRAVITY_COMPENSATION: EXACT,

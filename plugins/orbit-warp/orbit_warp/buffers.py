@@ -54,8 +54,9 @@ def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpCon
 
 
 def _equality_rows(model: mujoco.MjModel) -> int:
-    """One of each mimic joint, three of each loop."""
-    return int(np.where(model.eq_type == mujoco.mjtEq.mjEQ_CONNECT, 3, 1).sum())
+    """One of each mimic joint, three of each ball joint that closes a loop, six of each weld."""
+    rows = np.where(model.eq_type == mujoco.mjtEq.mjEQ_CONNECT, 3, 1)
+    return int(np.where(model.eq_type == mujoco.mjtEq.mjEQ_WELD, 6, rows).sum())
 
 
 def _contacts_of_pairs(model: mujoco.MjModel, pairs: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
