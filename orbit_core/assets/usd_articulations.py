@@ -13,7 +13,7 @@ from orbit_core.assets.usd_joints import Joints
 from orbit_core.assets.usd_library import pxr
 from orbit_core.assets.usd_links import Links
 from orbit_core.assets.usd_names import unique_names
-from orbit_core.assets.usd_stage import Reading, attribute, label, targets
+from orbit_core.assets.usd_stage import Reading, attribute, label, numbers, rotation, targets
 from orbit_core.assets.usd_tree import Edge, Tree, grow
 from orbit_core.assets.validation import sort_links
 from orbit_core.interfaces.errors import AssetError
@@ -113,8 +113,8 @@ class StageReader:
                 raise AssetError(f"{prim.GetPath()} connects {named[0]}, which the stage lacks: correct the path")
             body = self.contents.owners.get(str(target.GetPath()), STAGE)
             placement = self.placements.of(target, stage.GetPrimAtPath(body))
-            rotation = attribute(prim, f"physics:localRot{side}")
-            frames.append(placement.frame(attribute(prim, f"physics:localPos{side}"), rotation))
+            position = numbers(prim, f"physics:localPos{side}", (0.0, 0.0, 0.0))
+            frames.append(placement.frame(position, rotation(prim, f"physics:localRot{side}")))
             bodies.append(body)
         if bodies[0] == bodies[1]:
             raise AssetError(f"{prim.GetPath()} connects {bodies[0]} with itself: name two rigid bodies")

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from orbit_core.assets.usd_contents import STAGE
 from orbit_core.assets.usd_library import pxr
-from orbit_core.assets.usd_stage import Reading, Units, array, attribute, label, number
+from orbit_core.assets.usd_stage import Reading, Units, array, attribute, axis, label, number
 from orbit_core.assets.usd_surfaces import Surfaces
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Box, Capsule, Cylinder, Geometry, Mesh, MeshCollision, Plane, Pose, Shape, Sphere
@@ -87,7 +87,10 @@ class Placements:
         length = self._units.length
         if prim.IsPseudoRoot():
             return np.diag((length, length, length, 1.0))
-        matrix = np.array(self._cache.GetLocalToWorldTransform(prim)).T
+        try:
+            matrix = np.array(self._cache.GetLocalToWorldTransform(prim)).T
+        except pxr().Tf.ErrorException as error:
+            raise AssetError(f"{prim.GetPath()} has a transform that USD cannot work out: {error}") from None
         matrix[:3] *= length
         if not np.isfinite(matrix).all():
             raise AssetError(f"{prim.GetPath()} has a transform that is not finite: correct it")
@@ -115,7 +118,7 @@ class Shapes:
             pose = placement.pose
         else:
             geometry = _primitive(prim, kind, placement)
-            pose = placement.pose @ _TO_Z[attribute(prim, "axis", "Z")]
+            pose = placement.pose @ _TO_Z[axis(prim)]
         if geometry is None:
             return None
         name = "" if attribute(prim, UNNAMED, False) else label(prim)
@@ -162,8 +165,8 @@ def _primitive(prim: Any, kind: str, placement: Placement) -> Geometry | None:
     if kind == "Cube":
         x, y, z = (float(value) for value in 0.5 * number(prim, "size") * scale)
         return Box((x, y, z))
-    axis = "XYZ".index(attribute(prim, "axis", "Z"))
-    round_axes = (0, 1, 2) if kind == "Sphere" else tuple(index for index in range(3) if index != axis)
+    along = "XYZ".index(axis(prim))
+    round_axes = (0, 1, 2) if kind == "Sphere" else tuple(index for index in range(3) if index != along)
     across = scale[list(round_axes)]
     # A capsule's round caps stay round only where it is scaled the same along all its axes.
     must_agree = scale if kind == "Capsule" else across
@@ -172,7 +175,7 @@ def _primitive(prim: Any, kind: str, placement: Placement) -> Geometry | None:
     radius = float(number(prim, "radius") * across[0])
     if kind == "Sphere":
         return Sphere(radius)
-    half_length = float(0.5 * number(prim, "height") * scale[axis])
+    half_length = float(0.5 * number(prim, "height") * scale[along])
     return Capsule(radius, half_length) if kind == "Capsule" else Cylinder(radius, half_length)
 
 

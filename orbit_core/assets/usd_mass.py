@@ -9,7 +9,7 @@ import numpy as np
 
 from orbit_core.assets.inertia import MassProperties, combine, mass_properties
 from orbit_core.assets.usd_geometry import Placement, Placements
-from orbit_core.assets.usd_stage import Units, array, attribute, number, numbers
+from orbit_core.assets.usd_stage import Units, array, number, numbers, rotation
 from orbit_core.scene import Shape
 from orbit_core.scene.pose import FloatArray
 
@@ -60,7 +60,7 @@ def _inertia(body: Any, placement: Placement, units: Units) -> FloatArray | None
         if not any(diagonal):
             return None
         tensor = np.diag(np.asarray(diagonal))
-        axes = placement.frame((0.0, 0.0, 0.0), attribute(body, "physics:principalAxes")).rotation_matrix()
+        axes = placement.frame((0.0, 0.0, 0.0), rotation(body, "physics:principalAxes")).rotation_matrix()
     return units.inertia(angular=True) * axes @ tensor @ axes.T
 
 

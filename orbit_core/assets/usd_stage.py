@@ -140,17 +140,17 @@ def number(prim: Any, name: str, default: float = 0.0) -> float:
 
 
 def numbers(prim: Any, name: str, default: tuple[float, ...]) -> tuple[float, ...]:
-    """The components of an attribute that holds as many as ``default``.
+    """The components of an attribute that holds as many as ``default``; finite, unless the default is not.
 
     Raises:
-        AssetError: they are others, or NaN.
+        AssetError: they are others.
     """
     value = attribute(prim, name, default)
     try:
         found = tuple(float(part) for part in value)
     except (TypeError, ValueError):
         found = ()
-    if len(found) != len(default) or any(math.isnan(part) for part in found):
+    if len(found) != len(default) or not (found == default or all(map(math.isfinite, found))):
         raise AssetError(f"{prim.GetPath()}.{name} is {value!r}: give {len(default)} numbers")
     return found
 
@@ -164,9 +164,36 @@ def array(prim: Any, name: str, width: int, kind: type) -> Any:
     value = attribute(prim, name, ())
     try:
         found = np.asarray(value, dtype=kind)
-        return found.reshape(-1) if width == 1 else found.reshape(-1, width)
+        found = found.reshape(-1) if width == 1 else found.reshape(-1, width)
     except (TypeError, ValueError):
         raise AssetError(f"{prim.GetPath()}.{name} is no array of {width} {kind.__name__} a row: mend it") from None
+    if not np.isfinite(found).all():
+        raise AssetError(f"{prim.GetPath()}.{name} holds numbers that are not finite: mend it")
+    return found
+
+
+def rotation(prim: Any, name: str) -> Any:
+    """A quaternion attribute, as USD holds it.
+
+    Raises:
+        AssetError: it is none, or not finite.
+    """
+    value = attribute(prim, name)
+    if not (hasattr(value, "GetImaginary") and math.isfinite(value.GetReal() + sum(value.GetImaginary()))):
+        raise AssetError(f"{prim.GetPath()}.{name} is {value!r}: give a finite quaternion")
+    return value
+
+
+def axis(prim: Any) -> str:
+    """The axis of a round shape or a plane: X, Y or Z.
+
+    Raises:
+        AssetError: it is another.
+    """
+    value = attribute(prim, "axis", "Z")
+    if value not in ("X", "Y", "Z"):
+        raise AssetError(f"{prim.GetPath()}.axis is {value!r}: give X, Y or Z")
+    return value
 
 
 def targets(prim: Any, name: str) -> list[str]:

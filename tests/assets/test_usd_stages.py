@@ -231,3 +231,25 @@ def test_a_thousand_bodies_in_seconds(tmp_path: Path) -> None:
     got = load_articulation(path)
     assert len(got.links) == count
     assert time.process_time() - began < 8.0
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (body("a", 'def Cylinder "c"\n{\nuniform token axis = "W"\n}'), r"/top/a/c\.axis is 'W'"),
+        (body("a").replace("(1, 1, 1)", "(1, inf, 1)"), r"/top/a\.physics:diagonalInertia is"),
+        (body("a").replace("physics:mass = 1", "physics:mass = nan"), r"/top/a\.physics:mass is nan"),
+        (body("a", at=(0.0, 0.0, 7.0)).replace("7.0", "inf"), "/top/a has a transform that is not finite"),
+        (
+            body("a") + body("b") + joint("Revolute", "j", "a", "b", "point3f physics:localPos0 = (nan, 0, 0)"),
+            r"/top/j\.physics:localPos0 is",
+        ),
+        (
+            body("a") + body("b") + joint("Revolute", "j", "a", "b", "quatf physics:localRot1 = (nan, 0, 0, 0)"),
+            r"/top/j\.physics:localRot1 is",
+        ),
+    ],
+)
+def test_numbers_that_cannot_be_are_named_by_prim_and_attribute(tmp_path: Path, content: str, said: str) -> None:
+    with pytest.raises(AssetError, match=said):
+        read_usd(stage(tmp_path, content))
