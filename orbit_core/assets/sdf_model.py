@@ -281,6 +281,8 @@ class SdfModelReader:
             name, host = element.get("name", ""), element.get("attached_to", "")
             if host in links and name not in links:
                 yield Frame(name, host, self.frames.pose(host).inverse() @ self.frames.pose(name))
+            else:
+                self.findings.leave_out("a <frame> that is attached to no link", f"model '{self.element.get('name')}'")
 
     def _note_unread(self, element: Element, where: str) -> None:
         for child in element:
