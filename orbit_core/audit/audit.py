@@ -68,7 +68,7 @@ def audit_file(path: Path, options: ReadOptions = ReadOptions()) -> AssetReport:
 
 
 def reference_of(path: Path, root: str) -> Reference | None:
-    """Another reader's model of the file: MuJoCo's of an MJCF, Pinocchio's or else MuJoCo's of a URDF.
+    """Another reader's model of the file, of an MJCF or a URDF; Pinocchio's of a URDF where it is installed.
 
     ``None`` for other formats. ``root`` names the description's root link.
 
