@@ -47,7 +47,7 @@ def _conical_motion(trial: Trial) -> tuple[float, float]:
     angle and of its tilt in two turns.
     """
     omega = math.sqrt(G / (_LEVER * math.cos(_TILT)))
-    world = trial.world(scene(_hung("ball", BALL, (_INERTIA,) * 3), terrain=()))
+    world = trial.world(scene(_hung("ball", BALL, (_INERTIA, _INERTIA, _INERTIA)), terrain=()))
     robot = world.robots["ball"]
     # ``R = R_x(a) R_y(b) R_z(c)`` turns at omega about the vertical, where b = 0, by these rates.
     rates = [0.0, omega * math.sin(_TILT), omega * math.cos(_TILT)]
