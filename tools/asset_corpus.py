@@ -30,6 +30,7 @@ LIMIT = 120.0
 _MODEL = re.compile(rb"<mujoco[\s>]")
 _GENERATED = "random_urdfs"
 """A thousand shapes that PyBullet's authors made by a program, each one link: one stands for all."""
+_SEVERAL = "holds several articulations"
 _LENIENT = {"unsupported": Unsupported.DROP, "repair": Repair.BALANCE}
 
 
@@ -175,7 +176,9 @@ def page(outcomes: Iterable[Outcome]) -> str:
         f"{len(compared)} could be compared with Pinocchio (URDF) or MuJoCo (MJCF). Of those read as they are: masses "
         f"within {max((found.mass for found in exact), default=0.0):.0e} kg, kinematics within "
         f"{max((found.kinematics for found in exact), default=0.0):.0e} m in random postures, mass matrices within "
-        f"{max((found.mass_matrix for found in exact), default=0.0):.0e}, relative to the diagonal.\n",
+        f"{max((found.mass_matrix for found in exact), default=0.0):.0e}, relative to the diagonal. Of those refused, "
+        f"{sum(_SEVERAL in each.refusal for each in refused)} hold several articulations: `load_scene` reads them, and "
+        "`ReadOptions(articulation=...)` chooses one.\n",
         "## Read\n",
         "| file | compared with | mass (kg) | kinematics (m) | mass matrix | notes |\n|---|---|---|---|---|---|",
         *(_read_row(each) for each in strict),
