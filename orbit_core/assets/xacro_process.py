@@ -32,7 +32,7 @@ def main() -> None:
     )
 
     folders = [*(order["folders"] or ["/"]), *order["packages"].values(), os.path.dirname(os.__file__)]
-    substitution_args._eval_find = _finder(order, folders)
+    vars(substitution_args)["_eval_find"] = _finder(order, folders)
     sys.addaudithook(_guard(folders))
     try:
         document = xacro.process_file(order["path"])
