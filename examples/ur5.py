@@ -23,8 +23,8 @@ HOME = {  # the flange points down
 def build() -> RobotSpec:
     """The arm without a gripper. The URDF's ``tool0`` has z out of the flange."""
     return RobotSpec(
-        name="ur5",
-        articulation=cached_articulation(Model("ur5", articulation, (SOURCE,), "BSD")),
+        name="my_ur5",
+        articulation=cached_articulation(Model("my_ur5", articulation, (SOURCE,), "BSD")),
         fixed_base=True,
         home=HOME,
         actuators=(ImplicitPd(joints=(".*",), stiffness=800.0, damping=80.0),),
@@ -39,13 +39,13 @@ def build() -> RobotSpec:
 def articulation() -> Articulation:
     """Read from the package's files once; from the cache afterwards."""
     folder = model_folder(SOURCE)
-    return read_urdf(folder / "robots/ur_description/urdf/ur5_robot.urdf", {SOURCE: folder}, "ur5")
+    return read_urdf(folder / "robots/ur_description/urdf/ur5_robot.urdf", {SOURCE: folder}, "my_ur5")
 
 
 def main() -> None:
     """Reach with the new arm."""
-    robots().add(RobotEntry("ur5", "Universal Robots UR5: 6-joint arm", build, SOURCE, "BSD"))
-    environment = make("Reach", num_envs=16, backend="mujoco", seed=0, robot="ur5")
+    robots().add(RobotEntry("my_ur5", "Universal Robots UR5: 6-joint arm", build, SOURCE, "BSD"))
+    environment = make("Reach", num_envs=16, backend="mujoco", seed=0, robot="my_ur5")
     expert = environment.expert()
     info = {}
     for _ in range(environment.max_episode_steps):
