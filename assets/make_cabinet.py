@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from orbit_core.assets.inertia import shapes_mass_properties
-from orbit_core.assets.usd_writer import write_usd
+from orbit_core.assets.usd import write_usd
 from orbit_core.scene import Articulation, Box, Color, Frame, Joint, JointType, Link, PhysicsMaterial, Pose, Shape
 from orbit_core.scene.pose import Vector3
 

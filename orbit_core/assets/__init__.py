@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from orbit_core.assets.merge import merge_fixed_links
     from orbit_core.assets.object_kinds import ObjectConfig, object_config, object_kinds
     from orbit_core.assets.sdf import read_sdf
-    from orbit_core.assets.urdf import read_urdf
-    from orbit_core.assets.urdf_writer import write_urdf
+    from orbit_core.assets.urdf import read_urdf, write_urdf
     from orbit_core.assets.validation import sort_links, validate, validate_entity
 
 _MODULES = {
@@ -23,8 +22,7 @@ _MODULES = {
     "merge": ("merge_fixed_links",),
     "object_kinds": ("ObjectConfig", "object_config", "object_kinds"),
     "sdf": ("read_sdf",),
-    "urdf": ("read_urdf",),
-    "urdf_writer": ("write_urdf",),
+    "urdf": ("read_urdf", "write_urdf"),
     "validation": ("sort_links", "validate", "validate_entity"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

@@ -27,52 +27,8 @@ from orbit_core.files import written_whole
 from orbit_core.interfaces.errors import AssetError, StorageError
 from orbit_core.scene import Articulation, Mesh, MeshCollision
 
-_READERS = (
-    "cache",
-    "compose",
-    "compound_joints",
-    "couplings",
-    "findings",
-    "inertia",
-    "inertia_repair",
-    "merge",
-    "mesh_colors",
-    "mesh_faults",
-    "mesh_files",
-    "meshes",
-    "mjcf",
-    "mjcf_actuators",
-    "mjcf_collisions",
-    "mjcf_couplings",
-    "mjcf_geometry",
-    "mjcf_joints",
-    "mjcf_leftovers",
-    "mjcf_loops",
-    "mjcf_model",
-    "mjcf_relations",
-    "mjcf_tendons",
-    "mjcf_trees",
-    "trees",
-    "urdf",
-    "urdf_shapes",
-    "urdf_text",
-    "usd",
-    "usd_articulations",
-    "usd_contents",
-    "usd_dynamics",
-    "usd_freedoms",
-    "usd_geometry",
-    "usd_joints",
-    "usd_links",
-    "usd_mass",
-    "usd_names",
-    "usd_stage",
-    "usd_surfaces",
-    "usd_tree",
-    "validation",
-    "vertices",
-    "xml_fields",
-)
+_NO_READERS = {"catalogue.py", "object_kinds.py", "objects.py", "parts.py"}
+"""Modules of this package that change nothing in what is read from a file."""
 
 
 @dataclass(frozen=True)
@@ -92,8 +48,7 @@ class Model:
     def fingerprint(self) -> str:
         """Changes with the code of the recipe's module, of a part's or of a reader."""
         recipe = (Path(function.__code__.co_filename) for function in (self.build, *self.parts))
-        readers = (Path(__file__).with_name(f"{name}.py") for name in _READERS)
-        return _digest_files(*recipe, *(path for path in readers if path.exists()))
+        return _digest_files(*recipe, *_reader_files())
 
 
 def cache_folder() -> Path:
@@ -232,6 +187,12 @@ def _digest_arrays(*arrays: np.ndarray) -> str:
 
 def _mesh_path(folder: Path, key: str, name: str) -> Path:
     return folder / "meshes" / f"{key}.{name}.npy"
+
+
+@functools.cache
+def _reader_files() -> tuple[Path, ...]:
+    files = Path(__file__).parent.rglob("*.py")
+    return tuple(sorted(path for path in files if path.name not in _NO_READERS and path.parent.name != "robots"))
 
 
 def _digest_files(*paths: Path) -> str:

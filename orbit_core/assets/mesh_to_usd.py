@@ -11,7 +11,7 @@ from orbit_core.assets.inertia import mass_properties
 from orbit_core.assets.meshes import MeshPart, load_mesh, load_parts
 from orbit_core.assets.naming import names_file
 from orbit_core.assets.options import ReadOptions
-from orbit_core.assets.usd_writer import write_usd
+from orbit_core.assets.usd import write_usd
 from orbit_core.assets.validation import validate
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Link, Mesh, MeshCollision, PhysicsMaterial, Pose, Shape

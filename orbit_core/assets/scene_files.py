@@ -11,7 +11,7 @@ from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.naming import names_file
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.placed import PlacedArticulation, SceneParts
-from orbit_core.assets.usd_names import unique_names
+from orbit_core.assets.usd.names import unique_names
 from orbit_core.assets.validation import validate
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Entity, HeightField, ObjectSpec, Plane, RobotSpec, Scene, Shape
@@ -56,7 +56,7 @@ def load_scene(path: Path | str, *, options: ReadOptions = ReadOptions()) -> Sce
 def _read(path: Path, options: ReadOptions) -> SceneParts:
     suffix = path.suffix.lower()
     if suffix in _USD:
-        from orbit_core.assets.usd_scene import read_usd_scene
+        from orbit_core.assets.usd.scene import read_usd_scene
 
         return read_usd_scene(path, options=options)
     if suffix in _MJCF:

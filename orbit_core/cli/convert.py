@@ -89,15 +89,15 @@ def _writer(target: Path) -> Callable[[Articulation, Path], tuple[str, ...]]:
     """What writes files of that suffix."""
     suffix = target.suffix.lower()
     if suffix == ".urdf":
-        from orbit_core.assets.urdf_writer import write_urdf
+        from orbit_core.assets.urdf import write_urdf
 
         return write_urdf
     if suffix in (".xml", ".mjcf"):
-        from orbit_core.assets.mjcf_writer import write_mjcf
+        from orbit_core.assets.mjcf import write_mjcf
 
         return write_mjcf
     if suffix in (".usda", ".usdc", ".usd"):
-        from orbit_core.assets.usd_writer import write_usd
+        from orbit_core.assets.usd import write_usd
 
         return write_usd
     formats = ".urdf, .xml, .mjcf, .usda, .usdc or .usd"

@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orbit_core.assets.compound_joints import BALL, compound
-from orbit_core.assets.mjcf import read_mjcf
-from orbit_core.assets.mjcf_writer import write_mjcf
+from orbit_core.assets.mjcf import read_mjcf, write_mjcf
 from orbit_core.assets.validation import sort_links, validate
 from orbit_core.audit.mjcf_reference import MujocoReference
 from orbit_core.audit.reference import compare

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 
 from orbit_core.assets.mjcf import read_mjcf
 from orbit_core.assets.urdf import read_urdf
-from orbit_core.assets.usd import read_usd
-from orbit_core.assets.usd_writer import write_usd
+from orbit_core.assets.usd import read_usd, write_usd
 from orbit_core.assets.validation import sort_links, validate
 from orbit_core.interfaces import SceneLayout
 from orbit_core.scene import (

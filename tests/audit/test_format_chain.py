@@ -15,10 +15,10 @@ import pytest
 import trimesh.creation
 
 from orbit_core.assets import load_articulation, merge_fixed_links, robot
-from orbit_core.assets.mjcf_writer import write_mjcf
+from orbit_core.assets.mjcf import write_mjcf
 from orbit_core.assets.object_kinds import object_config, object_kinds
-from orbit_core.assets.urdf_writer import write_urdf
-from orbit_core.assets.usd_writer import write_usd
+from orbit_core.assets.urdf import write_urdf
+from orbit_core.assets.usd import write_usd
 from orbit_core.audit.geometry import shape_points
 from orbit_core.audit.mechanics import FloatArray, Posture, mass_matrix, posture
 from orbit_core.scene import Articulation, Joint

@@ -22,7 +22,7 @@ def articulation() -> Articulation:
 PART = RobotPart(
     name="kinova_gen3",
     kind=PartKind.ARM,
-    model=Model("kinova_gen3", articulation, (SOURCE,), "MIT and BSD-3-Clause"),
+    model=Model("kinova_gen3", articulation, (SOURCE,), "MIT and BSD-3-Clause", parts=(with_armature,)),
     home={
         "joint_1": 0.14,
         "joint_2": 0.36,

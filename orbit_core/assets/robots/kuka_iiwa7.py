@@ -25,7 +25,7 @@ def articulation() -> Articulation:
 PART = RobotPart(
     name="kuka_iiwa7",
     kind=PartKind.ARM,
-    model=Model("kuka_iiwa7", articulation, (SOURCE,), "zlib"),
+    model=Model("kuka_iiwa7", articulation, (SOURCE,), "zlib", parts=(with_armature,)),
     home={
         "lbr_iiwa_joint_1": -0.162,
         "lbr_iiwa_joint_2": 0.275,

@@ -22,7 +22,7 @@ def articulation() -> Articulation:
 PART = RobotPart(
     name="ur10",
     kind=PartKind.ARM,
-    model=Model("ur10", articulation, (SOURCE,), "BSD"),
+    model=Model("ur10", articulation, (SOURCE,), "BSD", parts=(with_armature,)),
     home={
         "shoulder_pan_joint": -0.277,
         "shoulder_lift_joint": -1.739,

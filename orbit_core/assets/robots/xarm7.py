@@ -22,7 +22,7 @@ def articulation() -> Articulation:
 PART = RobotPart(
     name="xarm7",
     kind=PartKind.ARM,
-    model=Model("xarm7", articulation, (SOURCE,), "BSD-3-Clause"),
+    model=Model("xarm7", articulation, (SOURCE,), "BSD-3-Clause", parts=(with_armature,)),
     home={
         "joint1": -0.183,
         "joint2": -0.269,

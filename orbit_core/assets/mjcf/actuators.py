@@ -1,0 +1,148 @@
+"""What an MJCF model says of the motors on its joints, and of its home pose."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from orbit_core.assets.mjcf.joints import ball_angles
+from orbit_core.assets.mjcf.model import Compiled
+from orbit_core.scene import DriveGains
+
+_HOME = "home"
+"""The keyframe that counts, where there are several."""
+
+
+class Actuators:
+    """Those of a compiled model, by the joint that each drives."""
+
+    def __init__(self, compiled: Compiled) -> None:
+        self.compiled = compiled
+        self.names = compiled.names_of("ACTUATOR")
+        self.of_joint: dict[int, list[int]] = {}
+        model, kinds = compiled.model, compiled.mujoco.mjtTrn
+        for actuator in range(model.nu):
+            if model.actuator_trntype[actuator] in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
+                self.of_joint.setdefault(int(model.actuator_trnid[actuator, 0]), []).append(actuator)
+
+    def effort_limits(self) -> dict[int, float]:
+        """The least of each joint's own limit and the sum of those of the actuators that drive it alone."""
+        model = self.compiled.model
+        limits: dict[int, float] = {}
+        for joint in range(model.njnt):
+            own = _largest(model.jnt_actfrcrange[joint]) if model.jnt_actfrclimited[joint] else math.inf
+            drives = self.of_joint.get(joint, [])
+            limits[joint] = min(own, sum(self._limit(each) for each in drives)) if drives else own
+        return limits
+
+    def drives(self, bodies: set[int]) -> tuple[DriveGains, ...]:
+        """The gains of the joints of some bodies; those of several actuators on one joint add up.
+
+        An actuator that follows another law than a spring and a damper is left out with a note.
+        """
+        model = self.compiled.model
+        found: list[DriveGains] = []
+        left: list[str] = []
+        for joint in range(model.njnt):
+            if int(model.jnt_bodyid[joint]) not in bodies or joint not in self.of_joint:
+                continue
+            simple = self.compiled.joint_kind(joint) in ("HINGE", "SLIDE")
+            known = [(each, self._gains(each) if simple else None) for each in self.of_joint[joint]]
+            left += [self._called(each) for each, gains in known if gains is None]
+            gains = [(*gain, self._limit(each)) for each, gain in known if gain is not None]
+            if gains:
+                stiffness, damping, limit = (sum(values) for values in zip(*gains, strict=True))
+                found.append(DriveGains(self.compiled.joint_names[joint], stiffness, damping, limit))
+        on_joints = {each for group in self.of_joint.values() for each in group}
+        left += [self._called(each) for each in range(model.nu) if each not in on_joints]
+        if left:
+            shown = ", ".join(left[:8]) + (f" and {len(left) - 8} more" if len(left) > 8 else "")
+            self.compiled.notes.append(f"actuators that are no spring and damper on one joint are left out: {shown}")
+        return tuple(found)
+
+    def home(self, bodies: set[int]) -> tuple[tuple[str, float], ...]:
+        """Positions of the joints of some bodies in the keyframe ``home``, or the first; else the references not zero.
+
+        ``ref`` of a joint is where the file's simulation begins without a keyframe.
+        """
+        model = self.compiled.model
+        keys, values = self.compiled.names_of("KEY"), self.home_values()
+        found: list[tuple[str, float]] = []
+        for joint in range(model.njnt):
+            kind = self.compiled.joint_kind(joint)
+            if int(model.jnt_bodyid[joint]) not in bodies or kind == "FREE":
+                continue
+            name, first = self.compiled.joint_names[joint], int(model.jnt_qposadr[joint])
+            if kind == "BALL":
+                angles = zip(("rx", "ry", "rz"), ball_angles(values[first : first + 4]), strict=True)
+                found += [(f"{name}_{suffix}", angle) for suffix, angle in angles]
+            else:
+                found.append((name, float(values[first])))
+        if not keys:
+            return tuple((name, value) for name, value in found if value)
+        if len(keys) > 1:
+            chosen = _HOME if _HOME in keys else keys[0] or "0"
+            self.compiled.notes.append(f"of {len(keys)} keyframes, '{chosen}' is home")
+        return tuple(found)
+
+    def home_values(self) -> np.ndarray:
+        """Of all positions of the model, in the keyframe that is home; else where its simulation begins."""
+        keys = self.compiled.names_of("KEY")
+        if not keys:
+            return np.asarray(self.compiled.model.qpos0)
+        return np.asarray(self.compiled.model.key_qpos[keys.index(_HOME) if _HOME in keys else 0])
+
+    def _gains(self, actuator: int) -> tuple[float, float] | None:
+        """Stiffness and damping at the joint; ``None`` for another law than a spring and a damper."""
+        model, kinds = self.compiled.model, self.compiled.mujoco
+        gear = float(model.actuator_gear[actuator, 0])
+        gain, bias = np.asarray(model.actuator_gainprm[actuator]), np.asarray(model.actuator_biasprm[actuator])
+        motor = model.actuator_biastype[actuator] == int(kinds.mjtBias.mjBIAS_NONE)
+        affine = model.actuator_biastype[actuator] == int(kinds.mjtBias.mjBIAS_AFFINE)
+        plain = model.actuator_gaintype[actuator] == int(kinds.mjtGain.mjGAIN_FIXED)
+        odd = np.any(model.actuator_dampingpoly[actuator]) or not np.isin(
+            model.actuator_dyntype[actuator], self._plain_dynamics()
+        )
+        if not plain or odd or not (motor or affine):
+            return None
+        own = gear**2 * float(model.actuator_damping[actuator])
+        if motor:
+            return 0.0, own
+        if bias[0] or bias[1] > 0 or bias[2] > 0:
+            return None
+        position = math.isclose(gain[0], -bias[1], rel_tol=1e-9)
+        velocity = not bias[1] and math.isclose(gain[0], -bias[2], rel_tol=1e-9)
+        if not (position or velocity):
+            return None
+        return -(gear**2) * float(bias[1]) + 0.0, -(gear**2) * float(bias[2]) + own
+
+    def _plain_dynamics(self) -> list[int]:
+        """Those whose activation is, in the end, the command or its integral."""
+        kinds = self.compiled.mujoco.mjtDyn
+        return [
+            int(kinds.mjDYN_NONE),
+            int(kinds.mjDYN_INTEGRATOR),
+            int(kinds.mjDYN_FILTER),
+            int(kinds.mjDYN_FILTEREXACT),
+        ]
+
+    def _limit(self, actuator: int) -> float:
+        """The largest effort at the joint."""
+        model, kinds = self.compiled.model, self.compiled.mujoco
+        gear = abs(float(model.actuator_gear[actuator, 0]))
+        if model.actuator_forcelimited[actuator]:
+            return gear * _largest(model.actuator_forcerange[actuator])
+        motor = model.actuator_biastype[actuator] == int(kinds.mjtBias.mjBIAS_NONE)
+        fixed_gain = model.actuator_gaintype[actuator] == int(kinds.mjtGain.mjGAIN_FIXED)
+        if not (motor and fixed_gain and model.actuator_ctrllimited[actuator]):
+            return math.inf
+        return gear * abs(float(model.actuator_gainprm[actuator, 0])) * _largest(model.actuator_ctrlrange[actuator])
+
+    def _called(self, actuator: int) -> str:
+        return f"'{self.names[actuator] or actuator}'"
+
+
+def _largest(limits: Any) -> float:
+    return float(np.abs(limits).max())

@@ -1,0 +1,63 @@
+"""What of an articulation MJCF has no word for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+from orbit_core.assets.urdf.losses import listed
+from orbit_core.scene import Articulation, HeightField, Joint, JointType, Link, Mesh, MeshCollision, Plane, Shape
+
+_OF_JOINTS: tuple[tuple[str, Callable[[Joint], object]], ...] = (
+    ("velocity limits", lambda joint: joint.movable and math.isfinite(joint.velocity_limit)),
+)
+_OF_LINKS: tuple[tuple[str, Callable[[Link], object]], ...] = (
+    ("height fields without a file", lambda link: _has(link, HeightField)),
+    ("collision with a mesh's own triangles", lambda link: any(_by_triangles(shape) for shape in link.collisions)),
+    ("restitution and compliance", lambda link: any(_bounces(shape) for shape in link.collisions)),
+    ("friction that differs at rest and sliding", lambda link: any(_two_frictions(shape) for shape in link.collisions)),
+    ("semantic labels", lambda link: link.semantic_label),
+)
+
+
+def losses(articulation: Articulation) -> tuple[str, ...]:
+    """What an MJCF file of the articulation does not say; a sentence each."""
+    said = [
+        f"MJCF does not hold {what}, which joints have: {listed(j.name for j in articulation.joints if has(j))}"
+        for what, has in _OF_JOINTS
+        if any(has(joint) for joint in articulation.joints)
+    ]
+    said += [
+        f"MJCF does not hold {what}, which links have: {listed(link.name for link in articulation.links if has(link))}"
+        for what, has in _OF_LINKS
+        if any(has(link) for link in articulation.links)
+    ]
+    return (*said, *_of_the_whole(articulation))
+
+
+def _of_the_whole(articulation: Articulation) -> Iterable[str]:
+    if any(_has(link, Plane) for link in articulation.links[1:]):
+        yield "MJCF does not hold planes that move"
+    endless = [
+        joint.name
+        for joint in articulation.joints
+        if joint.type is JointType.REVOLUTE and (joint.lower_limit, joint.upper_limit) == (-math.inf, math.inf)
+    ]
+    if endless:
+        yield f"joints without limits become continuous: {listed(endless)}"
+
+
+def _has(link: Link, kind: type) -> bool:
+    return any(isinstance(shape.geometry, kind) for shape in (*link.collisions, *link.visuals))
+
+
+def _by_triangles(shape: Shape) -> bool:
+    return isinstance(shape.geometry, Mesh) and shape.geometry.collision is MeshCollision.TRIANGLES
+
+
+def _bounces(shape: Shape) -> bool:
+    return bool(shape.material.restitution or shape.material.compliance)
+
+
+def _two_frictions(shape: Shape) -> bool:
+    return shape.material.static_friction != shape.material.dynamic_friction
