@@ -100,8 +100,10 @@ class Articulation:
         """The frame of that name; a link's own name gives the link's frame.
 
         Raises:
-            KeyError: no link or frame has that name.
+            KeyError: no link or frame has that name, or it is no text.
         """
+        if not isinstance(name, str):
+            raise KeyError(name)
         return self._frame_of[name]
 
     @cached_property

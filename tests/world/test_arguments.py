@@ -20,6 +20,7 @@ from orbit_core.interfaces import (
     NonFiniteError,
     OrbitError,
     ShapeError,
+    UnknownNameError,
     World,
 )
 from orbit_core.scene import CameraSpec, JointSensorSpec, MarkerSpec, Pose, Scene
@@ -214,6 +215,14 @@ def test_the_state_of_another_world_is_refused(world: World) -> None:
     with pytest.raises(ArgumentError, match="not one that save_state"):
         world.load_state(None)  # pyright: ignore[reportArgumentType]
     other.close()
+
+
+@pytest.mark.parametrize("name", ["nothing", ["cube"], {}, None])
+def test_a_frame_of_no_such_name_is_refused_with_those_that_there_are(world: World, name: Any) -> None:
+    with pytest.raises(UnknownNameError, match="frame"):
+        world.objects["cube"].frame_pose(name)
+    with pytest.raises(KeyError):
+        world.objects["cube"].spec.articulation.frame(name)
 
 
 def test_a_closed_world_says_so_at_every_use() -> None:
