@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,11 +17,16 @@ from orbit_core.interfaces.errors import AssetError
 
 _SECONDS = 20
 """For one file; macros may call themselves."""
+_SUBSTITUTION = re.compile(r"\$\((optenv|env|arg|eval)\s")
+"""What ROS replaces in attributes, in files without a macro too."""
 
 
 def is_xacro(root: Element) -> bool:
-    """Whether an XML document holds xacro's macros."""
-    return any(element.tag.startswith("xacro:") for element in root.iter())
+    """Whether an XML document holds xacro's macros, or substitutions in attributes of what describes the robot."""
+    if any(element.tag.startswith("xacro:") for element in root.iter()):
+        return True
+    described = (element for tag in ("link", "joint") for part in root.findall(tag) for element in part.iter())
+    return any(_SUBSTITUTION.search(value) for element in described for value in element.attrib.values())
 
 
 def expand_xacro(path: Path, options: ReadOptions) -> Element:

