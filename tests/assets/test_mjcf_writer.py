@@ -160,6 +160,24 @@ def test_what_the_format_lacks_is_said(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("fixed_base", [True, False])
+def test_a_link_named_world_that_has_mass_is_told_its_new_name(tmp_path: Path, fixed_base: bool) -> None:
+    joint = Joint("j", JointType.CONTINUOUS, "world", "world_1")
+    asked = Articulation(
+        "arm",
+        (solid("world"), solid("world_1")),
+        (joint,),
+        frames=(Frame("mount", "world", Pose((0.1, 0.0, 0.0))),),
+        self_collisions=True,
+    )
+    said = write_mjcf(asked, tmp_path / "a.xml", fixed_base=fixed_base)
+    assert "MJCF keeps the name 'world' for the world: that link becomes 'world_2'" in said
+    got = read_mjcf(tmp_path / "a.xml")
+    assert got.link_names == ("world_2", "world_1")
+    assert got.root.mass == asked.root.mass
+    assert got.frame("mount").link == "world_2"
+
+
 def test_a_floating_base_is_written_where_asked(tmp_path: Path) -> None:
     asked = pair(Joint("j", JointType.CONTINUOUS, "a", "b"), home=(("j", 0.5),))
     write_mjcf(asked, tmp_path / "model.xml", fixed_base=False)

@@ -304,10 +304,14 @@ def test_materials_meshes_labels_and_odd_names_survive(tmp_path: Path) -> None:
     assert got.root.semantic_label == "palm"
 
 
+def test_a_base_that_collides_without_mass_stays_without(tmp_path: Path) -> None:
+    base = Link("a", collisions=(Shape(Sphere(0.1)),))
+    (said,) = write_usd(Articulation("a", (base,)), tmp_path / "a.usda")
+    assert "compute a mass of link 'a'" in said
+    assert read_usd(tmp_path / "a.usda").root.mass == 0.0
+
+
 def test_what_usd_cannot_hold_is_refused(tmp_path: Path) -> None:
-    sphere = Shape(Sphere(0.1))
-    with pytest.raises(AssetError, match="collides but has no mass"):
-        write_usd(Articulation("a", (Link("a", collisions=(sphere,)),)), tmp_path / "a.usda")
     hills = Shape(HeightField(np.zeros((2, 2)), (1.0, 1.0)))
     with pytest.raises(AssetError, match="USD has no HeightField"):
         write_usd(Articulation("a", (Link("a", visuals=(hills,)),)), tmp_path / "a.usda")

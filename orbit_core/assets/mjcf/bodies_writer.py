@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from orbit_core.assets.inertia import principal_axes
 from orbit_core.assets.mjcf.model import vector_of
 from orbit_core.assets.mjcf.shapes_writer import GeomWriter, place
+from orbit_core.assets.mjcf.trees import WORLD
 from orbit_core.assets.urdf.text import UNLIMITED, numbers
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose
@@ -56,7 +57,7 @@ class BodyWriter:
         return elements
 
     def _root(self, worldbody: Element, link: Link) -> Element:
-        if link.name == "world":
+        if link.name == WORLD:
             return worldbody
         body = SubElement(worldbody, "body", name=link.name)
         if not self.fixed_base:
@@ -138,6 +139,31 @@ class BodyWriter:
             mass=repr(float(link.mass)),
             diaginertia=numbers((small * (1 + 1e-15), middle * (1 + 1e-15), large)),
         )
+
+
+def renamed_world(articulation: Articulation, *, fixed_base: bool) -> tuple[Articulation, tuple[str, ...]]:
+    """The articulation with no link by the name that MJCF keeps for the world itself, and a sentence if that is news.
+
+    A root ``world`` that is fixed and has no mass keeps it, for it is the world.
+    """
+    root = articulation.root
+    if WORLD not in articulation.link_names or (fixed_base and root.name == WORLD and root.mass == 0):
+        return articulation, ()
+    taken = {*articulation.link_names, *(frame.name for frame in articulation.frames)}
+    new = next(name for name in (f"{WORLD}_{number}" for number in range(1, len(taken) + 2)) if name not in taken)
+
+    def name(old: str) -> str:
+        return new if old == WORLD else old
+
+    renamed = replace(
+        articulation,
+        links=tuple(replace(link, name=name(link.name)) for link in articulation.links),
+        joints=tuple(replace(j, parent=name(j.parent), child=name(j.child)) for j in articulation.joints),
+        frames=tuple(replace(frame, link=name(frame.link)) for frame in articulation.frames),
+        collision_exclusions=tuple((name(one), name(other)) for one, other in articulation.collision_exclusions),
+        loops=tuple(replace(loop, first=name(loop.first), second=name(loop.second)) for loop in articulation.loops),
+    )
+    return renamed, (f"MJCF keeps the name '{WORLD}' for the world: that link becomes '{new}'",)
 
 
 def _joint(body: Element, joint: Joint, frame: Pose) -> None:

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 
-from orbit_core.assets.mjcf.bodies_writer import BodyWriter
+from orbit_core.assets.mjcf.bodies_writer import BodyWriter, renamed_world
 from orbit_core.assets.mjcf.loops import OWN_SITES
 from orbit_core.assets.mjcf.losses import losses
 from orbit_core.assets.mjcf.shapes_writer import GeomWriter, place
@@ -24,7 +24,7 @@ def write_mjcf(
     Links without mass between joints become several joints on one body, and come back by the names that
     :func:`orbit_core.assets.compound_joints.chain` gives. Links come back depth first, joints and links without mass
     with axes along the child's, and the home pose with a position of every joint, zero where the description names
-    none.
+    none. A link ``world`` with mass comes back as ``world_1``, for MJCF keeps that name for the world itself.
 
     Args:
         articulation: what to write, in topological order.
@@ -40,6 +40,7 @@ def write_mjcf(
     if path.suffix.lower() not in (".xml", ".mjcf"):
         raise AssetError(f"'{path}' is to be an MJCF file: name it *.xml or *.mjcf")
     folder = Path(meshes) if meshes is not None else path.with_name(f"{path.stem}_meshes")
+    articulation, renamed = renamed_world(articulation, fixed_base=fixed_base)
     root = Element("mujoco", model=articulation.name)
     SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
     asset, worldbody = SubElement(root, "asset"), SubElement(root, "worldbody")
@@ -55,7 +56,7 @@ def write_mjcf(
     indent(root)
     with written_whole(path) as written:
         ElementTree(root).write(written, encoding="utf-8", xml_declaration=True)
-    return (*losses(articulation), *writer.notes)
+    return (*losses(articulation), *renamed, *writer.notes)
 
 
 def _exclusions(root: Element, articulation: Articulation, bodies: dict[str, Element]) -> None:

@@ -12,6 +12,8 @@ from orbit_core.interfaces.errors import AssetError
 
 FRAME = "orbit:frame"
 """The attribute that marks a named frame."""
+MASSLESS = "orbit:massless"
+"""The attribute that marks a body whose mass is none, where UsdPhysics would compute one of its colliders."""
 STAGE = "/"
 """The path of what does not move: the stage itself."""
 _INSTANCES = "orbit_instance_"

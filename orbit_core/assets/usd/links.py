@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from orbit_core.assets.inertia import MassProperties
-from orbit_core.assets.usd.contents import STAGE, Contents
+from orbit_core.assets.usd.contents import MASSLESS, STAGE, Contents
 from orbit_core.assets.usd.geometry import Placements, Shapes
 from orbit_core.assets.usd.library import pxr
 from orbit_core.assets.usd.mass import NOTHING, body_mass, is_given, solid
@@ -30,8 +30,9 @@ class Links:
         """The link of a rigid body."""
         body = self.contents.bodies[path]
         parts = self.contents.parts.get(path, [])
-        collisions, visuals, solids = self._shapes(parts, body, weighed=not is_given(body))
-        properties = body_mass(body, solids, self.placements, self.reading.units)
+        massless = bool(attribute(body, MASSLESS, False))
+        collisions, visuals, solids = self._shapes(parts, body, weighed=not (massless or is_given(body)))
+        properties = NOTHING if massless else body_mass(body, solids, self.placements, self.reading.units)
         return Link(
             name,
             properties.mass,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from orbit_core.assets.inertia import principal_axes
-from orbit_core.assets.usd.contents import FRAME
+from orbit_core.assets.usd.contents import FRAME, MASSLESS
 from orbit_core.assets.usd.geometry import UNNAMED
 from orbit_core.assets.usd.joint_writer import JointWriter
 from orbit_core.assets.usd.library import pxr
@@ -44,8 +44,7 @@ def write_usd(articulation: Articulation, path: str | Path) -> tuple[str, ...]:
     The file is overwritten. Bodies stand at the home positions that the articulation names.
 
     Raises:
-        AssetError: the file's suffix is another, a link collides but has no mass, a shape is of a kind that USD lacks,
-            or USD is not installed.
+        AssetError: the file's suffix is another, a shape is of a kind that USD lacks, or USD is not installed.
         StorageError: the file cannot be written.
     """
     path = Path(path)
@@ -68,6 +67,8 @@ def _losses(articulation: Articulation) -> Iterator[str]:
     for link in articulation.links:
         if link.mass > 0 and not link.inertia.any():
             yield f"USD takes the inertia of link '{link.name}', which is zero, as one to be computed"
+        if link.mass <= 0 and link.collisions:
+            yield f"readers other than ORBIT's compute a mass of link '{link.name}', which has none, of its colliders"
 
 
 class _Writer:
@@ -97,11 +98,6 @@ class _Writer:
         JointWriter(self.articulation, self.stage, self.links).write(top)
 
     def _link(self, top: Any, link: Link, pose: Pose) -> Any:
-        if link.collisions and link.mass <= 0:
-            raise AssetError(
-                f"link '{link.name}' of '{self.articulation.name}' collides but has no mass: USD takes that as "
-                f"'compute it'; give it one"
-            )
         prim = define(self.stage, top, link.name, "Xform")
         place(prim, pose)
         pxr().UsdPhysics.RigidBodyAPI.Apply(prim)
@@ -111,6 +107,8 @@ class _Writer:
             attributes = {"mass": link.mass, "centerOfMass": link.center_of_mass, "diagonalInertia": diagonal}
             assign(prim, "PhysicsMassAPI", {f"physics:{name}": value for name, value in attributes.items()})
             prim.GetAttribute("physics:principalAxes").Set(quatf(Pose.from_matrix(axes)))
+        elif link.collisions:
+            assign_custom(prim, {MASSLESS: True})
         if link.semantic_label:
             pxr().UsdSemantics.LabelsAPI.Apply(prim, "class").CreateLabelsAttr([link.semantic_label])
         for shape, collides, drawn in _interleaved(link):
