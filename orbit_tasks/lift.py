@@ -25,7 +25,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import once_per_state
-from orbit_core.interfaces import World
+from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
@@ -205,6 +205,11 @@ class Lift(Task):
 
     def scene(self) -> Scene:
         cube = self.cube.build("cube", Pose((0.5, 0.0, self.cube.rest_height)))
+        if cube.fixed_base:
+            raise ConfigurationError(
+                f"field 'cube' of task Lift is a '{self.cube.name}' whose base is fixed, which nothing lifts: choose a "
+                "solid, such as 'box' or 'sphere', that is free to move"
+            )
         return Scene(
             robots=(common.arm(self.robot),),
             objects=(cube, common.work_bench()),

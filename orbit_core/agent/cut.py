@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from torch import Tensor
 
 from orbit_core.agent.graph import AgentGraph
-from orbit_core.interfaces import ConfigurationError, Port, find_name
+from orbit_core.interfaces import ConfigurationError, find_name
 
 
 class Cut:
@@ -43,16 +43,6 @@ class Cut:
         slots = {endpoint: slot for slot, endpoint in enumerate(graph.wiring.ports)}
         self._observed_step = -1
         self._inputs = [(port.name, slots[graph.wiring.sources[name, port.name]]) for port in self.node.inputs]
-
-    @property
-    def observation_ports(self) -> tuple[Port, ...]:
-        """What :meth:`observe` returns: the inputs of the node taken out."""
-        return self.node.inputs
-
-    @property
-    def action_ports(self) -> tuple[Port, ...]:
-        """What :meth:`act` takes: the outputs of the node taken out."""
-        return self.node.outputs
 
     @property
     def due(self) -> bool:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from orbit_core.assets.options import ReadOptions, Unsupported
 from orbit_core.interfaces.errors import AssetError
 
+_MOST = 3
+"""Places that a note lists; it counts the rest."""
+
 
 class Findings:
     """Errors that name one file, and the notes on what was left out of it.
@@ -52,8 +55,8 @@ class Findings:
         return (*self._notes, *left_out)
 
 
-def _listed(places: list[str], most: int = 3) -> str:
+def _listed(places: list[str]) -> str:
     distinct = list(dict.fromkeys(places))
-    if len(distinct) <= most:
+    if len(distinct) <= _MOST:
         return ", ".join(distinct)
-    return f"{', '.join(distinct[:most])} and {len(distinct) - most} more"
+    return f"{', '.join(distinct[:_MOST])} and {len(distinct) - _MOST} more"

@@ -18,6 +18,9 @@ from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Color, Mesh
 from orbit_core.scene.pose import Vector3
 
+_DIRECTIONS = 32
+"""Directions in which a simplified hull keeps the farthest point of the exact one, beside the six along the axes."""
+
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
@@ -126,16 +129,17 @@ class MeshFiles:
         return self._decoded[path]
 
 
-def simplified_hull(mesh: Mesh, directions: int = 32) -> Mesh:
+def simplified_hull(mesh: Mesh) -> Mesh:
     """The convex hull of the points of ``mesh`` that lie farthest in each of evenly spread directions.
 
-    It lies within the exact hull, has at most ``directions`` + 6 vertices, and touches the exact hull's bounding box on
-    all sides. Directions are a Fibonacci lattice (Gonzalez, Measurement of areas on a sphere, 2010) and the axes.
+    It lies within the exact hull, has at most :data:`_DIRECTIONS` + 6 vertices, and touches the exact hull's bounding
+    box on all sides. Directions are the axes and a Fibonacci lattice (Gonzalez, Measurement of areas on a sphere,
+    2010).
     """
     from trimesh.convex import convex_hull
 
-    index = np.arange(directions) + 0.5
-    polar, azimuth = np.arccos(1 - 2 * index / directions), np.pi * (1 + 5**0.5) * index
+    index = np.arange(_DIRECTIONS) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * index / _DIRECTIONS), np.pi * (1 + 5**0.5) * index
     spread = np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
     spread = np.concatenate([spread, np.eye(3), -np.eye(3)])
     points = np.asarray(mesh.vertices, dtype=np.float64)

@@ -13,7 +13,20 @@ from orbit_core.assets.merge import link_hosts, merge_fixed_links
 from orbit_core.assets.scene_data import check_data
 from orbit_core.interfaces.errors import ArgumentError, AssetError
 from orbit_core.interfaces.layout import home_positions
-from orbit_core.scene import Articulation, Entity, HeightField, Joint, JointType, Link, LoopJoint, LoopType, Plane, Pose
+from orbit_core.interfaces.names import find_name, match_names
+from orbit_core.scene import (
+    Articulation,
+    Entity,
+    HeightField,
+    Joint,
+    JointType,
+    Link,
+    LoopJoint,
+    LoopType,
+    Plane,
+    Pose,
+    RobotSpec,
+)
 
 _TRIANGLE_TOLERANCE = 1e-3
 """Of the largest principal moment: published models round their inertias to three digits."""
@@ -77,8 +90,12 @@ def validate_entity(entity: Entity) -> None:
     Raises:
         AssetError: as :func:`validate`, the root of a free base has no mass, a loop is open at the home positions, or a
             variant is no single link like the entity's own.
+        UnknownNameError: an end effector, a finger tip or a foot of a robot names no link or frame, or an end
+            effector's arm no joint; tells the nearest.
     """
     validate(entity.articulation)
+    if isinstance(entity, RobotSpec):
+        _check_robot(entity)
     for variant in entity.alternatives[1:]:
         _check_variant(entity, variant)
         validate_entity(replace(entity, articulation=variant, variants=()))
@@ -89,6 +106,22 @@ def validate_entity(entity: Entity) -> None:
         raise AssetError(
             f"'{entity.name}': root link '{root}' moves freely but has no mass: give it one or set fixed_base=True"
         )
+
+
+def _check_robot(robot: RobotSpec) -> None:
+    """Refuse end effectors and feet where the robot has no link, frame or joint of that name."""
+    articulation = robot.articulation
+    places = {
+        "end effector": [effector.frame for effector in robot.end_effectors],
+        "finger tip": [tip for effector in robot.end_effectors for tip in effector.finger_tips],
+        "foot": robot.feet,
+    }
+    known = (*articulation.link_names, *(frame.name for frame in articulation.frames))
+    for what, names in places.items():
+        for name in names:
+            find_name(name, known, f"{what} frame", f"robot '{robot.name}'")
+    for effector in robot.end_effectors:
+        match_names(effector.arm_joints, articulation.joint_names, "joint", f"arm of robot '{robot.name}'")
 
 
 def _check_variant(entity: Entity, variant: Articulation) -> None:

@@ -72,7 +72,7 @@ def body(name: str, mass: float = 1.0, com: tuple[float, float, float] = (0.0, 0
 
 
 def rotor(*, inertia: float = 0.5, actuators: tuple[ActuatorConfig, ...] = (), **joint: Any) -> RobotSpec:
-    """One joint about z between a fixed base and a balanced link: ``(inertia + armature) a = effort``."""
+    """A robot with one joint about z between a fixed base and a balanced link: ``(inertia + armature) a = effort``."""
     links = (body("base"), body("rotor", inertia=inertia))
     joints = (Joint("spin", JointType.CONTINUOUS, "base", "rotor", **joint),)
     return RobotSpec(
@@ -81,7 +81,7 @@ def rotor(*, inertia: float = 0.5, actuators: tuple[ActuatorConfig, ...] = (), *
 
 
 def slider(*, mass: float = 2.0, actuators: tuple[ActuatorConfig, ...] = (), **joint: Any) -> RobotSpec:
-    """One joint along x: ``mass a = effort``."""
+    """A robot with one joint along x: ``mass a = effort``."""
     links = (body("base"), body("carriage", mass))
     joints = (Joint("slide", JointType.PRISMATIC, "base", "carriage", axis=(1.0, 0.0, 0.0), **joint),)
     return RobotSpec(
@@ -176,10 +176,10 @@ def index(*numbers: int) -> Tensor:
 
 
 def seconds(engine: Engine, duration: float) -> int:
-    """Physics steps in ``duration``."""
+    """The number of physics steps in ``duration`` (s)."""
     return round(duration / engine.layout.scene.physics_dt)
 
 
 def yaw_quaternion(angle: float) -> list[float]:
-    """(w, x, y, z) of a turn by ``angle`` radians about z."""
+    """The quaternion (w, x, y, z) of a turn by ``angle`` radians about z."""
     return [math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)]

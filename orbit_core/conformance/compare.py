@@ -12,15 +12,15 @@ from orbit_core.conformance.verdict import Status
 from orbit_core.rollout.estimates import Estimate
 
 ERROR_NOISE = 0.1
-"""Of an error, relative; and as much of its tolerance: changes below are the noise of other processors and threads."""
+"""Smaller changes of an error, as a share of it or of its tolerance, are the noise of other processors and threads."""
 SPEED_NOISE = 0.2
-"""Of a speed, relative: timings on a machine that does other things too vary so much."""
+"""Relative change of a speed that the other work of a machine may cause."""
 _RANKS = (Status.PASS, Status.GAP, Status.UNSUPPORTED, Status.STALE, Status.FAIL)
 
 
 @dataclass(frozen=True)
 class Change:
-    """Something that differs."""
+    """One difference between two results."""
 
     job: Job
     what: str
@@ -97,14 +97,14 @@ def _errors(old: Record, new: Record, info: ScenarioInfo) -> Iterator[Change]:
 
 
 def _estimates(job: Job, what: str, before: Estimate, after: Estimate, *, higher_is_better: bool) -> Iterator[Change]:
-    """A change if the confidence intervals lie apart."""
+    """The change of an estimate, if the confidence intervals lie apart."""
     if after.low > before.high or after.high < before.low:
         texts = (f"{e.value:.3g} [{e.low:.3g}, {e.high:.3g}]" for e in (before, after))
         yield Change(job, what, *texts, better=(after.value > before.value) == higher_is_better)
 
 
 def _speed(old: Record, new: Record) -> Iterator[Change]:
-    """Of throughput alone: it is measured with nothing beside it."""
+    """The change of a speed. Only throughput is compared, because nothing runs beside its measurement."""
     if new.job.kind is Kind.THROUGHPUT and old.throughput and new.throughput:
         before, after = old.throughput.env_steps_per_second, new.throughput.env_steps_per_second
         if abs(after - before) > SPEED_NOISE * before:

@@ -16,10 +16,10 @@ from orbit_core.scene import Articulation, Link, Mesh, ObjectSpec, PhysicsMateri
 from orbit_core.sensors import ContactSensor
 
 RADIUS, HEIGHT = 0.05, 0.05
-"""Of every standing solid, in metres: half the width, and the full height. Their frames lie in the middle."""
+"""Half the width and the full height of every standing solid, in metres. The frames lie in the middle."""
 _SPACING = 0.4
 SMOOTH_GROUND = (Shape(Plane(), material=SMOOTH, name="ground"),)
-"""Level; what stands on it brings its own friction and restitution."""
+"""Level ground without friction: the solids on it bring their own friction and restitution."""
 
 
 def smooth_material(friction: float = 0.0, restitution: float = 0.0) -> PhysicsMaterial:
@@ -52,12 +52,12 @@ def block(name: str, side: float, material: PhysicsMaterial, pose: Pose, mass: f
 
 
 def positions(world: World) -> Tensor:
-    """(N, objects, 3) a copy."""
+    """A copy of the objects' positions (N, objects, 3)."""
     return torch.stack([thing.root_pose[:, :3] for thing in world.objects.values()], 1)
 
 
 def velocities(world: World) -> Tensor:
-    """(N, objects, 6) a copy."""
+    """A copy of the objects' velocities (N, objects, 6)."""
     return torch.stack([thing.root_velocity for thing in world.objects.values()], 1)
 
 

@@ -11,7 +11,7 @@ from orbit_core.interfaces import ConfigurationError
 from orbit_core.rollout.recording import Recording
 
 _POINTS = 101
-"""At most so many instants of a divergence are kept, evenly spaced."""
+"""The most instants of a divergence that are kept, evenly spaced."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Divergence:
     times: list[float]
     """Seconds since the episode began."""
     lower_quartile: list[float]
-    """Metres."""
+    """Distance in metres that a quarter of the environments stay below."""
     median: list[float]
     upper_quartile: list[float]
 

@@ -20,7 +20,7 @@ from orbit_core.rollout.stepping import StepObserver, roll_out
 
 @dataclass(frozen=True)
 class TaskResult:
-    """What one episode in each environment came to."""
+    """The success rate and the metrics of one episode in each environment."""
 
     task: str
     backend: str
@@ -29,12 +29,12 @@ class TaskResult:
     """Fields of the task that differ from its defaults."""
     num_envs: int
     success: Estimate
-    """Rate in [0, 1]."""
+    """Success rate in [0, 1]."""
     metrics: dict[str, Estimate]
-    """Means by name; the first leads."""
+    """Mean of each metric by name; the first is the leading metric."""
     episode_return: Estimate
     seconds_to_success: Estimate | None
-    """Until the goal is reached for good, over the episodes that succeed; None if none does."""
+    """Time until the goal is reached for good, over the episodes that succeed; None if none does."""
 
 
 class _SuccessTimes(StepObserver):
@@ -90,7 +90,7 @@ class FirstEpisodes:
         roll_out(self.environment, actor, observers, lambda: self._counter.complete)
 
     def result(self) -> TaskResult:
-        """Summed up."""
+        """Success rate, metrics and times of all first episodes."""
         environment, episodes = self.environment, self._counter.episodes()
         seconds = (self._times.held_since[episodes.success] + 1) * environment.step_dt
         return TaskResult(
@@ -106,5 +106,5 @@ class FirstEpisodes:
         )
 
     def recording(self) -> Recording:
-        """What was done and where things went."""
+        """The recorded actions and trajectories."""
         return self._recorder.recording(self._task, self._seed, self._fields)

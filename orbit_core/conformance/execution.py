@@ -31,7 +31,7 @@ TRACES = "traces.json"
 VIDEO = "video.mp4"
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _DIGITS = 6
-"""Of a trace's numbers: more than a plot shows."""
+"""Significant digits to which a trace is rounded: more than a plot shows."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class Outcome:
 
     record: Record
     files: Mapping[str, bytes] = field(default_factory=dict)
-    """By name."""
+    """Contents of the files by name."""
 
 
 def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcome:
-    """Do a job.
+    """Run one job.
 
     Args:
         job: what to do.

@@ -1,4 +1,4 @@
-"""On what a run was made, and with what."""
+"""The machine and the versions with which a run was made."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ from orbit_core import __version__
 
 @dataclass(frozen=True)
 class Hardware:
-    """A machine."""
+    """The processor, cores and memory of a machine."""
 
     processor: str
     cores: int
-    """That this process may use."""
+    """The number of cores that this process may use."""
     memory_gib: float
     gpus: tuple[str, ...]
     system: str
 
     @staticmethod
     def here() -> Hardware:
-        """This machine."""
+        """The machine on which this process runs."""
         gpus = tuple(torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count()))
         return Hardware(_processor(), cores(), round(_memory(), 1), gpus, platform.platform(terse=True))
 
 
 def versions() -> dict[str, str]:
-    """Of what all backends share; each tells its own."""
+    """Versions of the software that all backends share; each backend tells its own."""
     return {"orbit": __version__, "python": platform.python_version(), "torch": str(torch.__version__)}
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """The number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _processor() -> str:
-    """Its trade name where the system tells it."""
+    """The processor's trade name where the system tells it."""
     information = Path("/proc/cpuinfo")
     lines = information.read_text().splitlines() if information.exists() else []
     return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
 def _memory() -> float:
-    """GiB; 0 where the system does not tell."""
+    """Memory in GiB; 0 where the system does not tell."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     except (AttributeError, ValueError, OSError):

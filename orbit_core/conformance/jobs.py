@@ -11,7 +11,7 @@ from orbit_core.conformance.transfer import learned
 
 
 class Kind(Enum):
-    """What a job does."""
+    """The kinds of work that a job does."""
 
     SCENARIO = "scenario"
     TASK = "task"
@@ -27,16 +27,16 @@ class Job:
 
     kind: Kind
     name: str
-    """Of the scenario, the task or the policy."""
+    """The name of the scenario, the task or the policy."""
     backend: str
     time_step: float = 0.0
-    """Seconds; of a scenario."""
+    """Time step of a scenario in seconds."""
     source: str = ""
     """The backend whose recording a replay plays."""
     renderer: str = ""
-    """What draws for a learned policy; the backend if empty."""
+    """The renderer that draws for a learned policy; the backend if empty."""
     num_envs: int = 0
-    """Of a measurement of throughput."""
+    """Number of environments of a measurement of throughput."""
 
     @property
     def key(self) -> str:
@@ -91,7 +91,7 @@ def _transfers(settings: Settings, backend: str) -> Iterable[Job]:
 
 
 def _drawn_by(settings: Settings, renderer: str) -> Iterable[Job]:
-    """The policies that see pictures, each on the backend that it was learned on, or the first, if it is not run."""
+    """Policies that see pictures, each on the backend that it was learned on, or the first if that is not run."""
     for policy in settings.policies:
         home = learned(policy).backend
         backend = home if home in settings.backends else settings.backends[0]

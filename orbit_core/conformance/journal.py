@@ -30,7 +30,7 @@ LOG = "log.txt"
 
 
 def now() -> str:
-    """UTC, to the second."""
+    """The time in UTC, to the second."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
@@ -89,7 +89,7 @@ class Journal:
         return result
 
     def close(self) -> None:
-        """Leave the run as it is, to whoever comes."""
+        """Release the folder and leave the run as it is, to be resumed."""
         self._file.close()
         self._lock.release()
 
@@ -106,7 +106,7 @@ class Journal:
             self._file = self._path.open("ab", buffering=0)
 
     def _append(self, line: str) -> None:
-        """Add a whole line, or, on an error, nothing."""
+        """Append a whole line, or, on an error, nothing."""
         whole = self._path.stat().st_size
         rest = memoryview(line.encode() + b"\n")
         try:
@@ -118,7 +118,7 @@ class Journal:
             raise
 
     def _resume(self) -> None:
-        """Take over the records of an unfinished run, but for those that other code made."""
+        """Take over the records of an unfinished run, except those that other code made."""
         lines = self._path.read_bytes().splitlines(keepends=True)
         whole = [line for line in lines if line.endswith(b"\n")]  # a kill may have torn the last one
         if not whole:
@@ -143,7 +143,7 @@ _REMEDY = "--fresh begins anew, another --output keeps it"
 
 
 def _differing(old: Header, new: Header) -> str:
-    """What makes them different runs, in words; empty if nothing does."""
+    """The settings in which two headers differ, in words; empty if they are of the same run."""
     pairs = {
         "settings": (encode(old.settings), encode(new.settings)),  # as JSON has them: lists for tuples
         "versions": (old.versions, new.versions),

@@ -35,5 +35,5 @@ class FolderLock:
         self._file.flush()
 
     def release(self) -> None:
-        """Let the next one in."""
+        """Release the folder."""
         self._file.close()

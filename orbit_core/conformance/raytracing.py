@@ -25,11 +25,11 @@ class Hits:
     """Where R rays met things from outside."""
 
     distances: Array
-    """(R,) infinite for a miss."""
+    """Distances (R,), infinite for a miss."""
     normals: Array
-    """(R, 3) world axes; zero for a miss."""
+    """Surface normals (R, 3) in world axes, zero for a miss."""
     things: npt.NDArray[np.int64]
-    """(R,) index of the thing, or NOTHING."""
+    """Index (R,) of the thing that each ray meets, or NOTHING."""
 
 
 def trace(things: Sequence[tuple[Geometry, Pose]], origins: Array, directions: Array) -> Hits:
@@ -48,7 +48,7 @@ def trace(things: Sequence[tuple[Geometry, Pose]], origins: Array, directions: A
 
 
 def steady(hits: Hits, others: Sequence[Hits], cosine: float) -> npt.NDArray[np.bool_]:
-    """(R,) whether rays beside each one meet the same thing, where its surface faces about the same way."""
+    """Whether (R,) the rays beside each one meet the same thing, where its surface faces about the same way."""
     alike = np.ones(len(hits.things), dtype=np.bool_)
     for other in others:
         turned = (hits.normals * other.normals).sum(1)
@@ -57,7 +57,7 @@ def steady(hits: Hits, others: Sequence[Hits], cosine: float) -> npt.NDArray[np.
 
 
 def pixel_directions(camera: CameraSpec, right: float = 0.0, up: float = 0.0) -> Array:
-    """(H W, 3) from the camera through each pixel's centre, moved by some pixels, to depth 1; world axes."""
+    """Vectors (H W, 3) in world axes from the camera through each pixel's centre, moved by some pixels, to depth 1."""
     pitch = 2.0 * np.tan(0.5 * camera.vertical_fov) / camera.height
     x = (np.arange(camera.width) + 0.5 + right - 0.5 * camera.width) * pitch
     y = (0.5 * camera.height - np.arange(camera.height) - 0.5 + up) * pitch
@@ -90,7 +90,7 @@ def _meet(geometry: Geometry, origins: Array, directions: Array) -> tuple[Array,
 
 
 def height_field_triangles(field: HeightField) -> Array:
-    """(F, 3, 3) corners, each cell split along its rising diagonal."""
+    """Corners (F, 3, 3) of the triangles of a height field, each cell split along its rising diagonal."""
     heights = np.asarray(field.heights, np.float64)
     rows, columns = heights.shape
     x, y = (
@@ -149,7 +149,7 @@ def _cylinder(
 
 
 def _triangles(origins: Array, directions: Array, corners: Array) -> tuple[Array, Array]:
-    """Front faces alone: counter-clockwise as the ray sees them."""
+    """The hits on triangles' front faces, which are counter-clockwise as the ray sees them."""
     first, along, aside = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     across = np.cross(directions[:, None], aside)  # (R, F, 3)
     volume = (across * along).sum(2)
@@ -168,5 +168,5 @@ def _triangles(origins: Array, directions: Array, corners: Array) -> tuple[Array
 
 
 def _reached(distances: Array) -> Array:
-    """(R, 1) with zero for a miss, so that it may be multiplied."""
+    """Distances (R, 1) with zero for a miss, so that they may be multiplied."""
     return np.where(np.isfinite(distances), distances, 0.0)[:, None]

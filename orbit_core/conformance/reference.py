@@ -46,7 +46,7 @@ def complete_elliptic_integral(modulus: float) -> float:
 
 
 def pendulum_period(amplitude: float, small: float) -> float:
-    """Of swings to an angle of ``amplitude`` (rad), where small ones take ``small`` seconds.
+    """The period of swings to an angle of ``amplitude`` (rad), where small swings take ``small`` seconds.
 
     Landau and Lifshitz, Mechanics, 3rd ed., section 11, problem 1.
     """
@@ -68,7 +68,7 @@ def linear_response(stiffness: float, damping: float, inertia: float, times: Seq
 
 
 def euler_equations(moments: Sequence[float]) -> Derivative:
-    """Of a free rigid body with principal ``moments``: state quaternion (w, x, y, z), then spin, in principal axes.
+    """The derivative of a free rigid body's state, by its principal ``moments``: quaternion (w, x, y, z), then spin.
 
     Goldstein, Classical Mechanics, 3rd ed., sections 5.5 and 5.6.
     """
@@ -98,18 +98,18 @@ class PlanarChain:
     length: float
     mass: float = 1.0
     inertia: float = 0.01
-    """Of a link about its centre, at half its length."""
+    """Moment of inertia of a link about its centre, at half its length."""
     armature: float = 0.0
-    """Of each joint."""
+    """Armature of each joint."""
     gravity: float = 9.81
 
     @property
     def _levers(self) -> FloatArray:
-        """(k, i) how far link k's centre moves with link i's direction."""
+        """Matrix (k, i): how far link k's centre moves with link i's direction."""
         return self.length * (np.tri(self.links, k=-1) + 0.5 * np.eye(self.links))
 
     def derivative(self, state: FloatArray) -> FloatArray:
-        """Of the state."""
+        """The time derivative of the state."""
         total = np.tri(self.links)  # joint angles to angles against the horizontal
         angles, speeds = total @ state[: self.links], total @ state[self.links :]
         levers = self._levers
@@ -121,7 +121,7 @@ class PlanarChain:
         return np.concatenate((state[self.links :], np.linalg.solve(joint_matrix, total.T @ push)))
 
     def energy(self, state: FloatArray) -> float:
-        """Kinetic and potential, in J."""
+        """Kinetic and potential energy in J."""
         total = np.tri(self.links)
         angles, speeds = total @ state[: self.links], total @ state[self.links :]
         levers = self._levers
@@ -146,14 +146,14 @@ class RotaryPendulum:
     arm: float
     lever: float
     arm_inertia: float
-    """J, in kg m^2."""
+    """The arm's moment of inertia J about its axis, in kg m^2."""
     mass: float = 1.0
     inertia: float = 0.01
-    """Of the pendulum about its centre."""
+    """Moment of inertia of the pendulum about its centre."""
     gravity: float = 9.81
 
     def derivative(self, state: FloatArray) -> FloatArray:
-        """Of the state."""
+        """The time derivative of the state."""
         _, b, turning, swinging = state
         sine, cosine = math.sin(b), math.cos(b)
         twist = self.mass * self.lever**2 * 2 * sine * cosine
@@ -166,7 +166,7 @@ class RotaryPendulum:
         return np.asarray(change, np.float64)
 
     def energy(self, state: FloatArray) -> float:
-        """Kinetic, and potential above hanging, in J."""
+        """Kinetic energy, and potential energy above the hanging pendulum's, in J."""
         rates = state[2:]
         height = self.lever * (1 - math.cos(state[1]))
         return 0.5 * float(rates @ self._inertia(state[1]) @ rates) + self.mass * self.gravity * height

@@ -1,4 +1,4 @@
-"""A policy recorded on one backend, done again on another without looking: what of its success lies in the engine."""
+"""Actions recorded on one backend and repeated open loop on another: how much of the success depends on the engine."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from orbit_core.rollout.recording import RecordedActions, Recording
 
 @dataclass(frozen=True)
 class ReplayResult:
-    """Actions recorded on one backend, taken on another without looking."""
+    """The outcome of actions recorded on one backend and repeated open loop on another."""
 
     recorded_on: str
     result: TaskResult
     divergence: list[Divergence]
-    """From what was recorded."""
+    """Divergence from the recorded trajectories."""
 
 
 def replay(

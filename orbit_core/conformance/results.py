@@ -46,23 +46,23 @@ class Ending(Enum):
 
     @property
     def acceptable(self) -> bool:
-        """Whether nothing broke."""
+        """Whether the job ended without an error, crash or timeout."""
         return self in (Ending.DONE, Ending.UNSUPPORTED)
 
 
 @dataclass(frozen=True)
 class ScenarioResult:
-    """A scenario at one time step on one backend."""
+    """The outcome of a scenario at one time step on one backend."""
 
     status: Status | None
-    """At the nominal time step; None at the others, where no tolerance holds."""
+    """Status at the nominal time step; None at the others, where no tolerance holds."""
     reason: str
     errors: dict[str, float]
-    """By metric."""
+    """Errors by metric."""
     simulated_seconds: float
-    """Of all environments together."""
+    """Simulated time, summed over all environments."""
     wall_seconds: float
-    """Spent in stepping."""
+    """Wall time spent in stepping."""
 
     @property
     def speed(self) -> float:
@@ -72,17 +72,17 @@ class ScenarioResult:
 
 @dataclass(frozen=True)
 class Record:
-    """A job and what it came to."""
+    """A job with its ending and its results."""
 
     job: Job
     ending: Ending
     reason: str = ""
-    """For any ending but a good one."""
+    """The reason for any ending but a good one."""
     seconds: float = 0.0
-    """That the job took, building included."""
+    """Wall time of the job, building included."""
     device: str = "cpu"
     files: tuple[str, ...] = ()
-    """In the result's folder, below the job's own."""
+    """Paths of the files below the job's folder in the result's."""
     scenario: ScenarioResult | None = None
     task: TaskResult | None = None
     replay: ReplayResult | None = None
@@ -91,12 +91,12 @@ class Record:
 
     @property
     def played(self) -> TaskResult | None:
-        """What the episodes of a task's expert, or of a learned policy, came to."""
+        """The results of the episodes of a task's expert or of a learned policy."""
         return self.transfer.result if self.transfer else self.task
 
     @property
     def status(self) -> Status:
-        """How the backend stands: what broke has failed."""
+        """Status of the backend; a job that broke counts as failed."""
         if self.ending is Ending.UNSUPPORTED:
             return Status.UNSUPPORTED
         if not self.ending.acceptable:
@@ -125,7 +125,7 @@ class ScenarioInfo:
 
     @staticmethod
     def of(scenario: Scenario) -> ScenarioInfo:
-        """What is to be told of a scenario."""
+        """The information that reports show of a scenario."""
         return ScenarioInfo(*(getattr(scenario, name) for name in ScenarioInfo.__dataclass_fields__))
 
 
@@ -146,16 +146,16 @@ class PolicyInfo:
     description: str
     task: str
     learned_on: str
-    """The backend."""
+    """The backend that the policy was learned on."""
     library: str
     iteration: int
     least_success: float
-    """What it is held to, wherever no gap says otherwise."""
+    """The success rate required of the policy where no gap declares less."""
     gaps: tuple[TransferGap, ...]
 
     @staticmethod
     def of(name: str) -> PolicyInfo:
-        """What is to be told of a kept policy."""
+        """The information that reports show of a pretrained policy."""
         kept, about = pretrained_policy(name), learned(name)
         where = (about.task, about.backend, about.library, about.iteration)
         return PolicyInfo(name, kept.description, *where, kept.least_success, kept.gaps)
@@ -169,7 +169,7 @@ class Header:
     versions: dict[str, str]
     hardware: Hardware
     started: str
-    """ISO 8601, UTC."""
+    """Time in UTC (ISO 8601)."""
     scenarios: tuple[ScenarioInfo, ...]
     backends: tuple[BackendInfo, ...]
     policies: tuple[PolicyInfo, ...] = ()
@@ -196,14 +196,14 @@ class Result:
     records: tuple[Record, ...]
     partings: tuple[Parting, ...] = ()
     finished: str = ""
-    """ISO 8601, UTC."""
+    """Time in UTC (ISO 8601)."""
 
     def of(self, kind: Kind) -> list[Record]:
         """The records of one kind."""
         return [record for record in self.records if record.job.kind is kind]
 
     def scenario_records(self, name: str, backend: str) -> list[Record]:
-        """Of one scenario on one backend, the longest time step first."""
+        """The records of one scenario on one backend, the longest time step first."""
         found = [r for r in self.of(Kind.SCENARIO) if r.job.name == name and r.job.backend == backend]
         return sorted(found, key=lambda record: -record.job.time_step)
 
@@ -214,23 +214,23 @@ class Result:
 
     @property
     def judged(self) -> list[Record]:
-        """What the backends answer for: scenarios at their nominal time steps, and everything of tasks and policies."""
+        """The records that backends are judged by: scenarios at nominal time steps, and all of tasks and policies."""
         nominal = {info.name: info.time_step for info in self.header.scenarios}
         return [r for r in self.records if r.job.kind is not Kind.SCENARIO or r.job.time_step == nominal[r.job.name]]
 
     @property
     def objections(self) -> list[Record]:
-        """Where a backend is not as it declares."""
+        """The records in which a backend is not as it declares."""
         return [record for record in self.judged if not record.status.acceptable]
 
 
 def encode(value: Any) -> str:
-    """One line of JSON."""
+    """The value as one line of JSON."""
     return json.dumps(_plain(msgspec.to_builtins(value)), allow_nan=False)
 
 
 def decode(text: str | bytes, kind: type[_Type]) -> _Type:
-    """The value of that type.
+    """The value of that type, decoded from JSON.
 
     Raises:
         ValueError: it is none; says where.
@@ -271,7 +271,7 @@ def save(result: Result, folder: Path) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Finite numbers as they are, others as text; curves rounded to what a plot could show."""
+    """The value as plain data: numbers that are not finite as text, curves rounded to what a plot could show."""
     if isinstance(value, float) and not math.isfinite(value):
         return repr(value)
     if isinstance(value, Mapping):

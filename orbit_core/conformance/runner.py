@@ -27,7 +27,7 @@ from orbit_core.conformance.sources import source_digests
 from orbit_core.conformance.tasks import compare_recordings
 
 Progress = Callable[[Record | None, int, int], None]
-"""Takes the record that has come, if one has, how many are in, and how many there will be."""
+"""A callback that takes the record that has arrived, if one has, the number of records so far and the total."""
 
 
 def run(
@@ -74,7 +74,7 @@ def run(
 
 
 def _partings(settings: Settings, journal: Journal) -> Iterator[Parting]:
-    """Of every pair of backends on which a task was recorded."""
+    """Divergences of every pair of backends on which a task was recorded."""
     for task in settings.tasks:
         paths = {
             backend: journal.folder / key / RECORDING
@@ -86,7 +86,7 @@ def _partings(settings: Settings, journal: Journal) -> Iterator[Parting]:
 
 
 def header_of(settings: Settings) -> Header:
-    """What the run is of, where and when."""
+    """The header of a run: its settings, machine, versions and time."""
     return Header(
         settings=settings,
         versions=versions(),

@@ -25,9 +25,9 @@ class Metric:
 
     name: str
     unit: str
-    """SI; empty for a ratio."""
+    """SI unit; empty for a ratio."""
     tolerance: float
-    """At the scenario's nominal time step."""
+    """Largest error that passes at the scenario's nominal time step."""
     meaning: str
     """What is measured against which truth, in words or a formula."""
     looser_because: str = ""
@@ -43,11 +43,11 @@ class Scenario:
     """
 
     name: str
-    """In snake case."""
+    """Name in snake case."""
     group: str
     """The heading under which reports show it."""
     question: str
-    """What it asks of an engine, in one sentence."""
+    """The question that the scenario asks of an engine, in one sentence."""
     truth: str
     """The closed form, or the converged reference, that answers it."""
     source: str
@@ -59,9 +59,9 @@ class Scenario:
     """What it measures: a backend that misses one of its metrics does not do these exactly. How an engine integrates
     free motion, and whether things stay at rest, is no capability: the declared gap alone tells of it."""
     time_step: float = 0.005
-    """Seconds, where the tolerances hold."""
+    """Nominal time step in seconds, at which the tolerances hold."""
     time_steps: tuple[float, ...] = (0.01, 0.005, 0.0025, 0.00125)
-    """Seconds, of the sweep that shows accuracy against speed; empty where the step plays no part."""
+    """Time steps in seconds of the sweep that shows accuracy against speed; empty where the step plays no part."""
     slow: bool = False
     """Whether some engine takes minutes: quick runs and the tests leave it out."""
 
@@ -90,13 +90,13 @@ class Trial:
     time_step: float
     device: str = "cpu"
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Of the backend, by field name."""
+    """Settings of the backend by field name."""
     seed: int = 0
     traces: list[Trace] = field(default_factory=list)
     simulated_seconds: float = 0.0
-    """Of all environments together."""
+    """Simulated time, summed over all environments."""
     wall_seconds: float = 0.0
-    """Spent in stepping."""
+    """Wall time spent in stepping."""
     _worlds: list[World] = field(default_factory=list)
     _stepped: list[World] = field(default_factory=list)
 
@@ -109,7 +109,7 @@ class Trial:
         return world
 
     def steps(self, seconds: float) -> int:
-        """Physics steps in a stretch of time."""
+        """The number of physics steps in a stretch of time."""
         return round(seconds / self.time_step)
 
     def step(self, world: World, steps: int = 1) -> None:
@@ -140,11 +140,11 @@ class Trial:
     def trace(
         self, name: str, unit: str, times: Sequence[float], measured: Sequence[float], truth: Sequence[float]
     ) -> None:
-        """Keep a curve for the report."""
+        """Record a curve for the report."""
         self.traces.append(Trace(name, unit, *(torch.as_tensor(c).tolist() for c in (times, measured, truth))))
 
     def close(self) -> None:
-        """Free the worlds."""
+        """Close the trial's worlds."""
         while self._worlds:
             self._worlds.pop().close()
         self._stepped.clear()

@@ -22,13 +22,13 @@ class Part(Enum):
     """A part of the suite."""
 
     SCENARIOS = "scenarios"
-    """Physics with known answers."""
+    """Scenarios of physics with known answers."""
     TASKS = "tasks"
-    """Every task with its scripted expert: success, divergence, replays, videos."""
+    """Every task with its scripted expert: success rate, divergence, replays, videos."""
     TRANSFERS = "transfers"
     """Every kept policy on every backend, whichever it was learned on."""
     THROUGHPUT = "throughput"
-    """Every task over numbers of environments."""
+    """Speed of every task over numbers of environments."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,16 +36,16 @@ class Extent:
     """How much is spent on each task."""
 
     episodes: int
-    """One in each environment."""
+    """Number of episodes, one in each environment."""
     pixel_episodes: int
     """The same of policies that see pictures, which most engines here draw on the CPU, a few a second; 0 leaves these
     policies out."""
     throughput_envs: tuple[int, ...]
     blocks: int
-    """Of the environment's steps and the raw engine's, which alternate."""
+    """Number of blocks of the environment's steps and of the raw engine's, which alternate."""
     block_steps: int
     video_seconds: float
-    """At most; an episode may go on longer."""
+    """Longest duration of a video; an episode may last longer."""
 
 
 QUICK = Extent(episodes=8, pixel_episodes=0, throughput_envs=(8,), blocks=3, block_steps=10, video_seconds=1.0)
@@ -58,9 +58,9 @@ class Settings:
 
     backends: tuple[str, ...]
     scenarios: tuple[str, ...]
-    """In the order of ``SCENARIOS``; empty if that part is left out."""
+    """Names in the order of ``SCENARIOS``; empty if that part is left out."""
     tasks: tuple[str, ...]
-    """Of all parts but ``SCENARIOS``."""
+    """Tasks of all parts but ``SCENARIOS``."""
     parts: tuple[Part, ...]
     policies: tuple[str, ...] = ()
     """Of the part ``TRANSFERS``: those that are kept for the tasks."""
@@ -72,7 +72,7 @@ class Settings:
     """Torch device of the backends that simulate on a GPU; the others take the CPU."""
     seed: int = 0
     backend_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Of backends' own settings, by backend and field name, those that are not as they are by default."""
+    """Settings of backends that differ from their defaults, by backend and field name."""
 
     @property
     def extent(self) -> Extent:
@@ -80,11 +80,11 @@ class Settings:
         return QUICK if self.quick else FULL
 
     def settings_of(self, backend: str) -> Mapping[str, Any]:
-        """What the backend is told instead of its defaults, by field name."""
+        """Settings of the backend in the place of its defaults, by field name."""
         return self.backend_settings.get(backend, {})
 
     def device_of(self, backend: str) -> str:
-        """Where the backend simulates."""
+        """The device on which the backend simulates."""
         return self.device if find_backend(backend).capabilities().has(Capability.GPU) else "cpu"
 
 
@@ -138,7 +138,7 @@ def choose(
 
 
 def _policies(tasks: Sequence[str], extent: Extent) -> tuple[str, ...]:
-    """Those that were learned for the tasks, all if none is named; of those that see pictures, if time is for them."""
+    """The policies learned for the tasks, all if none is named; those that see pictures need pixel episodes."""
     named = (name for name in pretrained_policies() if not tasks or learned(name).task in tasks)
     return tuple(name for name in named if extent.pixel_episodes or not learned(name).sees_pictures)
 

@@ -27,7 +27,7 @@ CORE = "orbit_core"
 _SCENARIOS = "orbit_core.conformance.scenarios"
 _SCENARIOS_WORDS = "the scenarios"
 _IN_NO_JOB = ("cli/", "conformance/report/", "conformance/scenarios/")
-"""Of the core: what no job runs, and the scenarios, which have a digest of their own."""
+"""Files of the core that no job runs, and the scenarios, which have a digest of their own."""
 
 
 def source_digests(settings: Settings) -> dict[str, str]:
@@ -48,7 +48,7 @@ def source_digests(settings: Settings) -> dict[str, str]:
 
 
 def sources_of(job: Job) -> set[str]:
-    """What a job's outcome depends on, in the same words."""
+    """The bodies of code that a job's outcome depends on, by the same words."""
     found = {CORE, _backend(job.backend)}
     if job.source:
         found.add(_backend(job.source))
@@ -74,7 +74,7 @@ def backend_packages(name: str) -> tuple[str, ...]:
 
 
 def renderer_packages(name: str) -> tuple[str, ...]:
-    """The same of what draws under that name."""
+    """The Python packages of the renderer's plugin, as :func:`backend_packages` finds them."""
     return _packages(find_renderer(name), RENDERERS if name in renderer_names() else GROUP)
 
 
@@ -87,7 +87,7 @@ def _packages(plugin: Backend, group: str) -> tuple[str, ...]:
 
 
 def _required_by(distribution: str) -> set[str]:
-    """Names of the distributions that one requires; none of one that is not installed."""
+    """Names of the distributions that a distribution requires; none where it is not installed."""
     try:
         requirements = importlib_metadata.requires(distribution) or []
     except importlib_metadata.PackageNotFoundError:
@@ -127,13 +127,13 @@ def _files(package: str) -> Iterator[tuple[str, Path]]:
 
 
 def _below(folder: Path) -> list[tuple[str, Path]]:
-    """The files below a folder but for what Python compiled, with their names below it, in order."""
+    """The files below a folder with their names below it, in order, without what Python compiled."""
     paths = (path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
     return sorted((path.relative_to(folder).as_posix(), path) for path in paths)
 
 
 def _digest(files: Iterable[tuple[str, Path]], *words: str) -> str:
-    """Of names and contents."""
+    """The digest of names and contents."""
     digest = hashlib.sha256(repr(words).encode())
     for name, path in files:
         digest.update(f"{name}\0{path.stat().st_size}\0".encode() + path.read_bytes())

@@ -11,11 +11,9 @@ their ratios counts. A package without that module is measured alone.
 from __future__ import annotations
 
 import importlib.util
-import multiprocessing
 import statistics
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,46 +27,46 @@ from orbit_core.interfaces import Capability
 from orbit_core.viewer.pictures import OverviewCamera
 
 PICTURE = 84
-"""Pixels across the picture of each environment whose cost is measured."""
+"""Width and height in pixels of the picture whose cost is measured."""
 _ENGINE = ("engine step", "state reads")
 """The stopwatch's parts that are the engine's own work."""
 _ENVIRONMENT = "environment"
 _DRAWN = 4
-"""Environments that are drawn, and as often."""
+"""Number of environments that are drawn, and how often each is drawn."""
 
 
 @dataclass(frozen=True)
 class RawRate:
-    """What the engine does without ORBIT around it, in the same run."""
+    """The rate of the engine without ORBIT around it, measured in the same run."""
 
     way: str
-    """Of all ways of stepping, the fastest."""
+    """The fastest of all ways of stepping."""
     env_steps_per_second: float
     milliseconds_per_step: float
     ratio: float
-    """Environment's rate over this: median over the blocks."""
+    """The environment's rate over the raw engine's: median over the blocks."""
     ratio_quartiles: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Throughput:
-    """Of one number of environments."""
+    """The speed of a task for one number of environments."""
 
     num_envs: int
     env_steps_per_second: float
-    """Median over the blocks, environment steps of single environments."""
+    """Steps of single environments per second: median over the blocks."""
     milliseconds_per_step: float
-    """Of all environments together."""
+    """Wall time of one step of all environments together."""
     raw: RawRate | None
-    """None where the backend's package has no module ``native_baseline``."""
+    """Rate of the raw engine; None where the backend's package has no module ``native_baseline``."""
     parts_milliseconds: dict[str, float]
     """Own time of each part in one step, by a stopwatch that itself costs some microseconds."""
     picture_milliseconds: float | None
-    """To draw one colour picture of 84 x 84 pixels of one environment; None where the backend draws none."""
+    """Time to draw one colour picture of 84 x 84 pixels of one environment; None where the backend draws none."""
     start_seconds: float
-    """From the call to the end of the first step; the engine's import too, where the process had not imported it."""
+    """Time from the call to the end of the first step, with the engine's import where it was not imported."""
     memory_mib: float
-    """By which the resident memory of the process and its children grew; telling in a fresh process alone."""
+    """Growth of the resident memory of the process and its children; meaningful in a fresh process alone."""
 
     @property
     def shares(self) -> dict[str, float]:
@@ -78,55 +76,6 @@ class Throughput:
         layer = sum(self.parts_milliseconds.values()) - engine
         times = {"engine": engine, "layer": layer, "rendering": self.num_envs * (self.picture_milliseconds or 0.0)}
         return {name: milliseconds / sum(times.values()) for name, milliseconds in times.items()}
-
-
-@dataclass(frozen=True)
-class ThroughputResult:
-    """A task on a backend over numbers of environments."""
-
-    task: str
-    backend: str
-    rates: tuple[Throughput, ...]
-
-
-def measure_throughput(
-    task: str,
-    backend: str,
-    *,
-    num_envs: Sequence[int] = (1, 16, 64),
-    blocks: int = 8,
-    block_steps: int = 50,
-    seed: int = 0,
-    fields: Mapping[str, Any] | None = None,
-    device: str = "cpu",
-    settings: Mapping[str, Any] | None = None,
-    compile: bool = False,
-) -> ThroughputResult:
-    """Measure each number of environments in a process of its own, one after the other.
-
-    Run nothing beside it. What is passed and returned must survive pickling.
-
-    Args:
-        task: name of a registered task.
-        backend: name of an installed backend.
-        num_envs: numbers of environments.
-        blocks: of the environment's steps, each followed by as many of the raw engine.
-        block_steps: environment steps in a block.
-        seed: of the environments and of the actions.
-        fields: of the task, by name.
-        device: where tensors live.
-        settings: of the backend, by field name.
-        compile: whether to compile the environment's step, as one would for learning.
-
-    Raises:
-        UnsupportedCapabilityError: the backend lacks what the task needs.
-    """
-    rates: list[Throughput] = []
-    for count in sorted(set(num_envs)):
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
-            arguments = (task, backend, count, blocks, block_steps, seed, dict(fields or {}), device, settings, compile)
-            rates.append(process.submit(measure_once, *arguments).result())
-    return ThroughputResult(task, backend, tuple(rates))
 
 
 def measure_once(
@@ -141,7 +90,23 @@ def measure_once(
     settings: Mapping[str, Any] | None = None,
     compile: bool = False,
 ) -> Throughput:
-    """Measure one number of environments in this process; the arguments are :func:`measure_throughput`'s."""
+    """Measure one number of environments in this process. Run nothing beside it.
+
+    Args:
+        task: name of a registered task.
+        backend: name of an installed backend.
+        num_envs: number of environments.
+        blocks: number of blocks of the environment's steps; as many steps of the raw engine follow each.
+        block_steps: environment steps in a block.
+        seed: of the environments and of the actions.
+        fields: of the task, by name.
+        device: where tensors live.
+        settings: of the backend, by field name.
+        compile: whether to compile the environment's step, as one would for learning.
+
+    Raises:
+        UnsupportedCapabilityError: the backend lacks what the task needs.
+    """
     torch.set_num_threads(1)  # as the command line does: small tensors gain nothing, and the engine needs the cores
     memory, begin = _resident_mib(), time.perf_counter()
     environment = make(task, num_envs, backend, device, seed, settings=settings, compile=compile, **(fields or {}))
@@ -194,7 +159,7 @@ def _raw_steppers(environment: Environment) -> dict[str, Any]:
 
 
 def _stagger(environment: Environment, seed: int) -> None:
-    """Let the first episodes be as if begun at any time, so that resets spread over all steps."""
+    """Set random ages of the first episodes, so that resets spread over all steps."""
     generator = torch.Generator().manual_seed(seed)
     steps = torch.randint(environment.max_episode_steps, (environment.num_envs,), generator=generator)
     environment.reset()
@@ -232,13 +197,13 @@ def _seconds(environment: Environment, function: Callable[[Any], object], argume
 
 
 def _wait(environment: Environment) -> None:
-    """Until the device has done what it was told."""
+    """Wait until the device has finished its work."""
     if environment.device.type != "cpu":
         torch.accelerator.synchronize(environment.device)
 
 
 def _parts(environment: Environment, agent: RandomActor, steps: int) -> dict[str, float]:
-    """Milliseconds of one step by part."""
+    """Wall time in milliseconds of each part of one step."""
     with timed_parts(environment) as watch:
         for _ in range(steps):
             environment.step(agent.act())
@@ -259,7 +224,7 @@ def _picture_milliseconds(environment: Environment) -> float | None:
 
 
 def _resident_mib() -> float:
-    """Of this process and its children."""
+    """Resident memory in MiB of this process and its children."""
     import psutil
 
     own = psutil.Process()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from orbit_core.conformance.results import Result
 
 FACTOR = 3.0
-"""A tolerance above so many times the best engine's error needs a reason."""
+"""Largest ratio of a tolerance to the best engine's error that needs no reason."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class LooseTolerance:
     unit: str
     tolerance: float
     best: float
-    """The smallest error at the nominal time step."""
+    """The smallest error of any backend at the nominal time step."""
     best_backend: str
 
     def __str__(self) -> str:
@@ -31,7 +31,7 @@ class LooseTolerance:
 
 
 def loose_tolerances(result: Result) -> list[LooseTolerance]:
-    """Of all scenarios of a result, on the best of the backends that are in it."""
+    """The loose tolerances of all scenarios of a result, held against the best of its backends."""
     found: list[LooseTolerance] = []
     for info in result.header.scenarios:
         for metric in info.metrics:
@@ -45,7 +45,7 @@ def loose_tolerances(result: Result) -> list[LooseTolerance]:
 
 
 def _errors(result: Result, scenario: str, time_step: float, metric: str) -> list[tuple[float, str]]:
-    """Finite ones at the nominal time step, with their backends."""
+    """Finite errors at the nominal time step with their backends."""
     found: list[tuple[float, str]] = []
     for backend in result.header.settings.backends:
         for record in result.scenario_records(scenario, backend):

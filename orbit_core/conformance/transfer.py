@@ -16,17 +16,17 @@ from orbit_core.rollout.estimates import Estimate
 
 @dataclass(frozen=True)
 class TransferResult:
-    """What a learned policy came to on a backend, held against what it should."""
+    """The outcome of a learned policy on a backend, held against the success rate required of it."""
 
     status: Status
     reason: str
-    """For anything but a pass."""
+    """The reason for anything but a pass."""
     result: TaskResult
 
 
 @cache
 def learned(policy: str) -> PolicyDescription:
-    """What the kept policy of that name was learned for, and where.
+    """The description of the pretrained policy of that name: its task and its backend.
 
     Raises:
         UnknownNameError: there is none.

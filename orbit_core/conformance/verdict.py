@@ -87,12 +87,12 @@ def farthest(traces: Iterable[Trace]) -> str:
 
 
 def _size(difference: float) -> float:
-    """Its absolute value; what is not a number is larger than all that is."""
+    """The absolute value of an error; one that is no number counts as infinite."""
     return math.inf if math.isnan(difference) else abs(difference)
 
 
 def _diverged(backend: Backend, scenario: Scenario, error: SimulationError) -> Verdict:
-    """An engine that says itself that it diverged: no metric has a finite error."""
+    """The verdict where an engine reports that it diverged: no metric has a finite error."""
     verdict = judge(backend, scenario, {metric.name: math.inf for metric in scenario.metrics})
     return replace(verdict, reason=f"{error}; {verdict.reason}")
 

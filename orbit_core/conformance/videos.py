@@ -38,7 +38,7 @@ def film(
 
 
 def renderer_for(simulating: Backend) -> str:
-    """The backend itself if it draws, else that which draws most exactly."""
+    """The backend itself if it draws, else the one that draws most exactly."""
     if simulating.capabilities().has(Capability.RGB):
         return simulating.name
     drawing = [name for name in backend_names() if backend(name).capabilities().has(Capability.RGB)]

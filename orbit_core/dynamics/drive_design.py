@@ -58,12 +58,12 @@ class ReflectedInertia:
     largest: npt.NDArray[np.float64]
 
 
-def reflected_inertia(articulation: Articulation, *, fixed_base: bool, seed: int = 0) -> ReflectedInertia:
+def reflected_inertia(articulation: Articulation, *, fixed_base: bool) -> ReflectedInertia:
     """The diagonal of the mass matrix over configurations drawn evenly within the joints' limits.
 
     A free base does not follow the joints' motion here, as that of a robot that stands does not.
     """
-    diagonal = np.diagonal(_mass_matrices(articulation, fixed_base, seed), axis1=1, axis2=2)
+    diagonal = np.diagonal(_mass_matrices(articulation, fixed_base), axis1=1, axis2=2)
     leaders = _leaders(articulation)
     smallest, mean, largest = (reduce(diagonal, axis=0)[leaders] for reduce in (np.min, np.mean, np.max))
     return ReflectedInertia(smallest, mean, largest)
@@ -129,66 +129,11 @@ def _drive(joint: str, design: DriveDesign, inertia: float) -> ImplicitPd:
     )
 
 
-@dataclass(frozen=True)
-class UnstableDrive:
-    """A joint whose drive would make the simulation diverge, with gains that would not."""
-
-    joint: str
-    stiffness: float
-    damping: float
-    stable_stiffness: float
-    stable_damping: float
-
-
-def unstable_drive(
-    articulation: Articulation,
-    gains: Sequence[tuple[float, float]],
-    time_step: float,
-    *,
-    fixed_base: bool,
-    implicit_damping: bool,
-) -> UnstableDrive | None:
-    """The joint whose drive is least stable, where steps of ``time_step`` (s) diverge at some configuration.
-
-    With semi-implicit Euler steps, joints of mass matrix M under drives K (stiffness) and D (damping) are stable while
-    every eigenvalue of ``M^-1 (K h^2 + 2 D h)`` is below 4 (Jury's criterion on each mode); where the engine takes
-    damping at the end of the step, of ``M^-1 (K h^2 - 2 D h)``.
-
-    Args:
-        articulation: the description.
-        gains: (J) pairs of stiffness and damping, in the order of the joints.
-        time_step: s.
-        fixed_base: whether the root cannot move.
-        implicit_damping: whether the engine takes damping at the end of the step.
-    """
-    fold = mimic_matrix(articulation)
-    stiffness, damping = (np.array(values, dtype=float) for values in zip(*gains, strict=True))
-    load = stiffness * time_step**2 + (-2.0 if implicit_damping else 2.0) * damping * time_step
-    free = np.flatnonzero(np.abs(fold).sum(axis=0))
-    folded = _mass_matrices(articulation, fixed_base, 0)[:, free][:, :, free]
-    values, vectors = np.linalg.eig(np.linalg.solve(folded, np.diag(load[free])[None]))
-    rates = np.real(values)
-    sample, mode = np.unravel_index(int(rates.argmax()), rates.shape)
-    worst = float(rates[sample, mode])
-    if worst < 4.0:
-        return None
-    energy = np.abs(vectors[sample, :, mode]) ** 2 * np.abs(load[free])
-    joint = int(free[int(energy.argmax())])
-    share = 2.0 / worst  # half of what would be just stable
-    return UnstableDrive(
-        articulation.joint_names[joint],
-        stiffness[joint],
-        damping[joint],
-        _rounded(stiffness[joint] * share),
-        _rounded(damping[joint] * share),
-    )
-
-
-def _mass_matrices(articulation: Articulation, fixed_base: bool, seed: int) -> npt.NDArray[np.float64]:
+def _mass_matrices(articulation: Articulation, fixed_base: bool) -> npt.NDArray[np.float64]:
     """(S, J, J) of random configurations, followers folded into their leaders."""
     joints = articulation.movable_joints
     low, high = (np.array([_ends(joint)[end] for joint in joints]) for end in (0, 1))
-    drawn = np.random.default_rng(seed).uniform(low, high, (_SAMPLES, len(joints)))
+    drawn = np.random.default_rng(0).uniform(low, high, (_SAMPLES, len(joints)))
     fold = mimic_matrix(articulation)
     offsets = np.array([joint.mimic.offset if joint.mimic else 0.0 for joint in joints])
     positions = torch.as_tensor(drawn @ fold.T + offsets, dtype=torch.float32)

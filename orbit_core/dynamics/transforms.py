@@ -80,12 +80,6 @@ def quat_from_matrix(m: Tensor) -> Tensor:
     return quat_canonical(candidates.gather(-2, best).squeeze(-2))
 
 
-def quat_from_axis_angle(axis: Tensor, angle: Tensor) -> Tensor:
-    """Rotations by ``angle`` (...) radians about unit axes (..., 3)."""
-    half = 0.5 * angle[..., None]
-    return torch.cat((half.cos().expand(*half.shape[:-1], 1), half.sin() * axis), -1)
-
-
 def quat_from_rotation_vector(v: Tensor) -> Tensor:
     """Quaternions (..., 4) of rotation vectors (..., 3): axis times angle."""
     angle = v.norm(dim=-1, keepdim=True)

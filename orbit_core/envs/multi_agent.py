@@ -48,15 +48,6 @@ class MultiAgentView:
         self._rewards = torch.zeros(len(self.agents), task.num_envs, device=task.device)
 
     @property
-    def observation_sizes(self) -> dict[str, int]:
-        """Components of what each agent sees.
-
-        Raises:
-            ConfigurationError: it is a dictionary of terms.
-        """
-        return {agent: layout.size for agent, layout in self.layouts.items()}
-
-    @property
     def action_sizes(self) -> dict[str, int]:
         """Components of each agent's action."""
         return {agent: part.stop - part.start for agent, part in self._actions.items()}

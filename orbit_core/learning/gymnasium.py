@@ -202,9 +202,9 @@ def outcome(end: EpisodeEnd | None, row: int) -> dict[str, Any]:
     return {"success": bool(end.success[row]), **metrics}
 
 
-def arrays_of(observation: Observation, row: int = 0) -> Arrays:
-    """One environment's observation as NumPy arrays."""
-    arrays = map_leaves(lambda value: value[row].cpu(), observation)
+def arrays_of(observation: Observation) -> Arrays:
+    """The first environment's observation as NumPy arrays."""
+    arrays = map_leaves(lambda value: value[0].cpu(), observation)
     return {
         name: {term: value.numpy() for term, value in group.items()} if isinstance(group, dict) else group.numpy()
         for name, group in arrays.items()

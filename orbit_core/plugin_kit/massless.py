@@ -34,20 +34,20 @@ def carried(articulation: Articulation, link: Link) -> list[Link]:
     return found
 
 
-def with_stand_in(articulation: Articulation, link: Link, share: float = STAND_IN) -> Link:
-    """The link, with a ``share`` of what it carries as mass and inertia if it moves without mass."""
+def with_stand_in(articulation: Articulation, link: Link) -> Link:
+    """The link, with a share (:data:`STAND_IN`) of what it carries as mass and inertia if it moves without mass."""
     if not is_massless(articulation, link):
         return link
     held = carried(articulation, link)
     moment = sum(float(np.linalg.eigvalsh(each.inertia)[0]) for each in held)
-    return replace(link, mass=share * sum(each.mass for each in held), inertia=share * moment * np.eye(3))
+    return replace(link, mass=STAND_IN * sum(each.mass for each in held), inertia=STAND_IN * moment * np.eye(3))
 
 
-def stand_in_approximations(entity: EntityLayout, engine: str, share: float = STAND_IN) -> Iterator[Approximation]:
+def stand_in_approximations(entity: EntityLayout, engine: str) -> Iterator[Approximation]:
     """A line of the build report for each link of the entity that has a stand-in for no mass."""
     articulation = entity.spec.articulation
     for link in articulation.links:
         if is_massless(articulation, link):
-            got = f"{share:g} of the mass and of the smallest moment of inertia that it carries"
+            got = f"{STAND_IN:g} of the mass and of the smallest moment of inertia that it carries"
             why = f"{engine} moves nothing without mass"
             yield Approximation(f"link '{link.name}' of '{entity.name}'", "no mass", got, why)

@@ -179,10 +179,8 @@ def test_observing_twice_runs_nothing_twice() -> None:
     assert torch.equal(first["observation"], again["observation"])
 
 
-def test_the_cut_exposes_its_ports_and_checks_what_it_is_given() -> None:
+def test_the_cut_checks_what_it_is_given() -> None:
     cut = Cut(_agent(60.0, 120.0, 120.0), "policy")
-    assert cut.observation_ports == (Port("observation", (2,)),)
-    assert cut.action_ports == (Port("action", (2,)),)
     action = {"action": torch.zeros(ENVIRONMENTS, 2)}
     with pytest.raises(ConfigurationError, match="observe, then act"):
         cut.act(action)

@@ -146,3 +146,14 @@ def test_an_installed_package_brings_kinds(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.syspath_prepend(tmp_path)
     assert object_config("medal", radius=0.04).build("prize").articulation.mass > 0
     assert "their-objects" in object_kinds().origin("medal")
+
+
+@pytest.mark.parametrize("values", [{"cube": "table"}, {"cube": "cabinet"}, {"cube.fixed_base": True}])
+def test_lift_refuses_what_does_not_move(values: dict[str, Any]) -> None:
+    with pytest.raises(ConfigurationError, match=r"field 'cube' of task Lift is a '\w+' whose base is fixed"):
+        configure(Lift, values).scene()
+
+
+def test_an_unknown_kind_is_answered_with_the_kinds() -> None:
+    with pytest.raises(UnknownNameError, match=r"did you mean 'sphere'\? known: box, cabinet, capsule"):
+        configure(Lift, {"cube": "spere"})

@@ -170,7 +170,7 @@ def test_unreadable_meshes(tmp_path: Path) -> None:
 
 def test_simplified_hull_lies_within_and_keeps_the_extent() -> None:
     ball = trimesh.creation.icosphere(subdivisions=4)
-    hull = simplified_hull(Mesh(np.asarray(ball.vertices), np.asarray(ball.faces)), directions=32)
+    hull = simplified_hull(Mesh(np.asarray(ball.vertices), np.asarray(ball.faces)))
     assert len(hull.vertices) <= 38
     assert np.linalg.norm(hull.vertices, axis=1).max() <= 1 + 1e-6
     np.testing.assert_allclose(np.ptp(hull.vertices, axis=0), np.ptp(ball.vertices, axis=0), atol=1e-6)

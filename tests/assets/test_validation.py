@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from orbit_core.assets.validation import sort_links, validate, validate_entity
-from orbit_core.interfaces.errors import AssetError
+from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.scene import (
     Articulation,
     Box,
     DriveGains,
+    EndEffector,
     Frame,
     Joint,
     JointType,
@@ -24,6 +25,7 @@ from orbit_core.scene import (
     Mimic,
     ObjectSpec,
     Pose,
+    RobotSpec,
     Shape,
 )
 
@@ -212,3 +214,18 @@ def test_a_loop_is_closed_at_home() -> None:
 def test_impossible_loops(change: dict[str, Any], fault: str) -> None:
     with pytest.raises(AssetError, match=fault):
         validate(triangle(**change))
+
+
+@pytest.mark.parametrize(
+    ("parts", "fault"),
+    [
+        ({"end_effectors": (EndEffector("uper", ()),)}, r"effector frame 'uper' in robot 'arm': did you mean 'upper'"),
+        ({"end_effectors": (EndEffector("upper", (), finger_tips=("tip",)),)}, r"unknown finger tip frame 'tip'"),
+        ({"end_effectors": (EndEffector("upper", ("sholder",)),)}, r"unknown joint 'sholder' in arm of robot 'arm'"),
+        ({"feet": ("foot",)}, r"unknown foot frame 'foot' in robot 'arm'"),
+    ],
+)
+def test_a_robots_end_effectors_and_feet_are_places_of_its_own(parts: dict[str, Any], fault: str) -> None:
+    validate_entity(RobotSpec(name="arm", articulation=chain(), fixed_base=True))
+    with pytest.raises(UnknownNameError, match=fault):
+        validate_entity(RobotSpec(name="arm", articulation=chain(), fixed_base=True, **parts))

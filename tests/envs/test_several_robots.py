@@ -51,7 +51,7 @@ def test_an_agent_sees_its_own_terms_and_what_all_see(handover: Environment) -> 
     for agent in (GIVER, RECEIVER):
         robot = world.robots[agent]
         joints = len(robot.joint_names)
-        assert seen[agent].shape == (3, handover.multi_agent.observation_sizes[agent])
+        assert seen[agent].shape == (3, handover.multi_agent.layouts[agent].size)
         torch.testing.assert_close(seen[agent][:, :joints], robot.joint_positions - robot.home_positions)
         torch.testing.assert_close(seen[agent][:, -10:-3], world.objects["rod"].root_pose)
         torch.testing.assert_close(seen[agent][:, -3:], task.goal)

@@ -17,6 +17,9 @@ from orbit_core.scene import (
     Pose,
 )
 
+_MOST = 4
+"""Names that a message lists; it counts the rest."""
+
 _OF_JOINTS: tuple[tuple[str, Callable[[Joint], object]], ...] = (
     ("armature", lambda joint: joint.movable and joint.armature),
     ("the stiffness of springs", lambda joint: joint.movable and joint.stiffness),
@@ -76,8 +79,8 @@ def _has_material(link: Link) -> bool:
     return any(shape.material != PhysicsMaterial() for shape in link.collisions)
 
 
-def listed(names: Iterable[str], most: int = 4) -> str:
+def listed(names: Iterable[str]) -> str:
     """Some names, and how many more there are."""
     every = list(names)
-    rest = f" and {len(every) - most} more" if len(every) > most else ""
-    return ", ".join(f"'{name}'" for name in every[:most]) + rest
+    rest = f" and {len(every) - _MOST} more" if len(every) > _MOST else ""
+    return ", ".join(f"'{name}'" for name in every[:_MOST]) + rest

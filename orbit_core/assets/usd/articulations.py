@@ -21,7 +21,6 @@ from orbit_core.scene import Articulation, Frame, Joint, Link, Pose
 
 WORLD = "world"
 """The root link of an articulation whose first movable joint hangs from the world."""
-_JOINT_TYPES = ("PhysicsFixedJoint", "PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsSphericalJoint")
 
 
 class StageReader:

@@ -40,14 +40,14 @@ class Cell:
     """A backend's standing in a scenario, a task or a learned policy."""
 
     status: Status | None
-    """None where it was not run."""
+    """Status of the cell; None where it was not run."""
     label: str
     reason: str = ""
     rows: tuple[Row, ...] = ()
 
     @property
     def style(self) -> str:
-        """The class of its colour."""
+        """The style class of the status's colour."""
         return self.status.name.lower() if self.status else "absent"
 
 
@@ -89,7 +89,7 @@ class TaskSection:
 
     name: str
     videos: tuple[tuple[str, str], ...]
-    """Backend and file."""
+    """Pairs of backend and file."""
     rows: tuple[tuple[str, ...], ...]
     divergence: Markup
     replays: tuple[tuple[str, tuple[str, ...]], ...]
@@ -101,9 +101,9 @@ class TransferCell:
     """A learned policy on one backend."""
 
     standing: Cell
-    """Its label is the success."""
+    """Standing of the policy; its label is the success rate."""
     metric: str
-    """The leading one."""
+    """The leading metric."""
     learned_here: bool
 
 
@@ -114,7 +114,7 @@ class TransferLine:
     info: PolicyInfo
     cells: tuple[TransferCell, ...]
     backend: str = ""
-    """That simulates what others draw."""
+    """The backend that simulates what the renderers draw."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class Page:
     success: Markup
     transfers: tuple[TransferLine, ...]
     drawn: tuple[TransferLine, ...]
-    """Of the policies that see pictures, one cell for each of the run's renderers."""
+    """Lines of the policies that see pictures, with one cell for each of the run's renderers."""
     throughput: Markup
     rates: tuple[tuple[str, ...], ...]
     gaps: tuple[GapLine, ...]

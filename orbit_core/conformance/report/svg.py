@@ -34,7 +34,7 @@ COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#00
 PANEL_WIDTH, PANEL_HEIGHT = 2.7, 2.1
 _COLUMNS = 4
 _LEGEND_COLUMNS = 2
-"""Below each panel."""
+"""Columns of the legend below the panels."""
 
 
 class Plot:
@@ -73,12 +73,12 @@ def plotting(titles: Sequence[str]) -> Iterator[Plot]:
 
 
 def color_of(name: str, names: Sequence[str]) -> str:
-    """One colour a name, the same in all plots."""
+    """The colour of a name, the same in all plots."""
     return COLORS[names.index(name) % len(COLORS)]
 
 
 def _slim(svg: str) -> str:
-    """Without what only a file of its own needs."""
+    """The markup without what only a separate file needs."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)

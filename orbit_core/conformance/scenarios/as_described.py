@@ -20,7 +20,7 @@ from orbit_core.scene import Articulation, IdealPd, Joint, JointType, Link, Obje
 # Inertias and frames -------------------------------------------------------------------------------------------------
 
 _MOTOR_ARMATURE = 0.05
-"""kg m^2, which an actuator group gives a joint in the place of its own."""
+"""Armature in kg m^2 that an actuator group gives a joint in the place of its own."""
 
 
 def _skew_link(name: str, mass: float, number: int) -> Link:
@@ -79,7 +79,7 @@ def _equation_of_motion(trial: Trial) -> float:
 # Limits --------------------------------------------------------------------------------------------------------------
 
 _INERTIA, _DRAG, _PUSH = 0.5, 0.5, 1.0
-"""kg m^2 or kg, N m s/rad or N s/m, and N m or N, of each joint: two units a second in the end."""
+"""Inertia, damping and effort of each joint in SI units; the speed ends at two units a second."""
 _LIMITS = {"both": (-0.5, 0.8), "above": (-math.inf, 0.6), "below": (-0.7, math.inf)}
 
 

@@ -40,7 +40,7 @@ def _curved_mimic(trial: Trial) -> Mapping[str, float]:
 
 
 _START = -1.1
-"""rad of the crank from level."""
+"""Angle in rad of the crank from level."""
 
 
 def _welded() -> RobotSpec:

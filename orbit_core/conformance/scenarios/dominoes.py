@@ -18,12 +18,12 @@ _COUNT = 8
 _SIZE = (0.03, 0.1, 0.2)
 """Thickness, width and height in metres."""
 _APART = 0.1
-"""From middle to middle."""
+"""Distance in metres from middle to middle."""
 _PUSH = 3.0
-"""rad/s of the first about its lower edge."""
+"""Angular velocity in rad/s of the first domino about its lower edge."""
 _TILTED = math.radians(10.0)
 _SPEED = 1.275
-"""m/s, from the fourth piece to the last: three engines at steps of 0.25 ms come to 1.268, 1.274 and 1.276."""
+"""Speed in m/s from the fourth piece to the last: three engines at steps of 0.25 ms come to 1.268, 1.274 and 1.276."""
 
 
 def _dominoes(trial: Trial) -> Mapping[str, float]:

@@ -17,7 +17,7 @@ from orbit_core.scene import ActuatorConfig, IdealPd, ImplicitPd, RobotSpec
 
 _INERTIA, _MASS = 0.5, 2.0
 _SOFT = {"under": (50.0, 2.0), "critical": (50.0, 10.0), "over": (50.0, 30.0)}
-"""Gains: damping ratios of 0.2, 1 and 3 at 10 rad/s."""
+"""Gains with damping ratios of 0.2, 1 and 3 at 10 rad/s."""
 
 
 def _response(trial: Trial, kind: Callable[..., ActuatorConfig]) -> Mapping[str, float]:
@@ -54,7 +54,7 @@ def _explicit(trial: Trial) -> Mapping[str, float]:
 
 
 _STIFF = {"arm": (4000.0, 400.0, 0.05), "finger": (1000.0, 20.0, 1e-4), "rigid": (1e6, 1e4, 0.5)}
-"""Stiffness, damping and inertia: the fast modes decay 40 to 1,000 times within a time step of 5 ms."""
+"""Stiffness, damping and inertia of drives: the fast modes decay 40 to 1,000 times within a time step of 5 ms."""
 
 
 def _stiff(trial: Trial) -> Mapping[str, float]:

@@ -33,21 +33,21 @@ from orbit_core.scene import (
 
 @dataclass(frozen=True)
 class Momenta:
-    """Of all links of a thing together, in double precision, about the environment's origin."""
+    """Momenta of all links of a thing together, in double precision, about the environment's origin."""
 
     mass: float
     center: Tensor
-    """(N, 3) of mass, in m."""
+    """Centre of mass (N, 3) in m."""
     linear: Tensor
-    """(N, 3) kg m/s"""
+    """Linear momentum (N, 3) in kg m/s."""
     angular: Tensor
-    """(N, 3) kg m^2/s, about the centre of mass."""
+    """Angular momentum (N, 3) in kg m^2/s about the centre of mass."""
     energy: Tensor
-    """(N,) kinetic, in J."""
+    """Kinetic energy (N,) in J."""
 
 
 def momenta(thing: Object) -> Momenta:
-    """From poses and velocities of the links alone."""
+    """The momenta, computed from poses and velocities of the links alone."""
     links = thing.spec.articulation.links
     poses, velocities = thing.link_poses.double().cpu(), thing.link_velocities.double().cpu()
     masses = torch.tensor([link.mass for link in links], dtype=torch.float64)[:, None]
@@ -74,7 +74,7 @@ def _skew(name: str, mass: float, moments: tuple[float, float, float], pose: Pos
 
 
 def _cylinder(name: str, pose: Pose) -> ObjectSpec:
-    """Of 2 kg, 0.1 m across and 0.3 m long."""
+    """A cylinder of 2 kg, 0.1 m across and 0.3 m long."""
     side = 2.0 * (3 * 0.05**2 + 0.3**2) / 12
     inertia = np.diag([side, side, 0.5 * 2.0 * 0.05**2])
     return ObjectSpec(name=name, articulation=single_link(name, Shape(Cylinder(0.05, 0.15)), 2.0, inertia), pose=pose)
@@ -158,7 +158,7 @@ def _spinning_bodies(trial: Trial) -> Mapping[str, float]:
 
 _MOMENTS = (0.01, 0.02, 0.03)
 _TURN = (0.05, 5.0, 0.05)
-"""rad/s about the principal axes: a tilt of about half a degree."""
+"""Angular velocity in rad/s about the principal axes: a tilt of about half a degree."""
 _TUMBLE = 4.0
 
 
@@ -188,7 +188,7 @@ def _intermediate_axis(trial: Trial) -> Mapping[str, float]:
 
 
 def _first_zero(times: list[float], values: list[float]) -> float:
-    """When a curve first changes its sign, by linear interpolation; NaN if never."""
+    """The time at which a curve first changes its sign, by linear interpolation; NaN if never."""
     for (t, a), (u, b) in zip(zip(times, values, strict=True), zip(times[1:], values[1:], strict=True), strict=False):
         if a > 0 >= b:
             return t + (u - t) * a / (a - b)

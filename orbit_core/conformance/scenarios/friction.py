@@ -96,7 +96,7 @@ def _static_above_dynamic(trial: Trial) -> Mapping[str, float]:
 
 
 def _rolling_down(trial: Trial, mu: float, tangent: float) -> tuple[float, float]:
-    """Acceleration down the slope, and of the spin times the radius, of a ball that starts at rest."""
+    """Acceleration down the slope of a ball that starts at rest, and of its spin times the radius."""
     angle = math.atan(tangent)
     ball = marble("marble", RADIUS, smooth_material(mu), on_slope(angle, RADIUS))
     world = trial.world(scene(ball, terrain=(slope(angle, SMOOTH),)))

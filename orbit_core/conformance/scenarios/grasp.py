@@ -31,7 +31,7 @@ GAP = 0.002
 """Metres between the open fingers and the box."""
 LIFT = 0.05
 LOADS = torch.arange(0.91, 1.1, 0.02)
-"""Of each environment, the weight over what the fingers can hold: ``m g / (2 mu F)``."""
+"""Ratio in each environment of the weight to the load that the fingers can hold: ``m g / (2 mu F)``."""
 
 
 def gripper(material: PhysicsMaterial, tip: Geometry | None = None) -> RobotSpec:
@@ -60,7 +60,7 @@ def gripper(material: PhysicsMaterial, tip: Geometry | None = None) -> RobotSpec
 
 
 def _offset(world: World) -> Tensor:
-    """(N,) height of the box above the fingers' middle, in metres."""
+    """Height (N,) of the box above the fingers' middle, in metres."""
     fingers = world.robots["gripper"].link_poses[:, 2:, 2].mean(-1)
     return world.objects["box"].root_pose[:, 2] - fingers
 

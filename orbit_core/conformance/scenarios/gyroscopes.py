@@ -26,7 +26,7 @@ from orbit_core.scene import (
 )
 
 SPIN = 300.0
-"""rad/s: 17 degrees in a millisecond."""
+"""Spin in rad/s: 17 degrees in a millisecond."""
 
 # On gimbals ----------------------------------------------------------------------------------------------------------
 
@@ -73,7 +73,7 @@ def _precession(trial: Trial) -> Mapping[str, float]:
 
 _MOMENTS = {"round": (0.01, 0.01, 0.02), "asymmetric": (0.01, 0.02, 0.03)}
 _WOBBLE = 3.0
-"""rad/s about a second axis, so that the spin's axis goes round."""
+"""Angular velocity in rad/s about a second axis, which makes the spin's axis go round."""
 
 
 def _nutation(moments: tuple[float, float, float]) -> float:

@@ -22,7 +22,7 @@ _CAMERA = CameraSpec(
     pose=look_at((2.6, -1.9, 1.9), (0.0, 0.0, 0.4)),
 )  # fmt: skip
 _FINE = 8
-"""Rays to a pixel's side that tell the outlines."""
+"""Number of rays along a pixel's side that find the outlines."""
 
 
 def _things() -> list[tuple[Geometry, Pose]]:
@@ -36,7 +36,7 @@ def _screen() -> tuple[Geometry, Pose]:
 
 
 def _boxes(things: list[tuple[Geometry, Pose]], camera: CameraSpec) -> npt.NDArray[np.float64]:
-    """(things, 4) around the pixels whose centre shows each thing, zeros where none does."""
+    """Boxes (things, 4) around the pixels whose centre shows each thing, zeros where none does."""
     directions = pixel_directions(camera)
     seen = trace([*things, (Plane(), Pose())], np.broadcast_to(camera.pose.position, directions.shape), directions)
     shown = seen.things.reshape(camera.height, camera.width)
@@ -49,7 +49,7 @@ def _boxes(things: list[tuple[Geometry, Pose]], camera: CameraSpec) -> npt.NDArr
 
 
 def _whole(things: list[tuple[Geometry, Pose]]) -> npt.NDArray[np.float64]:
-    """(things, 4) around each thing alone, from rays a fraction of a pixel apart, in the camera's own pixels."""
+    """Boxes (things, 4) around each thing alone, from rays a fraction of a pixel apart, in the camera's own pixels."""
     fine = CameraSpec(
         name="fine", width=_FINE * _CAMERA.width, height=_FINE * _CAMERA.height, vertical_fov=_CAMERA.vertical_fov,
         pose=_CAMERA.pose,

@@ -32,7 +32,7 @@ from orbit_core.sensors.camera import CameraSensor
 
 _COLORS = ((0.9, 0.2, 0.1), (0.1, 0.7, 0.2), (0.2, 0.3, 0.9), (0.8, 0.7, 0.1), (0.6, 0.1, 0.7), (0.3, 0.35, 0.4))
 _FAR = 6.0
-"""Metres: what lies beyond is not drawn."""
+"""Distance in metres beyond which nothing is drawn."""
 _ALIKE = 0.9
 """Cosine of the angle by which the surface may turn from a pixel to the next."""
 
@@ -44,12 +44,12 @@ class _View:
     images: Mapping[Channel, Tensor]
     truth: Hits
     sure: npt.NDArray[np.bool_]
-    """(pixels,)"""
+    """Whether (pixels,) the truth is certain: the pixel is not beside an outline or an edge."""
     camera: CameraSpec
     labels: tuple[str, ...]
 
     def of(self, channel: Channel, where: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[np.float64]:
-        """(2, pixels of the kind, channels)"""
+        """The pixels of one kind (2, pixels, channels)."""
         rows = self.sure if where is None else self.sure & where
         return self.images[channel].double().numpy()[:, rows]
 
@@ -69,7 +69,7 @@ def _photograph(
     ground: Geometry,
     eye: Vector3 = (2.6, -1.9, 1.9),
 ) -> _View:
-    """Of solids that stand still on a ground; they are only to be seen, and collide with nothing."""
+    """The picture of solids that stand still on a ground; they are only to be seen, and collide with nothing."""
     camera = CameraSpec(
         name="eye", width=96, height=72, vertical_fov=0.8, channels=channels, far=_FAR,
         pose=look_at(eye, (0.0, 0.0, 0.4)),

@@ -19,11 +19,11 @@ _DROP = 0.5
 
 
 _DROPS = (0.3, 0.37, 0.44, 0.51, 0.58)
-"""Metres, so that impacts fall at different times within a step."""
+"""Heights in metres, chosen so that impacts fall at different times within a step."""
 
 
 def _rebound(trial: Trial, thing: ObjectSpec) -> Tensor:
-    """(drops,) height, over that of the drop, to which a thing of half height RADIUS rises after its first bounce."""
+    """Height to which a thing of half height RADIUS rises after its first bounce, over that of the drop (drops,)."""
     world = trial.world(scene(thing, terrain=SMOOTH_GROUND), len(_DROPS))
     body, drops = world.objects[thing.name], torch.tensor(_DROPS)
     pose = body.root_pose.clone()
@@ -65,7 +65,7 @@ def _bouncing_on(trial: Trial) -> Mapping[str, float]:
 
 
 def _height_of_bounces(time: float, fall: float, restitution: float) -> float:
-    """Of a point that falls for ``fall`` seconds and then bounces."""
+    """The height of a point that falls for ``fall`` seconds and then bounces."""
     speed = G * fall
     if time < fall:
         return 0.5 * G * (fall**2 - time**2)

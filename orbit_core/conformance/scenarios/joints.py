@@ -21,17 +21,17 @@ _MOTOR = (IdealPd(joints=(".*",)),)
 
 
 def named(name: str, robot: RobotSpec, x: float = 0.0) -> RobotSpec:
-    """The robot under a name of its own, moved aside."""
+    """The robot with another name, moved aside."""
     return replace(robot, name=name, pose=replace(robot.pose, position=(x, 0.0, robot.pose.position[2])))
 
 
 def speeds(world: World) -> torch.Tensor:
-    """(N, robots) velocity of each robot's only joint."""
+    """Velocity (N, robots) of each robot's only joint."""
     return torch.cat([robot.joint_velocities for robot in world.robots.values()], -1).double().cpu()
 
 
 def push(world: World, efforts: list[list[float]]) -> None:
-    """Efforts (N, robots) on each robot's only joint."""
+    """Apply efforts (N, robots) to each robot's only joint."""
     given = torch.tensor(efforts, device=world.device)
     for column, robot in enumerate(world.robots.values()):
         robot.set_effort_targets(given[:, column : column + 1])

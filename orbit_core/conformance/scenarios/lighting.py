@@ -36,7 +36,7 @@ _Things = Sequence[tuple[Geometry, Pose]]
 
 _FAR = 8.0
 _LIFT = 1e-6
-"""Metres from a surface at which a ray towards a light starts."""
+"""Distance in metres from a surface at which a ray towards a light starts."""
 _COLORS = ((0.9, 0.3, 0.1), (0.2, 0.7, 0.3), (0.3, 0.4, 0.9), (0.8, 0.8, 0.7))
 _SKY = Sky(above=(0.2, 0.4, 0.9), below=(0.9, 0.8, 0.6))
 _BOXES: _Things = (
@@ -58,9 +58,9 @@ class _Picture:
     found: _Array
     true: _Array
     shaded: npt.NDArray[np.bool_]
-    """(pixels,) what stands in the way of a light that would reach it."""
+    """Whether (pixels,) something stands in the way of a light."""
     met: npt.NDArray[np.bool_]
-    """(pixels,)"""
+    """Whether (pixels,) the ray meets a surface."""
 
     def worst(self, where: npt.NDArray[np.bool_]) -> float:
         return float(np.abs(self.found - self.true)[where].max())

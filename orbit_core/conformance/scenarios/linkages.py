@@ -121,7 +121,7 @@ def _rocker_angle(lengths: tuple[float, float, float, float], crank_angle: float
 
 
 def _positions(lengths: tuple[float, float, float, float], crank_angle: float) -> tuple[float, float, float]:
-    """Of the three hinges."""
+    """Positions of the three hinges."""
     ground, crank, _, rocker = lengths
     angle = _rocker_angle(lengths, crank_angle)
     x = ground + rocker * math.cos(angle) - crank * math.cos(crank_angle)
@@ -130,7 +130,7 @@ def _positions(lengths: tuple[float, float, float, float], crank_angle: float) -
 
 
 def _opening(robot: Object, lengths: tuple[float, float, float, float]) -> float:
-    """Metres between the ends of coupler and rocker."""
+    """Distance in metres between the ends of coupler and rocker."""
     crank, elbow, rocker = robot.joint_positions[0].tolist()
     x = lengths[1] * math.cos(crank) + lengths[2] * math.cos(crank + elbow) - lengths[0] - lengths[3] * math.cos(rocker)
     z = lengths[1] * math.sin(crank) + lengths[2] * math.sin(crank + elbow) - lengths[3] * math.sin(rocker)
@@ -140,7 +140,7 @@ def _opening(robot: Object, lengths: tuple[float, float, float, float]) -> float
 _CRANK_ROCKER = (0.3, 0.1, 0.3, 0.25)
 PARALLELOGRAM = (0.4, 0.2, 0.4, 0.2)
 _SWING = 0.5
-"""rad from hanging."""
+"""Angle in rad from hanging."""
 
 
 def _four_bar_linkage(trial: Trial) -> Mapping[str, float]:

@@ -16,7 +16,7 @@ from orbit_core.scene import ImplicitPd, Pose
 
 _GROUP = "Randomised parameters"
 _ON_ITS_SIDE = Pose((0.0, 0.0, 1.0), (math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0))
-"""Takes the z axis to y."""
+"""The rotation that takes the z axis to y."""
 _PLACES = torch.tensor([0, 2, 1])
 """Values are given out of order, so that a mix-up of environments shows."""
 
@@ -45,7 +45,7 @@ def _mass(trial: Trial) -> Mapping[str, float]:
 
 
 def _friction(trial: Trial) -> Mapping[str, float]:
-    """The ground's is the smaller, so that the cube's decides."""
+    """Friction of a cube, which decides because the ground's is smaller."""
     coefficients, speed = torch.tensor([0.3, 0.9, 0.5]), 1.5
     world = trial.world(scene(cube()), num_envs=3)
     thing, ids = _thing(world, "cube"), _PLACES.to(world.device)

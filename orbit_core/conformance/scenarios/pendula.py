@@ -16,11 +16,11 @@ from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, RobotSp
 
 _LENGTH = 0.5
 _AMPLITUDES = (0.05, 1.5, 2.8)
-"""rad; the period of the largest is more than twice that of the smallest."""
+"""Amplitudes in rad; the period of the largest is more than twice that of the smallest."""
 
 
 def _pendulum(trial: Trial) -> Mapping[str, float]:
-    """Released at rest, one amplitude in each environment; a joint angle of a quarter turn hangs down."""
+    """A pendulum released at rest, with one amplitude in each environment; it hangs down at a quarter turn."""
     world = trial.world(scene(pendulum(length=_LENGTH, links=1), terrain=()), num_envs=len(_AMPLITUDES))
     robot, chain = world.robots["pendulum"], PlanarChain(1, _LENGTH)
     lever = _LENGTH / 2
@@ -46,7 +46,7 @@ def _pendulum(trial: Trial) -> Mapping[str, float]:
 
 
 def _period(times: list[float], angles: list[float]) -> float:
-    """Between the first two passages through zero in the same direction, interpolated; NaN if there are no two."""
+    """Time between the first two passages through zero in the same direction, interpolated; NaN without two."""
     passages = [
         t + (u - t) * a / (a - b)
         for t, u, a, b in zip(times, times[1:], angles, angles[1:], strict=False)
@@ -56,7 +56,7 @@ def _period(times: list[float], angles: list[float]) -> float:
 
 
 _RELEASE = (0.3, 0.6)
-"""rad from the horizontal: the lower link goes over the top within two seconds."""
+"""Angles in rad from the horizontal: the lower link goes over the top within two seconds."""
 
 
 @cache
@@ -105,7 +105,7 @@ def _energy_of_a_chain(trial: Trial) -> Mapping[str, float]:
 
 _ARM, _LEVER, _ARM_INERTIA = 0.3, 0.25, 0.1
 _UP = 2.5
-"""rad from hanging, of the pendulum at its release."""
+"""Angle in rad from hanging at which the pendulum is released."""
 
 
 def _furuta() -> RobotSpec:

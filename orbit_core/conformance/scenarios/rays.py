@@ -18,15 +18,15 @@ from orbit_core.scene.shapes import Geometry
 
 GROUND = Shape(Plane(), name="ground")
 _REACH = 20.0
-"""Metres."""
+"""Length of the rays in metres."""
 _BESIDE = 2e-3
-"""Radians between a ray and those beside it, which tell whether it passes an edge."""
+"""Angle in radians between a ray and those beside it, which tell whether it passes an edge."""
 _ALIKE = 0.98
 """Cosine of the angle by which the surface may turn between them."""
 
 
 def primitives() -> list[tuple[Geometry, Pose]]:
-    """One of each, side by side, each turned another way."""
+    """One solid of each kind, side by side, each with another orientation."""
     return [
         (Box((0.3, 0.2, 0.15)), Pose.from_euler(0.4, -0.3, 0.9, (1.0, 0.0, 0.5))),
         (Sphere(0.3), Pose((0.0, 1.0, 0.4))),
@@ -66,7 +66,7 @@ class _Rays:
 
 
 def _rays(count: int, above: bool) -> _Rays:
-    """From all around, or from above, through the middle of the scene; the same at each call."""
+    """Rays from all around, or from above, through the middle of the scene; they are the same at each call."""
     random = np.random.default_rng(0)
     origins = random.normal(size=(count, 3))
     origins[:, 2] = np.abs(origins[:, 2]) + (2.0 if above else 0.0)
@@ -89,7 +89,7 @@ def _truth(things: Sequence[tuple[Geometry, Pose]], rays: _Rays) -> tuple[Hits, 
 def _measure(
     trial: Trial, solids: Sequence[tuple[Geometry, Pose]], ground: Shape, count: int, above: bool = False
 ) -> Mapping[str, float]:
-    """Of solids as fixed objects on a ground, in two environments."""
+    """Errors of rays on solids that are fixed objects on a ground, in two environments."""
     objects = [fixed(f"thing{i}", geometry, pose) for i, (geometry, pose) in enumerate(solids)]
     world = trial.world(scene(*objects, terrain=(ground,)), num_envs=2)
     rays = _rays(count, above)

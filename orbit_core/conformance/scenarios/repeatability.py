@@ -1,4 +1,4 @@
-"""What must come out the same, bit for bit."""
+"""Runs that must agree bit for bit."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from orbit_core.sensors import ContactSensor, FrameSensor, ImuSensor, JointSenso
 
 _STATE = ("joint_positions", "joint_velocities", "joint_efforts", "link_poses", "link_velocities")
 _STEPS = 4
-"""Physics steps that a command is held."""
+"""Number of physics steps for which a command is held."""
 
 
 def _busy_scene(*sensors: SensorSpec) -> Scene:
-    """A driven arm that strikes a cube, which another one stands on."""
+    """A driven arm that strikes a cube, on which another cube stands."""
     drive = ImplicitPd(joints=(".*",), stiffness=50.0, damping=5.0)
     arm = pendulum(actuators=(drive,), base=Pose((0.0, 0.0, 0.3)))
     cubes = (cube("one", pose=Pose((0.3, 0.0, 0.06))), cube("two", pose=Pose((0.35, 0.0, 0.2))))
@@ -90,7 +90,7 @@ def _beside_a_reset(trial: Trial) -> Mapping[str, float]:
 
 
 def _reset(trial: Trial) -> Mapping[str, float]:
-    """One world has been driven, and its things pushed, before it is reset."""
+    """A world that was driven, its objects pushed, and reset agrees with a new world."""
     used, fresh = (trial.world(_busy_scene(), num_envs=2) for _ in range(2))
     _drive(trial, used, 0.3)
     used.robots["pendulum"].set_effort_targets(torch.full((2, 2), 3.0, device=used.device))
@@ -102,7 +102,7 @@ def _reset(trial: Trial) -> Mapping[str, float]:
 
 
 def _snapshot(trial: Trial) -> Mapping[str, float]:
-    """Taken in the midst of contact; another life lies between the two continuations."""
+    """A snapshot taken during contact is continued twice, with other motion between the two continuations."""
     world = trial.world(_busy_scene(ContactSensorSpec(name="touch", entity="one")), num_envs=3)
     _drive(trial, world, 0.2)
     saved = world.save_state()
@@ -124,7 +124,7 @@ _SENSORS = (
 
 
 def _told(world: World) -> dict[str, Tensor]:
-    """The state, and all that the sensors tell."""
+    """The state and the measurements of all sensors."""
     touch, frame, imu, joints = (world.sensors[spec.name] for spec in _SENSORS)
     assert isinstance(touch, ContactSensor)
     assert isinstance(frame, FrameSensor)

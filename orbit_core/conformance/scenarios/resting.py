@@ -25,7 +25,7 @@ _HALF = 0.05
 
 
 def _kinetic_energy(world: World, mass: float, inertia: float) -> float:
-    """Joule, of all objects of the first environment, each of one mass and one moment of inertia."""
+    """Kinetic energy in J of all objects of the first environment, each of one mass and one moment of inertia."""
     linear, angular = velocities(world)[0].split(3, dim=-1)
     return float(0.5 * mass * linear.square().sum() + 0.5 * inertia * angular.square().sum())
 

@@ -33,9 +33,9 @@ from orbit_core.scene import (
 RADIUS, WIDTH = 0.1, 0.04
 _SPEED = 1.0
 _HEADINGS = (0.0, 0.6)
-"""rad, of the two wheels on the level."""
+"""Headings in rad of the two wheels on level ground."""
 _SLOPES = (0.1, 0.4)
-"""tan(angle); at friction 0.5 a wheel rolls up to 1.5."""
+"""Slopes as the tangent of the angle; at friction 0.5 a wheel rolls up to 1.5."""
 
 
 def _wheel(name: str, pose: Pose) -> ObjectSpec:
@@ -87,9 +87,9 @@ def _down(trial: Trial, tangent: float) -> tuple[float, float]:
 # A coin --------------------------------------------------------------------------------------------------------------
 
 THICKNESS = 0.02
-"""Of the coin, in metres; its radius is that of the wheels."""
+"""Thickness of the coin in metres; its radius is that of the wheels."""
 _LEAN, _TURNING = 0.3, 1.5
-"""rad from upright, and rad/s about the vertical."""
+"""Lean in rad from upright, and angular velocity in rad/s about the vertical."""
 
 
 def steady_roll(lean: float, turning: float) -> tuple[float, float]:
@@ -156,7 +156,7 @@ def _turntable() -> RobotSpec:
 
 
 def _ball_on_turntable(trial: Trial) -> Mapping[str, float]:
-    """Set rolling at 0.2 m/s against the room, 0.1 m off the axis: a circle of 0.14 m."""
+    """A ball set rolling at 0.2 m/s in the world's frame, 0.1 m off the axis, goes round a circle of 0.14 m."""
     ball = marble("marble", _BALL, smooth_material(0.5), Pose((0.1, 0.0, 0.1 + _BALL)), mass=0.1)
     world = trial.world(scene(_turntable(), ball, terrain=()))
     robot, thing = world.robots["turntable"], world.objects["marble"]
@@ -184,7 +184,7 @@ def _ball_on_turntable(trial: Trial) -> Mapping[str, float]:
 
 
 def _quarter(vector: Tensor) -> Tensor:
-    """(2,) turned by a right angle: z x vector."""
+    """The vector (2,) turned by a right angle: z x vector."""
     return torch.stack((-vector[1], vector[0]))
 
 

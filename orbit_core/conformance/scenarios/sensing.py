@@ -38,7 +38,7 @@ _Kind = TypeVar("_Kind", bound=Sensor)
 
 _RADIUS, _MASS = 0.4, 2.0
 _SPIN = 3.0
-"""Radians per second."""
+"""Angular velocity in radians per second."""
 _IMU = ImuSpec(name="imu", entity="arm", frame="tip")
 _WRENCH = ForceTorqueSpec(name="wrench", entity="arm", link="arm")
 _GROUP = "Sensors"
@@ -123,7 +123,7 @@ def _force_torque_of_a_level_arm(trial: Trial) -> Mapping[str, float]:
 
 
 def _frames_and_joints(trial: Trial) -> Mapping[str, float]:
-    """Of an arm that turns by itself, and of its tip."""
+    """Errors of the frame and joint sensors of an arm that turns by itself, and of its tip."""
     sensors = (
         JointSensorSpec(name="joint", entity="arm"),
         FrameSensorSpec(name="tip", entity="arm", frame="tip"),

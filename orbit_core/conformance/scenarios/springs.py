@@ -14,7 +14,7 @@ from orbit_core.scene import ActuatorConfig, ImplicitPd, Pose, RobotSpec
 
 _MASS, _REST, _START = 2.0, 0.1, 0.4
 _OMEGA = 2 * math.pi
-"""rad/s of the free oscillation."""
+"""Angular frequency in rad/s of the free oscillation."""
 
 
 def _springs(trial: Trial) -> Mapping[str, float]:
@@ -41,7 +41,7 @@ def _oscillation(trial: Trial) -> dict[str, float]:
 
 
 def _hanging(name: str, stiffness: float, home: float = 0.0, actuators: tuple[ActuatorConfig, ...] = ()) -> RobotSpec:
-    """A slider that points down, damped."""
+    """A damped slider that points down."""
     down = Pose.from_axis_angle((0.0, 1.0, 0.0), math.pi / 2)
     robot = slider(mass=_MASS, stiffness=stiffness, rest_position=_REST, damping=40.0)
     return RobotSpec(

@@ -13,11 +13,11 @@ from orbit_core.scene import Pose
 
 _HALF, _COUNT, _APART = 0.05, 5, 1.0
 _LOADS = (10.0, 100.0)
-"""kg, on towers of five cubes of 1 kg."""
+"""Loads in kg on towers of five cubes of 1 kg."""
 
 
 def _loaded_towers(trial: Trial) -> Mapping[str, float]:
-    """One beside the other; each layer's sink is what is missing between a cube and the one below."""
+    """Towers side by side; the sink of a layer is the overlap of a cube with the one below."""
     cubes = [
         cube(
             f"cube{layer}_{int(load)}",

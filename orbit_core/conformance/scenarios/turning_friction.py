@@ -21,7 +21,7 @@ from orbit_core.scene import Box, ObjectSpec, PhysicsMaterial, Pose, Shape, Sphe
 # Friction that is asked for ------------------------------------------------------------------------------------------
 
 _TORSIONAL, _ROLLING = 0.02, 0.005
-"""Metres: four, and fifty, times what a material has unless told otherwise."""
+"""Coefficients in metres: four and fifty times a material's defaults."""
 _RADIUS, _DOME = 0.05, 0.5
 
 
@@ -72,11 +72,11 @@ def _rolling_out(trial: Trial) -> Mapping[str, float]:
 # In a grip -----------------------------------------------------------------------------------------------------------
 
 _LEVER, _BAR_MASS, _BAR_INERTIA = 0.05, 0.2, 5e-4
-"""Of the bar's centre of mass from the grip, in metres; kg; kg m^2 about the centre."""
+"""Distance in metres of the bar's centre of mass from the grip, its mass in kg, and its inertia in kg m^2."""
 _TIP = 0.005
 """Torsional friction of the fingers' round tips, in metres."""
 _LOADS = (0.5, 0.8, 0.95, 1.25, 2.0)
-"""Of each environment, the weight's torque over what both fingers resist: ``m g l / (2 mu F)``."""
+"""Ratio in each environment of the weight's torque to the torque that both fingers resist: ``m g l / (2 mu F)``."""
 
 
 def _held_bar(trial: Trial, torsional: float, forces: tuple[float, ...]) -> World:
@@ -99,7 +99,7 @@ def _held_bar(trial: Trial, torsional: float, forces: tuple[float, ...]) -> Worl
 
 
 def _dip(world: World) -> torch.Tensor:
-    """(N,) rad that the bar points below the level."""
+    """Angle (N,) in rad by which the bar points below the horizontal."""
     ahead = torch.tensor([1.0, 0.0, 0.0], device=world.device).expand(world.num_envs, 3)
     along = quat_rotate(world.objects["bar"].root_pose[:, 3:], ahead)
     return torch.atan2(-along[:, 2], along[:, 0]).double().cpu()
@@ -145,7 +145,7 @@ def _pivot(trial: Trial) -> Mapping[str, float]:
 # Faces that turn flat ------------------------------------------------------------------------------------------------
 
 _HEADINGS = tuple(math.pi / 8 * number for number in range(5))
-"""rad, from along an axis of the world to across it."""
+"""Headings in rad, from along an axis of the world to across it."""
 
 
 def _spin_down(trial: Trial) -> Mapping[str, float]:

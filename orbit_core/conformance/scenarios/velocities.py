@@ -17,7 +17,7 @@ from orbit_core.scene import Pose
 
 
 def _poses_and_velocities(world: World) -> tuple[Tensor, Tensor]:
-    """(bodies, 7) and (bodies, 6) of every link of every thing, in double precision."""
+    """Poses (bodies, 7) and velocities (bodies, 6) of all links of all entities, in double precision."""
     things = [*world.objects.values(), *world.robots.values()]
     poses = torch.cat([thing.link_poses[0] for thing in things])
     velocities = torch.cat([thing.link_velocities[0] for thing in things])

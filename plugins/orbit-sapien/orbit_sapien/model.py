@@ -37,7 +37,6 @@ _FREE_CELLS = 2.5
 _SHARED_SPREAD = 4.0
 """Environments on a shared ground stand so many times farther apart."""
 _SLIPS = "PhysX's TGS solver slips before the whole normal force is there; temporal_gauss_seidel=False holds"
-_UNTWISTED = "PhysX's PGS solver has none; temporal_gauss_seidel=True has it"
 _NO_REBOUND = "PhysX takes slower contacts for resting, by the setting 'bounce_threshold'"
 
 
