@@ -13,7 +13,7 @@ from orbit_core.assets.merge import link_hosts
 from orbit_core.scene import Articulation, Link, Pose, Sphere
 
 _LEAST = 1e-3
-"""Of the largest principal moment; a thin rod's smallest one is about that."""
+"""Least principal moment as a share of the largest; a thin rod's smallest one is about that."""
 _TRIANGLE_TOLERANCE = 1e-3
 """As in :mod:`orbit_core.assets.validation`: published models round their inertias to three digits."""
 _WATER = 1000.0

@@ -11,7 +11,7 @@ from orbit_core.scene import Articulation, Joint, JointType, Pose
 _ELSEWHERE = (0.3, -0.5, 0.7, 0.4, -0.6, 0.2)
 """Positions, in rad or m, at which a chain's joints are tried: angles that are singular at zero may be sound there."""
 _DEPENDENT = 1e-6
-"""Of the largest singular value of the joints' unit motions, each one's length scaled to one."""
+"""Share of the largest singular value of the joints' unit motions below which they are dependent."""
 
 
 def check_massless(articulation: Articulation) -> None:

@@ -12,7 +12,7 @@ from orbit_core.interfaces.errors import AssetError
 _STL_HEADER, _STL_TRIANGLE = 84, 50
 """Bytes, of a binary STL file."""
 _LEAST_WORDS = {b"v": 4, b"f": 4, b"vn": 4, b"vt": 2}
-"""Of a line of an OBJ file, by its first word."""
+"""Least number of words in a line of an OBJ file, by its first word."""
 _COLLADA = "http://www.collada.org/2005/11/COLLADASchema"
 _GREY = "0.7 0.7 0.7 1"
 

@@ -17,7 +17,7 @@ from orbit_core.assets.outside import check_file, resolve_file
 from orbit_core.interfaces.errors import AssetError
 
 SUFFIXES = ("stl", "obj", "dae", "zae", "glb", "gltf", "ply", "off", "3mf")
-"""Of the formats that are read; what else trimesh decodes has not been held to any limits."""
+"""Suffixes of the formats that are read; what else trimesh decodes has not been held to any limits."""
 _ENTITY = re.compile(rb"<!\s*(ENTITY|DOCTYPE)")
 
 
@@ -87,7 +87,7 @@ class _Neighbours:
         return data
 
     def as_trimesh(self) -> Any:
-        """As the class that trimesh asks for, which is not imported before a mesh is read."""
+        """An instance of the class that trimesh asks for, which is not imported before a mesh is read."""
         from trimesh.resolvers import Resolver
 
         neighbours = self

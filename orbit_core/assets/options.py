@@ -31,17 +31,17 @@ class ReadLimits:
     """What one model may ask of the machine, its meshes and pictures included; more is refused before it is made."""
 
     file_bytes: int = 512 * 2**20
-    """Of any one file."""
+    """Most bytes of any one file."""
     expanded_bytes: int = 2**30
-    """Of all that an archive holds, once unpacked."""
+    """Most bytes of all that an archive holds, once unpacked."""
     elements: int = 2_000_000
     """XML elements of a file, bodies that a file replicates, or prims of a stage."""
     nesting: int = 2_000
     """XML elements, or folders of included files, within each other."""
     vertices: int = 10_000_000
-    """Of one mesh; also the most triangles and corners of faces."""
+    """Most vertices of one mesh; also the most triangles and corners of faces."""
     pixels: int = 64 * 2**20
-    """Of one picture."""
+    """Most pixels of one picture."""
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ class RobotPart:
     """Joint positions by regular expression over joint names."""
     drives: tuple[ActuatorConfig, ...] = ()
     designs: tuple[DriveDesign, ...] = ()
-    """For joints without gains of their own: these are computed for the whole robot."""
+    """Designs of drives for joints without gains of their own: these are computed for the whole robot."""
     mount: str = ""
     """Frame that carries the next part; empty where nothing can be mounted."""
     frame: str = ""
@@ -73,7 +73,7 @@ class RobotPart:
     feet: tuple[str, ...] = ()
     planar_base: PlanarBase | None = None
     pose: Pose = field(default_factory=Pose)
-    """Of the root link, where this part is the first."""
+    """Pose of the root link, where this part is the first."""
     fixed_base: bool = True
     """Whether the root is held, where this part is the first."""
 

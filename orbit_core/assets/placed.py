@@ -31,9 +31,9 @@ class SceneParts:
     """Static shapes in the world's frame."""
     lights: tuple[Light, ...] | None = None
     gravity: Vector3 | None = None
-    """In m/s^2."""
+    """Gravity in m/s^2."""
     physics_dt: float | None = None
-    """In seconds."""
+    """Time step in seconds."""
     notes: tuple[str, ...] = ()
     """What was changed against the file as a whole."""
 

@@ -34,10 +34,10 @@ from orbit_core.scene import (
 from orbit_core.scene.lights import MAX_DIRECTIONAL_LIGHTS
 
 _UNIT = 1e-3
-"""By how much a quaternion's length may differ from 1; written ones have few digits."""
+"""Largest difference of a quaternion's length from 1; written ones have few digits."""
 
 _BRIGHTEST = 1e3
-"""Of a light, in pictures' full brightness."""
+"""Largest brightness of a light, in pictures' full brightness."""
 _HEAVIEST = 1e9
 """Kilograms of a link; beyond, single precision holds little of what it touches."""
 

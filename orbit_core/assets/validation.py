@@ -29,14 +29,14 @@ from orbit_core.scene import (
 )
 
 _TRIANGLE_TOLERANCE = 1e-3
-"""Of the largest principal moment: published models round their inertias to three digits."""
+"""Tolerance as a share of the largest principal moment: published models round their inertias to three digits."""
 _CLOSED = 1e-3
 """Metres by which a loop may be open at home, and radians by which a weld may be turned."""
 _MEND = "compute its inertia from its shape, or have it mended by ReadOptions(repair=Repair.BALANCE)"
 _POWERS = 3
-"""Of a mimic joint's law beyond the linear term, at most: the most that an engine's constraint takes."""
+"""Most powers of a mimic joint's law beyond the linear term: the most that an engine's constraint takes."""
 _UNIT = 1e-3
-"""By how much a quaternion's length may differ from 1; written ones have few digits."""
+"""Largest difference of a quaternion's length from 1; written ones have few digits."""
 
 
 def validate(articulation: Articulation) -> Articulation:

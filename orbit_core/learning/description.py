@@ -81,7 +81,7 @@ class PolicyDescription:
     backend: str
     """Backend that the policy was learned on."""
     library: str
-    """Which learned it."""
+    """The library that learned the policy."""
     iteration: int
     versions: dict[str, str] = field(default_factory=dict)
     """Versions of the distributions that took part in learning."""

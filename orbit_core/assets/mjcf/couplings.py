@@ -20,7 +20,7 @@ class Couplings:
     compiled: Compiled
     tree: Tree
     laws: dict[int, Law] = field(default_factory=dict)
-    """By their followers' numbers."""
+    """Laws by their followers' numbers."""
     shares: dict[int, list[Share]] = field(default_factory=dict)
     """What tendons over one joint add to it, by the joint's number."""
 

@@ -77,7 +77,7 @@ class Loops:
         return LoopJoint(name, one, other, first.point, second.point, kind, turned.orientation)
 
     def _ends(self, index: int, kind: LoopType) -> tuple[_End, _End]:
-        """By two sites that coincide, or by points of two bodies and, of a weld, one's orientation in the other."""
+        """The ends as two sites that coincide, or as points of two bodies, with the orientation of a weld."""
         model = self.compiled.model
         first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
         data = model.eq_data[index]
@@ -104,7 +104,7 @@ class Loops:
         return _End(self.tree.root, (between @ Pose(end.point)).position, axes)
 
     def _in_world(self, body: int) -> Pose:
-        """Of a body fixed there."""
+        """The pose of a body that is fixed in the world."""
         pose = Pose()
         while body:
             pose = self.compiled.body_pose(body) @ pose

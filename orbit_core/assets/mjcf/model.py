@@ -48,25 +48,25 @@ class Compiled:
 
     @cached_property
     def body_names(self) -> list[str]:
-        """Of every body, the world's first; those without one are called by their number."""
+        """Names of all bodies, the world's first; those without one are called by their number."""
         return _filled(self.names_of("BODY"), [f"body_{index}" for index in range(self.model.nbody)])
 
     @cached_property
     def joint_names(self) -> list[str]:
-        """Of every joint; those without one are called by their body and number."""
+        """Names of all joints; those without one are called by their body and number."""
         bodies = [self.body_names[body] for body in self.model.jnt_bodyid]
         return _filled(self.names_of("JOINT"), [f"{body}_joint_{index}" for index, body in enumerate(bodies)])
 
     @cached_property
     def site_names(self) -> list[str]:
-        """Of every site, none of them a body's."""
+        """Names of all sites, none of them a body's."""
         names = _filled(self.names_of("SITE"), [f"site_{index}" for index in range(self.model.nsite)])
         bodies = set(self.body_names)
         return [f"{name}_site" if name in bodies else name for name in names]
 
     @cached_property
     def geom_names(self) -> list[str]:
-        """Of every geom, as the file gives them: a name may be empty."""
+        """Names of all geoms, as the file gives them: a name may be empty."""
         return self.names_of("GEOM")
 
     def names_of(self, kind: str) -> list[str]:
@@ -89,7 +89,7 @@ class Compiled:
         return self.mujoco.mjtJoint(self.model.jnt_type[joint]).name.removeprefix("mjJNT_")
 
     def body_pose(self, body: int) -> Pose:
-        """In its parent, where all joints are at their references."""
+        """Pose of a body in its parent, where all joints are at their references."""
         return pose_of(self.model.body_pos[body], self.model.body_quat[body])
 
     def listed(self, bodies: list[int]) -> str:
@@ -126,7 +126,7 @@ def compile_file(path: Path, options: ReadOptions) -> Compiled:
 
 
 def _parsed(mujoco: Any, path: Path, options: ReadOptions) -> Any:
-    """By MuJoCo's parser, which reads UTF-8 alone; a file of another encoding is handed over as text."""
+    """The file as parsed by MuJoCo, which reads UTF-8 alone; a file of another encoding is handed over as text."""
     data = path.read_bytes()
     if not data.startswith((b"\xff\xfe", b"\xfe\xff", b"<\0", b"\0<")):
         return mujoco.MjSpec.from_file(str(path))
@@ -148,7 +148,7 @@ def _filled(names: list[str], fallback: list[str]) -> list[str]:
 
 
 def pose_of(position: Any, quaternion: Any) -> Pose:
-    """Of arrays (3,) and (4,)."""
+    """The pose of arrays (3,) and (4,)."""
     w, x, y, z = (float(value) for value in quaternion)
     return Pose(vector_of(position), canonical((w, x, y, z)))
 

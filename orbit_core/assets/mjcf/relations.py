@@ -10,7 +10,7 @@ import numpy as np
 from orbit_core.scene import Mimic
 
 _NEGLIGIBLE = 1e-12
-"""Of the largest coefficient of a law; less is none."""
+"""Share of the largest coefficient of a law below which a coefficient counts as none."""
 
 
 @dataclass(frozen=True)
@@ -20,10 +20,10 @@ class Law:
     follower: int
     leader: int | None
     coefficients: tuple[float, ...]
-    """Of the leader's powers, from the zeroth on."""
+    """Coefficients of the leader's powers, from the zeroth on."""
 
     def mimic(self, leader_name: str) -> Mimic:
-        """As the description has it."""
+        """The mimic of the description."""
         offset, multiplier, *higher = (*self.coefficients, 0.0)[: max(2, len(self.coefficients))]
         return Mimic(leader_name, multiplier, offset, tuple(higher))
 
@@ -38,7 +38,7 @@ class Law:
 def polynomial_law(
     follower: tuple[int, float], leader: tuple[int, float] | None, coefficients: np.ndarray, scales: tuple[float, float]
 ) -> Law:
-    """From ``scale * (q - reference)`` of the follower, a polynomial in the same of the leader.
+    """The law of ``scale * (q - reference)`` of the follower, a polynomial in the same of the leader.
 
     Args:
         follower: a joint's number, and its reference.
@@ -62,7 +62,7 @@ def polynomial_law(
 
 
 def linear_law(coefficients: Mapping[int, float], total: float) -> Law | None:
-    """From a weighted sum of joint positions that has a given value; ``None`` unless it is of one joint or two."""
+    """The law of a weighted sum of joint positions of given value; ``None`` unless it is of one joint or two."""
     largest = max((abs(value) for value in coefficients.values()), default=0.0)
     held = {joint: value for joint, value in coefficients.items() if abs(value) > _NEGLIGIBLE * largest}
     if len(held) == 1:

@@ -57,7 +57,7 @@ class Contents:
     scene: Any = None
     """The first physics scene, or ``None``."""
     owners: dict[str, str] = field(default_factory=dict)
-    """By a prim's path, that of the body which carries it."""
+    """The path of the body that carries a prim, by the prim's path."""
 
     @property
     def static_colliders(self) -> list[Any]:

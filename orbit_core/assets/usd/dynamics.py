@@ -37,7 +37,7 @@ class _Scales:
 
     @property
     def gain(self) -> float:
-        """Of stiffness and damping."""
+        """The scale of stiffness and damping."""
         return self.effort / self.position
 
 

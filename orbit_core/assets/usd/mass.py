@@ -16,7 +16,7 @@ from orbit_core.scene.pose import FloatArray
 _DENSITY = 1000.0
 """kg/m^3, where the stage gives none: UsdPhysics says so."""
 NOTHING = MassProperties(0.0, (0.0, 0.0, 0.0), np.zeros((3, 3)))
-"""Of a link without mass."""
+"""Mass properties of a link without mass."""
 
 
 def is_given(body: Any) -> bool:

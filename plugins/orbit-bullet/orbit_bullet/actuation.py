@@ -44,7 +44,7 @@ class Actuation:
         self._drives: dict[tuple[int, int], Wheels] = {}
         self._passive: dict[tuple[int, int], Wheels] = {}
         self.generation = 0
-        """How often the drives' wheels were built."""
+        """The number of times that the drives' wheels were built."""
         self._build_passive()
         self._build_drives()
 
@@ -93,7 +93,7 @@ class Actuation:
         return mask
 
     def _derive(self, slots: range | npt.NDArray[np.int64]) -> None:
-        """What follows from the gains."""
+        """Recompute everything that depends on the gains."""
         dt = self._dt
         drive = dt * (self.stiffness * dt + self.damping)
         self._inertia = np.where(self._driven, drive + np.where(self._joined, self._slow, 0.0), 0.0)
@@ -119,7 +119,7 @@ class Actuation:
             self._derive(slots)
 
     def armatures(self) -> FloatArray:
-        """Of each joint (J,) of the first environment: what its wheels have beyond what gains and damping make up."""
+        """Armature (J,) of each joint of the first environment: the inertia of its wheels beyond gains and damping."""
         turning = np.zeros(len(self._own))
         for columns, wheels in ((self._drive_columns, self._drives), (self._passive_columns, self._passive)):
             for entity, numbers in columns.items():
@@ -166,6 +166,6 @@ class Actuation:
                         client.setJointMotorControlArray(body, joints, client.TORQUE_CONTROL, forces=torques)
 
     def efforts(self, velocities: FloatArray) -> FloatArray:
-        """What the drives gave in the last step (K, J), with the velocities at its end."""
+        """Efforts (K, J) of the drives in the last step, with the velocities at its end."""
         efforts = self._push - (self.stiffness * self._dt + self.damping) * velocities
         return np.clip(efforts, -self._limit, self._limit)

@@ -1,4 +1,4 @@
-"""What Bullet does of the contract, and why not more."""
+"""The capabilities of Bullet, and the reasons for what it lacks."""
 
 from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
 

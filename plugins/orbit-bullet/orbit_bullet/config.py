@@ -21,7 +21,7 @@ class BulletConfig:
     what an environment does then depends, in the last digits, on how many there are. Scenes with deformables have a
     world each."""
     solver_iterations: int = 200
-    """Of the constraint solver, per step. Fingers that hold a heavy thing need more than Bullet's usual 50."""
+    """Iterations of the constraint solver per step. Fingers that hold a heavy thing need more than Bullet's 50."""
     contact_erp: float = 0.2
     """Share of the penetration that a step removes."""
     joint_erp: float = 0.8

@@ -24,7 +24,7 @@ from orbit_core.scene import Cloth, SoftBody
 
 FloatArray = npt.NDArray[np.float64]
 _SPRING_DAMPING = 0.05
-"""Of critical, of a spring between two particles."""
+"""Damping ratio of a spring between two particles."""
 _SOLID_DAMPING = 0.01
 """Damping over stiffness of a soft body, per second."""
 _GREATEST_SPAN = 10.0
@@ -81,13 +81,13 @@ def deformable_report(layout: SceneLayout) -> list[Approximation]:
 
 @dataclass
 class _Body:
-    """One deformable."""
+    """The data of one deformable."""
 
     spec: Cloth | SoftBody
     file: Path
     mass: float
     columns: slice
-    """Of the particle buffers."""
+    """Columns of the particle buffers."""
     number: int = -1
     particles: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     """Bullet's node of each particle."""

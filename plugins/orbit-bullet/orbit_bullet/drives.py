@@ -60,7 +60,7 @@ class Wheels:
             self._client.changeConstraint(self._gears[wheel], gearRatio=-1.0, maxForce=force)
 
     def inertias(self) -> list[float]:
-        """Of each wheel about its axis, as Bullet has it."""
+        """Moment of inertia of each wheel about its axis, as Bullet has it."""
         return [self._client.getDynamicsInfo(self.body, wheel)[2][2] for wheel in self._numbers]
 
     def spin(self, speeds: list[float]) -> None:

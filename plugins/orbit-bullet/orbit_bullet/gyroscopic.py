@@ -26,7 +26,7 @@ _SLOW = 1e-2
 of a gyroscopic torque that no contact saw. At 5 ms and 1.9 rad/s a free body then gains 0.2 % of energy in 2 s."""
 
 _ROUNDS, _SETTLED = 40, 1e-9
-"""Of the fixed-point iteration for the middle: the most, and the relative change that ends it."""
+"""Most rounds of the fixed-point iteration for the middle of a step, and the relative change that ends it."""
 _FAR = 0.3
 """rad that a body turns in half a step, from which on whole steps of the iteration may lead away."""
 

@@ -37,7 +37,7 @@ class Loads:
         self.derive()
 
     def derive(self) -> None:
-        """What follows from gravity, masses and wrenches."""
+        """Recompute the loads, which depend on gravity, masses and wrenches."""
         self.bearing = self._heavy[:, None] * self.gravity[:, None] * self.masses[..., None] + self.wrenches[..., :3]
         """(K, L, 3) gravity that is not compensated, and applied forces."""
         difference = self._heavy[:, None] * self.gravity[:, None] - self._world_gravity

@@ -21,7 +21,7 @@ from orbit_core.scene import Capsule, Cylinder, PhysicsMaterial, Shape, Sphere
 
 FloatArray = npt.NDArray[np.float64]
 _LEAST = 1e-6
-"""Stands for zero, which has no logarithm."""
+"""The value in the place of zero, which has no logarithm."""
 _LEAST_SLIDING = 0.01
 """Sliding friction of a pair below which its torsional and rolling friction fall short, rather than disturb others'."""
 _LEAST_LENGTH = 1e-4

@@ -50,7 +50,7 @@ class WorkerStepper:
         own.native.settle()
 
     def command(self) -> Command:
-        """What the engine's drives are told now."""
+        """The present commands of the engine's drives."""
         source = self._source
         return source.position_targets.clone(), source.velocity_targets.clone(), source.efforts.clone()
 

@@ -39,7 +39,7 @@ def _points(depth: _Array, camera: CameraSpec) -> _Array:
 
 
 def _difference(points: _Array, depth: _Array, seen: _Array, axis: int) -> _Array:
-    """To the better neighbour along an axis."""
+    """Difference to the better neighbour along an axis."""
     inverse = np.divide(1.0, depth, out=np.zeros(depth.shape), where=np.isfinite(depth) & (depth > 0))
     best, least = np.zeros_like(points), np.full(depth.shape, np.inf)
     for step in (1, -1):

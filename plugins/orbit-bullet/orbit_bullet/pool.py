@@ -1,4 +1,4 @@
-"""Where the shards live: in this process, or in worker processes that share their state through memory."""
+"""The processes that hold the shards: this one, or workers that share their state through memory."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Pool(ABC):
 
 
 class LocalPool(Pool):
-    """One shard in this process."""
+    """A pool of one shard in this process."""
 
     def __init__(
         self, layout: SceneLayout, files: SceneFiles, num_envs: int, config: BulletConfig, progress: BuildProgress
@@ -209,7 +209,7 @@ class ProcessPool(Pool):
 
 
 def make_pool(layout: SceneLayout, files: SceneFiles, num_envs: int, config: BulletConfig) -> Pool:
-    """As many processes as the settings ask for; of themselves, one per core where each gets enough to do.
+    """A pool of as many processes as the settings ask for; by default one per core where each gets enough to do.
 
     Raises:
         ConfigurationError: more environments than the memory, or Bullet, has room for.

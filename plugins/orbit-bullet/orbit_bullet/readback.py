@@ -1,4 +1,4 @@
-"""What Bullet holds of one environment, for the core to compare with the description."""
+"""The model that Bullet holds of one environment, for the core to compare with the description."""
 
 from __future__ import annotations
 

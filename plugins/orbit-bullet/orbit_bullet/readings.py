@@ -1,4 +1,4 @@
-"""What was read of Bullet, in its own frames and in double precision, and how it becomes the core's state."""
+"""The readings of Bullet, in its own frames and in double precision, and their conversion to the core's state."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Of K environments; an engine converts those of all its worlds at once."""
+    """Readings of K environments; an engine converts those of all its worlds at once."""
 
     bodies: FloatArray
     """(K, L, 13) of each link its centre of mass, principal axes (x, y, z, w), and velocities at the centre of mass.

@@ -37,7 +37,7 @@ _Array = npt.NDArray[Any]
 _TINY_PIXELS = 128 * 128
 """Up to which the software renderer is the faster."""
 _HIDDEN = (0.0, 0.0, -1e4)
-"""Where markers wait while they are not drawn."""
+"""Position of markers while they are not drawn."""
 _egl_owner: list[object] = []
 """The one renderer of this process that has OpenGL: Bullet's plugin serves the last client that loaded it."""
 

@@ -12,7 +12,7 @@ from orbit_core.plugin_kit.massless import stand_in_approximations
 
 
 def build_report(layout: SceneLayout, config: BulletConfig) -> tuple[Approximation, ...]:
-    """One line per difference."""
+    """The build report, with one line per difference."""
     found = material_report(layout)
     products = PairProducts(layout)
     friction = nominal(layout, "dynamic_friction")

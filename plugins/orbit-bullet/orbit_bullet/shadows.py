@@ -1,4 +1,4 @@
-"""What a directional light reaches, from a depth picture taken from where it comes from.
+"""The surfaces that a directional light reaches, found in a depth picture taken from the light's side.
 
 Bullet's own shadows are as coarse as the picture, and no darker than it chooses. The map here covers what the picture
 shows. The camera that takes it stands so far away that its rays are all but parallel, for Bullet's software renderer
@@ -43,7 +43,7 @@ class MapCamera:
     half: float
     """Metres at the middle's distance that the map reaches to each side."""
     size: int
-    """Of the map, in pixels."""
+    """Width and height of the map in pixels."""
 
     near = _AWAY - _DEEP
     far = _AWAY + _DEEP
@@ -108,7 +108,7 @@ def map_camera(
 
 
 def ball_radius(geometry: Geometry) -> float:
-    """Of a ball round a shape's origin that holds all of it; zero for a plane, whose shadow nothing drawn lies in."""
+    """Radius of the ball round a shape's origin that holds it; zero for a plane, which shadows nothing drawn."""
     match geometry:
         case Box(half_extents):
             return math.hypot(*half_extents)

@@ -83,7 +83,7 @@ class Shard:
         return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
 
     def built_model(self) -> BuiltModel:
-        """What Bullet holds of the first environment."""
+        """The model that Bullet holds of the first environment."""
         return self.simulations[0].built_model()
 
     def save(self) -> list[SavedSimulation]:

@@ -41,7 +41,7 @@ class SavedSimulation:
 
     state: int
     generation: int
-    """Of the wheels that the world had."""
+    """Generation of the wheels that the world had."""
     arrays: tuple[npt.NDArray[Any], ...]
 
 
@@ -366,7 +366,7 @@ class Simulation:
         self._read(range(self.count))
 
     def built_model(self) -> BuiltModel:
-        """What Bullet holds of the first environment."""
+        """The model that Bullet holds of the first environment."""
         return read_model(self.stage, self.actuation)
 
     def forget(self, saved: SavedSimulation) -> None:

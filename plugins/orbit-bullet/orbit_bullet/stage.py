@@ -95,21 +95,21 @@ class Stage:
         self.count = count
         self.origins = np.outer(SPACING * np.arange(count), (1.0, 0.0, 0.0))
         self.bodies: list[list[int]] = [[] for _ in range(count)]
-        """Of each slot, of each entity."""
+        """Bullet's body number of each entity in each slot."""
         self.terrain: list[list[int]] = [[] for _ in range(count)]
         self.links: list[list[int]] = [[] for _ in layout.entities]
-        """Of each entity, the Bullet link of each link; -1 is the base."""
+        """Bullet's number of each link of each entity; -1 is the base."""
         self.joints: list[list[int]] = [[] for _ in layout.entities]
-        """Of each entity, the Bullet joint of each movable joint."""
+        """Bullet's number of each movable joint of each entity."""
         self.places: dict[tuple[int, int], tuple[int, int]] = {}
         """Slot and layout link (or TERRAIN) of each body and Bullet link."""
         self.root_inertials = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(layout.entities), 1))
-        """Of each entity, the base's centre of mass and principal axes in the root link's frame (E, 7)."""
+        """For each entity the base's centre of mass and principal axes in the root link's frame (E, 7)."""
         self.ray_stretch = math.inf
         """Metres that one ray may be cast: over more cells of a height field, Bullet overlooks some."""
         self._colliding: list[list[int]] = [[] for _ in layout.entities]
         self.offsets = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(layout.links), 1))
-        """Of each link, its pose (L, 7) in its principal axes; in its own frame where that is a fixed root."""
+        """The pose (L, 7) of each link in its principal axes; in its own frame where that is a fixed root."""
         self._terrain_shapes = [
             self._terrain_shape(shape, path) for shape, path in zip(layout.scene.terrain, files.terrain, strict=True)
         ]
@@ -144,7 +144,7 @@ class Stage:
 
     @property
     def colliding(self) -> list[list[int]]:
-        """Of each entity, the Bullet links that have collision shapes."""
+        """Bullet's numbers of the links of each entity that have collision shapes."""
         return self._colliding
 
     # Building --------------------------------------------------------------------------------------------------------

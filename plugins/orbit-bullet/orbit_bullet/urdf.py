@@ -40,7 +40,7 @@ _KINDS = {
 HULL_MARGIN = 0.001
 """Metres around a hull, which Bullet fixes when it reads the file."""
 _UNLIMITED = 1e9
-"""Stands for infinity in the file."""
+"""The value in the place of infinity in the file."""
 
 
 class MeshFiles:

@@ -67,7 +67,7 @@ class VisualShapes:
 
 
 def _capsule_profile(radius: float, half_length: float) -> tuple[Any, Any]:
-    """Of a sphere where it has no length."""
+    """Profile of a capsule; a sphere's where it has no length."""
     cap = np.linspace(0.0, 0.5 * np.pi, _BALL_ROWS // 2 + 1)
     up = np.concatenate((cap, cap + 0.5 * np.pi if half_length else cap[1:] + 0.5 * np.pi))
     middle = np.where(np.arange(len(up)) < len(cap), half_length, -half_length)

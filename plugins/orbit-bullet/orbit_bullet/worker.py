@@ -20,7 +20,7 @@ from orbit_core.interfaces import SceneLayout
 
 @dataclass(frozen=True)
 class Assignment:
-    """What one worker simulates, and where it shares its state."""
+    """The environments that one worker simulates, and the memory in which it shares their state."""
 
     layout: SceneLayout
     files: SceneFiles

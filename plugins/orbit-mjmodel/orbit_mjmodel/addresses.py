@@ -1,4 +1,4 @@
-"""Where the layout's links and joints stand in the model."""
+"""The addresses of the layout's links and joints in the model."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is an extension module without type information.

@@ -1,4 +1,4 @@
-"""What engines that step MuJoCo's model do alike of the contract, and why not more."""
+"""The capabilities that engines which step MuJoCo's model share, and the reasons for what they lack."""
 
 from __future__ import annotations
 

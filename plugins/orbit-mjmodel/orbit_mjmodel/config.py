@@ -19,9 +19,9 @@ class ModelConfig:
     """``implicitfast`` and ``implicit`` integrate drive and joint damping implicitly, ``euler`` joint damping only.
     ``discrete`` solves the constraints with the drives as well: mimic joints and loops hold under stiff ones."""
     iterations: int = 100
-    """At most, per step."""
+    """Most iterations of the solver per step."""
     ls_iterations: int = 50
-    """At most, per line search."""
+    """Most iterations per line search."""
     cone: str = "elliptic"
     """``pyramidal`` weakens friction by up to 30 % in directions between the axes of a contact."""
     impratio: float = 1.0

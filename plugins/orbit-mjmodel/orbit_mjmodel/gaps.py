@@ -1,4 +1,4 @@
-"""What MuJoCo's equations miss of the conformance scenarios, on any device: by how much, with a margin, and why."""
+"""The metrics of the conformance scenarios that MuJoCo's equations miss on any device, with limits and reasons."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ MOTION = (
     Gap("energy_of_a_chain", "gained", 0.5, _UNDAMPED),
     Gap("energy_of_a_chain", "lost", 1.0, _UNDAMPED),
 )
-"""Of free motion and joints."""
+"""Gaps of free motion and joints."""
 
 CREEP = (
     "friction is a soft constraint, whose force grows with the speed of creep; impratio=10 makes that 16 times slower, "
@@ -97,4 +97,4 @@ CONTACT = (
     Gap("grasp", "limit", 0.08, f"{CREEP}; once it slips, {_HOP}"),
     Gap("stack", "penetration", 1.1e-3, _SOFT),
 )
-"""Of contact."""
+"""Gaps of contact."""

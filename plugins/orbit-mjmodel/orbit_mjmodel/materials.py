@@ -20,14 +20,14 @@ STEPS_PER_BOUNCE = 8
 _MOST_DAMPED = 1.3
 """Damping ratio above which the integrator would not follow; it rebounds at a tenth of the speed."""
 SOFT_IMPEDANCE = 0.1
-"""Of a compliant contact: the share of a load that it cancels outright rather than by giving way."""
+"""Impedance of a compliant contact: the share of a load that it cancels outright rather than by giving way."""
 OVERRIDING = 1e6
 """Weight of an impedance that is to hold whatever the other shape's is."""
 
 
 @dataclass(frozen=True)
 class ContactParameters:
-    """What a geom takes."""
+    """The contact parameters of a geom."""
 
     friction: tuple[float, float, float]
     condim: int
@@ -94,7 +94,7 @@ def _impedance(value: float) -> tuple[float, float, float, float, float]:
 
 
 def _spring(compliance: Compliance, mass: float) -> tuple[float, float]:
-    """At rest under gravity ``(1 - d) g = k depth``, which is to be ``stiffness depth / mass``."""
+    """The spring of a contact: at rest ``(1 - d) g = k depth``, which is to be ``stiffness depth / mass``."""
     scale = (1 - SOFT_IMPEDANCE) / mass
     return (-compliance.stiffness * scale, -compliance.damping * scale)
 
@@ -110,7 +110,7 @@ def _rebound(restitution: float, dt: float) -> tuple[float, float]:
 
 
 def _restitution(ratio: float) -> float:
-    """Of a linear spring-damper of that damping ratio that pushes but does not pull (Schwager and Poeschel, 2007)."""
+    """Restitution of a linear spring-damper that pushes but does not pull (Schwager and Poeschel, 2007)."""
     if abs(ratio - 1) < 1e-6:
         return math.exp(-2)
     if ratio < 1:

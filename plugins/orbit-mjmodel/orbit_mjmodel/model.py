@@ -31,7 +31,7 @@ from orbit_mjmodel.wrenches import add_wrench_sensors
 
 AddSensors = Callable[[mujoco.MjSpec, SceneLayout], None]
 _UNLIMITED = 1e10
-"""Stands for infinity where only one side of a joint is limited."""
+"""The value in the place of infinity where only one side of a joint is limited."""
 _STIFF_COUPLING = (0.99, 0.999, 0.001, 0.5, 2.0)
 """Impedance of mimic joints and of loops."""
 _TORQUE_SCALE = 10

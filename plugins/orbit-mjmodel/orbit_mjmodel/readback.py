@@ -1,4 +1,4 @@
-"""What a compiled model holds, read back for the core to compare with the description."""
+"""The contents of a compiled model, read back for the core to compare with the description."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ VARYING = (
 )  # fmt: skip
 """Fields of ``mjModel`` that are read, and may differ between environments."""
 ALIKE = ("jnt_limited", "actuator_forcelimited")
-"""And those that may not."""
+"""The fields that may not differ between kinds of environments."""
 
 
 class Fields(Protocol):

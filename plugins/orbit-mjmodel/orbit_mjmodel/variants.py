@@ -26,7 +26,7 @@ ABSENT = "absent"
 
 @dataclass(frozen=True)
 class Slot:
-    """One geom of one kind of environment."""
+    """The place of one geom in one kind of environment."""
 
     part: Part
     contact: ContactParameters

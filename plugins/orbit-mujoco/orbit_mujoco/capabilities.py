@@ -1,4 +1,4 @@
-"""What MuJoCo does of the contract, and why not more."""
+"""The capabilities of MuJoCo, and the reasons for what it lacks."""
 
 from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
 from orbit_mjmodel.capabilities import shared_support

@@ -114,7 +114,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
 
     @property
     def _measurements(self) -> tuple[Tensor, ...]:
-        """What the last step left: MuJoCo's own rows do not hold it."""
+        """Measurements of the last step, which MuJoCo's own rows do not hold."""
         return self._joint_efforts, self._contacts.forces, self._wrenches.wrenches
 
     def _write_commands(self) -> None:

@@ -1,4 +1,4 @@
-"""What MuJoCo misses of the conformance scenarios: by how much, with a margin, and why."""
+"""The metrics of the conformance scenarios that MuJoCo misses, with a limit, which has a margin, and the reason."""
 
 from __future__ import annotations
 

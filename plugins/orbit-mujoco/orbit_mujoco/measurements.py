@@ -39,7 +39,7 @@ def contact_sensor_starts(layout: SceneLayout) -> npt.NDArray[np.int64]:
 
 
 def _targets(query: ContactQuery, layout: SceneLayout) -> list[_Target | None]:
-    """What to filter by: nothing, the world, whole entities (subtrees) where all their links are asked, or links."""
+    """Targets of a filter: nothing, the world, whole entities (subtrees) if all their links are asked, or links."""
     if query.others is None:
         return [None]
     targets: list[_Target | None] = []

@@ -32,7 +32,7 @@ class RawStepper:
         self._batch.state[...] = self._source.state
 
     def command(self) -> Command:
-        """What the engine's actuators are told now."""
+        """The present commands of the engine's actuators."""
         return self._source.ctrl.copy()
 
     def step(self, command: Command, steps: int) -> None:

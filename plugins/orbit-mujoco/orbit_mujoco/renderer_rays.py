@@ -17,7 +17,7 @@ from orbit_mujoco.renderer_model import quaternion_matrix
 
 _Array = npt.NDArray[Any]
 HIDDEN_GROUP = 5
-"""Of geoms, which is not drawn."""
+"""The group of geoms that is not drawn."""
 _SEEN_GROUPS = np.array([group < HIDDEN_GROUP for group in range(6)], dtype=np.uint8)
 
 

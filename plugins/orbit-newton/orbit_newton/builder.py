@@ -26,7 +26,7 @@ from orbit_newton.shapes import ShapeBuilder, transform
 
 Indices = npt.NDArray[np.int64]
 UNLIMITED = 1e10
-"""Stands for infinity in limits."""
+"""The value in the place of infinity in limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ def build_model(layout: SceneLayout, num_envs: int, device: wp.Device, gap: floa
 
 @dataclass
 class _Builder:
-    """One environment."""
+    """Builds one environment."""
 
     layout: SceneLayout
     gap: float

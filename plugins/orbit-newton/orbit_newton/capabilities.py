@@ -1,4 +1,4 @@
-"""What Newton's solvers do of the contract, and why not more."""
+"""The capabilities of Newton's solvers, and the reasons for what they lack."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from orbit_core.interfaces import ConfigurationError
 
 @dataclass(frozen=True, kw_only=True)
 class NewtonConfig:
-    """What all of Newton's solvers share."""
+    """The settings that all of Newton's solvers share."""
 
     substeps: int = 1
     """Solver steps in each physics step; contacts are found once in a physics step."""
@@ -52,9 +52,9 @@ class FeatherstoneConfig(NewtonConfig):
     joint_friction_speed: float = 0.005
     """Speed (rad/s or m/s) at which the friction of a joint is fully developed."""
     limit_stiffness: float = 1e4
-    """Of joint limits, N m/rad or N/m; integrated implicitly."""
+    """Stiffness of joint limits in N m/rad or N/m; integrated implicitly."""
     limit_damping: float = 1e2
-    """Of joint limits, N m s/rad or N s/m."""
+    """Damping of joint limits in N m s/rad or N s/m."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -27,7 +27,7 @@ class ContactFinder:
         self._pipeline = _pipeline(built.model, capacity, config.speculative_gap) if self.any else None
         self.contacts = self._pipeline.contacts() if self._pipeline else newton.Contacts(0, 0)
         self.capacity = self.contacts.rigid_contact_max
-        """Of all environments together."""
+        """Number of contacts that the buffers of all environments together hold."""
         with wp.ScopedDevice(built.model.device):
             self.forces = wp.zeros(self.capacity, dtype=wp.vec3)
             """Force of each contact on its first shape, which the solver fills in, in world axes."""

@@ -112,7 +112,7 @@ class FeatherstoneDynamics(Dynamics):
 
 
 def damping_ratio(restitution: float) -> float:
-    """Of the linear spring-damper that pushes but does not pull and rebounds so (Schwager and Poeschel, 2007)."""
+    """Damping ratio of a linear spring-damper that pushes only and rebounds so (Schwager and Poeschel, 2007)."""
     angles = np.linspace(0.0, 0.995 * math.pi / 2, 1000)
     rebounds = np.exp(-np.tan(angles) * (math.pi - 2 * angles))
     return float(np.interp(-restitution, -rebounds, np.sin(angles)))

@@ -83,9 +83,9 @@ class Surfaces:
     torsional: wp.array[float]
     rolling: wp.array[float]
     damping_ratio: wp.array[float]
-    """Of the rebound, negative where the material asks for none."""
+    """Damping ratio of the rebound, negative where the material asks for none."""
     stiffness: wp.array[float]
-    """Of a compliant material, zero for others."""
+    """Stiffness of a compliant material, zero for others."""
     damping: wp.array[float]
 
 
@@ -126,7 +126,7 @@ def _moves(bodies: Bodies, body: int) -> bool:
 
 @wp.func
 def _arm(bodies: Bodies, body: int, point: wp.vec3) -> wp.vec3:
-    """From the body's centre of mass to a point."""
+    """The lever from the body's centre of mass to a point."""
     if body < 0:
         return point
     return point - wp.transform_point(bodies.q[body], bodies.com[body])
@@ -173,7 +173,7 @@ def _depth(bodies: Bodies, found: Found, i: int, body0: int, body1: int) -> floa
 
 @wp.kernel(enable_backward=False)
 def count_contacts(bodies: Bodies, surfaces: Surfaces, found: Found, contacts_of_body: wp.array[int]):
-    """How many contacts each body has in which shapes overlap."""
+    """Count the contacts of each body in which shapes overlap."""
     i = wp.tid()
     if i >= found.count[0]:
         return

@@ -1,4 +1,4 @@
-"""What Newton's solvers miss of the conformance scenarios: by how much, with a margin, and why."""
+"""The metrics of the conformance scenarios that Newton's solvers miss, with limits and reasons."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ORBIT adds to Newton's own kernels: wrenches in, state and faults out, resets.
+"""Kernels that ORBIT adds to Newton's own: wrenches in, state and faults out, resets.
 
 Arrays of Newton's are flat, environment by environment; quaternions are (x, y, z, w) there, and (w, x, y, z) here.
 """
@@ -57,7 +57,7 @@ def read_links(
 
 @wp.kernel(enable_backward=False)
 def shift_joints(zeros: wp.array[float], positions: wp.array2d[float]):
-    """From Newton's coordinates to the contract's."""
+    """Convert Newton's joint coordinates to the contract's."""
     env, joint = wp.tid()
     positions[env, joint] += zeros[joint]
 

@@ -64,7 +64,7 @@ def _find_mobilities(
 
 
 class Mobilities:
-    """Of all bodies, in world axes at their centres of mass. Drives are left out, so that no body is held too heavy."""
+    """Mobilities of all bodies in world axes at their centres of mass, without drives: no body is held too heavy."""
 
     def __init__(self, plant: Plant) -> None:
         model, self._plant = plant.model, plant

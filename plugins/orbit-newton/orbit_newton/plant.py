@@ -1,4 +1,4 @@
-"""What the engine and the solver share: model and state of all environments, commands, gains and measurements."""
+"""The plant that engine and solver share: model and state of all environments, commands, gains and measurements."""
 
 # pyright: reportMissingImports=false
 # pyright: reportArgumentType=false
@@ -79,7 +79,7 @@ class Dynamics:
     maximal = False
     """Whether bodies, rather than joints, carry the state."""
     solver_steps: int
-    """In a physics step."""
+    """Number of the solver's steps in a physics step."""
 
     def __init__(self, plant: Plant) -> None: ...
 
@@ -95,5 +95,5 @@ class Dynamics:
 
     @property
     def memory(self) -> tuple[Tensor, ...]:
-        """What of the past the continuation depends on, besides the plant's state."""
+        """The memory of the past on which the continuation depends, besides the plant's state."""
         return ()

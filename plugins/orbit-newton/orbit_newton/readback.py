@@ -1,4 +1,4 @@
-"""What a Newton model holds of the scene, read back for the core to compare with the description."""
+"""The contents of a Newton model, read back for the core to compare with the description."""
 
 # pyright: reportMissingImports=false
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportOptionalMemberAccess=false

@@ -1,4 +1,4 @@
-"""What of a scene a solver takes otherwise than it asks."""
+"""The parts of a scene that a solver takes otherwise than described."""
 
 from __future__ import annotations
 

@@ -197,7 +197,7 @@ class State:
 
     @property
     def saved(self) -> tuple[Tensor, ...]:
-        """What the continuation depends on."""
+        """The arrays on which the continuation depends."""
         state = self._plant.state
         flat = (state.joint_q, state.joint_qd, state.body_q, state.body_qd, self._plant.model.joint_X_p)
         return (*(wp.to_torch(array) for array in flat if array.size), self._plant.applied)

@@ -20,7 +20,7 @@ def _read_wrenches(
     at_center: wp.array[wp.spatial_vector],
     wrenches: wp.array2d[wp.spatial_vector],
 ):
-    """From world axes about the centre of mass to the link's axes about its origin."""
+    """Convert wrenches from world axes about the centre of mass to the link's axes about its origin."""
     env, number = wp.tid()
     body = env * links_per_env + links[number]
     q = wp.transform_get_rotation(body_q[body])

@@ -78,7 +78,7 @@ class Coefficients:
 
 @wp.func
 def _to_larger(one: float, other: float) -> float:
-    """What averages with ``other`` to the larger of the two."""
+    """The value that averages with ``other`` to the larger of the two."""
     return 2.0 * wp.max(one, other) - other
 
 

@@ -1,4 +1,4 @@
-"""What SAPIEN does of the contract, and why not more."""
+"""The capabilities of SAPIEN, and the reasons for what it lacks."""
 
 from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
 
@@ -17,7 +17,7 @@ _IMAGES = {
 }
 
 FAST_IMAGES = Capabilities(_IMAGES)
-"""Of the plain rasteriser alone."""
+"""Capabilities of the plain rasteriser alone."""
 PBR_IMAGES = Capabilities(
     _IMAGES
     | {
@@ -25,7 +25,7 @@ PBR_IMAGES = Capabilities(
         Capability.SHADOWS: approximate(f"{_SHADOW_MAP}; edges are blurred over 5 squares"),
     }
 )
-"""Of the rasteriser with physically based materials."""
+"""Capabilities of the rasteriser with physically based materials."""
 TRACED_IMAGES = Capabilities(
     _IMAGES
     | {
@@ -37,7 +37,7 @@ TRACED_IMAGES = Capabilities(
         Capability.RAY_TRACED_RGB: EXACT,
     }
 )
-"""Of the path tracer alone."""
+"""Capabilities of the path tracer alone."""
 
 CAPABILITIES = Capabilities(
     {

@@ -26,11 +26,11 @@ class PathConfig:
     """Settings of the path tracer, tier ``rt``."""
 
     samples_per_pixel: int = 8
-    """Of tier ``rt``."""
+    """Samples per pixel of tier ``rt``."""
     path_depth: int = 6
     """Greatest number of surfaces that a path of tier ``rt`` meets."""
     denoiser: str = "none"
-    """Of tier ``rt``; ``oidn`` and ``optix`` need an NVIDIA GPU."""
+    """Denoiser of tier ``rt``; ``oidn`` and ``optix`` need an NVIDIA GPU."""
 
     def __post_init__(self) -> None:
         _one_of(self, "denoiser", DENOISERS)
@@ -44,9 +44,9 @@ class SapienConfig(RasterConfig, PathConfig):
     workers: int = 2
     """Threads of PhysX; 0 steps in the calling thread. Results do not depend on it."""
     position_iterations: int = 24
-    """Of the solver, per step and body."""
+    """Iterations of the solver per step and body."""
     velocity_iterations: int = 4
-    """Of the solver, per step and body."""
+    """Iterations of the solver per step and body."""
     temporal_gauss_seidel: bool = True
     """PhysX's TGS solver, or else PGS: softer, but no environment then depends on how many there are."""
     bounce_threshold: float = 0.05
@@ -56,7 +56,7 @@ class SapienConfig(RasterConfig, PathConfig):
     max_depenetration_velocity: float = 10.0
     """Speed in m/s with which overlapping bodies are pushed apart."""
     tendon_stiffness: float = 1e5
-    """Of the constraint that makes a mimic joint follow, N m/rad or N/m."""
+    """Stiffness of the constraint that makes a mimic joint follow, N m/rad or N/m."""
     env_spacing: float = 2.0
     """Metres between the environments' origins in PhysX's world, four times as many over a shared ground; poses are
     given without it."""

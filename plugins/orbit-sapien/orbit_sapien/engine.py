@@ -39,7 +39,7 @@ class Snapshot:
     fixed_poses: Tensor
     before: Tensor
     moved: Tensor
-    """What :class:`State` tells velocities by, beside ``packed``."""
+    """The buffer from which :class:`State` takes velocities, beside ``packed``."""
     parameters: dict[str, npt.NDArray]
     gains: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
     tensors: tuple[Tensor, ...]
@@ -115,7 +115,7 @@ class SapienEngine(PartedEngine[State, Parameters]):
 
     @property
     def _measurements(self) -> tuple[Tensor, ...]:
-        """What the last step left: PhysX's own state does not hold it."""
+        """Measurements of the last step, which PhysX's own state does not hold."""
         return self._drives.efforts, self._contacts.forces, self._wrenches.wrenches
 
     # State -----------------------------------------------------------------------------------------------------------

@@ -108,7 +108,7 @@ class SapienGpuEngine(Engine):
         self.reset()
 
     def _index(self) -> None:
-        """Where in PhysX's buffers the layout's links and joints are."""
+        """The indices of the layout's links and joints in PhysX's buffers."""
         layout, environments = self.layout, self._world.environments
         offsets = np.stack([environment.offset for environment in environments])
         self._offsets = torch.as_tensor(offsets, dtype=torch.float32, device=self.device)

@@ -16,7 +16,7 @@ from orbit_core.scene import Joint, JointType, Pose
 
 
 class Kinematics:
-    """Of every environment at once."""
+    """Kinematics of every environment at once."""
 
     def __init__(self, layout: SceneLayout) -> None:
         links, joints = len(layout.links), len(layout.joints)

@@ -67,7 +67,7 @@ class PairRule:
         return np.array([getattr(group, name) for group in self.groups], dtype=np.float64)
 
     def given(self, asked: FloatArray) -> FloatArray:
-        """What to give PhysX for coefficients (..., groups)."""
+        """The values for PhysX of coefficients (..., groups)."""
         correction = self._larger(asked) - asked @ self._averages.T
         return np.maximum(asked + correction @ self._inverse.T, 0.0)
 

@@ -163,7 +163,7 @@ class WrenchMeter:
     def _balance(
         self, entity: int, links: npt.NDArray[np.int64], local: npt.NDArray[np.float64], poses: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """What the world gives a root at rest: what its children and contacts take, less its weight and pushes."""
+        """Wrench of the world on a root at rest: what its children and contacts take, less its weight and pushes."""
         spec, root = self._layout.entities[entity].spec, links[0]
         force = np.zeros((len(poses), 3))
         torque = np.zeros((len(poses), 3))  # about the environment's origin

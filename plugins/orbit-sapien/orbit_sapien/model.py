@@ -30,7 +30,7 @@ from orbit_sapien.native import native_pose, physx, sapien
 from orbit_sapien.tendons import add_mimic_tendon, mimic_approximations
 
 _FAST = 10.0 * MAX_SPEED
-"""Stands for no limit on a body's speed, beyond where a run counts as diverged; PhysX's own are a few metres per
+"""Speed limit of bodies that have none, beyond where a run counts as diverged; PhysX's own are a few metres per
 second."""
 _FREE_CELLS = 2.5
 """Less than half the distance between environments of one colour, in cells."""
@@ -42,10 +42,10 @@ _NO_REBOUND = "PhysX takes slower contacts for resting, by the setting 'bounce_t
 
 @dataclass(frozen=True, eq=False)
 class NativeEntity:
-    """One entity of one environment."""
+    """The bodies of one entity in one environment."""
 
     bodies: tuple[physx.PhysxRigidBaseComponent, ...]
-    """One a link, in the layout's order."""
+    """One body for each link, in the layout's order."""
     articulation: physx.PhysxArticulation | None = None
     joints: tuple[physx.PhysxArticulationJoint, ...] = ()
     """Movable joints, in the layout's order."""
@@ -60,7 +60,7 @@ class NativeEntity:
 
 @dataclass(eq=False)
 class NativeEnvironment:
-    """One environment's objects."""
+    """The entities of one environment."""
 
     scene: sapien.Scene
     offset: npt.NDArray[np.float64]
@@ -72,7 +72,7 @@ class NativeEnvironment:
 
 @dataclass(frozen=True, eq=False)
 class BuiltWorld:
-    """All environments, and what they do not honour."""
+    """All environments, and the approximations in them."""
 
     environments: tuple[NativeEnvironment, ...]
     rule: PairRule

@@ -36,7 +36,7 @@ class RawStepper:
         self._last = np.full_like(self._source.command, np.nan)
 
     def command(self) -> Command:
-        """What the engine's drives are told now."""
+        """The present commands of the engine's drives."""
         return self._source.command.copy()
 
     def step(self, command: Command, steps: int) -> None:

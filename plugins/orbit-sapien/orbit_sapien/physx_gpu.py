@@ -29,12 +29,12 @@ _COMMAND = "python -m orbit_sapien.physx_gpu install"
 
 
 def library_path() -> Path:
-    """Where SAPIEN looks for the library of the PhysX that it was built with."""
+    """The path at which SAPIEN looks for the library of the PhysX that it was built with."""
     return Path.home() / ".sapien" / "physx" / physx.version() / _LIBRARY
 
 
 def archive_url() -> str:
-    """Where SAPIEN's makers publish it.
+    """The address at which SAPIEN's makers publish the library.
 
     Raises:
         ConfigurationError: not for this kind of machine.

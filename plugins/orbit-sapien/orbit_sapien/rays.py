@@ -22,7 +22,7 @@ from orbit_sapien.geometry import collision_shape
 from orbit_sapien.native import NativePose, native_pose, physx, sapien
 
 _SIDEWAYS = 0.5
-"""Of the cosine between a cylinder's axis and a normal, below which it is the side's: ends have one."""
+"""Cosine between a cylinder's axis and a normal below which the normal is the side's; that of an end is 1."""
 
 
 class RayWorld:

@@ -1,4 +1,4 @@
-"""What PhysX holds of the scene, read back from its own bodies and joints."""
+"""The model that PhysX holds, read back from its own bodies and joints."""
 
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false
 # Bodies that are not immovable have mass.
@@ -18,7 +18,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def read_model(environment: NativeEnvironment) -> BuiltModel:
-    """One environment's; an immovable body, which PhysX keeps no mass of, has none here."""
+    """The model of one environment; an immovable body, which PhysX keeps no mass of, has none here."""
     bodies = list(chain.from_iterable(entity.bodies for entity in environment.entities))
     joints = list(chain.from_iterable(entity.joints for entity in environment.entities))
     masses, centers = np.zeros(len(bodies)), np.zeros((len(bodies), 3))

@@ -25,7 +25,7 @@ from orbit_sapien.renderer_shapes import marker_shapes, render_shape
 
 _Array = npt.NDArray[Any]
 _AWAY = NativePose([0.0, 0.0, -1e4])
-"""Where markers are while they are not drawn."""
+"""Pose of markers while they are not drawn."""
 
 
 class SapienRenderer(HostRenderer):

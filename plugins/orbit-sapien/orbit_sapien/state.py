@@ -43,7 +43,7 @@ class State:
         free = [entity.free for entity in world.environments[0].entities]
         self._free = torch.tensor(free, dtype=torch.bool)
         self.before = torch.zeros(0)
-        """What :attr:`packed` was ahead of the last step."""
+        """The values of :attr:`packed` before the last step."""
         self.moved = torch.zeros(self._num_envs, len(free), dtype=torch.bool)
         """(N, E) free bodies to which nothing was written since."""
         self._values: dict[str, Tensor] = {}

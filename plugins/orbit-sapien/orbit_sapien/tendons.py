@@ -43,7 +43,7 @@ def add_mimic_tendon(
 
 
 def mimic_approximations(articulation: Articulation, subject: str, joint: Joint) -> list[Approximation]:
-    """What the tendon of a mimic joint does not honour."""
+    """The approximations in the tendon of a mimic joint."""
     if _leverage(articulation, _chain(articulation, joint)[1:])[1]:
         return []
     why = "PhysX's tendons react on the link at their root, and the joints between are not parallel to the follower"
@@ -73,7 +73,7 @@ def _leverage(articulation: Articulation, chain: list[str]) -> tuple[FloatArray,
 
 
 def _axes(articulation: Articulation) -> dict[str, FloatArray]:
-    """Of the joint above each link, in the root's axes, with all joints at zero."""
+    """Axis of the joint above each link, in the root's axes, with all joints at zero."""
     turned = {articulation.root.name: np.eye(3)}
     axes: dict[str, FloatArray] = {}
     for joint in articulation.joints:

@@ -16,9 +16,9 @@ from orbit_warp.config import WarpConfig
 
 _LEAST_CONTACTS = 16
 _CONTACTS_OF_BODY = 12
-"""Of a single free body: one face full of contacts, and two fingers that hold it."""
+"""Contacts of a single free body: one face full of contacts, and two fingers that hold it."""
 _CONTACTS_OF_GEOM = 1
-"""Of a shape of an articulation: few of them touch at a time, but each may be near something."""
+"""Contacts of a shape of an articulation: few of them touch at a time, but each may be near something."""
 _CROWDED = 2
 """Contacts in any one environment over what is likely on average: an arm that moves at random against a cabinet, and
 one that learns to lift and presses on the table, needed more rows than the likely contacts have."""
@@ -54,13 +54,13 @@ def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpCon
 
 
 def _equality_rows(model: mujoco.MjModel) -> int:
-    """One of each mimic joint, three of each ball joint that closes a loop, six of each weld."""
+    """Equality rows: one for each mimic joint, three for each ball joint that closes a loop, six for each weld."""
     rows = np.where(model.eq_type == mujoco.mjtEq.mjEQ_CONNECT, 3, 1)
     return int(np.where(model.eq_type == mujoco.mjtEq.mjEQ_WELD, 6, rows).sum())
 
 
 def _contacts_of_pairs(model: mujoco.MjModel, pairs: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
-    """At most, of each pair of shapes (P, 2), by their types."""
+    """The most contacts of each pair of shapes (P, 2), by their types."""
     kind = mujoco.mjtGeom
     types = model.geom_type[pairs]
 

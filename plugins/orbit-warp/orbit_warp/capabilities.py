@@ -1,4 +1,4 @@
-"""What MuJoCo-Warp does of the contract, and why not more."""
+"""The capabilities of MuJoCo-Warp, and the reasons for what it lacks."""
 
 from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate
 from orbit_mjmodel.capabilities import shared_support

@@ -23,7 +23,7 @@ class WarpConfig(ModelConfig):
     """How constraints are solved: ``newton``; ``cg``, conjugate gradients, whose cost grows slower with the number of
     degrees of freedom; ``auto`` takes ``cg`` above 200 of them in an environment."""
     iterations: int = 30
-    """At most, per step."""
+    """Most iterations of the solver per step."""
     nconmax: int = 0
     """Contacts per environment, on average over the environments; 0 chooses by the scene."""
     njmax: int = 0

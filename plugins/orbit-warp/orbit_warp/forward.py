@@ -27,7 +27,7 @@ _SLIDE = wp.constant(int(mjtJoint.mjJNT_SLIDE))
 
 
 _THREADS = 64
-"""Of a block: many small blocks, for a launch has few threads and each goes a long way."""
+"""Threads of a block: many small blocks, for a launch has few threads and each goes a long way."""
 
 
 @wp.struct
@@ -52,7 +52,7 @@ class Branches:
     """The ways from a root to each body that has no children, one after the other."""
 
     starts: wp.array[int]
-    """One more than there are branches."""
+    """Offsets of the branches, one more than there are branches."""
     bodies: wp.array[int]
     links: wp.array[int]
     """What link each of the bodies is; -1 where it is none, or a branch before has it."""
@@ -149,7 +149,7 @@ class ForwardKinematics:
         self._outputs = (wp.from_torch(poses), wp.from_torch(velocities))
 
     def launch(self) -> None:
-        """For the present state of all environments."""
+        """Launch the kernels for the present state of all environments."""
         data = self._data
         wp.launch(
             derive_links,
@@ -161,7 +161,7 @@ class ForwardKinematics:
 
 
 def _branches(parents: npt.NDArray[np.int32], addresses: Addresses) -> tuple[int, Branches]:
-    """Of the bodies 1 and up, given each body's parent; body 0 is the world."""
+    """Branches of the bodies 1 and up, given each body's parent; body 0 is the world."""
     link_of = {int(body): link for link, body in enumerate(addresses.bodies)}
     starts, bodies, links = [0], list[int](), list[int]()
     for leaf in sorted(set(range(1, len(parents))) - set(parents[1:].tolist())):

@@ -1,4 +1,4 @@
-"""What MuJoCo-Warp misses of the conformance scenarios: by how much, with a margin, and why."""
+"""The metrics of the conformance scenarios that MuJoCo-Warp misses, with limits and reasons."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from mujoco_warp._src.types import vec10f
 from orbit_warpkit.kernels import DISTANCE_BOUND, SPEED_BOUND, within
 
 DIVERGED_BIT = 1 << 30
-"""Of a fault: a number is beyond the bounds of divergence, or no number. The lower bits are MuJoCo-Warp's
+"""The bit of a fault where a number is beyond the bounds of divergence, or no number. The lower bits are MuJoCo-Warp's
 ``OverflowType``."""
 _DIVERGED = wp.constant(DIVERGED_BIT)
 

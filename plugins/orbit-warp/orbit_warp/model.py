@@ -22,7 +22,7 @@ from orbit_mjmodel.readback import ALIKE, VARYING, Fields, read_back
 from orbit_warp.config import WarpConfig
 
 LEAST_FRICTION = 1e-5
-"""Of any coefficient: friction cones of no width are degenerate in single precision."""
+"""Least value of any coefficient of friction: friction cones of no width are degenerate in single precision."""
 _MOST_FOR_NEWTON = 200
 """Degrees of freedom: 216 balls in a bin take 0.007 s a step on a CPU with ``cg``, and more than a second so."""
 
@@ -72,7 +72,7 @@ def on_device(built: Sequence[model.BuiltModel], config: WarpConfig) -> mjw.Mode
 
 
 def read_back_kinds(model: mjw.Model, addresses: Addresses, kinds: int) -> tuple[BuiltModel, ...]:
-    """What the model on the device holds of each kind of environment."""
+    """The contents of the model on the device for each kind of environment."""
     alike = {name: getattr(model, name).numpy() for name in ALIKE}
     varying = {name: getattr(model, name).numpy() for name in VARYING}
     of_kinds = [{name: rows[kind % len(rows)] for name, rows in varying.items()} for kind in range(kinds)]

@@ -40,7 +40,7 @@ class RawStepper:
                     wp.copy(getattr(self._data, name), getattr(self._source, name))
 
     def command(self) -> Command:
-        """What the engine's actuators are told now."""
+        """The present commands of the engine's actuators."""
         return wp.to_torch(self._source.ctrl).clone()
 
     def step(self, command: Command, steps: int) -> None:

@@ -37,7 +37,7 @@ class RayCaster:
     def cast_past(
         self, origins: Tensor, directions: Tensor, max_distance: float, links: range, env_ids: Tensor | None
     ) -> RayHits:
-        """As :meth:`cast`, through the shapes of some links; with a mask (N,) bool the rays are those of all."""
+        """Cast rays as :meth:`cast`, through the shapes of some links; with a mask (N,) bool rays are those of all."""
         masked = env_ids is not None and env_ids.dtype == torch.bool
         rows = slice(None) if env_ids is None or masked else env_ids
         buffers = self._buffers_of(origins, directions, None if masked else env_ids)

@@ -107,7 +107,7 @@ class Stage:
         )
         self._no_markers = wp.zeros((0, 0, 7), dtype=float)
         self.everyone = wp.zeros(0, dtype=wp.bool)
-        """In the place of a mask."""
+        """An empty array in the place of a mask: all environments."""
         self._capacity = 0
         self._bvh: wp.Bvh | None = None
         self.arrays = self._constant_arrays(model)

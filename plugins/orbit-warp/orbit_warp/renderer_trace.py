@@ -31,14 +31,14 @@ _BACKGROUND = wp.constant(BACKGROUND)
 
 @wp.struct
 class Hit:
-    """Where a ray met a geom; -1 where it met none."""
+    """The hit of a ray on a geom; -1 where it met none."""
 
     geom: int
     distance: float
     normal: wp.vec3
-    """Of the face."""
+    """Normal of the face."""
     smooth: wp.vec3
-    """Of the surface that the faces stand for."""
+    """Normal of the surface that the faces approximate."""
 
 
 @wp.func
@@ -100,7 +100,7 @@ def trace_kernel(geom_types: tuple[int, ...], with_color: bool, shadows: bool) -
 
     @wp.func
     def light(stage: StageArrays, env: int, hit: Hit, point: wp.vec3) -> wp.vec3:
-        """What of each colour's light reaches the point: from around, and from the lights."""
+        """Light of each colour that reaches the point, from around and from the lights."""
         total = stage.ambient
         for i in range(stage.light_dir.shape[0]):
             toward = -stage.light_dir[i]

@@ -1,4 +1,4 @@
-"""What engines written in Warp share: recorded launches, contact queries, optional arrays, common kernels.
+"""Code that engines written in Warp share: recorded launches, contact queries, optional arrays, common kernels.
 
 Importing this package does not import Warp.
 """

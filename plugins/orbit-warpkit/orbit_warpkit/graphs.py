@@ -62,7 +62,7 @@ class Graphs:
             return stream is not None and stream.is_capturing
 
     def run_mixed(self, key: Hashable, operations: Callable[[], None]) -> None:
-        """As :meth:`run`, for a mixture of Torch's operations and Warp's launches on a GPU.
+        """Run as :meth:`run` does, for a mixture of Torch's operations and Warp's launches on a GPU.
 
         Torch's temporary tensors come from a pool of the recording's own, so that nothing else is given their memory.
         """

@@ -19,7 +19,7 @@ class Queries:
 
     link_of_shape: wp.array[int]
     starts: wp.array[int]
-    """Where the queries of each link begin in ``numbers``."""
+    """Offsets in ``numbers`` at which the queries of each link begin."""
     numbers: wp.array[int]
     answers: wp.array2d[bool]
     """Whether contact with a link counts for a query."""

@@ -52,7 +52,7 @@ MEASURED = (Channel.DEPTH, Channel.NORMALS, Channel.ALBEDO, Channel.INSTANCE)
 
 @dataclass(frozen=True)
 class Row:
-    """One setting at one size."""
+    """The measurement of one setting at one size."""
 
     tier: str
     settings: str
@@ -123,7 +123,7 @@ def measure(
 
 
 def timed(draw, seconds: float) -> list[float]:
-    """Of each round."""
+    """Seconds of each round."""
     times: list[float] = []
     while sum(times) < seconds:
         begun = time.perf_counter()

@@ -38,7 +38,7 @@ def main() -> None:
 
 
 def measure(arguments: argparse.Namespace, num_envs: int) -> dict[str, object]:
-    """One size."""
+    """Measure one number of environments."""
     settings = {name: json.loads(value) for name, _, value in (item.partition("=") for item in arguments.setting)}
     fields = {"action": arguments.action} if arguments.action else {}
     begun = time.perf_counter()

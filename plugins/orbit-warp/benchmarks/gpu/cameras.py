@@ -59,7 +59,7 @@ def main() -> None:
 
 
 def measure(arguments: argparse.Namespace, size: int) -> dict[str, object]:
-    """One size of picture."""
+    """Measure one size of picture."""
     camera = CameraSpec(
         name="camera", width=size, height=size, channels=CHANNELS, pose=look_at((1.3, -0.6, 0.8), (0.4, 0.0, 0.1))
     )
@@ -106,7 +106,7 @@ def measure(arguments: argparse.Namespace, size: int) -> dict[str, object]:
 
 
 def drawing(environment: Environment, camera: CameraSpec, settings: dict[str, bool]) -> Callable[[], object]:
-    """What draws all environments as they are."""
+    """The function that draws all environments as they are."""
     backend = backends.backend("warp")
     world = environment.world
     renderer = backend.create_renderer(world.layout, (camera,), backends.backend_config(backend, settings))

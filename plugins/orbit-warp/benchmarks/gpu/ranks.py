@@ -1,4 +1,4 @@
-"""One world a GPU, a process each: started with the same seed all worlds agree, and each GPU's rate is its own.
+"""One world and one process on each GPU: with the same seed all worlds agree, and each GPU's rate is its own.
 
 torchrun --nproc-per-node 2 plugins/orbit-warp/benchmarks/gpu/ranks.py
 """

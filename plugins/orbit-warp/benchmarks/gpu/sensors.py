@@ -69,7 +69,7 @@ def _term(name: str, *values: str) -> ObservationTerm:
 
 @dataclass
 class Sensed(ObservationGroup):
-    """What the walker's sensors tell."""
+    """The measurements of the walker's sensors."""
 
     scan: ObservationTerm | None = _term("scan", "distances")
     imu: ObservationTerm | None = _term("imu", "angular_velocity", "linear_acceleration")

@@ -62,12 +62,12 @@ def tried(way: Callable[[argparse.Namespace], Callable[[], object]], arguments: 
 
 
 def recorded_by_warp(arguments: argparse.Namespace) -> Callable[[], object]:
-    """As environments do."""
+    """Record a step as environments do."""
     return _stepping(_environment(arguments))
 
 
 def recorded_compiled(arguments: argparse.Namespace) -> Callable[[], object]:
-    """As environments do with ``compile=True``."""
+    """Record a compiled step as environments do with ``compile=True``."""
     return _stepping(_environment(arguments, compile=True))
 
 
