@@ -40,18 +40,16 @@ def load_mesh(
     scale: Vector3 = (1.0, 1.0, 1.0),
     *,
     options: ReadOptions = ReadOptions(),
-    model: Path | None = None,
 ) -> Mesh:
     """The triangles of an STL, OBJ, DAE, GLB or other mesh file, placed by its scene graph, in metres.
 
     A DAE file's unit is honoured and its up axis is not, as in ROS. ``scale`` may reflect: faces then turn round, so
-    that they still look outward. Vertices that are equal in single precision are merged. ``model`` is the file that
-    names the mesh, whose folder and packages hold what else the mesh names, such as pictures.
+    that they still look outward. Vertices that are equal in single precision are merged.
 
     Raises:
         AssetError: the file is missing, cannot be decoded or holds no triangle.
     """
-    return MeshFiles(options, model or Path(path)).mesh(Path(path), scale)
+    return MeshFiles(options, Path(path)).mesh(Path(path), scale)
 
 
 @names_file
@@ -60,14 +58,13 @@ def load_parts(
     scale: Vector3 = (1.0, 1.0, 1.0),
     *,
     options: ReadOptions = ReadOptions(),
-    model: Path | None = None,
 ) -> tuple[MeshPart, ...]:
     """As :func:`load_mesh`, one part per colour in the file; a texture counts as its median colour.
 
     Raises:
         AssetError: as :func:`load_mesh`.
     """
-    return MeshFiles(options, model or Path(path)).parts(Path(path), scale)
+    return MeshFiles(options, Path(path)).parts(Path(path), scale)
 
 
 class MeshFiles:

@@ -69,21 +69,16 @@ def reflected_inertia(articulation: Articulation, *, fixed_base: bool) -> Reflec
     return ReflectedInertia(smallest, mean, largest)
 
 
-def with_armature(articulation: Articulation, joints: tuple[str, ...] = (".*",)) -> Articulation:
-    """The articulation with a motor's reflected inertia on matching joints that have none, noted.
+def with_armature(articulation: Articulation) -> Articulation:
+    """The articulation with a motor's reflected inertia on the joints that have none, noted.
 
     It follows from effort and velocity limits (:data:`MOTOR_TIME`). Joints without both limits, and those that mimic
     others, are left as they are.
-
-    Raises:
-        UnknownNameError: a pattern matches no movable joint.
     """
-    names = articulation.joint_names
-    chosen = {names[index] for index in match_names(joints, names, "joint", f"'{articulation.name}'")}
     values = {
         joint.name: _rounded(MOTOR_TIME * joint.effort_limit / joint.velocity_limit)
         for joint in articulation.movable_joints
-        if joint.name in chosen and not joint.armature and joint.mimic is None and joint.velocity_limit > 0
+        if not joint.armature and joint.mimic is None and joint.velocity_limit > 0
         if math.isfinite(joint.effort_limit) and math.isfinite(joint.velocity_limit)
     }
     if not values:

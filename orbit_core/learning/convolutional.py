@@ -19,6 +19,8 @@ from orbit_core.learning.networks import ActorNetwork, activation_type, layer_we
 
 _MOST_PIXELS, _MOST_FILTERS, _MOST_UNITS = 2**22, 4096, 2**16
 _COLOR_DEPTH = ("color", "depth")
+_FAR = 2.0
+"""Metres at which depth is cut off."""
 MOST_DEVIATIONS = 10.0
 """Standard deviations at which vectors are cut off: a joint that is hit moves faster than any that was learned from."""
 
@@ -192,7 +194,7 @@ def convolutional_actor(
     return ActorNetwork(network, module.requires_grad_(False).eval())
 
 
-def convolutional(parts: Sequence[Part], hidden_sizes: Sequence[int], far: float = 2.0) -> Convolutional:
+def convolutional(parts: Sequence[Part], hidden_sizes: Sequence[int]) -> Convolutional:
     """The network for a group of such terms.
 
     uint8 terms (N, H, W, C) are colours and floating-point ones are depth in metres. ``hand_color`` and ``hand_depth``
@@ -201,7 +203,6 @@ def convolutional(parts: Sequence[Part], hidden_sizes: Sequence[int], far: float
     Args:
         parts: the terms.
         hidden_sizes: units of the layers behind the encoders.
-        far: metres at which depth is cut off.
 
     Raises:
         ConfigurationError: a picture is neither colour nor depth, or there is none; names the terms.
@@ -219,7 +220,7 @@ def convolutional(parts: Sequence[Part], hidden_sizes: Sequence[int], far: float
             )
         stem, _, kind = part.name.rpartition("_")
         key = (stem if kind in _COLOR_DEPTH else part.name, height, width)
-        cameras.setdefault(key, []).append(Picture(part.name, channels, None if part.dtype == "uint8" else far))
+        cameras.setdefault(key, []).append(Picture(part.name, channels, None if part.dtype == "uint8" else _FAR))
     if not cameras:
         raise ConfigurationError(
             f"a dictionary of terms without pictures ({', '.join(part.name for part in parts)}) needs no convolutions: "

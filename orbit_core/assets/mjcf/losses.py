@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
-from orbit_core.assets.urdf.losses import listed
-from orbit_core.scene import Articulation, HeightField, Joint, JointType, Link, Mesh, MeshCollision, Plane, Shape
+from orbit_core.assets.losses import JointTraits, LinkTraits, listed, missing_traits
+from orbit_core.scene import Articulation, HeightField, JointType, Link, Mesh, MeshCollision, Plane, Shape
 
-_OF_JOINTS: tuple[tuple[str, Callable[[Joint], object]], ...] = (
-    ("velocity limits", lambda joint: joint.movable and math.isfinite(joint.velocity_limit)),
-)
-_OF_LINKS: tuple[tuple[str, Callable[[Link], object]], ...] = (
+_OF_JOINTS: JointTraits = (("velocity limits", lambda joint: joint.movable and math.isfinite(joint.velocity_limit)),)
+_OF_LINKS: LinkTraits = (
     ("height fields without a file", lambda link: _has(link, HeightField)),
     ("collision with a mesh's own triangles", lambda link: any(_by_triangles(shape) for shape in link.collisions)),
     ("restitution and compliance", lambda link: any(_bounces(shape) for shape in link.collisions)),
@@ -22,17 +20,7 @@ _OF_LINKS: tuple[tuple[str, Callable[[Link], object]], ...] = (
 
 def losses(articulation: Articulation) -> tuple[str, ...]:
     """What an MJCF file of the articulation does not say; a sentence each."""
-    said = [
-        f"MJCF does not hold {what}, which joints have: {listed(j.name for j in articulation.joints if has(j))}"
-        for what, has in _OF_JOINTS
-        if any(has(joint) for joint in articulation.joints)
-    ]
-    said += [
-        f"MJCF does not hold {what}, which links have: {listed(link.name for link in articulation.links if has(link))}"
-        for what, has in _OF_LINKS
-        if any(has(link) for link in articulation.links)
-    ]
-    return (*said, *_of_the_whole(articulation))
+    return (*missing_traits("MJCF", articulation, _OF_JOINTS, _OF_LINKS), *_of_the_whole(articulation))
 
 
 def _of_the_whole(articulation: Articulation) -> Iterable[str]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
+from orbit_core.assets.losses import JointTraits, LinkTraits, listed, missing_traits
 from orbit_core.scene import (
     Articulation,
     Capsule,
     HeightField,
-    Joint,
     Link,
     Mesh,
     MeshCollision,
@@ -17,15 +17,12 @@ from orbit_core.scene import (
     Pose,
 )
 
-_MOST = 4
-"""Names that a message lists; it counts the rest."""
-
-_OF_JOINTS: tuple[tuple[str, Callable[[Joint], object]], ...] = (
+_OF_JOINTS: JointTraits = (
     ("armature", lambda joint: joint.movable and joint.armature),
     ("the stiffness of springs", lambda joint: joint.movable and joint.stiffness),
     ("higher powers of couplings", lambda joint: joint.mimic is not None and not joint.mimic.linear),
 )
-_OF_LINKS: tuple[tuple[str, Callable[[Link], object]], ...] = (
+_OF_LINKS: LinkTraits = (
     ("planes and height fields", lambda link: _has(link, Plane, HeightField)),
     ("collision with a mesh's own triangles", lambda link: _collides_by_triangles(link)),
     ("friction, restitution and compliance", lambda link: _has_material(link)),
@@ -35,17 +32,7 @@ _OF_LINKS: tuple[tuple[str, Callable[[Link], object]], ...] = (
 
 def losses(articulation: Articulation) -> tuple[str, ...]:
     """What a URDF file of the articulation does not say, or says in words that few read; a sentence each."""
-    said = [
-        f"URDF does not hold {what}, which joints have: {listed(j.name for j in articulation.joints if has(j))}"
-        for what, has in _OF_JOINTS
-        if any(has(joint) for joint in articulation.joints)
-    ]
-    said += [
-        f"URDF does not hold {what}, which links have: {listed(link.name for link in articulation.links if has(link))}"
-        for what, has in _OF_LINKS
-        if any(has(link) for link in articulation.links)
-    ]
-    return (*said, *_of_the_whole(articulation))
+    return (*missing_traits("URDF", articulation, _OF_JOINTS, _OF_LINKS), *_of_the_whole(articulation))
 
 
 def _of_the_whole(articulation: Articulation) -> Iterable[str]:
@@ -77,10 +64,3 @@ def _collides_by_triangles(link: Link) -> bool:
 
 def _has_material(link: Link) -> bool:
     return any(shape.material != PhysicsMaterial() for shape in link.collisions)
-
-
-def listed(names: Iterable[str]) -> str:
-    """Some names, and how many more there are."""
-    every = list(names)
-    rest = f" and {len(every) - _MOST} more" if len(every) > _MOST else ""
-    return ", ".join(f"'{name}'" for name in every[:_MOST]) + rest

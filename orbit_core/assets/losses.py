@@ -1,0 +1,33 @@
+"""Sentences on the parts of an articulation that a file format cannot hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+from orbit_core.scene import Articulation, Joint, Link
+
+JointTraits = tuple[tuple[str, Callable[[Joint], object]], ...]
+"""Properties of joints that a format lacks, each with its test."""
+LinkTraits = tuple[tuple[str, Callable[[Link], object]], ...]
+"""Properties of links that a format lacks, each with its test."""
+_MOST = 4
+"""Names that a sentence lists; it counts the rest."""
+
+
+def missing_traits(
+    file_format: str, articulation: Articulation, of_joints: JointTraits, of_links: LinkTraits
+) -> Iterator[str]:
+    """A sentence for each property that some joints or links have and the format does not hold."""
+    for what, joint_has in of_joints:
+        if names := [joint.name for joint in articulation.joints if joint_has(joint)]:
+            yield f"{file_format} does not hold {what}, which joints have: {listed(names)}"
+    for what, link_has in of_links:
+        if names := [link.name for link in articulation.links if link_has(link)]:
+            yield f"{file_format} does not hold {what}, which links have: {listed(names)}"
+
+
+def listed(names: Iterable[str]) -> str:
+    """Some names, and how many more there are."""
+    every = list(names)
+    rest = f" and {len(every) - _MOST} more" if len(every) > _MOST else ""
+    return ", ".join(f"'{name}'" for name in every[:_MOST]) + rest
