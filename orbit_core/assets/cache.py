@@ -1,4 +1,4 @@
-"""Parsed models kept on disk: one JSON file a model, and its meshes as arrays that load only where they are touched.
+"""Parsed models kept on disk: one JSON file a model, and its meshes as arrays, each checked as it is read.
 
 A folder of the cache may be copied to a machine that has none of the packages the models come from.
 """
@@ -167,9 +167,10 @@ def _store_mesh(mesh: Mesh, folder: Path) -> dict[str, Any]:
 
 
 def _load_mesh(folder: Path, key: str, collision: str, shapes: list[list[int]]) -> Mesh:
-    vertices, faces = (
-        np.load(_mesh_path(folder, key, name), mmap_mode="r", allow_pickle=False) for name in ("vertices", "faces")
-    )
+    # Mapping them would take longer than reading, as the digest touches every page.
+    vertices, faces = (np.load(_mesh_path(folder, key, name), allow_pickle=False) for name in ("vertices", "faces"))
+    for array in (vertices, faces):
+        array.flags.writeable = False
     if [list(vertices.shape), list(faces.shape)] != shapes:
         raise ValueError(f"mesh {key} has another size than its model says")
     if _digest_arrays(vertices, faces) != key:
