@@ -9,7 +9,7 @@ from orbit_core.assets.options import ReadOptions, Repair
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.scene import Articulation
 
-_SUFFIXES = (".urdf", ".xacro", ".xml", ".mjcf", ".usd", ".usda", ".usdc", ".sdf")
+_SUFFIXES = (".urdf", ".xacro", ".xml", ".mjcf", ".usd", ".usda", ".usdc", ".usdz", ".sdf")
 
 
 def asset_folder() -> Path:

@@ -6,9 +6,11 @@ import time
 from pathlib import Path
 
 import pytest
+from pxr import UsdUtils
 
-from orbit_core.assets import load_articulation
+from orbit_core.assets import load_articulation, robot
 from orbit_core.assets.options import ReadLimits, ReadOptions
+from orbit_core.assets.usd import write_usd
 from orbit_core.interfaces.errors import AssetError
 
 BODY = (
@@ -48,3 +50,19 @@ def test_layers_that_multiply_each_other_are_counted(tmp_path: Path) -> None:
     (tmp_path / "outer.usda").write_text("\n".join(("#usda 1.0", BODY, *outer, "")))
     with pytest.raises(AssetError, match="composes to some"):
         load_articulation(tmp_path / "outer.usda")
+
+
+def test_an_archive_is_read_under_the_limits(tmp_path: Path) -> None:
+    asked = robot("cartpole").articulation
+    write_usd(asked, tmp_path / "cart.usdc")
+    archive = tmp_path / "cart.usdz"
+    assert UsdUtils.CreateNewUsdzPackage(str(tmp_path / "cart.usdc"), str(archive))
+    (tmp_path / "cart.usdc").unlink()
+    got = load_articulation(archive)
+    assert (got.link_names, got.mass) == (asked.link_names, pytest.approx(asked.mass))
+    small = ReadOptions(limits=ReadLimits(expanded_bytes=1000))
+    with pytest.raises(AssetError, match=r"unpacks to .* bytes: make it smaller, or raise ReadLimits\.expanded_bytes"):
+        load_articulation(archive, options=small)
+    archive.write_bytes(archive.read_bytes()[:200])
+    with pytest.raises(AssetError, match=r"cart\.usdz is no zip archive"):
+        load_articulation(archive)

@@ -52,7 +52,7 @@ def _checked_layers(path: Path, options: ReadOptions) -> list[Any]:
         if found in seen:
             continue
         seen.add(found)
-        if found.endswith(".usdz"):
+        if found.lower().endswith(".usdz"):
             check_archive(Path(found), options)
         try:
             layer = sdf.Layer.FindOrOpen(found)
