@@ -260,6 +260,24 @@ def test_a_mimic_of_a_mimic_follows_the_leader_of_both(tmp_path: Path) -> None:
         validate(read(tmp_path, '<link name="arm"/>' + circle))
 
 
+def test_a_mimic_of_an_unknown_joint_is_named_and_dropped_where_asked(tmp_path: Path) -> None:
+    body = '<link name="arm"/>' + FINGER.format("a", '<mimic joint="nobody"/>')
+    with pytest.raises(AssetError, match=r"joint 'a_joint' has a <mimic> of the unknown joint 'nobody'.*DROP"):
+        read(tmp_path, body)
+    articulation = read_urdf(tmp_path / "thing.urdf", options=ReadOptions(unsupported=Unsupported.DROP))
+    assert articulation.joints[0].mimic is None
+    assert "a <mimic> of the unknown joint 'nobody' is left out of joint 'a_joint'" in articulation.notes
+
+
+def test_a_sphere_without_size_is_left_out_where_it_is_only_drawn(tmp_path: Path) -> None:
+    point = "<geometry><sphere radius='0'/></geometry>"
+    articulation = read(tmp_path, f'<link name="a"><visual>{point}</visual></link>')
+    assert articulation.root.visuals == ()
+    assert articulation.notes == ("a <visual> sphere of radius 0, which shows nothing, is left out of link 'a'",)
+    with pytest.raises(AssetError, match="radius is 0"):
+        validate(read(tmp_path, f'<link name="a"><collision>{point}</collision></link>'))
+
+
 def test_what_is_not_read_is_noted_once_a_kind(tmp_path: Path) -> None:
     safety = '<safety_controller k_velocity="1"/><calibration rising="0"/>'
     body = BODY + joint("continuous", safety) + "<transmission/><transmission/><gazebo/>"

@@ -82,7 +82,7 @@ class _Reader:
             links += made
             joints += single
         articulation = Articulation(name or root.get("name") or self.path.stem, tuple(links), tuple(joints))
-        articulation = resolve_chains(articulation)
+        articulation = resolve_chains(self._without_lost_leaders(articulation))
         articulation = sort_links(choose_tree(articulation, self.options.articulation))
         return replace(articulation, notes=(*articulation.notes, *self.findings.notes))
 
@@ -172,6 +172,21 @@ class _Reader:
             return joint
         lower, upper = (_limit(number(limit, key, where, 0.0)) for key in ("lower", "upper"))
         return replace(joint, lower_limit=lower, upper_limit=upper)
+
+    def _without_lost_leaders(self, articulation: Articulation) -> Articulation:
+        """The articulation without laws that name a joint which does not exist, where the caller lets them go."""
+        known = {joint.name for joint in articulation.joints}
+        joints: list[Joint] = []
+        for joint in articulation.joints:
+            if joint.mimic is not None and joint.mimic.joint not in known:
+                self.findings.unsupported(
+                    f"a <mimic> of the unknown joint '{joint.mimic.joint}'",
+                    f"joint '{joint.name}'",
+                    "name a joint of the file",
+                )
+                joint = replace(joint, mimic=None)
+            joints.append(joint)
+        return replace(articulation, joints=tuple(joints))
 
     def _inertia(self, element: Element, where: str) -> npt.NDArray[np.float64]:
         number = self.fields.number

@@ -71,6 +71,9 @@ class UrdfShapes:
         mesh = geometry.find("mesh")
         if mesh is None:
             for solid, turned in self._primitive(geometry, where):
+                if isinstance(solid, Sphere) and solid.radius == 0.0:
+                    self.fields.findings.leave_out("a <visual> sphere of radius 0, which shows nothing,", where)
+                    continue
                 shape = Shape(solid, pose @ turned, name=name)
                 yield shape if color is None else replace(shape, color=color)
             return
