@@ -59,7 +59,7 @@ def load_parts(
     *,
     options: ReadOptions = ReadOptions(),
 ) -> tuple[MeshPart, ...]:
-    """As :func:`load_mesh`, one part per colour in the file; a texture counts as its median colour.
+    """The file's triangles as :func:`load_mesh` reads them, one part per colour; a texture counts as its median colour.
 
     Raises:
         AssetError: as :func:`load_mesh`.
@@ -83,7 +83,7 @@ class MeshFiles:
         self._parts: dict[tuple[Path, Vector3], tuple[MeshPart, ...]] = {}
 
     def mesh(self, path: Path, scale: Vector3 = (1.0, 1.0, 1.0)) -> Mesh:
-        """As :func:`load_mesh`.
+        """The triangles of a file, as :func:`load_mesh` reads them.
 
         Raises:
             AssetError: as :func:`load_mesh`.
@@ -97,7 +97,7 @@ class MeshFiles:
         return self._meshes[key]
 
     def parts(self, path: Path, scale: Vector3 = (1.0, 1.0, 1.0)) -> tuple[MeshPart, ...]:
-        """As :func:`load_parts`.
+        """The parts of a file, as :func:`load_parts` reads them.
 
         Raises:
             AssetError: as :func:`load_mesh`.

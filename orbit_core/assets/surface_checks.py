@@ -84,7 +84,7 @@ def check_height_field(field: HeightField, where: str) -> None:
 
 
 def _extents(mesh: Mesh) -> int:
-    """In how many directions the vertices spread."""
+    """The number of directions in which the vertices spread."""
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     centred = vertices - vertices.mean(axis=0)
     spreads = np.sqrt(np.maximum(np.linalg.eigvalsh(centred.T @ centred / len(centred)), 0.0))

@@ -44,7 +44,7 @@ def self_collisions(compiled: Compiled, geoms: Geoms, tree: Tree) -> tuple[bool,
 
 
 def _excluded(model: Any) -> dict[int, set[int]]:
-    """By body, the bodies that an ``<exclude>`` names with it."""
+    """For each body, the bodies that an ``<exclude>`` names with it."""
     found: dict[int, set[int]] = {}
     for mark in model.exclude_signature.tolist():
         # The two bodies' numbers, 16 bits each.

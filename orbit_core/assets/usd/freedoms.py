@@ -1,4 +1,4 @@
-"""In which directions a USD joint lets its bodies move, and where it says that they stand."""
+"""The directions in which a USD joint lets its bodies move, and the places that it gives them."""
 
 from __future__ import annotations
 

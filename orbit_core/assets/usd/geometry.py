@@ -62,7 +62,7 @@ class Placements:
         self._inverses: dict[str, Pose] = {}
 
     def of(self, prim: Any, body: Any) -> Placement:
-        """That of a prim which moves with the prim ``body``."""
+        """The pose of a prim that moves with the prim ``body``."""
         matrix = self._matrix(prim)
         rigid = _rigid(matrix)
         stretch = rigid[:3, :3].T @ matrix[:3, :3]
