@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.outside import allowed_folders
-from orbit_core.assets.source_text import parse_xml
+from orbit_core.assets.source_text import parse_xml, read_xml
 from orbit_core.interfaces.errors import AssetError
 
 _SECONDS = 20
@@ -27,6 +27,18 @@ def is_xacro(root: Element) -> bool:
         return True
     described = (element for tag in ("link", "joint") for part in root.findall(tag) for element in part.iter())
     return any(_SUBSTITUTION.search(value) for element in described for value in element.attrib.values())
+
+
+def read_expanded(path: Path, options: ReadOptions) -> tuple[Element, bool]:
+    """The root element of a URDF or xacro file without macros, and whether it held some.
+
+    Raises:
+        AssetError: it is no XML, or cannot be expanded.
+    """
+    root = read_xml(path, options)
+    if is_xacro(root) or path.suffix.lower() == ".xacro":
+        return expand_xacro(path, options), True
+    return root, False
 
 
 def expand_xacro(path: Path, options: ReadOptions) -> Element:

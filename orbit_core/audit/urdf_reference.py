@@ -7,9 +7,12 @@ import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
+from orbit_core.assets.options import ReadOptions
+from orbit_core.assets.xacro_files import read_expanded
 from orbit_core.audit.mechanics import FloatArray, Posture
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation
@@ -18,6 +21,14 @@ from orbit_core.scene import Articulation
 def pinocchio_installed() -> bool:
     """Whether the package pin is there."""
     return importlib.util.find_spec("pinocchio") is not None
+
+
+def _text(path: Path) -> str:
+    """The file's own text, unless it holds macros, which Pinocchio passes over."""
+    root, expanded = read_expanded(path, ReadOptions())
+    if expanded:
+        return ElementTree.tostring(root, encoding="unicode")
+    return path.read_bytes().decode("utf-8", errors="replace")
 
 
 class PinocchioReference:
@@ -29,7 +40,7 @@ class PinocchioReference:
         """Raises AssetError where Pinocchio refuses the file."""
         self._pin: Any = importlib.import_module("pinocchio")
         try:
-            self._model = self._pin.buildModelFromXML(path.read_bytes().decode("utf-8", errors="replace"))
+            self._model = self._pin.buildModelFromXML(_text(path))
         except (ValueError, RuntimeError, IndexError) as error:
             raise AssetError(f"pinocchio refuses '{path}': {' '.join(str(error).split())}") from None
         self._data = self._model.createData()

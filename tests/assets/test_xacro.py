@@ -11,6 +11,8 @@ from orbit_core.assets import xacro_files
 from orbit_core.assets.files import load_articulation
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.urdf import read_urdf
+from orbit_core.audit.audit import INERTIA_TOLERANCE, KINEMATICS_TOLERANCE, MASS_TOLERANCE, reference_of
+from orbit_core.audit.reference import compare
 from orbit_core.interfaces.errors import AssetError
 from tools.asset_corpus import corpus, options_for
 
@@ -106,5 +108,11 @@ def test_published_models_that_xacro_expands_are_read(name: str) -> None:
     path = next((path for known, path in corpus().items() if known == name), None)
     if path is None:
         pytest.skip(f"the package with {name} is not installed")
-    articulation = load_articulation(path, options=options_for(path))
+    articulation = load_articulation(path, merge=False, options=options_for(path))
     assert len(articulation.movable_joints) == PUBLISHED[name]
+    reference = reference_of(path, articulation.root.name)
+    assert reference is not None
+    found = compare(articulation, reference)
+    assert found.mass <= MASS_TOLERANCE
+    assert found.kinematics <= KINEMATICS_TOLERANCE
+    assert found.mass_matrix <= INERTIA_TOLERANCE

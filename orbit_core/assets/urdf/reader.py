@@ -16,12 +16,11 @@ from orbit_core.assets.couplings import resolve_chains
 from orbit_core.assets.findings import Findings
 from orbit_core.assets.naming import names_file
 from orbit_core.assets.options import ReadOptions
-from orbit_core.assets.source_text import read_xml
 from orbit_core.assets.trees import choose_tree
 from orbit_core.assets.urdf.shapes import UrdfShapes, facing
 from orbit_core.assets.urdf.text import UNLIMITED
 from orbit_core.assets.validation import sort_links
-from orbit_core.assets.xacro_files import expand_xacro, is_xacro
+from orbit_core.assets.xacro_files import read_expanded
 from orbit_core.assets.xml_fields import Fields
 from orbit_core.scene import Articulation, Joint, JointType, Link, Mimic
 
@@ -87,9 +86,8 @@ class _Reader:
         return replace(articulation, notes=(*articulation.notes, *self.findings.notes))
 
     def _root(self) -> Element:
-        root = read_xml(self.path, self.options)
-        if is_xacro(root) or self.path.suffix == ".xacro":
-            root = expand_xacro(self.path, self.options)
+        root, expanded = read_expanded(self.path, self.options)
+        if expanded:
             self.findings.note("the file's xacro macros are expanded")
         if root.tag != "robot":
             raise self.findings.error(f"its root element is <{root.tag}>", "give a URDF file, whose root is <robot>")
