@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
 from collections.abc import Mapping
@@ -24,11 +25,12 @@ def pinocchio_installed() -> bool:
 
 
 def _text(path: Path) -> str:
-    """The file's own text, unless it holds macros, which Pinocchio passes over."""
+    """The file's own text, unless it holds macros, which Pinocchio passes over, or is not written in UTF-8."""
     root, expanded = read_expanded(path, ReadOptions())
-    if expanded:
-        return ElementTree.tostring(root, encoding="unicode")
-    return path.read_bytes().decode("utf-8", errors="replace")
+    with contextlib.suppress(UnicodeDecodeError):
+        if not expanded:
+            return path.read_bytes().decode("utf-8")
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 class PinocchioReference:

@@ -91,3 +91,16 @@ def test_pinocchio_agrees_on_a_urdf(tmp_path: Path) -> None:
     path.write_text("<robot/>")
     with pytest.raises(AssetError, match="pinocchio refuses"):
         PinocchioReference(path)
+
+
+@pytest.mark.skipif(not pinocchio_installed(), reason="pinocchio, the reference for URDF, is not installed (pip: pin)")
+@pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
+def test_pinocchio_is_given_text_that_it_can_read(
+    encoding: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "pendulum.urdf"
+    named = PENDULUM.replace('name="pendulum"', 'name="pendule_é"')
+    path.write_bytes(f'<?xml version="1.0" encoding="{encoding}"?>\n{named}'.encode(encoding))
+    found = compare(load_articulation(path, merge=False), PinocchioReference(path))
+    assert found.joints == 1
+    assert capfd.readouterr() == ("", "")
