@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +13,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from orbit_core.assets import load_articulation
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.options import ReadOptions, Unsupported
+from orbit_core.audit.mechanics import posture
+from orbit_core.audit.mjcf_reference import MujocoReference
 from orbit_core.dynamics.rigid_body import RigidBodyModel
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose
 
@@ -142,3 +148,23 @@ def _link_energy(link: Link, pose: torch.Tensor, velocity: torch.Tensor) -> torc
         local = rotation.T @ angular
         energies.append(0.5 * link.mass * center @ center + 0.5 * local @ link.inertia @ local)
     return torch.tensor(energies, dtype=torch.float32)
+
+
+def test_in_double_precision_a_shadow_hands_mass_matrix_is_the_compilers() -> None:
+    robotics = importlib.util.find_spec("gymnasium_robotics")
+    if robotics is None or robotics.origin is None:
+        pytest.skip("the package gymnasium-robotics, which has the Shadow hand, is not installed")
+    path = Path(robotics.origin).parent / "envs" / "assets" / "hand" / "reach.xml"
+    options = ReadOptions(unsupported=Unsupported.DROP, articulation="robot0:hand mount", allow_outside=True)
+    hand = load_articulation(path, merge=False, options=options)
+    names = tuple(joint.name for joint in hand.movable_joints)
+    positions = dict.fromkeys(names, 0.3)
+    reference = MujocoReference(path, hand.root.name)
+    reference.move(positions, posture(hand, positions))
+    expected = reference.mass_matrix(names)
+    model = RigidBodyModel(hand, fixed_base=True, dtype=torch.float64)
+    root = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
+    poses = model.kinematics.forward(root, torch.full((1, len(names)), 0.3, dtype=torch.float64))
+    size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert len(names) == 24
+    np.testing.assert_allclose(model.mass_matrix(poses)[0].numpy() / size, expected / size, atol=1e-5)
