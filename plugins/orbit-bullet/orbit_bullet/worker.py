@@ -66,7 +66,10 @@ def work(connection: Connection, assignment: Assignment) -> None:
         except Exception as error:
             failure = failure or Failure(_portable(error))
         if reply:
-            connection.send(failure or result)
+            try:
+                connection.send(failure or result)
+            except OSError:  # who asked has ended in the meantime
+                break
             failure = None
     shard.close()
 
