@@ -12,8 +12,9 @@ from typing import Any, NoReturn
 
 from orbit_core.interfaces import ClosedError
 
-_STAY = frozenset({"close", "close_extras", "closed", "unwrapped"})
-"""What may be used of a closed thing: closing it again, and what Gymnasium asks to find out whether it is closed."""
+_STAY = frozenset({"close", "close_extras", "closed", "leave_to_parent", "unwrapped"})
+"""What may be used of a closed thing: closing it again, what Gymnasium asks to find out whether it is
+closed, and what a forked process does with what it finds."""
 _MARK = "_was_closed"
 
 

@@ -57,3 +57,23 @@ def test_a_forked_process_may_not_use_a_world(backend: str) -> None:
     assert "spawn" in refused[0]
     assert lines[-2:] == ["ended 0", "the parent went on"], done.stderr
     assert "Traceback" not in done.stderr
+
+
+_CLOSED = """
+import os, sys
+from orbit_core.scene import Scene
+from orbit_core.world import simulate
+world = simulate(Scene(), num_envs=1, backend=sys.argv[1])
+world.close()
+child = os.fork()
+if not child:
+    os._exit(0)
+os.waitpid(child, 0)
+"""
+
+
+@pytest.mark.parametrize("backend", ["mujoco", "bullet"])
+def test_a_closed_world_is_left_in_silence(backend: str) -> None:
+    words = [sys.executable, "-c", _CLOSED, backend]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
