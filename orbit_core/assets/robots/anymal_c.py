@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from orbit_core.assets.cache import Model, cached_articulation
-from orbit_core.assets.sources import model_folder
-from orbit_core.assets.urdf import read_urdf
+from orbit_core.assets.installed import installed_urdf
 from orbit_core.scene import Articulation, ImplicitPd, Pose, RobotSpec
 
 SOURCE = "example-robot-data"
@@ -33,5 +32,4 @@ def build() -> RobotSpec:
 
 
 def _articulation() -> Articulation:
-    folder = model_folder(SOURCE)
-    return read_urdf(folder / "robots/anymal_c_simple_description/urdf/anymal.urdf", {SOURCE: folder}, "anymal_c")
+    return installed_urdf(SOURCE, "robots/anymal_c_simple_description/urdf/anymal.urdf", "anymal_c")

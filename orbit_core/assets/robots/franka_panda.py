@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from orbit_core.assets.cache import Model, cached_articulation
 from orbit_core.assets.compose import edit_joints, simplify_collisions
+from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
-from orbit_core.assets.sources import model_folder
-from orbit_core.assets.urdf import read_urdf
 from orbit_core.scene import Articulation, EndEffector, Gripper, ImplicitPd, RobotSpec
 
 SOURCE = "example-robot-data"
@@ -47,8 +46,7 @@ def build() -> RobotSpec:
 
 
 def _articulation() -> Articulation:
-    folder = model_folder(SOURCE)
-    source = read_urdf(folder / "robots/panda_description/urdf/panda.urdf", {SOURCE: folder}, "franka_panda")
+    source = installed_urdf(SOURCE, "robots/panda_description/urdf/panda.urdf", "franka_panda")
     arm = merge_fixed_links(source)
     # The URDF leaves the motors' inertia out. 0.1 is that of a 10 kg mm^2 rotor behind a gear of 100:1; the fingers
     # (15 g) get as many kg, so that the drive and the contact forces act on bodies of like weight.

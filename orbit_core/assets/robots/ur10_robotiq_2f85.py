@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from orbit_core.assets.cache import Model, cached_articulation
 from orbit_core.assets.compose import attach, edit_joints, simplify_collisions, subtree
+from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.robots import robotiq_2f85
-from orbit_core.assets.sources import model_folder
-from orbit_core.assets.urdf import read_urdf
 from orbit_core.scene import Articulation, EndEffector, ImplicitPd, RobotSpec
 
 SOURCE = "example-robot-data"
@@ -46,8 +45,7 @@ def build() -> RobotSpec:
 
 
 def _articulation() -> Articulation:
-    folder = model_folder(SOURCE)
-    source = read_urdf(folder / "robots/ur_description/urdf/ur10_robot.urdf", {SOURCE: folder}, "ur10_robotiq_2f85")
+    source = installed_urdf(SOURCE, "robots/ur_description/urdf/ur10_robot.urdf", "ur10_robotiq_2f85")
     arm = simplify_collisions(merge_fixed_links(subtree(source, "base_link", source.name)))
     note = "armature of 0.1 kg m^2 on the UR10's joints is the catalogue's choice: the URDF has none"
     return attach(edit_joints(arm, (".*",), note, armature=0.1), robotiq_2f85.gripper(), "tool0")

@@ -1,0 +1,57 @@
+"""Universal Robots UR5 and UR10, arms of six joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from orbit_core.assets.cache import Model
+from orbit_core.assets.compose import simplify_collisions, subtree
+from orbit_core.assets.installed import installed_urdf
+from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.parts import PartKind, RobotPart
+from orbit_core.dynamics.drive_design import DriveDesign, with_armature
+from orbit_core.scene import Articulation
+
+SOURCE = "example-robot-data"
+ARM_JOINTS = ("shoulder_.*_joint", "elbow_joint", "wrist_[123]_joint")
+
+
+def _part(name: str, home: Mapping[str, float]) -> RobotPart:
+    def articulation() -> Articulation:
+        source = installed_urdf(SOURCE, f"robots/ur_description/urdf/{name}_robot.urdf", name)
+        return with_armature(simplify_collisions(merge_fixed_links(subtree(source, "base_link", name))))
+
+    return RobotPart(
+        name=name,
+        kind=PartKind.ARM,
+        model=Model(name, articulation, (SOURCE,), "BSD", parts=(with_armature,)),
+        home=home,
+        designs=(DriveDesign(joints=ARM_JOINTS),),
+        mount="tool0",
+        joints=ARM_JOINTS,
+    )
+
+
+UR5 = _part(
+    "ur5",
+    {
+        "shoulder_pan_joint": -0.245,
+        "shoulder_lift_joint": -1.227,
+        "elbow_joint": 1.372,
+        "wrist_1_joint": -1.716,
+        "wrist_2_joint": -1.571,
+        "wrist_3_joint": -0.245,
+    },
+)
+UR10 = _part(
+    "ur10",
+    {
+        "shoulder_pan_joint": -0.277,
+        "shoulder_lift_joint": -1.739,
+        "elbow_joint": 1.91,
+        "wrist_1_joint": -1.742,
+        "wrist_2_joint": -1.571,
+        "wrist_3_joint": -0.277,
+    },
+)
+"""Their flange ``tool0`` has z out of it."""
