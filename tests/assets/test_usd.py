@@ -31,37 +31,7 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
-
-
-def stage(tmp_path: Path, body: str, header: str = 'metersPerUnit = 1\n    upAxis = "Z"') -> Path:
-    path = tmp_path / "stage.usda"
-    path.write_text(f'#usda 1.0\n(\n    defaultPrim = "top"\n    {header}\n)\ndef Xform "top"\n{{\n{body}\n}}\n')
-    return path
-
-
-def body(name: str, inner: str = "", x: float = 0.0) -> str:
-    return f"""
-    def Xform "{name}" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
-    {{
-        float physics:mass = 1
-        float3 physics:diagonalInertia = (1, 1, 1)
-        double3 xformOp:translate = ({x}, 0, 0)
-        uniform token[] xformOpOrder = ["xformOp:translate"]
-        {inner}
-    }}"""
-
-
-def joint(kind: str, name: str, first: str | None, second: str, inner: str = "", schemas: str = "") -> str:
-    parent = f"rel physics:body0 = </top/{first}>" if first else ""
-    applied = f" (prepend apiSchemas = [{schemas}])" if schemas else ""
-    return f"""
-    def Physics{kind}Joint "{name}"{applied}
-    {{
-        {parent}
-        rel physics:body1 = </top/{second}>
-        {inner}
-    }}"""
-
+from tests.assets.usd_files import body, joint, stage
 
 PAINT = (0.5, 0.25, 1.0, 1.0)
 CONE = 'def Cone "tip" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n}'
@@ -165,7 +135,7 @@ def test_a_joint_written_against_the_tree_is_turned_round(tmp_path: Path) -> Non
         float physics:upperLimit = 90
         float physics:lowerLimit = 0
         point3f physics:localPos0 = (-1, 0, 0)"""
-    content = body("b", x=1.0) + marked + joint("Revolute", "turn", "b", "a", limits)
+    content = body("b", at=(1.0, 0.0, 0.0)) + marked + joint("Revolute", "turn", "b", "a", limits)
     got = read_usd(stage(tmp_path, content))
     assert got.link_names == ("a", "b")
     (turn,) = got.joints
