@@ -8,6 +8,7 @@ the largest inertia that the joint meets: elsewhere the joint is faster and more
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -117,7 +118,7 @@ def _drive(joint: str, design: DriveDesign, inertia: float) -> ImplicitPd:
             raise ConfigurationError(f"drive design of joint '{joint}': its {what} is {value}, give a positive number")
     rate = 2 * math.pi * design.natural_frequency
     return ImplicitPd(
-        joints=(joint.replace(".", "\\."),),
+        joints=(re.escape(joint),),
         stiffness=_rounded(inertia * rate**2),
         damping=_rounded(2 * design.damping_ratio * inertia * rate),
         effort_limit=design.effort_limit,

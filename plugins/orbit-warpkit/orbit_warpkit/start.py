@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import sys
 import tempfile
@@ -13,6 +14,7 @@ import warp as wp
 _NO_DRIVER = "Could not find or load the NVIDIA CUDA driver"
 
 
+@functools.cache
 def start() -> None:
     """Initialise Warp; it tells of warnings, not of each module that it loads. A second call does nothing."""
     wp.config.log_level = wp.LOG_WARNING
