@@ -117,9 +117,16 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
         end_effectors=_end_effectors(mounted),
         feet=first.feet,
         planar_base=first.planar_base,
-        licence="; ".join(f"{part.model.licence} ({part.name})" for part in parts),
+        licence=_licence(parts),
         source=", ".join(dict.fromkeys(package for part in parts for package in part.model.packages)),
     )
+
+
+def _licence(parts: Sequence[RobotPart]) -> str:
+    licences = {part.model.licence for part in parts}
+    if len(licences) == 1:
+        return licences.pop()
+    return "; ".join(f"{part.model.licence} ({part.name})" for part in parts)
 
 
 def _check_order(name: str, parts: Sequence[RobotPart]) -> None:

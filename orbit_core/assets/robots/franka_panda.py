@@ -1,54 +1,65 @@
-"""Franka Emika Panda with its hand."""
+"""Franka Emika Panda, an arm of seven joints, and its hand."""
 
 from __future__ import annotations
 
-from orbit_core.assets.cache import Model, cached_articulation
-from orbit_core.assets.compose import edit_joints, simplify_collisions
+import math
+
+from orbit_core.assets.cache import Model
+from orbit_core.assets.compose import add_frames, edit_joints, simplify_collisions, subtree, without
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
-from orbit_core.scene import Articulation, EndEffector, Gripper, ImplicitPd, RobotSpec
+from orbit_core.assets.parts import PartKind, RobotPart
+from orbit_core.scene import Articulation, Frame, Gripper, ImplicitPd, Pose
 
 SOURCE = "example-robot-data"
 LICENCE = "Apache-2.0"
-HOME = {
-    "panda_joint1": 0.0,
-    "panda_joint2": -0.569,
-    "panda_joint3": 0.0,
-    "panda_joint4": -2.810,
-    "panda_joint5": 0.0,
-    "panda_joint6": 3.037,
-    "panda_joint7": 0.741,
-    "panda_finger_joint.*": 0.04,
-}
-ARM = ImplicitPd(joints=("panda_joint[1-7]",), stiffness=400.0, damping=80.0)
-HAND = ImplicitPd(joints=("panda_finger_joint1",), stiffness=2000.0, damping=100.0)
+FILE = "robots/panda_description/urdf/panda.urdf"
 
 
-def build() -> RobotSpec:
-    """The arm before its base, the open hand tilted 46 degrees forward from straight down.
-
-    The end effector's frame lies between the finger pads, 0.1034 m out of ``panda_hand``.
-    """
-    return RobotSpec(
-        name="franka_panda",
-        articulation=cached_articulation(Model("franka_panda", _articulation, (SOURCE,), LICENCE)),
-        fixed_base=True,
-        home=HOME,
-        actuators=(ARM, HAND),
-        semantic_label="robot",
-        gravity_compensation=True,
-        end_effectors=(
-            EndEffector("panda_hand_tcp", ("panda_joint[1-7]",), Gripper(("panda_finger_joint1",), 0.04, 0.0)),
-        ),
-        licence=LICENCE,
-        source=SOURCE,
-    )
+def arm() -> Articulation:
+    """The arm up to the frame ``panda_flange``, which has z out of it and carries a hand 45 degrees about z."""
+    source = merge_fixed_links(without(installed_urdf(SOURCE, FILE, "franka_panda"), "panda_hand"))
+    flange = Frame("panda_flange", "panda_link7", Pose.from_euler(0.0, 0.0, -math.pi / 4, (0.0, 0.0, 0.107)))
+    return _simplified(add_frames(source, flange))
 
 
-def _articulation() -> Articulation:
-    source = installed_urdf(SOURCE, "robots/panda_description/urdf/panda.urdf", "franka_panda")
-    arm = merge_fixed_links(source)
+def hand() -> Articulation:
+    """The hand; its frame ``panda_hand_tcp`` lies between the finger pads, 0.1034 m out of its root."""
+    return _simplified(merge_fixed_links(subtree(installed_urdf(SOURCE, FILE), "panda_hand")))
+
+
+def _simplified(articulation: Articulation) -> Articulation:
     # The URDF leaves the motors' inertia out. 0.1 is that of a 10 kg mm^2 rotor behind a gear of 100:1; the fingers
     # (15 g) get as many kg, so that the drive and the contact forces act on bodies of like weight.
     note = "armature of 0.1 kg m^2 (arm) and 0.1 kg (fingers) is the catalogue's choice: the URDF has none"
-    return simplify_collisions(edit_joints(arm, (".*",), note, armature=0.1))
+    return simplify_collisions(edit_joints(articulation, (".*",), note, armature=0.1))
+
+
+ARM = RobotPart(
+    name="franka_panda",
+    kind=PartKind.ARM,
+    model=Model("franka_panda_arm", arm, (SOURCE,), LICENCE),
+    # The open hand points 46 degrees forward from straight down, before the base.
+    home={
+        "panda_joint1": 0.0,
+        "panda_joint2": -0.569,
+        "panda_joint3": 0.0,
+        "panda_joint4": -2.810,
+        "panda_joint5": 0.0,
+        "panda_joint6": 3.037,
+        "panda_joint7": 0.741,
+    },
+    drives=(ImplicitPd(joints=("panda_joint[1-7]",), stiffness=400.0, damping=80.0),),
+    mount="panda_flange",
+    joints=("panda_joint[1-7]",),
+    end_effector="panda_hand",
+)
+HAND = RobotPart(
+    name="panda_hand",
+    kind=PartKind.END_EFFECTOR,
+    model=Model("panda_hand", hand, (SOURCE,), LICENCE),
+    home={"panda_finger_joint.*": 0.04},
+    drives=(ImplicitPd(joints=("panda_finger_joint1",), stiffness=2000.0, damping=100.0),),
+    frame="panda_hand_tcp",
+    gripper=Gripper(("panda_finger_joint1",), 0.04, 0.0),
+)
