@@ -157,7 +157,8 @@ def _from_text(text: str, hint: Any, present: Any, what: str) -> Any:
     plain = [branch for branch in branches if _is_plain(branch)]
     if not plain:
         raise ConfigurationError(f"{what} cannot be set to {text!r}: {_told(branches, present)}")
-    if any((typing.get_origin(branch) or branch) is tuple for branch in plain):
+    lists = [branch for branch in plain if (typing.get_origin(branch) or branch) is tuple]
+    if lists and (len(lists) == len(plain) or "," in text):
         parts = [part.strip() for part in text.strip().strip("[]()").split(",")]
         return _converted([part for part in parts if part], plain, what, strict=False, shown=text)
     return _converted(text if str in plain else text.strip(), plain, what, strict=False)

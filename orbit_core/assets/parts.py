@@ -31,7 +31,7 @@ from orbit_core.scene import (
 if TYPE_CHECKING:
     from orbit_core.dynamics.drive_design import DriveDesign
 
-    _Drive = TypeVar("_Drive", ActuatorConfig, DriveDesign)
+    _Moving = TypeVar("_Moving", ActuatorConfig, DriveDesign, Gripper)
 
 
 class PartKind(Enum):
@@ -153,7 +153,7 @@ def _prefixed(part: RobotPart, prefix: str) -> RobotPart:
     if not prefix:
         return part
     pattern = re.escape(prefix)
-    gripper = part.gripper and replace(part.gripper, joints=tuple(prefix + name for name in part.gripper.joints))
+    gripper = part.gripper and _patterned(part.gripper, pattern)
     return replace(
         part,
         home={f"{pattern}(?:{key})": value for key, value in part.home.items()},
@@ -167,13 +167,15 @@ def _prefixed(part: RobotPart, prefix: str) -> RobotPart:
     )
 
 
-def _patterned(drive: _Drive, pattern: str) -> _Drive:
-    return replace(drive, joints=tuple(f"{pattern}(?:{joint})" for joint in drive.joints))
+def _patterned(moving: _Moving, pattern: str) -> _Moving:
+    return replace(moving, joints=tuple(f"{pattern}(?:{joint})" for joint in moving.joints))
 
 
 def _end_effectors(parts: Sequence[RobotPart]) -> tuple[EndEffector, ...]:
     arm = next((part for part in parts if part.kind is PartKind.ARM), None)
-    if arm is None:
-        return ()
     tool = parts[-1]
-    return (EndEffector(tool.frame or arm.mount, arm.joints, tool.gripper, tool.finger_tips),)
+    if arm is not None:
+        return (EndEffector(tool.frame or arm.mount, arm.joints, tool.gripper, tool.finger_tips),)
+    if tool.kind is PartKind.END_EFFECTOR:
+        return (EndEffector(tool.frame, (), tool.gripper, tool.finger_tips),)
+    return ()

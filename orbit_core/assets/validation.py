@@ -91,7 +91,7 @@ def validate_entity(entity: Entity) -> None:
         AssetError: as :func:`validate`, the root of a free base has no mass, a loop is open at the home positions, or a
             variant is no single link like the entity's own.
         UnknownNameError: an end effector, a finger tip or a foot of a robot names no link or frame, or an end
-            effector's arm no joint; tells the nearest.
+            effector's arm or gripper no joint; tells the nearest.
     """
     validate(entity.articulation)
     if isinstance(entity, RobotSpec):
@@ -122,6 +122,8 @@ def _check_robot(robot: RobotSpec) -> None:
             find_name(name, known, f"{what} frame", f"robot '{robot.name}'")
     for effector in robot.end_effectors:
         match_names(effector.arm_joints, articulation.joint_names, "joint", f"arm of robot '{robot.name}'")
+        if effector.gripper:
+            match_names(effector.gripper.joints, articulation.joint_names, "joint", f"gripper of robot '{robot.name}'")
 
 
 def _check_variant(entity: Entity, variant: Articulation) -> None:

@@ -126,7 +126,7 @@ def _kind(name: str) -> tuple[bool, bool, bool] | None:
     except AssetError:  # its package is not installed
         return None
     grippers = any(effector.gripper is not None for effector in robot.end_effectors)
-    return bool(robot.end_effectors), grippers, bool(robot.feet)
+    return robot.has_arm, grippers, bool(robot.feet)
 
 
 def _show_robot(console: Console, name: str) -> None:
@@ -141,7 +141,8 @@ def _show_robot(console: Console, name: str) -> None:
     print_line(console, "links", f"{len(body.links)}: {', '.join(body.link_names)}")
     for effector in robot.end_effectors:
         hand = f", gripper {', '.join(effector.gripper.joints)}" if effector.gripper else ""
-        print_line(console, "end effector", f"{effector.frame}, moved by {', '.join(effector.arm_joints)}{hand}")
+        arm = ", ".join(effector.arm_joints) or "no arm"
+        print_line(console, "end effector", f"{effector.frame}, moved by {arm}{hand}")
     if robot.feet:
         print_line(console, "feet", ", ".join(robot.feet))
     console.print(_joint_table(robot))

@@ -33,13 +33,18 @@ def arm(name: str, gripper: bool = True, agent: str = ROBOT, pose: Pose | None =
 
     Raises:
         UnknownNameError: there is none of that name.
-        ConfigurationError: it has no end effector or gripper.
+        ConfigurationError: it has no end effector, no arm that moves it, or no gripper.
     """
     spec = robot(name, name=agent)
     spec = spec if pose is None else replace(spec, pose=pose)
     lacking = None
     if not spec.end_effectors:
         lacking = "end effector"
+    elif not spec.has_arm:
+        raise ConfigurationError(
+            f"robot '{name}' has no arm, which this task needs: mount it on one, as in 'ur10+{name}', or choose "
+            "another robot"
+        )
     elif gripper and spec.end_effector.gripper is None:
         lacking = "gripper"
     if lacking:

@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import ConfigurationError, Robot
+from orbit_core.interfaces import ConfigurationError, Robot, match_values
 from orbit_core.motion.base import JointTarget, MotionGenerator
 from orbit_core.motion.embodiment import end_effector_of
 from orbit_core.motion.term import ActionTerm
@@ -25,10 +25,10 @@ class BinaryGripperConfig(ActionTerm):
     frame: str | None = None
     """Frame of the end effector that carries the gripper; None takes the first one. ``joints`` are by default its
     gripper's, and so are the positions below."""
-    open_position: float | None = None
-    """rad or m, of every joint."""
-    closed_position: float | None = None
-    """rad or m, of every joint."""
+    open_position: float | tuple[float, ...] | None = None
+    """rad or m, of every joint, or one for each entry of ``joints``."""
+    closed_position: float | tuple[float, ...] | None = None
+    """rad or m, of every joint, or one for each entry of ``joints``."""
 
     def default_joints(self, spec: RobotSpec) -> Sequence[str]:
         return self.gripper_of(spec).joints
@@ -65,11 +65,28 @@ class BinaryGripper(MotionGenerator):
             gripper = config.gripper_of(robot.spec)
             opened = gripper.open_position if opened is None else opened
             closed = gripper.closed_position if closed is None else closed
-        self._open = torch.full((len(joints),), opened, device=self.device)
-        self._closed = torch.full((len(joints),), closed, device=self.device)
+        patterns = config.default_joints(robot.spec) if config.joints is None else config.joints
+        ends = [_positions(value, patterns, joints, robot.spec, name) for value in (opened, closed)]
+        self._open, self._closed = torch.tensor(ends, device=self.device).unbind()
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         return {JointTarget.POSITION.value: torch.where(inputs["command"] < 0.0, self._closed, self._open)}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return (2.0 * gripper_open.to(torch.float32) - 1.0).unsqueeze(-1)
+
+
+def _positions(
+    value: float | tuple[float, ...], patterns: Sequence[str], joints: Sequence[int], spec: RobotSpec, term: str
+) -> list[float]:
+    """A position for each of the joints, given by index."""
+    if not isinstance(value, tuple):
+        return [value] * len(joints)
+    if len(value) != len(patterns):
+        raise ConfigurationError(
+            f"action term '{term}' has {len(value)} positions for {len(patterns)} entries of its joints: give one for "
+            "each, or one number for all"
+        )
+    by_pattern = dict(zip(patterns, value, strict=True))
+    by_joint = match_values(by_pattern, spec.articulation.joint_names, "joint", f"action term '{term}'")
+    return [by_joint[joint] for joint in joints]

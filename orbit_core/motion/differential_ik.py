@@ -20,7 +20,7 @@ from orbit_core.dynamics.transforms import (
 )
 from orbit_core.interfaces import Robot
 from orbit_core.motion.base import JointTarget, MotionGenerator
-from orbit_core.motion.embodiment import end_effector_of
+from orbit_core.motion.embodiment import arm_joints_of, end_effector_of
 from orbit_core.motion.ik import IkMethod, joint_delta
 from orbit_core.motion.term import ActionTerm
 from orbit_core.scene import RobotSpec
@@ -60,7 +60,7 @@ class DifferentialIkConfig(ActionTerm):
 
     def default_joints(self, spec: RobotSpec) -> Sequence[str]:
         frames = [effector.frame for effector in spec.end_effectors]
-        return end_effector_of(spec, self.frame if self.frame in frames else None).arm_joints
+        return arm_joints_of(spec, self.frame if self.frame in frames else None)
 
     def components(self, spec: RobotSpec, name: str) -> tuple[str, ...]:
         return ("x", "y", "z", "about x", "about y", "about z")

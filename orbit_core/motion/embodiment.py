@@ -25,17 +25,33 @@ def joint_commands(spec: RobotSpec) -> JointCommands:
 
     A robot that is there for its end effector is moved by the first one's arm, 2 rad from home either way and no faster
     than its joints may turn, as its own controller would see to. Another moves all driven joints but those of its
-    planar base: a walker by 0.5 rad, others, such as hands, over the joints' limits.
+    planar base: a walker by 0.5 rad, others, such as hands without an arm, over the joints' limits.
     """
     if spec.joint_commands is not None:
         return spec.joint_commands
-    if spec.end_effectors and not spec.feet:
+    if spec.has_arm and not spec.feet:
         return JointCommands(joints=spec.end_effector.arm_joints, position_scale=_ARM_SCALE, limit_speed=True)
     base = spec.planar_base
     carrying = (base.x, base.y, base.yaw) if base else ()
     names = [spec.articulation.joint_names[joint] for joint in driven_joints(spec)]
     joints = tuple(re.escape(name) for name in names if name not in carrying)
     return JointCommands(joints=joints, position_scale=_LEG_SCALE if spec.feet else None)
+
+
+def arm_joints_of(spec: RobotSpec, frame: str | None = None) -> tuple[str, ...]:
+    """Patterns of the joints that move the end effector with that frame, or the first one.
+
+    Raises:
+        ConfigurationError: the robot has no end effector, or no arm moves it.
+        UnknownNameError: no end effector has that frame.
+    """
+    effector = end_effector_of(spec, frame)
+    if not effector.arm_joints:
+        raise ConfigurationError(
+            f"robot '{spec.name}' has no arm that moves its end effector: mount it on one, as in 'ur10+robotiq_2f85', "
+            "or choose an action space of its joints"
+        )
+    return effector.arm_joints
 
 
 def end_effector_of(spec: RobotSpec, frame: str | None = None) -> EndEffector:

@@ -12,11 +12,26 @@ from orbit_core.scene.pose import Pose
 
 @dataclass(frozen=True)
 class Gripper:
-    """The joints that open and close a hand, with their positions at either end."""
+    """The joints that open and close a hand, with their positions at either end.
+
+    A position (rad or m) is of every joint, or one for each entry of ``joints``.
+
+    Raises:
+        ValueError: there are positions for more or fewer joints than ``joints`` has entries.
+    """
 
     joints: tuple[str, ...]
-    open_position: float
-    closed_position: float
+    """Regular expressions over joint names (full match)."""
+    open_position: float | tuple[float, ...]
+    closed_position: float | tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name, value in (("open_position", self.open_position), ("closed_position", self.closed_position)):
+            if isinstance(value, tuple) and len(value) != len(self.joints):
+                raise ValueError(
+                    f"{name} of a gripper has {len(value)} positions for {len(self.joints)} entries of its joints: "
+                    "give one for each, or one number for all"
+                )
 
 
 END_EFFECTOR = "end_effector"
@@ -32,7 +47,7 @@ class EndEffector:
 
     frame: str
     arm_joints: tuple[str, ...]
-    """Regular expressions over joint names (full match)."""
+    """Regular expressions over joint names (full match); none where a hand stands by itself."""
     gripper: Gripper | None = None
     finger_tips: tuple[str, ...] = ()
     """Links or frames at the ends of a hand's fingers."""
@@ -112,6 +127,11 @@ class RobotSpec(Entity):
     licence: str = ""
     source: str = ""
     """The package that the model comes from."""
+
+    @property
+    def has_arm(self) -> bool:
+        """Whether joints move the first end effector; a hand by itself has none that do."""
+        return bool(self.end_effectors and self.end_effectors[0].arm_joints)
 
     @property
     def end_effector(self) -> EndEffector:
