@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 from orbit_core.assets.meshes import simplified_hull
@@ -18,7 +19,8 @@ def attach(
 ) -> Articulation:
     """``base`` with the root of ``other`` fixed to it at ``pose`` in the link or frame ``at`` of ``base``.
 
-    ``prefix`` goes before every name of ``other``. The result collides with itself if either part does.
+    ``prefix`` goes before every name of ``other``. The result collides with itself if either part does; links of a part
+    that does not collide with itself still do not collide with each other.
 
     Raises:
         UnknownNameError: ``base`` has no such link or frame.
@@ -26,6 +28,9 @@ def attach(
     """
     mount = _frame(base, at)
     other = _prefixed(other, prefix)
+    self_collisions = base.self_collisions or other.self_collisions
+    if self_collisions:
+        base, other = _kept_apart(base), _kept_apart(other)
     joint = Joint(
         f"{other.root.name}_mount",
         JointType.FIXED,
@@ -39,7 +44,7 @@ def attach(
             links=base.links + other.links,
             joints=(*base.joints, joint, *other.joints),
             frames=base.frames + other.frames,
-            self_collisions=base.self_collisions or other.self_collisions,
+            self_collisions=self_collisions,
             collision_exclusions=base.collision_exclusions + other.collision_exclusions,
             loops=base.loops + other.loops,
             drives=base.drives + other.drives,
@@ -47,6 +52,14 @@ def attach(
             notes=tuple(dict.fromkeys(base.notes + other.notes)),
         )
     )
+
+
+def _kept_apart(articulation: Articulation) -> Articulation:
+    """The same with every pair of its links excluded, where these do not collide with each other."""
+    if articulation.self_collisions:
+        return articulation
+    colliding = [link.name for link in articulation.links if link.collisions]
+    return replace(articulation, collision_exclusions=tuple(combinations(colliding, 2)))
 
 
 def subtree(articulation: Articulation, link: str, name: str | None = None) -> Articulation:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 from orbit_core.assets.cache import Model, cached_articulation
 from orbit_core.assets.compose import attach
 from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.self_contacts import without_home_contacts
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.scene import (
     ActuatorConfig,
@@ -71,7 +72,11 @@ class RobotPart:
     end_effector: str = ""
     """An arm's own end effector, by name, mounted where a composition names none."""
     feet: tuple[str, ...] = ()
+    wheels: tuple[str, ...] = ()
+    """A base's: links or frames that roll on the ground."""
     planar_base: PlanarBase | None = None
+    end_effectors: tuple[EndEffector, ...] = ()
+    """Those that a base brings itself, as a humanoid its hands; one that is mounted on it comes first."""
     pose: Pose = field(default_factory=Pose)
     """Pose of the root link, where this part is the first."""
     fixed_base: bool = True
@@ -100,6 +105,9 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
         mounted.append(_prefixed(part, prefix))
         body = attach(body, articulation, carrier.mount, prefix=prefix)
     body = replace(merge_fixed_links(body), name=name)
+    home = {pattern: value for part in mounted for pattern, value in part.home.items()}
+    if others and body.self_collisions:
+        body = without_home_contacts(body, home)
     designs = [design for part in mounted for design in part.designs]
     drives: tuple[ActuatorConfig, ...] = tuple(drive for part in mounted for drive in part.drives)
     if designs:
@@ -110,13 +118,14 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
         articulation=body,
         pose=first.pose,
         fixed_base=first.fixed_base,
-        home={pattern: value for part in mounted for pattern, value in part.home.items()},
+        home=home,
         actuators=drives,
         semantic_label="robot",
         gravity_compensation=first.fixed_base,
         end_effectors=_end_effectors(mounted),
         feet=first.feet,
         planar_base=first.planar_base,
+        wheels=first.wheels,
         licence=_licence(parts),
         source=", ".join(dict.fromkeys(package for part in parts for package in part.model.packages)),
     )
@@ -172,10 +181,11 @@ def _patterned(moving: _Moving, pattern: str) -> _Moving:
 
 
 def _end_effectors(parts: Sequence[RobotPart]) -> tuple[EndEffector, ...]:
+    own = parts[0].end_effectors
     arm = next((part for part in parts if part.kind is PartKind.ARM), None)
     tool = parts[-1]
     if arm is not None:
-        return (EndEffector(tool.frame or arm.mount, arm.joints, tool.gripper, tool.finger_tips),)
+        return (EndEffector(tool.frame or arm.mount, arm.joints, tool.gripper, tool.finger_tips), *own)
     if tool.kind is PartKind.END_EFFECTOR:
-        return (EndEffector(tool.frame, (), tool.gripper, tool.finger_tips),)
-    return ()
+        return (EndEffector(tool.frame, (), tool.gripper, tool.finger_tips), *own)
+    return own

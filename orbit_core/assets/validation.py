@@ -10,6 +10,7 @@ import numpy as np
 
 from orbit_core.assets.massless import check_massless
 from orbit_core.assets.merge import link_hosts, merge_fixed_links
+from orbit_core.assets.posture import link_poses
 from orbit_core.assets.scene_data import check_data
 from orbit_core.interfaces.errors import ArgumentError, AssetError
 from orbit_core.interfaces.layout import home_positions
@@ -90,8 +91,8 @@ def validate_entity(entity: Entity) -> None:
     Raises:
         AssetError: as :func:`validate`, the root of a free base has no mass, a loop is open at the home positions, or a
             variant is no single link like the entity's own.
-        UnknownNameError: an end effector, a finger tip or a foot of a robot names no link or frame, or an end
-            effector's arm or gripper no joint; tells the nearest.
+        UnknownNameError: an end effector, a finger tip, a foot or a wheel of a robot names no link or frame, or an end
+            effector's arm or gripper or a planar base no joint; tells the nearest.
     """
     validate(entity.articulation)
     if isinstance(entity, RobotSpec):
@@ -109,12 +110,13 @@ def validate_entity(entity: Entity) -> None:
 
 
 def _check_robot(robot: RobotSpec) -> None:
-    """Refuse end effectors and feet where the robot has no link, frame or joint of that name."""
+    """Refuse end effectors, feet, wheels and a planar base where the robot has nothing of that name."""
     articulation = robot.articulation
     places = {
         "end effector": [effector.frame for effector in robot.end_effectors],
         "finger tip": [tip for effector in robot.end_effectors for tip in effector.finger_tips],
         "foot": robot.feet,
+        "wheel": robot.wheels,
     }
     known = (*articulation.link_names, *(frame.name for frame in articulation.frames))
     for what, names in places.items():
@@ -124,6 +126,9 @@ def _check_robot(robot: RobotSpec) -> None:
         match_names(effector.arm_joints, articulation.joint_names, "joint", f"arm of robot '{robot.name}'")
         if effector.gripper:
             match_names(effector.gripper.joints, articulation.joint_names, "joint", f"gripper of robot '{robot.name}'")
+    if robot.planar_base is not None:
+        for joint in (robot.planar_base.x, robot.planar_base.y, robot.planar_base.yaw):
+            find_name(joint, articulation.joint_names, "joint", f"planar base of robot '{robot.name}'")
 
 
 def _check_variant(entity: Entity, variant: Articulation) -> None:
@@ -289,13 +294,7 @@ def _check_closed(entity: Entity) -> None:
     """Every loop, at the home positions."""
     articulation = entity.articulation
     positions = dict(zip(articulation.joint_names, home_positions(entity).tolist(), strict=True))
-    poses = {articulation.root.name: Pose()}
-    for joint in articulation.joints:
-        position = positions.get(joint.name, 0.0)
-        moved = Pose.from_axis_angle(joint.axis, position)
-        if joint.type is JointType.PRISMATIC:
-            moved = Pose(tuple(position * along for along in joint.axis))
-        poses[joint.child] = poses[joint.parent] @ joint.parent_pose @ moved @ joint.child_pose.inverse()
+    poses = link_poses(articulation, positions)
     for loop in articulation.loops:
         ends = [poses[loop.first] @ Pose(loop.first_point), poses[loop.second] @ Pose(loop.second_point)]
         apart = math.dist(ends[0].position, ends[1].position)

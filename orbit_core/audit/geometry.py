@@ -1,4 +1,4 @@
-"""Extents and overlaps of links' shapes, each shape taken as its convex hull."""
+"""Extents and volumes of links' shapes, each shape taken as its convex hull."""
 
 from __future__ import annotations
 
@@ -12,9 +12,6 @@ from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Box, Capsule, Cylinder, Geometry, Mesh, MeshCollision, Shape, Sphere
 
 _ON_SPHERE, _ON_CIRCLE = 96, 24
-_ROUNDS = 100
-_TOUCHING = 1e-4
-"""Metres between hulls that count as touching."""
 
 
 def shape_points(shape: Shape) -> FloatArray:
@@ -43,30 +40,6 @@ def colliding_volume(shape: Shape) -> float:
         return mass_properties(geometry, density=1.0).mass
     except (AssetError, QhullError):
         return 0.0
-
-
-def hulls_touch(first: FloatArray, second: FloatArray) -> bool:
-    """Whether the hulls of two clouds of points (P, 3), (Q, 3) come within 0.1 mm of each other.
-
-    By Gilbert's algorithm on their Minkowski difference (Gilbert, An iterative procedure for computing the minimum of a
-    quadratic form on a convex set, 1966), which stops at the first plane that separates them.
-    """
-    if np.any(first.max(0) < second.min(0)) or np.any(second.max(0) < first.min(0)):
-        return False
-    nearest = first.mean(0) - second.mean(0)
-    for _ in range(_ROUNDS):
-        distance = float(np.linalg.norm(nearest))
-        if distance < _TOUCHING:
-            return True
-        support = first[np.argmin(first @ nearest)] - second[np.argmax(second @ nearest)]
-        if float(support @ nearest) > _TOUCHING * distance:
-            return False
-        towards = support - nearest
-        length = float(towards @ towards)
-        if length == 0.0:
-            return True
-        nearest = nearest + np.clip(-(nearest @ towards) / length, 0.0, 1.0) * towards
-    return True
 
 
 def _points(geometry: Geometry) -> FloatArray:

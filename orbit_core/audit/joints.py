@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from itertools import combinations
 
 import numpy as np
 
+from orbit_core.assets.self_contacts import touching_links
 from orbit_core.audit.findings import Finding, Severity, names_in_short
-from orbit_core.audit.geometry import hulls_touch, shape_points
-from orbit_core.audit.mechanics import FloatArray, posture
-from orbit_core.scene import Articulation, Joint, JointType, Shape
+from orbit_core.scene import Articulation, Joint, JointType
 
 _TURNS = 4.0 * math.pi
 
@@ -44,7 +42,7 @@ def home_of(articulation: Articulation) -> dict[str, float]:
 
 def check_touching(articulation: Articulation) -> Iterator[Finding]:
     """Pairs of links whose hulls touch at home although nothing keeps them from colliding with each other."""
-    touching = [f"{first} with {second}" for first, second in touching_pairs(articulation)]
+    touching = [f"{first} with {second}" for first, second in touching_links(articulation, home_of(articulation))]
     if not touching:
         return
     acts = articulation.self_collisions
@@ -53,23 +51,6 @@ def check_touching(articulation: Articulation) -> Iterator[Finding]:
     )
     severity = Severity.WARNING if acts else Severity.NOTE
     yield Finding(severity, names_in_short(touching), f"links touch at home that no joint connects: {remedy}")
-
-
-def touching_pairs(articulation: Articulation) -> Iterator[tuple[str, str]]:
-    """Names of links that touch at home, those that a joint connects or that are excluded left out."""
-    apart = {frozenset(pair) for pair in (*articulation.joined_links, *articulation.collision_exclusions)}
-    places = posture(articulation, home_of(articulation)).links
-    clouds = {link.name: _clouds(places[link.name], link.collisions) for link in articulation.links}
-    for first, second in combinations(articulation.link_names, 2):
-        if frozenset((first, second)) not in apart and any(
-            hulls_touch(one, other) for one in clouds[first] for other in clouds[second]
-        ):
-            yield first, second
-
-
-def _clouds(place: FloatArray, shapes: tuple[Shape, ...]) -> list[FloatArray]:
-    clouds = (shape_points(shape) for shape in shapes)
-    return [cloud @ place[:3, :3].T + place[:3, 3] for cloud in clouds if len(cloud)]
 
 
 def _endless(joint: Joint) -> bool:

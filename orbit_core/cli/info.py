@@ -136,6 +136,7 @@ def _show_robot(console: Console, name: str) -> None:
     print_heading(console, f"Robot {name}", entry.description)
     print_line(console, "source", entry.source or "ORBIT")
     print_line(console, "licence", entry.licence or "unknown")
+    print_line(console, "categories", ", ".join(category.value for category in robot.categories) or "none")
     print_line(console, "degrees of freedom", f"{entry.dof}{'' if robot.fixed_base else ', and 6 of its free base'}")
     print_line(console, "mass", f"{body.mass:.2f} kg")
     print_line(console, "links", f"{len(body.links)}: {', '.join(body.link_names)}")
@@ -143,8 +144,9 @@ def _show_robot(console: Console, name: str) -> None:
         hand = f", gripper {', '.join(effector.gripper.joints)}" if effector.gripper else ""
         arm = ", ".join(effector.arm_joints) or "no arm"
         print_line(console, "end effector", f"{effector.frame}, moved by {arm}{hand}")
-    if robot.feet:
-        print_line(console, "feet", ", ".join(robot.feet))
+    for what, places in (("feet", robot.feet), ("wheels", robot.wheels)):
+        if places:
+            print_line(console, what, ", ".join(places))
     console.print(_joint_table(robot))
     for group in robot.actuators:
         values = {field.name: getattr(group, field.name) for field in dataclasses.fields(group)}

@@ -14,6 +14,7 @@ from orbit_core.scene.entities import (
     JointCommands,
     ObjectSpec,
     PlanarBase,
+    RobotCategory,
     RobotSpec,
 )
 from orbit_core.scene.joints import DriveGains, Joint, JointType, LoopJoint, LoopType, Mimic
@@ -53,6 +54,6 @@ __all__ = [
     "EndEffector", "Entity", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField",
     "IdealPd", "ImplicitPd", "ImuSpec", "Joint", "JointCommands", "JointSensorSpec", "JointType", "Light", "Link",
     "LoopJoint", "LoopType", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision", "Mimic", "Noise", "ObjectSpec",
-    "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Rgb", "RobotSpec", "Scene", "SensorSpec",
-    "Shape", "Sky", "SoftBody", "Sphere", "look_at", "single_link",
+    "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Rgb", "RobotCategory", "RobotSpec", "Scene",
+    "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere", "look_at", "single_link",
 ]  # fmt: skip

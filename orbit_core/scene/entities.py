@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 
 from orbit_core.scene.actuators import ActuatorConfig
 from orbit_core.scene.articulation import Articulation
@@ -75,6 +76,23 @@ class PlanarBase:
     yaw: str
 
 
+class RobotCategory(Enum):
+    """A kind of robot; one robot may be of several."""
+
+    ARM = "arm"
+    """It has an end effector that joints move."""
+    GRIPPER = "gripper"
+    """It has jaws that open and close."""
+    HAND = "hand"
+    """It has fingers with tips."""
+    MOBILE = "mobile"
+    """It drives over the ground, on wheels or by joints that stand for them."""
+    LEGGED = "legged"
+    """It has feet."""
+    HUMANOID = "humanoid"
+    """It stands on two feet and has an end effector for each hand."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Entity:
     """An articulation in the scene.
@@ -124,6 +142,8 @@ class RobotSpec(Entity):
     joint_commands: JointCommands | None = None
     """None: as :func:`orbit_core.motion.joint_commands` makes it of the end effectors and feet."""
     planar_base: PlanarBase | None = None
+    wheels: tuple[str, ...] = ()
+    """Links or frames of a mobile robot that roll on the ground."""
     licence: str = ""
     source: str = ""
     """The package that the model comes from."""
@@ -143,3 +163,24 @@ class RobotSpec(Entity):
         if not self.end_effectors:
             raise ValueError(f"robot '{self.name}' has no end effector")
         return self.end_effectors[0]
+
+    @property
+    def base_link(self) -> str:
+        """The link that carries the rest of the robot: what a planar base moves, else the root."""
+        if self.planar_base is not None:
+            return next(joint.child for joint in self.articulation.joints if joint.name == self.planar_base.yaw)
+        return self.articulation.root.name
+
+    @property
+    def categories(self) -> tuple[RobotCategory, ...]:
+        """What the robot is, by what it has: end effectors, feet, wheels, a planar base."""
+        effectors = self.end_effectors
+        holds = {
+            RobotCategory.ARM: any(effector.arm_joints for effector in effectors),
+            RobotCategory.GRIPPER: any(effector.gripper and not effector.finger_tips for effector in effectors),
+            RobotCategory.HAND: any(effector.finger_tips for effector in effectors),
+            RobotCategory.MOBILE: bool(self.planar_base or self.wheels),
+            RobotCategory.LEGGED: bool(self.feet),
+            RobotCategory.HUMANOID: len(self.feet) == 2 and len(effectors) >= 2,
+        }
+        return tuple(category for category, held in holds.items() if held)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -11,7 +13,7 @@ from orbit_core.assets.parts import compose
 from orbit_core.assets.validation import validate_entity
 from orbit_core.backends import default_backend
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
-from orbit_core.scene import Scene
+from orbit_core.scene import EndEffector, PlanarBase, RobotCategory, Scene
 from orbit_core.world import simulate
 
 ARMS = ("kinova_gen3", "kuka_iiwa7", "ur5", "ur10", "xarm7")
@@ -62,11 +64,39 @@ def test_names_that_two_parts_share_are_prefixed_through_drives_home_and_gripper
 
 
 @pytest.mark.parametrize(
+    ("name", "categories"),
+    [
+        ("ur5", (RobotCategory.ARM,)),
+        ("ur5+robotiq_2f85", (RobotCategory.ARM, RobotCategory.GRIPPER)),
+        ("robotiq_2f85", (RobotCategory.GRIPPER,)),
+        ("unitree_go2", (RobotCategory.LEGGED,)),
+        ("unitree_go2+ur5", (RobotCategory.ARM, RobotCategory.LEGGED)),
+        ("cartpole", ()),
+    ],
+)
+def test_a_robot_is_of_the_categories_of_what_it_has(name: str, categories: tuple[RobotCategory, ...]):
+    assert robot(name).categories == categories
+
+
+def test_what_a_base_brings_goes_with_it():
+    base = robots().entry("unitree_g1").load_part()
+    hands = tuple(EndEffector(f"{side}_wrist_yaw_link", (f"{side}_.*",)) for side in ("left", "right"))
+    joints = ("left_hip_pitch_joint", "right_hip_pitch_joint", "waist_yaw_joint")
+    spec = compose("base", (replace(base, end_effectors=hands, wheels=base.feet, planar_base=PlanarBase(*joints)),))
+    validate_entity(spec)
+    assert spec.end_effectors == hands
+    assert spec.wheels == spec.feet
+    assert spec.categories == (RobotCategory.ARM, RobotCategory.MOBILE, RobotCategory.LEGGED, RobotCategory.HUMANOID)
+    assert spec.base_link == "waist_yaw_link"
+    assert robot("unitree_g1").base_link == robot("unitree_g1").articulation.root.name
+
+
+@pytest.mark.parametrize(
     ("name", "words"),
     [
         ("robotiq_2f85+ur5", "'robotiq_2f85' has no mount for 'ur5'"),
         ("ur5+ur10", "name at most one base, then one arm, then one end effector"),
-        ("franka_panda+robotiq_2f85", "robot 'franka_panda' is whole"),
+        ("cartpole+robotiq_2f85", "robot 'cartpole' is whole"),
     ],
 )
 def test_compositions_that_cannot_be_mounted_say_why(name: str, words: str):

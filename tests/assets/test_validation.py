@@ -24,6 +24,7 @@ from orbit_core.scene import (
     LoopType,
     Mimic,
     ObjectSpec,
+    PlanarBase,
     Pose,
     RobotSpec,
     Shape,
@@ -223,9 +224,11 @@ def test_impossible_loops(change: dict[str, Any], fault: str) -> None:
         ({"end_effectors": (EndEffector("upper", (), finger_tips=("tip",)),)}, r"unknown finger tip frame 'tip'"),
         ({"end_effectors": (EndEffector("upper", ("sholder",)),)}, r"unknown joint 'sholder' in arm of robot 'arm'"),
         ({"feet": ("foot",)}, r"unknown foot frame 'foot' in robot 'arm'"),
+        ({"wheels": ("left_wheel",)}, r"unknown wheel frame 'left_wheel' in robot 'arm'"),
+        ({"planar_base": PlanarBase("shoulder", "y", "yaw")}, r"unknown joint 'y' in planar base of robot 'arm'"),
     ],
 )
-def test_a_robots_end_effectors_and_feet_are_places_of_its_own(parts: dict[str, Any], fault: str) -> None:
+def test_a_robots_end_effectors_feet_and_wheels_are_places_of_its_own(parts: dict[str, Any], fault: str) -> None:
     validate_entity(RobotSpec(name="arm", articulation=chain(), fixed_base=True))
     with pytest.raises(UnknownNameError, match=fault):
         validate_entity(RobotSpec(name="arm", articulation=chain(), fixed_base=True, **parts))

@@ -5,14 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from orbit_core.audit.audit import AssetReport, audit_file
 from orbit_core.audit.findings import Severity
-from orbit_core.audit.geometry import hulls_touch, shape_points
 from orbit_core.cli import main
-from orbit_core.scene import Box, Capsule, Pose, Shape, Sphere
 
 SOUND = """<robot name="arm">
 <link name="base"><collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link>
@@ -91,20 +88,6 @@ def test_links_that_touch_at_home_are_named(tmp_path: Path) -> None:
     near, far = (audited(tmp_path, SOUND.replace("</robot>", third.format(height=z))) for z in (0.04, 0.3))
     assert "base with hand" in [finding.element for finding in near.findings]
     assert "base with hand" not in [finding.element for finding in far.findings]
-
-
-def test_hulls_touch_where_they_do() -> None:
-    box = shape_points(Shape(Box((0.1, 0.2, 0.3))))
-
-    def touches(shape: Shape) -> bool:
-        return hulls_touch(box, shape_points(shape))
-
-    for gap, expected in ((-0.005, True), (0.005, False)):
-        assert touches(Shape(Sphere(0.1), Pose((0.2 + gap, 0.0, 0.0)))) is expected
-        assert touches(Shape(Capsule(0.05, 0.2), Pose((0.0, 0.0, 0.55 + gap)))) is expected
-        corner = Pose((0.1 + 0.1 / np.sqrt(2) + gap, 0.2 + 0.1 / np.sqrt(2) + gap, 0.0))
-        assert touches(Shape(Sphere(0.1), corner)) is expected
-    assert touches(Shape(Box((0.01, 0.01, 0.01))))
 
 
 def test_the_command_tells_by_its_exit_code_and_in_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,132 @@
+"""Distances between convex shapes, by the algorithm of Gilbert, Johnson and Keerthi.
+
+Gilbert, Johnson and Keerthi, A fast procedure for computing the distance between complex objects in three-dimensional
+space, IEEE Journal on Robotics and Automation, 1988. The nearest point of a simplex is found among all its faces
+(Johnson's subalgorithm).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from orbit_core.scene import Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere
+from orbit_core.scene.pose import FloatArray
+
+_ROUNDS = 64
+_EXACT = 1e-9
+"""Metres below which a distance counts as none, and to which distances are found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Convex:
+    """The points within ``radius`` of a convex core.
+
+    The core is the hull of ``points`` (P, 3), each the centre of a disc with the normal ``axis`` and the radius
+    ``disc`` where that is not zero. A ball's core is a point, a capsule's two, a cylinder's two discs.
+    """
+
+    points: FloatArray
+    radius: float = 0.0
+    disc: float = 0.0
+    axis: FloatArray | None = None
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """The least and the greatest corner (3,) of the box along the axes that holds the shape."""
+        reach = np.full(3, self.radius)
+        if self.axis is not None:
+            reach = reach + self.disc * np.sqrt(np.clip(1.0 - np.square(self.axis), 0.0, 1.0))
+        return self.points.min(0) - reach, self.points.max(0) + reach
+
+    def support(self, direction: FloatArray) -> FloatArray:
+        """The point (3,) of the core that lies farthest along ``direction``."""
+        farthest = self.points[int(np.argmax(self.points @ direction))]
+        if self.axis is None:
+            return farthest
+        across = direction - (direction @ self.axis) * self.axis
+        length = float(np.linalg.norm(across))
+        return farthest + (self.disc / length) * across if length > 0.0 else farthest
+
+
+def convex_shape(shape: Shape, place: Pose) -> Convex | None:
+    """The shape of a link at ``place``, a mesh as its hull; ``None`` for ground and terrain."""
+    pose = place @ shape.pose
+    match shape.geometry:
+        case Box(half_extents=half):
+            corners = np.array(np.meshgrid(*([-1.0, 1.0],) * 3)).reshape(3, -1).T * half
+            return Convex(pose.transform(corners))
+        case Sphere(radius=radius):
+            return Convex(pose.transform(np.zeros((1, 3))), radius)
+        case Capsule(radius=radius, half_length=half):
+            return Convex(pose.transform(_ends(half)), radius)
+        case Cylinder(radius=radius, half_length=half):
+            return Convex(pose.transform(_ends(half)), disc=radius, axis=pose.rotation_matrix()[:, 2])
+        case Mesh(vertices=vertices):
+            return Convex(pose.transform(np.asarray(vertices, dtype=np.float64)))
+        case _:
+            return None
+
+
+def distance(first: Convex, second: Convex) -> float:
+    """Metres between two shapes; zero where they overlap, however far."""
+    return max(0.0, _core_distance(first, second, np.inf) - first.radius - second.radius)
+
+
+def within(first: Convex, second: Convex, reach: float) -> bool:
+    """Whether two shapes come within ``reach`` (m) of each other; quicker than their distance."""
+    (low, high), (least, most) = first.bounds(), second.bounds()
+    if np.any(high + reach < least) or np.any(most + reach < low):
+        return False
+    between = reach + first.radius + second.radius
+    return _core_distance(first, second, between) <= between
+
+
+def _core_distance(first: Convex, second: Convex, enough: float) -> float:
+    """Metres between the cores, or a lower bound of them that exceeds ``enough``."""
+    simplex = (first.points[0] - second.points[0])[None]
+    nearest = simplex[0]
+    for _ in range(_ROUNDS):
+        length = float(np.linalg.norm(nearest))
+        if length < _EXACT:
+            return 0.0
+        support = first.support(-nearest) - second.support(nearest)
+        bound = float(support @ nearest) / length
+        if bound > enough:
+            return bound
+        if length - bound < _EXACT:
+            return length
+        nearest, simplex = _nearest(np.concatenate([simplex, support[None]]))
+    return float(np.linalg.norm(nearest))
+
+
+def _nearest(simplex: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The point of a simplex (P, 3) that is nearest to the origin, and the corners of the face that it lies on."""
+    best, face, least = simplex[-1], simplex[-1:], np.inf
+    for count in range(1, min(len(simplex), 4) + 1):
+        for chosen in combinations(range(len(simplex)), count):
+            corners = simplex[list(chosen)]
+            point = _foot(corners)
+            if point is not None and (square := float(point @ point)) < least:
+                best, face, least = point, corners, square
+    return best, face
+
+
+def _foot(corners: FloatArray) -> FloatArray | None:
+    """The point nearest to the origin of the plane, line or space through ``corners``, where it lies between them."""
+    if len(corners) == 1:
+        return corners[0]
+    edges = corners[1:] - corners[0]
+    gram = edges @ edges.T
+    scale = np.trace(gram)
+    if np.linalg.det(gram) <= 1e-14 * scale ** len(edges):
+        return None  # a flat simplex: one of its faces holds the point as well
+    weights = np.linalg.solve(gram, -edges @ corners[0])
+    if np.any(weights < 0.0) or weights.sum() > 1.0:
+        return None
+    return corners[0] + weights @ edges
+
+
+def _ends(half_length: float) -> FloatArray:
+    return np.array([[0.0, 0.0, -half_length], [0.0, 0.0, half_length]])
