@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
+from orbit_core.assets.inertia import shapes_mass_properties
 from orbit_core.assets.meshes import simplified_hull
 from orbit_core.assets.validation import check_structure, sort_links
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
@@ -105,6 +106,21 @@ def subtree(articulation: Articulation, link: str, name: str | None = None) -> A
     )
 
 
+def branch(articulation: Articulation, joint: str, root: str, name: str | None = None) -> Articulation:
+    """The joint and everything beyond it, on a massless link ``root`` that has the joint's own frame at zero.
+
+    Raises:
+        UnknownNameError: there is no such joint.
+        AssetError: as :func:`subtree`.
+    """
+    known = {each.name: each for each in articulation.joints}
+    if joint not in known:
+        raise UnknownNameError("joint", joint, tuple(known), f"'{articulation.name}'")
+    limb = subtree(articulation, known[joint].child, name)
+    first = replace(known[joint], parent=root, parent_pose=Pose())
+    return replace(limb, links=(Link(root), *limb.links), joints=(first, *limb.joints))
+
+
 def without(articulation: Articulation, link: str) -> Articulation:
     """The articulation without the link and everything beyond it, as an arm without its hand.
 
@@ -178,6 +194,25 @@ def simplify_collisions(articulation: Articulation, links: tuple[str, ...] = (".
         return replace(link, collisions=tuple(simplified(shape) for shape in link.collisions))
 
     note = "collision meshes are replaced by hulls of at most 38 of their vertices, for speed"
+    return edit_links(articulation, links, note, edit)
+
+
+def inertia_of_shapes(articulation: Articulation, links: tuple[str, ...]) -> Articulation:
+    """The articulation with the inertia of matching links, whose masses stay, taken from their collision shapes.
+
+    For models that have placeholders; the shapes count as solids of one density.
+
+    Raises:
+        UnknownNameError: a pattern matches no link.
+        AssetError: a link has no collision shape, or no mass.
+    """
+
+    def edit(link: Link) -> Link:
+        solid = shapes_mass_properties(link.collisions, 1.0)
+        solid = shapes_mass_properties(link.collisions, link.mass / solid.mass)
+        return replace(link, center_of_mass=solid.center_of_mass, inertia=solid.inertia)
+
+    note = f"inertias of {', '.join(links)} are those of their collision shapes: the model has placeholders"
     return edit_links(articulation, links, note, edit)
 
 

