@@ -12,7 +12,8 @@ from orbit_core.actuators.delay import CommandDelay, DelayState
 from orbit_core.actuators.models import DcMotorModel, PdModel
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.random import RandomStreams
-from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout, match_names
+from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout
+from orbit_core.interfaces.layout import actuator_of_joint
 from orbit_core.scene import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
 
 
@@ -127,11 +128,9 @@ def _group_of_joint(layout: SceneLayout) -> dict[int, ActuatorConfig]:
     """Joint of the scene -> the group that drives it, in joint order."""
     groups: dict[int, ActuatorConfig] = {}
     for entity in layout.entities:
-        names = entity.spec.articulation.joint_names
-        for shared in entity.spec.actuators:
-            group = replace(shared)  # an object of its own for each robot, so that delays are drawn for each
-            for joint in match_names(group.joints, names, "joint", f"an actuator group of '{entity.name}'"):
-                groups[entity.joints.start + joint] = group
+        # Groups become objects of each robot's own, so that delays are drawn for each.
+        own = replace(entity.spec, actuators=tuple(replace(group) for group in entity.spec.actuators))
+        groups |= {entity.joints.start + joint: group for joint, group in actuator_of_joint(own).items()}
     return dict(sorted(groups.items()))
 
 

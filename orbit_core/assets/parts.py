@@ -111,7 +111,7 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
     designs = [design for part in mounted for design in part.designs]
     drives: tuple[ActuatorConfig, ...] = tuple(drive for part in mounted for drive in part.drives)
     if designs:
-        computed, note = designed_drives(body, designs, fixed_base=first.fixed_base)
+        computed, note = designed_drives(body, designs)
         drives, body = drives + computed, replace(body, notes=(*body.notes, note))
     return RobotSpec(
         name=name,

@@ -14,21 +14,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
-from orbit_core.dynamics.kinematics import mimic_matrix
-from orbit_core.dynamics.rigid_body import RigidBodyModel
 from orbit_core.interfaces.errors import ConfigurationError
+from orbit_core.interfaces.layout import SceneLayout, actuator_of_joint
 from orbit_core.interfaces.names import match_names
-from orbit_core.scene import Articulation, ImplicitPd, Joint, JointType
+from orbit_core.scene import Articulation, ImplicitPd, RobotSpec, Scene
 
 MOTOR_TIME = 0.005
 """Seconds in which a motor without load reaches its joint's velocity limit at its effort limit. The reflected inertia
 of a rotor is then ``MOTOR_TIME * effort / velocity``: 0.004 kg m^2 for Unitree's Go1 (23.7 N m, 30.1 rad/s) and 0.2 for
 the Panda's shoulder (87 N m, 2.2 rad/s), where models that others tuned have 0.005 and 0.1."""
-_SAMPLES = 256
-_TURN = math.pi
-"""Range in which joints without limits are sampled, to either side of zero."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,14 +54,17 @@ class ReflectedInertia:
     largest: npt.NDArray[np.float64]
 
 
-def reflected_inertia(articulation: Articulation, *, fixed_base: bool) -> ReflectedInertia:
+def reflected_inertia(articulation: Articulation, armature: Sequence[float] | None = None) -> ReflectedInertia:
     """The diagonal of the mass matrix over configurations drawn evenly within the joints' limits.
 
-    A free base does not follow the joints' motion here, as that of a robot that stands does not.
+    ``armature`` (J,) takes the place of the joints' own. A free base does not follow the joints' motion here, as that
+    of a robot that stands does not.
     """
-    diagonal = np.diagonal(_mass_matrices(articulation, fixed_base), axis1=1, axis2=2)
-    leaders = _leaders(articulation)
-    smallest, mean, largest = (reduce(diagonal, axis=0)[leaders] for reduce in (np.min, np.mean, np.max))
+    from orbit_core.dynamics.workspace import leaders, workspace_mass_matrices  # the parts of robots load without torch
+
+    diagonal = np.diagonal(workspace_mass_matrices(articulation, armature=armature), axis1=1, axis2=2)
+    leading = leaders(articulation)
+    smallest, mean, largest = (reduce(diagonal, axis=0)[leading] for reduce in (np.min, np.mean, np.max))
     return ReflectedInertia(smallest, mean, largest)
 
 
@@ -90,16 +88,53 @@ def with_armature(articulation: Articulation) -> Articulation:
     return replace(articulation, joints=tuple(edited), notes=(*articulation.notes, note))
 
 
-def designed_drives(
-    articulation: Articulation, designs: Sequence[DriveDesign], *, fixed_base: bool
-) -> tuple[tuple[ImplicitPd, ...], str]:
+@dataclass(frozen=True)
+class DriveResponse:
+    """How a joint follows its position target over the workspace, as a second-order system: all others stand still.
+
+    Frequencies are natural ones, Hz; a damping ratio of 1 is critical. The slowest response, at the largest inertia, is
+    the least damped.
+    """
+
+    joint: str
+    slowest: float
+    fastest: float
+    least_damped: float
+    most_damped: float
+
+
+def drive_responses(robot: RobotSpec) -> tuple[DriveResponse, ...]:
+    """The response of each joint whose actuator has a stiffness, in the joints' order; followers are left out.
+
+    The mechanism's own damping counts, as do armatures that an actuator group gives.
+
+    Raises:
+        UnknownNameError: an actuator group names no joint of the robot.
+    """
+    articulation = robot.articulation
+    parameters = SceneLayout.of(Scene(robots=(robot,))).joint_parameters
+    inertia = reflected_inertia(articulation, parameters.armature.tolist())
+    responses: list[DriveResponse] = []
+    for index, group in sorted(actuator_of_joint(robot).items()):
+        joint = articulation.movable_joints[index]
+        if group.stiffness <= 0 or joint.mimic is not None:
+            continue
+        damping = group.damping + parameters.damping[index]
+        ends = [(float(most[index]), group.stiffness) for most in (inertia.largest, inertia.smallest)]
+        slowest, fastest = (math.sqrt(stiffness / moved) / (2 * math.pi) for moved, stiffness in ends)
+        least, most = (float(damping) / (2 * math.sqrt(stiffness * moved)) for moved, stiffness in ends)
+        responses.append(DriveResponse(joint.name, slowest, fastest, least, most))
+    return tuple(responses)
+
+
+def designed_drives(articulation: Articulation, designs: Sequence[DriveDesign]) -> tuple[tuple[ImplicitPd, ...], str]:
     """A drive for each joint that a design names, and the note that tells the gains for the build report.
 
     Raises:
         ConfigurationError: a frequency or damping ratio is not positive, or a joint has two designs.
         UnknownNameError: a pattern matches no movable joint.
     """
-    largest = reflected_inertia(articulation, fixed_base=fixed_base).largest
+    largest = reflected_inertia(articulation).largest
     names = articulation.joint_names
     drives: dict[str, ImplicitPd] = {}
     for design in designs:
@@ -123,40 +158,6 @@ def _drive(joint: str, design: DriveDesign, inertia: float) -> ImplicitPd:
         damping=_rounded(2 * design.damping_ratio * inertia * rate),
         effort_limit=design.effort_limit,
     )
-
-
-def _mass_matrices(articulation: Articulation, fixed_base: bool) -> npt.NDArray[np.float64]:
-    """(S, J, J) of random configurations, followers folded into their leaders."""
-    joints = articulation.movable_joints
-    low, high = (np.array([_ends(joint)[end] for joint in joints]) for end in (0, 1))
-    drawn = np.random.default_rng(0).uniform(low, high, (_SAMPLES, len(joints)))
-    fold = mimic_matrix(articulation)
-    offsets = np.array([joint.mimic.offset if joint.mimic else 0.0 for joint in joints])
-    positions = torch.as_tensor(drawn @ fold.T + offsets, dtype=torch.float32)
-    model = RigidBodyModel(articulation, fixed_base)
-    root = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]).repeat(_SAMPLES, 1)
-    full = model.mass_matrix(model.kinematics.forward(root, positions))
-    base = 0 if fixed_base else 6
-    return fold.T @ full[:, base:, base:].double().numpy() @ fold
-
-
-def _ends(joint: Joint) -> tuple[float, float]:
-    if joint.type is JointType.CONTINUOUS:
-        return -_TURN, _TURN
-    low, high = (
-        limit if math.isfinite(limit) else math.copysign(_TURN, limit)
-        for limit in (joint.lower_limit, joint.upper_limit)
-    )
-    return low, high
-
-
-def _leaders(articulation: Articulation) -> list[int]:
-    """(J) the joint itself, or the one that it follows."""
-    names = articulation.joint_names
-    return [
-        index if joint.mimic is None else names.index(joint.mimic.joint)
-        for index, joint in enumerate(articulation.movable_joints)
-    ]
 
 
 def _rounded(value: float) -> float:

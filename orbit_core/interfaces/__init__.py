@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         EXACT,
         Capabilities,
         Capability,
+        DriveIntegration,
         Level,
         Support,
         approximate,
@@ -59,7 +60,9 @@ if TYPE_CHECKING:
 _MODULES = {
     "backend": ("Backend",),
     "built": ("BuiltModel",),
-    "capabilities": ("EXACT", "Capabilities", "Capability", "Level", "Support", "approximate", "unsupported"),
+    "capabilities": (
+        "EXACT", "Capabilities", "Capability", "DriveIntegration", "Level", "Support", "approximate", "unsupported",
+    ),
     "capture": ("CaptureFacet",),
     "divergence": ("MAX_DISTANCE", "MAX_SPEED", "diverged", "divergence_error", "first_few"),
     "engine": ("Approximation", "Engine"),
@@ -84,13 +87,12 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 __all__ = [
     "BACKGROUND", "EXACT", "IMAGES", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation", "ArgumentError",
     "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities", "Capability",
-    "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable", "Engine", "EntityLayout", "Gap",
-    "Image", "JointParameters", "Level", "Marker", "NamedThings", "Node", "NonFiniteError", "Object", "OrbitError",
-    "Port", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError",
-    "Support", "UnknownNameError", "UnsupportedCapabilityError", "World", "WorldClock", "WorldMasking", "WorldRandom",
-    "albedo_table", "approximate", "diverged",
-    "divergence_error", "drawn_shapes", "find_name", "first_few", "match_names", "match_values",
-    "required_capabilities", "unsupported",
+    "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable", "DriveIntegration", "Engine",
+    "EntityLayout", "Gap", "Image", "JointParameters", "Level", "Marker", "NamedThings", "Node", "NonFiniteError",
+    "Object", "OrbitError", "Port", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError",
+    "SimulationError", "StorageError", "Support", "UnknownNameError", "UnsupportedCapabilityError", "World",
+    "WorldClock", "WorldMasking", "WorldRandom", "albedo_table", "approximate", "diverged", "divergence_error",
+    "drawn_shapes", "find_name", "first_few", "match_names", "match_values", "required_capabilities", "unsupported",
 ]  # fmt: skip
 
 

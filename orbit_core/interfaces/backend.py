@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from orbit_core.interfaces.capabilities import Capabilities
+from orbit_core.interfaces.capabilities import Capabilities, DriveIntegration
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.gaps import Gap
 
@@ -25,6 +25,9 @@ class Backend(ABC):
     name: ClassVar[str]
     config_type: ClassVar[type]
     """The dataclass of the engine's own settings; every field has a default."""
+    drive_integration: ClassVar[DriveIntegration] = DriveIntegration.IMPLICIT
+    """How the engine integrates its own drives (:class:`~orbit_core.scene.ImplicitPd`), which the contract asks to be
+    stable at any gain. The core refuses unstable gains of an engine that declares otherwise."""
 
     @abstractmethod
     def capabilities(self) -> Capabilities:

@@ -99,6 +99,15 @@ class Capability(Enum):
         return self.name.lower()
 
 
+class DriveIntegration(Enum):
+    """At which state of a physics step an engine takes the efforts of its own PD drives."""
+
+    IMPLICIT = "implicit"
+    """At the end of the step, or with as much damping added as keeps it stable: no gain makes it diverge."""
+    EXPLICIT = "explicit"
+    """At the beginning of the step, as the core's own actuators do: gains beyond a limit are refused."""
+
+
 @dataclass(frozen=True)
 class Capabilities:
     """A backend's declaration. What is not declared is unsupported."""

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 from orbit_core.interfaces.names import find_name, match_names, match_values
-from orbit_core.scene import ContactSensorSpec, Entity, ForceTorqueSpec, ImplicitPd, Joint, Scene
+from orbit_core.scene import ActuatorConfig, ContactSensorSpec, Entity, ForceTorqueSpec, ImplicitPd, Joint, Scene
 from orbit_core.scene.articulation import Link
 
 TERRAIN = -2
@@ -247,6 +247,16 @@ def _entity_parameters(entity: Entity) -> dict[str, npt.NDArray[np.float64]]:
             values["drive_damping"][indices] = group.damping
     values["home"] = _home(entity, values["lower_limit"], values["upper_limit"])
     return values
+
+
+def actuator_of_joint(entity: Entity) -> dict[int, ActuatorConfig]:
+    """The actuator group of each movable joint that has one, by the joint's index.
+
+    Raises:
+        UnknownNameError: a group names no joint of the entity.
+    """
+    names, where = entity.articulation.joint_names, f"an actuator group of '{entity.name}'"
+    return {index: group for group in entity.actuators for index in match_names(group.joints, names, "joint", where)}
 
 
 def home_positions(entity: Entity) -> npt.NDArray[np.float64]:

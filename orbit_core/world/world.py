@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.actuators import Actuators
+from orbit_core.actuators.stability import check_drives
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.scene_data import check_data
 from orbit_core.assets.validation import validate_entity
@@ -111,6 +112,7 @@ class SimulatedWorld(World):
         own = settings_table(renderer_settings, "the renderer")
         self._renderer_config = backend_config(self._renderer_plugin, {**shared, **own})
         check_capacity(self.layout, num_envs, self.device)
+        check_drives(self.layout, plugin)
         self._engine = plugin.create_engine(self.layout, num_envs, self.device, config)
         try:
             check_build(self._engine, backend)

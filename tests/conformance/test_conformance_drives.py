@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from orbit_core.conformance.bodies import WEIGHTLESS, geared, index, pendulum, rotor, scene, slider
-from orbit_core.interfaces import Capability
-from orbit_core.scene import IdealPd, ImplicitPd, JointType, RobotSpec
+from orbit_core.dynamics.drive_stability import ExplicitGains, unstable_drive
+from orbit_core.interfaces import Backend, Capability, DriveIntegration
+from orbit_core.scene import Articulation, IdealPd, ImplicitPd, Joint, JointType, Link, Pose, RobotSpec
 
 from .conftest import MakeEngine, Needs
 from .truth import assert_near
@@ -97,6 +99,63 @@ def test_an_actuator_groups_effort_limit_takes_the_joints_place(make_engine: Mak
     engine.step(100)
     assert_near(engine.joint_velocities[:, 0], torch.tensor([2.0, -2.0]), rtol=1e-3)
     assert_near(engine.joint_efforts[:, 0], torch.tensor([2.0, -2.0]), rtol=1e-5)
+
+
+def light_ended_arm(stiffness: float = 0.0, damping: float = 0.0) -> RobotSpec:
+    """Two bars, the second of a hundredth of the first one's mass; implicit drives where there are gains."""
+    links, joints = [Link("base")], []
+    for number, mass in enumerate((2.0, 0.02)):
+        links.append(Link(f"bar{number}", mass, (0.2, 0.0, 0.0), np.eye(3) * mass * 0.01))
+        place = Pose((0.4 if number else 0.0, 0.0, 0.0))
+        joints.append(Joint(f"joint{number}", JointType.REVOLUTE, links[-2].name, links[-1].name, place,
+                            axis=(0.0, 1.0, 0.0), lower_limit=-3.0, upper_limit=3.0))  # fmt: skip
+    drives = implicit(stiffness, damping) if stiffness or damping else explicit()
+    return RobotSpec(
+        name="arm", articulation=Articulation("arm", tuple(links), tuple(joints)), fixed_base=True, actuators=drives
+    )
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.002])
+def test_explicit_gains_diverge_beyond_the_limit_that_the_core_computes_and_not_below(
+    make_engine: MakeEngine, delay: float
+) -> None:
+    """Efforts ``-k (q + delay v)`` of a two-link arm with a light end, from 1e-4 rad off, for 2 s; 4 %."""
+    spec = light_ended_arm()
+    much = np.full(2, 1e6)
+    gains = ExplicitGains(stiffness=much, damping=delay * much, implicit_damping=np.zeros(2))
+    edge = unstable_drive(spec.articulation, gains, np.zeros(2), scene().physics_dt, fixed_base=True)
+    assert edge is not None
+    for factor, diverges in ((0.96, False), (1.04, True)):
+        stiffness = 1e6 * edge.share * factor
+        engine = make_engine(scene(spec, gravity=WEIGHTLESS, terrain=()))
+        engine.write_joint_state(index(0, 1), torch.tensor([[0.0, 1e-4]]), None)
+        farthest = 0.0
+        for _ in range(400):
+            engine.efforts[:] = -stiffness * (engine.joint_positions + delay * engine.joint_velocities)
+            engine.step(1)
+            farthest = max(farthest, float(engine.joint_positions.abs().max()))
+            if farthest > 0.1:
+                break
+        assert (farthest > 0.1) is diverges
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-3, 1.0])
+@pytest.mark.parametrize("factor", [1.0, 1e2, 1e5])
+def test_no_gain_of_an_implicit_drive_makes_a_light_ended_arm_diverge(
+    backend: Backend, make_engine: MakeEngine, needs: Needs, factor: float, damping: float
+) -> None:
+    """From 0.01 rad off, for 2 s, at multiples of the greatest stable explicit stiffness, 130 N m/rad."""
+    needs(Capability.IMPLICIT_DRIVES)
+    if backend.drive_integration is DriveIntegration.EXPLICIT:
+        pytest.skip(f"{backend.name}: takes its drives' efforts at the beginning of a step")
+    spec = light_ended_arm(130.0 * factor, damping * 130.0 * factor)
+    engine = make_engine(scene(spec, gravity=WEIGHTLESS, terrain=()))
+    engine.write_joint_state(index(0, 1), torch.full((1, 2), 0.01), None)
+    farthest = 0.0
+    for _ in range(400):
+        engine.step(1)
+        farthest = max(farthest, float(engine.joint_positions.abs().max()))
+    assert farthest < 0.1
 
 
 def test_an_actuator_groups_friction_takes_the_joints_place(make_engine: MakeEngine, needs: Needs) -> None:
