@@ -99,13 +99,15 @@ class RobotCatalogue:
     def entry(self, name: str) -> RobotEntry:
         """The robot's entry; of a composition such as ``"ur10+allegro_right"``, one made of its parts' entries.
 
+        Spaces around names do not count.
+
         Raises:
             UnknownNameError: there is none of that name.
-            ConfigurationError: two packages bring it.
+            ConfigurationError: two packages bring it, or a part's name is empty.
         """
         if not isinstance(name, str) or "+" not in name:
-            return self._registry.get(name)
-        parts = [self._registry.get(part.strip()) for part in name.split("+")]
+            return self._registry.get(name.strip() if isinstance(name, str) else name)
+        parts = self.parts(name)
         return RobotEntry(
             name,
             "; ".join(part.description for part in parts),
@@ -113,6 +115,26 @@ class RobotCatalogue:
             ", ".join(dict.fromkeys(part.source for part in parts)),
             "; ".join(dict.fromkeys(f"{part.licence} ({part.name})" for part in parts)),
         )
+
+    def parts(self, names: str) -> list[RobotEntry]:
+        """The entries of the names that stand between plus signs.
+
+        Raises:
+            UnknownNameError: there is no robot of a name.
+            ConfigurationError: two packages bring one, or a name is empty.
+        """
+        found: list[RobotEntry] = []
+        for name in (part.strip() for part in names.split("+")):
+            if not name:
+                raise ConfigurationError(
+                    f"robot '{names}' has an empty part: name one on either side of each plus sign, as in "
+                    "'ur10+robotiq_2f85'"
+                )
+            if name not in self._registry.names:
+                parts = [other for other, entry in self.entries.items() if entry.part]
+                raise UnknownNameError("part", name, parts, f"robot '{names}'", "; ".join(self._registry.faults))
+            found.append(self._registry.get(name))
+        return found
 
 
 def composed(names: str) -> RobotSpec:
@@ -127,7 +149,7 @@ def composed(names: str) -> RobotSpec:
     """
     from orbit_core.assets.parts import compose
 
-    parts = [robots().entry(name.strip()).load_part() for name in names.split("+")]
+    parts = [entry.load_part() for entry in robots().parts(names)]
     if parts[-1].end_effector:
         parts.append(robots().entry(parts[-1].end_effector).load_part())
     return compose(names.replace(" ", ""), parts)

