@@ -38,9 +38,11 @@ class RunSettings:
     backend: Names = ()
     """Backends; all that are installed if left out."""
     part: Names = ()
-    """Parts of the suite; all if left out, or those that --scenario and --task name."""
+    """Parts of the suite; all if left out, or those that --scenario, --robot and --task name."""
     scenario: Names = ()
     """Scenarios; all if left out."""
+    robot: Names = ()
+    """Robots, or compositions of their parts such as ur10+robotiq_2f85; all of the catalogue if left out."""
     task: Names = ()
     """Tasks; all if left out."""
     quick: bool = False
@@ -98,6 +100,7 @@ def _run(words: Sequence[str]) -> int:
         backends=settings.backend,
         scenarios=settings.scenario,
         tasks=settings.task,
+        robots=settings.robot,
         parts=settings.part,
         quick=settings.quick,
         device=settings.device,

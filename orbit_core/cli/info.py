@@ -210,5 +210,6 @@ def _show_gaps(console: Console, plugin: Backend) -> None:
     table = new_table("conformance scenario", "metric", "error up to", "why", title="Declared gaps")
     for gap in plugin.gaps():
         limit = f"{gap.limit:g} {units.get((gap.scenario, gap.metric), '')}"
-        table.add_row(gap.scenario, gap.metric, limit.strip(), gap.reason)
+        where = f"{gap.scenario} ({', '.join(gap.robots)})" if gap.robots else gap.scenario
+        table.add_row(where, gap.metric, limit.strip(), gap.reason)
     console.print(table)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from orbit_core.assets.catalogue import robot_info
+from orbit_core.conformance.robots.checks import CHECKS
+from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.conformance.verdict import lacking
 from orbit_core.interfaces import Backend, ConfigurationError, Gap, Level, UnknownNameError
@@ -11,31 +14,47 @@ def check_declarations(backend: Backend) -> None:
     """Refuse declared gaps that nothing would ever be held against, and capabilities that they contradict.
 
     Raises:
-        UnknownNameError: a gap names no scenario, or no metric of its scenario; tells the nearest.
-        ConfigurationError: two gaps are of one metric, one has no reason, a limit is no more than the tolerance, the
-            backend lacks what a gap's scenario needs, or what that scenario measures is declared exact.
+        UnknownNameError: a gap names no scenario and no check of robots, no metric of its scenario, or no robot; tells
+            the nearest.
+        ConfigurationError: two gaps are of one metric, or of one of one robot, one has no reason, a limit is no more
+            than the tolerance, one of a check names no robot, the backend lacks what a gap's scenario needs, or what
+            that scenario measures is declared exact.
     """
-    scenarios = {scenario.name: scenario for scenario in SCENARIOS}
-    seen: set[tuple[str, str]] = set()
+    where = f"the gaps of backend '{backend.name}'"
+    experiments = {experiment.name: experiment for experiment in (*SCENARIOS, *CHECKS)}
+    seen: set[tuple[str, str, str]] = set()
     for gap in backend.gaps():
-        where = f"the gaps of backend '{backend.name}'"
-        if gap.scenario not in scenarios:
-            raise UnknownNameError("scenario", gap.scenario, scenarios, where)
-        metrics = {metric.name: metric for metric in scenarios[gap.scenario].metrics}
+        if gap.scenario not in experiments:
+            raise UnknownNameError("scenario", gap.scenario, experiments, where)
+        experiment = experiments[gap.scenario]
+        metrics = {metric.name: metric for metric in experiment.metrics}
         if gap.metric not in metrics:
             raise UnknownNameError("metric", gap.metric, metrics, f"{where}, scenario '{gap.scenario}'")
-        if (gap.scenario, gap.metric) in seen:
+        of = {(gap.scenario, gap.metric, robot) for robot in gap.robots or ("",)}
+        if of & seen:
             raise ConfigurationError(f"{where} name metric '{gap.metric}' of '{gap.scenario}' twice: keep one")
-        seen.add((gap.scenario, gap.metric))
+        seen |= of
         _check_limit(gap, metrics[gap.metric].tolerance, where)
-        if reason := lacking(backend, scenarios[gap.scenario]):
+        if not isinstance(experiment, Scenario):
+            _check_robots(gap, where)
+            continue
+        if gap.robots:
+            raise ConfigurationError(f"{where} name robots for '{gap.scenario}', which has none of the catalogue's")
+        if reason := lacking(backend, experiment):
             raise ConfigurationError(f"{where} name scenario '{gap.scenario}', which does not run on it: {reason}")
-        for capability in scenarios[gap.scenario].judges:
+        for capability in experiment.judges:
             if backend.capabilities()[capability].level is Level.EXACT:
                 raise ConfigurationError(
                     f"backend '{backend.name}' declares '{capability.value}' exact, and metric '{gap.metric}' of "
                     f"'{gap.scenario}', which measures that, a gap: declare it approximate, with how it differs"
                 )
+
+
+def _check_robots(gap: Gap, where: str) -> None:
+    if not gap.robots:
+        raise ConfigurationError(f"{where} name '{gap.scenario}', a check of robots, and no robot: say of which")
+    for robot in gap.robots:
+        robot_info(robot)
 
 
 def _check_limit(gap: Gap, tolerance: float, where: str) -> None:

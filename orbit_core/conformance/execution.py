@@ -17,6 +17,8 @@ from orbit_core.backends import backend as find_backend
 from orbit_core.conformance.jobs import Job, Kind
 from orbit_core.conformance.replay import replay
 from orbit_core.conformance.results import Ending, Record, ScenarioResult
+from orbit_core.conformance.robots.check import TIME_STEP
+from orbit_core.conformance.robots.checks import check_robot
 from orbit_core.conformance.scenario import Trial
 from orbit_core.conformance.settings import Settings, scenario
 from orbit_core.conformance.tasks import run_task
@@ -95,6 +97,12 @@ def _scenario(record: Record, settings: Settings, folder: Path) -> Record:
         wall_seconds=trial.wall_seconds,
     )
     return replace(record, ending=ending, reason="" if ending is Ending.DONE else verdict.reason, scenario=result)
+
+
+def _robot(record: Record, settings: Settings, folder: Path) -> Record:
+    job = record.job
+    trial = Trial(job.backend, TIME_STEP, record.device, settings.settings_of(job.backend), settings.seed)
+    return replace(record, robot=check_robot(job.name, find_backend(job.backend), trial))
 
 
 def _write_traces(trial: Trial, path: Path) -> None:
@@ -177,6 +185,7 @@ def _video(record: Record, settings: Settings, folder: Path) -> Record:
 
 _DOINGS: dict[Kind, Callable[[Record, Settings, Path], Record]] = {
     Kind.SCENARIO: _scenario,
+    Kind.ROBOT: _robot,
     Kind.TASK: _task,
     Kind.REPLAY: _replay,
     Kind.TRANSFER: _transfer,

@@ -14,6 +14,7 @@ class Kind(Enum):
     """The kinds of work that a job does."""
 
     SCENARIO = "scenario"
+    ROBOT = "robot"
     TASK = "task"
     VIDEO = "video"
     REPLAY = "replay"
@@ -23,11 +24,11 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Job:
-    """One scenario at one time step, one task or one learned policy, on one backend."""
+    """One scenario at one time step, one robot, one task or one learned policy, on one backend."""
 
     kind: Kind
     name: str
-    """The name of the scenario, the task or the policy."""
+    """The name of the scenario, the robot, the task or the policy."""
     backend: str
     time_step: float = 0.0
     """Time step of a scenario in seconds."""
@@ -61,7 +62,14 @@ def plan(settings: Settings) -> list[Phase]:
     holds two engines that have nothing to do with each other.
     """
     phases = [
-        Phase((*_scenarios(settings, backend), *_tasks(settings, backend), *_transfers(settings, backend)))
+        Phase(
+            (
+                *_scenarios(settings, backend),
+                *(Job(Kind.ROBOT, robot, backend) for robot in settings.robots),
+                *_tasks(settings, backend),
+                *_transfers(settings, backend),
+            )
+        )
         for backend in settings.backends
     ]
     phases += [Phase(tuple(_replays(settings, backend))) for backend in settings.backends]

@@ -17,6 +17,7 @@ from orbit_core.conformance.episodes import TaskResult
 from orbit_core.conformance.hardware import Hardware
 from orbit_core.conformance.jobs import Job, Kind
 from orbit_core.conformance.replay import ReplayResult
+from orbit_core.conformance.robots.check import RobotResult
 from orbit_core.conformance.scenario import Metric, Scenario
 from orbit_core.conformance.settings import Settings
 from orbit_core.conformance.throughput import Throughput
@@ -84,6 +85,7 @@ class Record:
     files: tuple[str, ...] = ()
     """Paths of the files below the job's folder in the result's."""
     scenario: ScenarioResult | None = None
+    robot: RobotResult | None = None
     task: TaskResult | None = None
     replay: ReplayResult | None = None
     transfer: TransferResult | None = None
@@ -101,13 +103,13 @@ class Record:
             return Status.UNSUPPORTED
         if not self.ending.acceptable:
             return Status.FAIL
-        judged = self.scenario or self.transfer
+        judged = self.scenario or self.robot or self.transfer
         return (judged.status if judged else None) or Status.PASS
 
     @property
     def why(self) -> str:
         """The reason for anything but a pass."""
-        judged = self.scenario or self.transfer
+        judged = self.scenario or self.robot or self.transfer
         return self.reason or (judged.reason if judged else "")
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+from orbit_core.assets.catalogue import robot_info, robot_names
+from orbit_core.assets.sources import installed_version
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_config, backend_names, renderer, renderer_names
 from orbit_core.conformance.declarations import check_declarations
@@ -23,6 +25,8 @@ class Part(Enum):
 
     SCENARIOS = "scenarios"
     """Scenarios of physics with known answers."""
+    ROBOTS = "robots"
+    """Every robot of the catalogue, put to the checks that apply to it."""
     TASKS = "tasks"
     """Every task with its scripted expert: success rate, divergence, replays, videos."""
     TRANSFERS = "transfers"
@@ -52,6 +56,10 @@ QUICK = Extent(episodes=8, pixel_episodes=0, throughput_envs=(8,), blocks=3, blo
 FULL = Extent(episodes=50, pixel_episodes=4, throughput_envs=(1, 16, 64), blocks=5, block_steps=20, video_seconds=5.0)
 
 
+QUICK_ROBOTS = ("cartpole", "franka_panda", "robotiq_2f85", "unitree_go1")
+"""One without a hand, an arm, a hand of many followers, and one that stands."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     """What a run covers; two runs of equal settings and versions are the same run."""
@@ -60,8 +68,10 @@ class Settings:
     scenarios: tuple[str, ...]
     """Names in the order of ``SCENARIOS``; empty if that part is left out."""
     tasks: tuple[str, ...]
-    """Tasks of all parts but ``SCENARIOS``."""
+    """Tasks of all parts but ``SCENARIOS`` and ``ROBOTS``."""
     parts: tuple[Part, ...]
+    robots: tuple[str, ...] = ()
+    """Robots of the part ``ROBOTS``; empty if that is left out."""
     policies: tuple[str, ...] = ()
     """Of the part ``TRANSFERS``: those that are kept for the tasks."""
     renderers: tuple[str, ...] = ()
@@ -93,6 +103,7 @@ def choose(
     backends: Sequence[str] = (),
     scenarios: Sequence[str] = (),
     tasks: Sequence[str] = (),
+    robots: Sequence[str] = (),
     parts: Sequence[str] = (),
     quick: bool = False,
     device: str = "cpu",
@@ -101,7 +112,8 @@ def choose(
 ) -> Settings:
     """Settings from names; none given means all of that kind.
 
-    Without ``parts``, naming scenarios leaves the tasks out, and naming tasks the scenarios.
+    Without ``parts``, naming scenarios, robots or tasks leaves the parts of the others out. A robot may be named by its
+    parts, as ``"ur10+robotiq_2f85"``.
 
     Raises:
         UnknownNameError: nothing bears a name, or what a declared gap names; tells the nearest.
@@ -115,7 +127,8 @@ def choose(
     known = [s.name for s in SCENARIOS]
     tried = [s.name for s in SCENARIOS if not (quick and s.slow)]
     of_tasks = (Part.TASKS, Part.TRANSFERS, Part.THROUGHPUT)
-    implied = tuple(part for part in Part if not (scenarios or tasks) or (tasks if part in of_tasks else scenarios))
+    named = {Part.SCENARIOS: scenarios, Part.ROBOTS: robots} | dict.fromkeys(of_tasks, tasks)
+    implied = tuple(part for part in Part if named[part] or not (scenarios or robots or tasks))
     chosen = tuple(Part(name) for name in _known("part", parts, [part.value for part in Part])) if parts else implied
     backends = _known("backend", backends, installed)
     for name in backends:
@@ -128,6 +141,7 @@ def choose(
         scenarios=_known("scenario", scenarios or tried, known) if Part.SCENARIOS in chosen else (),
         tasks=_known("task", tasks, task_entries()) if {*of_tasks} & {*chosen} else (),
         parts=chosen,
+        robots=_robots(robots, quick) if Part.ROBOTS in chosen else (),
         policies=policies,
         renderers=_renderers() if any(learned(name).sees_pictures for name in policies) else (),
         quick=quick,
@@ -135,6 +149,19 @@ def choose(
         seed=seed,
         backend_settings=backend_settings or {},
     )
+
+
+def _robots(named: Sequence[str], quick: bool) -> tuple[str, ...]:
+    """Those that are named, or else all of the catalogue whose models are installed."""
+    for name in named:
+        robot_info(name)
+    known = QUICK_ROBOTS if quick else robot_names()
+    return tuple(dict.fromkeys(named)) or tuple(name for name in known if _is_installed(name))
+
+
+def _is_installed(name: str) -> bool:
+    source = robot_info(name).source
+    return all(installed_version(package) is not None for package in source.split(", ") if package)
 
 
 def _policies(tasks: Sequence[str], extent: Extent) -> tuple[str, ...]:

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import importlib_metadata
 
+from orbit_core.assets.catalogue import robot_info
+from orbit_core.assets.sources import installed_version
 from orbit_core.backends import GROUP, RENDERERS, renderer_names
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import renderer as find_renderer
@@ -40,6 +42,9 @@ def source_digests(settings: Settings) -> dict[str, str]:
         found[_backend(name)] = _plugin_digest(find_backend(name), backend_packages(name))
     for name in {job.renderer for phase in plan(settings) for job in phase.jobs} - {""}:
         found[_renderer(name)] = _plugin_digest(find_renderer(name), renderer_packages(name))
+    for name in settings.robots:
+        packages = robot_info(name).source.split(", ")
+        found[_robot(name)] = _digest((), *(f"{package} {installed_version(package)}" for package in packages))
     for name in settings.tasks:
         found[_task(name)] = _digest(_files(task_entry(name).factory.partition(":")[0].partition(".")[0]))
     for name in settings.policies:
@@ -57,6 +62,8 @@ def sources_of(job: Job) -> set[str]:
     match job.kind:
         case Kind.SCENARIO:
             found.add(_SCENARIOS_WORDS)
+        case Kind.ROBOT:
+            found.add(_robot(job.name))
         case Kind.TRANSFER:
             found |= {_policy(job.name), _task(learned(job.name).task)}
         case _:
@@ -106,6 +113,10 @@ def _renderer(name: str) -> str:
 
 def _backend(name: str) -> str:
     return f"backend '{name}'"
+
+
+def _robot(name: str) -> str:
+    return f"robot '{name}'"
 
 
 def _task(name: str) -> str:

@@ -49,7 +49,12 @@ def lacking(backend: Backend, scenario: Scenario) -> str:
 def judge(backend: Backend, scenario: Scenario, errors: Mapping[str, float]) -> Verdict:
     """Hold the errors at the nominal time step against tolerances and declared gaps."""
     gaps = {gap.metric: gap for gap in backend.gaps() if gap.scenario == scenario.name}
-    findings = [_judge_metric(metric, errors[metric.name], gaps.get(metric.name)) for metric in scenario.metrics]
+    return judge_metrics(scenario.metrics, errors, gaps)
+
+
+def judge_metrics(metrics: Iterable[Metric], errors: Mapping[str, float], gaps: Mapping[str, Gap]) -> Verdict:
+    """Hold the error of each metric against its tolerance, and the declared gap of that metric's name."""
+    findings = [_judge_metric(metric, errors[metric.name], gaps.get(metric.name)) for metric in metrics]
     for status in (Status.FAIL, Status.STALE, Status.GAP):
         reasons = [reason for found, reason in findings if found is status]
         if reasons:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Gap:
-    """A declared miss of one metric of one conformance scenario.
+    """A declared miss of one metric of one conformance scenario, or of one check of robots.
 
     The conformance suite fails when the miss grows beyond ``limit``, and also when it is gone: a declaration is held to
     be true both ways.
@@ -22,3 +22,5 @@ class Gap:
     """
     reason: str
     """Why the engine cannot do better."""
+    robots: tuple[str, ...] = ()
+    """Names of the robots that miss it, where ``scenario`` is a check of robots."""

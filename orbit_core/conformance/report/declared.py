@@ -68,11 +68,20 @@ def _section(plugin: Backend, result: Result) -> str:
         "|---|---|---|",
         *(f"| {c.value} | {_LEVELS[capabilities[c].level]} | {capabilities[c].reason} |" for c in short),
     ]
-    if plugin.gaps():
+    if gaps := [gap for gap in plugin.gaps() if not gap.robots]:
         lines += [
             "\n| scenario | metric | tolerance | measured | declared limit | unit | why |",
             "|---|---|---|---|---|---|---|",
-            *(_row(plugin, gap, result) for gap in plugin.gaps()),
+            *(_row(plugin, gap, result) for gap in gaps),
+        ]
+    if of_robots := [gap for gap in plugin.gaps() if gap.robots]:
+        lines += [
+            "\n| check | metric | robots | declared limit | why |",
+            "|---|---|---|---|---|",
+            *(
+                f"| {gap.scenario} | {gap.metric} | {', '.join(gap.robots)} | {_number(gap.limit)} | {gap.reason} |"
+                for gap in of_robots
+            ),
         ]
     return "\n".join(lines)
 

@@ -14,6 +14,7 @@ from markupsafe import Markup
 from orbit_core.conformance.execution import VIDEO
 from orbit_core.conformance.jobs import Kind
 from orbit_core.conformance.report import plots
+from orbit_core.conformance.report.robots import RobotSection, robot_section
 from orbit_core.conformance.results import PolicyInfo, Record, Result, ScenarioInfo, load
 from orbit_core.conformance.tolerances import loose_tolerances
 from orbit_core.conformance.verdict import Status
@@ -22,7 +23,7 @@ from orbit_core.rollout.estimates import Estimate
 
 REPORT = "report.html"
 _SYMBOLS = {Status.PASS: "✓", Status.GAP: "≈", Status.UNSUPPORTED: "–", Status.FAIL: "✗", Status.STALE: "!"}
-_ANCHORS = {Kind.TASK: "task-{}", Kind.TRANSFER: "transfers", Kind.THROUGHPUT: "throughput"}
+_ANCHORS = {Kind.ROBOT: "robots", Kind.TASK: "task-{}", Kind.TRANSFER: "transfers", Kind.THROUGHPUT: "throughput"}
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,7 @@ class Page:
     totals: tuple[tuple[str, tuple[int, ...]], ...]
     matrix: tuple[tuple[str, tuple[Line, ...]], ...]
     scenarios: tuple[ScenarioSection, ...]
+    robots: RobotSection | None
     tasks: tuple[TaskSection, ...]
     success: Markup
     transfers: tuple[TransferLine, ...]
@@ -178,6 +180,7 @@ def page_of(result: Result, folder: Path) -> Page:
             ScenarioSection(info, Markup(plots.accuracy(result, info)), Markup(plots.traces(result, info, folder)))
             for info in result.header.scenarios
         ),
+        robots=robot_section(result),
         tasks=tuple(_task_section(result, task, folder) for task in settings.tasks if result.of(Kind.TASK)),
         success=Markup(plots.success(result)),
         transfers=tuple(_transfer_line(result, info) for info in result.header.policies),
@@ -197,6 +200,7 @@ def _matrix(result: Result) -> Iterator[tuple[str, tuple[Line, ...]]]:
     settings = result.header.settings
     tasks, policies = settings.tasks, settings.policies
     for kind, group, names, question in (
+        (Kind.ROBOT, "Robots", settings.robots, "Is it the same robot here as described?"),
         (Kind.TASK, "Tasks", tasks, "Does the expert reach the goal?"),
         (Kind.TRANSFER, "Learned policies", policies, "Does what was learned elsewhere do it here?"),
         (Kind.THROUGHPUT, "Throughput", tasks, "How fast does it step?"),
