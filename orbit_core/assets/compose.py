@@ -28,7 +28,7 @@ def attach(
         AssetError: names clash.
     """
     mount = _frame(base, at)
-    other = _prefixed(other, prefix)
+    other = renamed(other, lambda name: prefix + name) if prefix else other
     self_collisions = base.self_collisions or other.self_collisions
     if self_collisions:
         base, other = _kept_apart(base), _kept_apart(other)
@@ -238,26 +238,30 @@ def _frame(articulation: Articulation, name: str) -> Frame:
         raise UnknownNameError("link or frame", name, known, f"'{articulation.name}'") from None
 
 
-def _prefixed(articulation: Articulation, prefix: str) -> Articulation:
-    if not prefix:
-        return articulation
-    return replace(
+def renamed(articulation: Articulation, rename: Callable[[str], str]) -> Articulation:
+    """The articulation with the names of its links, joints, loops and frames as ``rename`` gives them.
+
+    Raises:
+        AssetError: two things of a kind have one name then.
+    """
+
+    def of_joint(joint: Joint) -> Joint:
+        mimic = joint.mimic and replace(joint.mimic, joint=rename(joint.mimic.joint))
+        names = {"name": rename(joint.name), "parent": rename(joint.parent), "child": rename(joint.child)}
+        return replace(joint, mimic=mimic, **names)
+
+    def of_loop(loop: LoopJoint) -> LoopJoint:
+        return replace(loop, name=rename(loop.name), first=rename(loop.first), second=rename(loop.second))
+
+    changed = replace(
         articulation,
-        links=tuple(replace(link, name=prefix + link.name) for link in articulation.links),
-        joints=tuple(_prefixed_joint(joint, prefix) for joint in articulation.joints),
-        frames=tuple(Frame(prefix + frame.name, prefix + frame.link, frame.pose) for frame in articulation.frames),
-        collision_exclusions=tuple((prefix + a, prefix + b) for a, b in articulation.collision_exclusions),
-        loops=tuple(_prefixed_loop(loop, prefix) for loop in articulation.loops),
-        drives=tuple(replace(drive, joint=prefix + drive.joint) for drive in articulation.drives),
-        home=tuple((prefix + joint, position) for joint, position in articulation.home),
+        links=tuple(replace(link, name=rename(link.name)) for link in articulation.links),
+        joints=tuple(of_joint(joint) for joint in articulation.joints),
+        frames=tuple(Frame(rename(frame.name), rename(frame.link), frame.pose) for frame in articulation.frames),
+        collision_exclusions=tuple((rename(a), rename(b)) for a, b in articulation.collision_exclusions),
+        loops=tuple(of_loop(loop) for loop in articulation.loops),
+        drives=tuple(replace(drive, joint=rename(drive.joint)) for drive in articulation.drives),
+        home=tuple((rename(joint), position) for joint, position in articulation.home),
     )
-
-
-def _prefixed_joint(joint: Joint, prefix: str) -> Joint:
-    mimic = joint.mimic and replace(joint.mimic, joint=prefix + joint.mimic.joint)
-    names = {"name": prefix + joint.name, "parent": prefix + joint.parent, "child": prefix + joint.child}
-    return replace(joint, mimic=mimic, **names)
-
-
-def _prefixed_loop(loop: LoopJoint, prefix: str) -> LoopJoint:
-    return replace(loop, name=prefix + loop.name, first=prefix + loop.first, second=prefix + loop.second)
+    check_structure(changed)
+    return changed

