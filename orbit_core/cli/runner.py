@@ -134,7 +134,7 @@ def _video(environment: Environment, settings: RunSettings) -> AbstractContextMa
     from orbit_core.viewer.video import VideoRecorder
 
     width, height = settings.video_size
-    return VideoRecorder(environment, settings.video, width=width, height=height)
+    return VideoRecorder(environment, settings.video, width=width, height=height, frames=settings.frames)
 
 
 def versions_of(*backends: str | None) -> dict[str, str]:

@@ -69,6 +69,8 @@ class RunSettings(EnvironmentSettings):
     """Write an mp4 of the first episode of up to four environments here."""
     video_size: tuple[int, int] = (400, 304)
     """Width and height of an environment's picture in the video, multiples of 16."""
+    frames: bool = False
+    """Draw axes in the video at the robot's base, end effectors, finger tips, feet and wheels."""
     overwrite: bool = False
     """Replace files of those names that are there already."""
 
@@ -98,6 +100,8 @@ class ViewSettings(EnvironmentSettings):
     """Address to listen on; 0.0.0.0 lets other machines watch."""
     port: int = 8080
     """Port to listen on."""
+    frames: bool = False
+    """Draw axes at the robot's base, end effectors, finger tips, feet and wheels; the panel has a switch for it."""
     max_steps: Annotated[int | None, arg(metavar="INT")] = None
     """Stop after that many steps; run until interrupted if left out."""
 

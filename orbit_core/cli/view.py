@@ -22,7 +22,9 @@ def main(words: Sequence[str]) -> None:
         agent = make_actor(settings.agent, environment, settings.seed)
         title = f"ORBIT {settings.task} on {environment.world.backend}"
         information = task_information(environment)
-        with Viewer(environment, agent, settings.host, settings.port, title, information) as viewer:
+        with Viewer(
+            environment, agent, settings.host, settings.port, title, information, frames=settings.frames
+        ) as viewer:
             print(f"watch at {viewer.url}", flush=True)
             viewer.run(settings.max_steps)
     finally:

@@ -149,8 +149,11 @@ class World(ABC):
         """Draws the scene's cameras."""
         raise self._unsupported("renderer")
 
-    def create_renderer(self, cameras: tuple[CameraSpec, ...]) -> Renderer:
-        """Another renderer of this scene, for cameras that are no sensors. The caller closes it."""
+    def create_renderer(self, cameras: tuple[CameraSpec, ...], frames: bool = False) -> Renderer:
+        """Another renderer of this scene, for cameras that are no sensors. The caller closes it.
+
+        ``frames`` draws axes at the robots' bases, end effectors, finger tips, feet and wheels.
+        """
         raise self._unsupported("renderer")
 
     # Physics of environments

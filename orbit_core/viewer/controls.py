@@ -21,6 +21,8 @@ class Selection:
     collisions: bool = False
     """Collision shapes in place of visual ones."""
     markers: bool = True
+    frames: bool = False
+    """Axes at the robots' bases, end effectors, finger tips, feet and wheels."""
 
 
 class Controls:
@@ -91,6 +93,7 @@ class Controls:
         count: int | None = None,
         collisions: bool | None = None,
         markers: bool | None = None,
+        frames: bool | None = None,
     ) -> None:
         """Change what is drawn; None leaves as it is, and environments that do not fit are moved to fit."""
         with self._changed:
@@ -102,6 +105,7 @@ class Controls:
                 count,
                 old.collisions if collisions is None else collisions,
                 old.markers if markers is None else markers,
+                old.frames if frames is None else frames,
             )
             self._changed.notify_all()
 

@@ -123,8 +123,12 @@ class Panel:
     def _add_switches(self) -> None:
         collisions = self._server.gui.add_checkbox("Collision shapes", False)
         markers = self._server.gui.add_checkbox("Markers", True)
+        frames = self._server.gui.add_checkbox(
+            "Frames", self._controls.selection.frames, hint="Axes at base, end effectors, finger tips, feet and wheels"
+        )
         collisions.on_update(lambda _: self._controls.select(collisions=collisions.value))
         markers.on_update(lambda _: self._controls.select(markers=markers.value))
+        frames.on_update(lambda _: self._controls.select(frames=frames.value))
 
     def _add_plot(self) -> Any:
         from viser import uplot

@@ -10,12 +10,12 @@ from orbit_core.scene import CameraSpec, Channel, Pose
 
 
 class OverviewCamera:
-    """A spectator's camera in every environment; markers are drawn."""
+    """A spectator's camera in every environment; markers are drawn, and the robots' frames where asked."""
 
-    def __init__(self, world: World, width: int, height: int, view: Pose) -> None:
+    def __init__(self, world: World, width: int, height: int, view: Pose, frames: bool = False) -> None:
         self._world = world
         self._spec = CameraSpec(name="overview", width=width, height=height, vertical_fov=0.8, pose=view)
-        self._renderer = world.create_renderer((self._spec,))
+        self._renderer = world.create_renderer((self._spec,), frames)
         self._pose = torch.tensor((*view.position, *view.orientation), device=world.device)
 
     def pictures(self, env_ids: Tensor | None = None) -> Tensor:

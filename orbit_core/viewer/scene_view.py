@@ -13,10 +13,11 @@ import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout
 from orbit_core.plugin_kit.markers import marker_shapes
-from orbit_core.scene import Plane, Shape
+from orbit_core.scene import Plane, RobotSpec, Shape
 from orbit_core.scene.pose import Vector3
 from orbit_core.viewer.geometry import Drawing
 from orbit_core.viewer.lights import add_lights
+from orbit_core.world.frames import frame_shapes
 
 if TYPE_CHECKING:
     from viser import BatchedGlbHandle, MeshHandle, ViserServer
@@ -72,6 +73,7 @@ class SceneView:
         self._scene = layout.scene
         self._collisions = collisions
         self._bodies: list[_Body] = []
+        self._axes = _robot_axes(layout)
         self._layout = layout
         self._markers = [Drawing.of(marker_shapes(marker)) for marker in layout.scene.markers]
         planes = [shape for shape in layout.scene.terrain if isinstance(shape.geometry, Plane)]
@@ -83,6 +85,7 @@ class SceneView:
         self._terrain_drawn: BatchedGlbHandle | None = None
         self._offsets = np.zeros((0, 3), dtype=np.float32)
         self._markers_visible = True
+        self._frames_visible = False
         self._first = 0
         server.scene.set_up_direction("+z")
         add_lights(server, layout.scene)
@@ -121,6 +124,12 @@ class SceneView:
         for handle in self._markers_drawn:
             handle.visible = visible
 
+    def show_frames(self, visible: bool) -> None:
+        """Whether axes are drawn at bases, end effectors, finger tips, feet and wheels, from the next frame on."""
+        if visible != self._frames_visible:
+            self._frames_visible = visible
+            self._draw_links()
+
     # What is drawn
 
     def _draw_links(self) -> None:
@@ -148,6 +157,10 @@ class SceneView:
                     name = f"/links/{body.link}" + (f".{body.kind}" if body.kind else "")
                     handle = self._add(name, body.drawing, frame.link_poses[:, body.link], rows)
                     self._bodies_drawn.append((body, handle))
+            for body in self._axes if self._frames_visible else ():
+                handle = self._add(f"/frames/{body.link}", body.drawing, frame.link_poses[:, body.link])
+                handle.cast_shadow = False
+                self._bodies_drawn.append((body, handle))
             for index, drawing in enumerate(self._markers):
                 handle = self._add(f"/markers/{index}", drawing, frame.marker_poses[:, index])
                 handle.cast_shadow = False
@@ -238,6 +251,16 @@ class SceneView:
         camera.fov = FIELD_OF_VIEW
         camera.position, camera.look_at = _vector(eye), _vector(center)
         camera.near = radius / 100.0
+
+
+def _robot_axes(layout: SceneLayout) -> list[_Body]:
+    """The axes of all robots, by the links that they are fixed to."""
+    return [
+        _Body(entity.links.start + entity.spec.articulation.link_names.index(link), Drawing.of(shapes), 0, 1)
+        for entity in layout.entities
+        if isinstance(entity.spec, RobotSpec)
+        for link, shapes in frame_shapes(entity.spec).items()
+    ]
 
 
 def _square_grid(count: int, spacing: float) -> FloatArray:

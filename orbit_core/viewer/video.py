@@ -97,11 +97,18 @@ class VideoRecorder(StepObserver):
     """Films the first ``environments`` of a batch side by side, from when it is made until the video is full.
 
     The video is as long as an episode's time limit; an environment whose episode ends earlier shows its next one.
-    It observes a rollout; without one, call :meth:`before_step` before each step.
+    ``frames`` draws axes at the robots' bases, end effectors, finger tips, feet and wheels. It observes a rollout;
+    without one, call :meth:`before_step` before each step.
     """
 
     def __init__(
-        self, environment: Environment, path: Path, environments: int = 4, width: int = 400, height: int = 304
+        self,
+        environment: Environment,
+        path: Path,
+        environments: int = 4,
+        width: int = 400,
+        height: int = 304,
+        frames: bool = False,
     ) -> None:
         count = min(environments, environment.num_envs)
         self._rows = torch.arange(count, device=environment.device)
@@ -113,7 +120,7 @@ class VideoRecorder(StepObserver):
         self._file = VideoFile(path, self._columns * width, lines * height, rate)
         with contextlib.ExitStack() as stack:
             stack.callback(self._file.discard)
-            self._camera = OverviewCamera(environment.world, width, height, environment.task.view)
+            self._camera = OverviewCamera(environment.world, width, height, environment.task.view, frames)
             stack.pop_all()
 
     @property

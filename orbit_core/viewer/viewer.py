@@ -92,6 +92,7 @@ class Viewer:
         information: more rows for the panel's table, given an environment's number;
             :func:`orbit_core.viewer.information.task_information` makes one.
         paused: wait for the person to press play.
+        frames: begin with axes at the robots' bases, end effectors, finger tips, feet and wheels.
 
     Raises:
         ConfigurationError: the web server's library is not installed.
@@ -106,12 +107,14 @@ class Viewer:
         title: str = "ORBIT",
         information: Callable[[int], Mapping[str, str]] | None = None,
         paused: bool = False,
+        frames: bool = False,
     ) -> None:
         self._env = env
         self._agent = agent
         self._information = information
         self._cameras = _camera_channels(env.world)
         self.controls = Controls(env.num_envs, paused)
+        self.controls.select(frames=frames)
         self._server, token = _start_server(host, port, title)
         self.url = f"http://{host}:{self._server.get_port()}{f'/?token={token}' if token else ''}"
         """Address of the page, with a token where other computers reach it."""
@@ -197,6 +200,7 @@ class Viewer:
     def _show_scene(self, selection: Selection) -> None:
         self._scene.show_collisions(selection.collisions)
         self._scene.show_markers(selection.markers)
+        self._scene.show_frames(selection.frames)
         self._scene.update(self._frame(slice(selection.first, selection.first + selection.count)))
         self._drawn = selection
 

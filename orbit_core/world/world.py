@@ -51,6 +51,7 @@ from orbit_core.world.closing import close_for_good, leave_to_parent
 from orbit_core.world.deformables import SimulatedDeformable
 from orbit_core.world.entities import SimulatedObject
 from orbit_core.world.forking import give_up_in_forks
+from orbit_core.world.frames import with_frames
 from orbit_core.world.markers import SimulatedMarker, identity_poses
 from orbit_core.world.robots import SimulatedRobot
 
@@ -177,8 +178,9 @@ class SimulatedWorld(World):
             self._renderer = self.create_renderer(cameras)
         return self._renderer
 
-    def create_renderer(self, cameras: tuple[CameraSpec, ...]) -> Renderer:
-        return self._renderer_plugin.create_renderer(self.layout, cameras, self._renderer_config)
+    def create_renderer(self, cameras: tuple[CameraSpec, ...], frames: bool = False) -> Renderer:
+        layout = with_frames(self.layout) if frames else self.layout
+        return self._renderer_plugin.create_renderer(layout, cameras, self._renderer_config)
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -126,6 +128,17 @@ def test_an_unknown_part_offers_the_nearest_part():
         robot("ur5+robotiq_2f84")
     with pytest.raises(UnknownNameError, match="unknown robot 'ur 5': did you mean 'ur5'"):
         robot("ur 5")
+
+
+def test_parts_load_without_the_tensor_library():
+    script = (
+        "import sys; from orbit_core.assets.catalogue import robots\n"
+        "for entry in robots().entries.values():\n"
+        "    if entry.part: entry.load_part()\n"
+        "sys.exit('loaded torch' if 'torch' in sys.modules else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
 
 
 def test_spaces_around_names_do_not_count():

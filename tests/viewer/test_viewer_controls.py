@@ -44,6 +44,8 @@ def test_the_selection_stays_within_the_world() -> None:
     assert controls.selection == Selection(5, 3)
     controls.select(count=100, markers=False)
     assert controls.selection == Selection(0, 8, markers=False)
+    controls.select(frames=True)
+    assert controls.selection == Selection(0, 8, markers=False, frames=True)
 
 
 def test_a_wish_wakes_the_one_who_waits() -> None:

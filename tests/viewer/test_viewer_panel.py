@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from viser import ViserServer
 
+from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import box, sphere
 from orbit_core.interfaces import SceneLayout
 from orbit_core.scene import CameraSpec, Channel, Cloth, Mesh, Scene
@@ -94,6 +95,29 @@ def test_collision_shapes_replace_visual_ones(fakes: ModuleType, server: ViserSe
     assert len(view._bodies_drawn) == len(drawn)
     assert all(now is not before for (_, now), before in zip(view._bodies_drawn, drawn, strict=True))
     assert not any(handle.visible for handle in view._markers_drawn)
+
+
+def test_axes_of_robots_are_drawn_by_one_switch(server: ViserServer) -> None:
+    walker = robot("anymal_c")
+    links = walker.articulation.link_names
+    view = SceneView(server, SceneLayout.of(Scene(robots=(walker,))))
+    poses = np.tile(np.array((0, 0, 0, 1, 0, 0, 0), dtype=np.float32), (2, len(links), 1))
+    frame = Frame(poses, np.zeros((2, 0, 7), dtype=np.float32))
+    view.update(frame)
+    plain = len(view._bodies_drawn)
+    view.show_frames(True)
+    view.update(frame)
+    marked = {links[body.link] for body, handle in view._bodies_drawn if "/frames/" in handle.name}
+    assert marked == {"base", *(walker.articulation.frame(foot).link for foot in walker.feet)}
+    view.show_frames(False)
+    view.update(frame)
+    assert len(view._bodies_drawn) == plain
+
+
+def test_the_viewer_begins_with_axes_where_asked(fakes: ModuleType) -> None:
+    with Viewer(fakes.FakeEnvironment(num_envs=1), fakes.FakeAgent(), port=8170, frames=True) as viewer:
+        assert viewer.controls.selection.frames
+        viewer.run(max_steps=1)
 
 
 def test_each_environment_shows_its_own_variant(server: ViserServer) -> None:
