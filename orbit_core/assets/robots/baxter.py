@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from orbit_core.assets.cache import Model
 from orbit_core.assets.compose import add_frames, edit_joints, inertia_of_shapes, subtree, without
 from orbit_core.assets.installed import installed_urdf
@@ -18,10 +20,10 @@ FINGER = "l_gripper_l_finger_joint"
 
 
 def arm() -> Articulation:
-    """The arm from its mount on the torso to the frame ``left_flange``, which has z out of it."""
+    """The arm from its mount on the torso to the frame ``left_flange``, z out of it, x towards the base at home."""
     source = subtree(installed_urdf(SOURCE, FILE), "left_arm_mount", "baxter_arm")
     arm = merge_fixed_links(without(source, "left_gripper_base_link"))
-    return with_armature(add_frames(arm, Frame("left_flange", "left_hand_link", Pose((0.0, 0.0, 0.025)))))
+    return with_armature(add_frames(arm, Frame("left_flange", "left_hand_link", Pose.from_euler(0.0, 0.0, math.pi, (0.0, 0.0, 0.025)))))
 
 
 def gripper() -> Articulation:

@@ -62,7 +62,7 @@ ARM = RobotPart(
         "j2s6s200_joint_3": 1.775,
         "j2s6s200_joint_4": -3.142,
         "j2s6s200_joint_5": 1.888,
-        "j2s6s200_joint_6": 0.02,
+        "j2s6s200_joint_6": -3.122,
     },
     designs=(DriveDesign(joints=("j2s6s200_joint_[1-6]",)),),
     mount="j2s6s200_palm",
