@@ -82,17 +82,25 @@ def tracking(world: World, task: Lift, scale: float) -> Tensor:
     return lifted(world, task) * common.nearness(goal_distance(world, task), scale)
 
 
+def patch(world: World) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Corners of the workspace seen from above, less 5 cm at its far side."""
+    low, high = common.workspace(world)
+    return low[:2], (high[0] - 0.05, high[1])
+
+
 def place_cube(world: World, task: Lift, env_ids: Tensor) -> None:
-    """Place the cube on a 20 x 50 cm patch of the table, turned by any angle."""
-    height = task.rest_height
-    place = world.random.uniform((4,), (0.4, -0.25, height, -math.pi), (0.6, 0.25, height, math.pi), env_ids)
+    """Place the cube on a patch of the table in the hand's workspace, 20 x 50 cm for a Panda, turned by any angle."""
+    height, (low, high) = task.rest_height, patch(world)
+    place = world.random.uniform((4,), (*low, height, -math.pi), (*high, height, math.pi), env_ids)
     pose = torch.cat((place[:, :3], common.turned(place[:, 3])), dim=1)
     world.objects["cube"].set_root_pose(pose, env_ids)
 
 
 def sample_goal(world: World, task: Lift, env_ids: Tensor) -> None:
-    """Sample the goal 25 to 50 cm above the patch."""
-    task.goal[env_ids] = goal = world.random.uniform((3,), (0.4, -0.25, 0.25), (0.6, 0.25, 0.5), env_ids)
+    """Sample the goal above the patch, from 10 cm above the workspace's lower face to its upper one."""
+    (low, high), (bottom, top) = patch(world), common.workspace(world)
+    goal = world.random.uniform((3,), (*low, bottom[2] + 0.1), (*high, top[2]), env_ids)
+    task.goal[env_ids] = goal
     upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=world.device).expand(len(env_ids), 4)
     world.markers["goal"].set_pose(torch.cat((goal, upright), dim=1), env_ids)
 
@@ -243,9 +251,9 @@ class Lift(Task):
             world,
             self,
             (
-                Phase(above_cube, position_tolerance=0.02),
+                Phase(above_cube, position_tolerance=0.02, free=True),
                 Phase(at_cube, position_tolerance=0.006, timeout=1.5),
                 Phase(at_cube, gripper_open=False, dwell=0.4, timeout=0.5),
-                Phase(at_goal, gripper_open=False),
+                Phase(at_goal, gripper_open=False, free=True),
             ),
         )

@@ -45,10 +45,9 @@ def near(world: World, task: Reach) -> Tensor:
 
 
 def sample_goal(world: World, task: Reach, env_ids: Tensor) -> None:
-    """Sample the goal in a box of 25 x 50 x 35 cm before the robot, within a radian of yaw and 0.3 rad of tilt."""
-    low = torch.tensor([0.4, -0.25, 0.15, -0.3, -0.3, -1.0], device=world.device)
-    high = torch.tensor([0.65, 0.25, 0.5, 0.3, 0.3, 1.0], device=world.device)
-    sample = world.random.uniform((6,), low, high, env_ids)
+    """Sample the goal in the hand's workspace, within a radian of yaw and 0.3 rad of tilt."""
+    low, high = common.workspace(world)
+    sample = world.random.uniform((6,), (*low, -0.3, -0.3, -1.0), (*high, 0.3, 0.3, 1.0), env_ids)
     roll, pitch, yaw = sample[:, 3:].unbind(1)
     tilt = quat_from_euler(roll, pitch, torch.zeros_like(yaw))
     task.goal[env_ids] = goal = torch.cat((sample[:, :3], quat_multiply(tilt, common.facing_down(yaw))), dim=1)
@@ -161,4 +160,4 @@ class Reach(Task):
         return {"position_error_m": position_error(world, self), "rotation_error_rad": rotation_error(world, self)}
 
     def expert(self, world: World) -> Expert:
-        return Expert(world, self, (Phase(lambda world, task: task.goal),))
+        return Expert(world, self, (Phase(lambda world, task: task.goal, free=True),))

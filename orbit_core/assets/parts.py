@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 from orbit_core.assets.cache import Model, cached_articulation
 from orbit_core.assets.compose import attach
 from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.posture import link_poses
 from orbit_core.assets.self_contacts import without_home_contacts
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.scene import (
@@ -27,6 +28,7 @@ from orbit_core.scene import (
     PlanarBase,
     Pose,
     RobotSpec,
+    Workspace,
 )
 
 if TYPE_CHECKING:
@@ -71,6 +73,8 @@ class RobotPart:
     """An arm's joints, by regular expression."""
     gripper: Gripper | None = None
     finger_tips: tuple[str, ...] = ()
+    workspace: Workspace = field(default_factory=Workspace)
+    """An arm's, in its own root link."""
     end_effector: str = ""
     """An arm's own end effector, by name, mounted where a composition names none."""
     feet: tuple[str, ...] = ()
@@ -125,7 +129,7 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
         actuators=drives,
         semantic_label="robot",
         gravity_compensation=first.fixed_base,
-        end_effectors=_end_effectors(mounted),
+        end_effectors=_end_effectors(mounted, body),
         feet=first.feet,
         planar_base=first.planar_base,
         wheels=first.wheels,
@@ -183,12 +187,20 @@ def _patterned(moving: _Moving, pattern: str) -> _Moving:
     return replace(moving, joints=tuple(f"{pattern}(?:{joint})" for joint in moving.joints))
 
 
-def _end_effectors(parts: Sequence[RobotPart]) -> tuple[EndEffector, ...]:
+def _end_effectors(parts: Sequence[RobotPart], body: Articulation) -> tuple[EndEffector, ...]:
     own = parts[0].end_effectors
     arm = next((part for part in parts if part.kind is PartKind.ARM), None)
     tool = parts[-1]
     if arm is not None:
-        return (EndEffector(tool.frame or arm.mount, arm.joints, tool.gripper, tool.finger_tips), *own)
+        space = arm.workspace if arm is parts[0] else _placed(arm.workspace, body, parts[0].mount)
+        return (EndEffector(tool.frame or arm.mount, arm.joints, tool.gripper, tool.finger_tips, space), *own)
     if tool.kind is PartKind.END_EFFECTOR:
         return (EndEffector(tool.frame, (), tool.gripper, tool.finger_tips), *own)
     return own
+
+
+def _placed(workspace: Workspace, body: Articulation, mount: str) -> Workspace:
+    """An arm's workspace in the root of the base that carries it, whose joints are at zero."""
+    frame = body.frame(mount)
+    seat = link_poses(body, {})[frame.link] @ frame.pose
+    return Workspace(seat.transform(workspace.low), seat.transform(workspace.high))

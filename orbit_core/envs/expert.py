@@ -9,18 +9,33 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.transforms import pose_error, quat_from_rotation_vector, quat_multiply
+from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.transforms import (
+    pose_error,
+    pose_inverse,
+    pose_multiply,
+    quat_from_rotation_vector,
+    quat_multiply,
+)
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import TermFunction
 from orbit_core.interfaces import ConfigurationError, Node, Port
+from orbit_core.motion.full_ik import FullIk
 
 if TYPE_CHECKING:
-    from orbit_core.interfaces import World
+    from orbit_core.interfaces import Robot, World
+    from orbit_core.motion.base import MotionGenerator
+
+_JOINT_LEAD = 0.5
+"""rad or m by which the joint that travels most leads on a free way."""
 
 
 @dataclass(frozen=True)
 class Phase:
     """Lead the hand to ``target`` (N, 7), in each environment's frame, with the gripper open or closed.
+
+    The hand goes there in a straight line. Where the way is ``free``, full inverse kinematics finds joint positions
+    within limits, and the joints go there together until the hand is near.
 
     The phase is over once the hand is within both tolerances and ``dwell`` seconds have passed since it began; or, if
     ``timeout`` is given, after that many seconds. The last phase goes on for ever.
@@ -32,6 +47,7 @@ class Phase:
     rotation_tolerance: float = 0.1
     dwell: float = 0.0
     timeout: float | None = None
+    free: bool = False
 
 
 class Expert(Node):
@@ -84,7 +100,7 @@ class Expert(Node):
         commands: list[Tensor] = []
         over = self.phase < self._last
         for arm in self._arms:
-            command, finished = arm.compute(self.phase, elapsed)
+            command, finished = arm.compute(self.phase, elapsed, self._elapsed == 0.0)
             commands.append(command)
             over = over & finished
         self.phase += over
@@ -110,17 +126,69 @@ class _Arm:
         timeouts = [torch.inf if phase.timeout is None else phase.timeout for phase in phases]
         self._timeouts = torch.tensor(timeouts, device=world.device)
         self._open = torch.tensor([phase.gripper_open for phase in phases], device=world.device)
+        self._free = torch.tensor([phase.free for phase in phases], device=world.device)
+        self._route = _Route(self._robot, self._generators) if any(phase.free for phase in phases) else None
 
-    def compute(self, phase: Tensor, elapsed: Tensor) -> tuple[Tensor, Tensor]:
-        """The command (N, A) in those phases (N,), and whether (N,) they are over after ``elapsed`` seconds (N,)."""
+    def compute(self, phase: Tensor, elapsed: Tensor, begun: Tensor) -> tuple[Tensor, Tensor]:
+        """The command (N, A) in those phases (N,), and whether (N,) they are over after ``elapsed`` seconds (N,).
+
+        ``begun`` (N,) says which of them begin now.
+        """
         hand = self._robot.frame_pose(self._frame)
         targets = torch.stack([own.target(self._world, self._task) for own in self._phases])
-        error = pose_error(hand, targets[phase, self._rows])
+        target = targets[phase, self._rows]
+        error = pose_error(hand, target)
         distances = torch.stack((error[:, :3].norm(dim=1), error[:, 3:].norm(dim=1)), dim=1)
         step = error.view(-1, 2, 3) * (self._lead / distances.clamp_min(1e-9)).clamp(max=1.0)[..., None]
         turned = quat_multiply(quat_from_rotation_vector(step[:, 1]), hand[:, 3:])
         waypoint = torch.cat((hand[:, :3] + step[:, 0], turned), dim=1)
         opened = self._open[phase]
         commands = [generator.encode(waypoint, opened) for generator in self._generators]
+        if self._route is not None:
+            free = self._free[phase]
+            self._route.plan(target, begun & free)
+            far = (free & self._route.known & (distances > 0.5 * self._lead).any(1))[:, None]
+            positions, pose = self._route.next()
+            others = [generator.encode_posture(positions, pose, opened) for generator in self._generators]
+            commands = [torch.where(far, other, own) for own, other in zip(commands, others, strict=True)]
         arrived = (distances <= self._tolerances[phase]).all(1) & (elapsed >= self._dwell[phase])
         return torch.cat(commands, dim=1), arrived | (elapsed >= self._timeouts[phase])
+
+
+class _Route:
+    """Joint positions on the way to a pose, found by full inverse kinematics when a phase begins."""
+
+    def __init__(self, robot: Robot, generators: Sequence[MotionGenerator]) -> None:
+        effector, articulation = robot.spec.end_effector, robot.spec.articulation
+        self._robot = robot
+        self._frame = effector.frame
+        self._joints = robot.find_joints(*effector.arm_joints)
+        self._tree = KinematicTree(articulation, robot.home_positions.device)
+        limits = robot.position_limits.clone()
+        for generator in generators:
+            limits[generator.joints] = generator.position_range
+        self._solver = FullIk(self._tree, self._frame, self._joints, limits, robot.home_positions)
+        self._goal = robot.joint_positions.clone()
+        self.known = torch.zeros(len(self._goal), dtype=torch.bool, device=self._goal.device)
+        """(N,) whether the pose can be reached."""
+
+    def plan(self, target: Tensor, rows: Tensor) -> None:
+        """Find the way to poses ``target`` (N, 7), in the environments of ``rows`` (N,) bool."""
+        env_ids = rows.nonzero().squeeze(-1)
+        if not len(env_ids):
+            return
+        local = pose_multiply(pose_inverse(self._robot.root_pose[env_ids]), target[env_ids])
+        solution = self._solver.solve(local, self._robot.joint_positions[env_ids])
+        goal = self._robot.joint_positions[env_ids]
+        goal[:, self._joints] = solution.positions
+        self._goal[env_ids] = goal
+        self.known[env_ids] = solution.converged
+
+    def next(self) -> tuple[Tensor, Tensor]:
+        """Joint positions (N, J) a step ahead on the way, and the hand's pose (N, 7) there in the environment."""
+        here = self._robot.joint_positions
+        way = self._goal - here
+        longest = way[:, self._joints].abs().amax(1, keepdim=True).clamp_min(1e-9)
+        positions = here + way * (_JOINT_LEAD / longest).clamp(max=1.0)
+        links = self._tree.forward(self._robot.root_pose, positions)
+        return positions, self._tree.frame_pose(links, self._frame)

@@ -13,6 +13,7 @@ from orbit_core.envs.task import ROBOT, Task
 from orbit_core.envs.terms import ObservationGroup, once_per_state
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.scene import ObjectSpec, Plane, Pose, RobotSpec, Shape
+from orbit_core.scene.pose import Vector3
 
 BENCH_HEIGHT = 0.7
 """Metres from the floor to the top of the work bench, which lies at z = 0."""
@@ -68,6 +69,17 @@ def legged(name: str) -> RobotSpec:
 def robot_of(world: World, agent: str = ROBOT) -> Robot:
     """The task's robot."""
     return world.robots[agent]
+
+
+def workspace(world: World, agent: str = ROBOT) -> tuple[Vector3, Vector3]:
+    """Lowest and highest corner of where the robot's hand reaches, in the environment's frame; its root stands upright.
+
+    Raises:
+        ConfigurationError: the robot has no end effector.
+    """
+    spec = world.robots[agent].spec
+    box = spec.end_effector.workspace
+    return spec.pose.transform(box.low), spec.pose.transform(box.high)
 
 
 def joint_positions(world: World, task: Task, agent: str = ROBOT) -> Tensor:

@@ -60,6 +60,18 @@ class MotionGenerator(Node):
             ConfigurationError: the robot has no end effector.
         """
 
+    def encode_posture(self, positions: Tensor, pose: Tensor, gripper_open: Tensor) -> Tensor:
+        """As :meth:`encode`, where it is known as well at which positions (N, J) of all joints the pose is wanted.
+
+        Spaces of poses have no use for them.
+        """
+        return self.encode(pose, gripper_open)
+
+    @property
+    def position_range(self) -> Tensor:
+        """(k, 2) rad or m: lowest and highest position of each joint that a command may ask for."""
+        return torch.stack((self.lower_limits, self.upper_limits), 1)
+
     @property
     def positions(self) -> Tensor:
         """(N, k) measured positions of the generator's joints."""

@@ -14,13 +14,12 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.kinematics import KinematicTree
-from orbit_core.dynamics.transforms import pose_error, pose_inverse, pose_multiply
-from orbit_core.interfaces import Robot
+from orbit_core.dynamics.transforms import pose_error
 
 _LARGEST_STEP = 0.5
 """rad or m by which a joint moves in one iteration."""
-_BIAS = 1e-4
-"""Damping (squared, m^2 or rad^2) that stays at the solution: it bounds the step in singular poses."""
+_BIAS = 1e-6
+"""Damping, m^2 or rad^2, that stays at the solution: it bounds the step in singular poses."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +37,7 @@ class FullIkConfig:
 
 @dataclass(frozen=True, eq=False)
 class IkSolution:
-    """For N environments: positions (N, k), what is missing to the pose in m and rad (N,), and whether it is reached."""
+    """Positions (N, k), what is missing to the pose in m and rad (N,), and whether it is reached (N,)."""
 
     positions: Tensor
     position_error: Tensor
@@ -47,60 +46,72 @@ class IkSolution:
 
 
 class FullIk:
-    """Solves for some joints of a robot, the others staying where they are.
+    """Solves for some joints of an articulation, the others staying where they are.
 
     Args:
-        robot: its description, home and limits are read, and the number of environments.
+        tree: the kinematics.
         frame: a link or frame.
         joints: indices of the joints to solve for.
+        limits: (J, 2) of all joints; infinite ones count as half a turn to either side of home.
+        home: (J,) a posture to start from.
         config: how to search.
     """
 
-    def __init__(self, robot: Robot, frame: str, joints: Sequence[int], config: FullIkConfig = FullIkConfig()) -> None:
+    def __init__(
+        self,
+        tree: KinematicTree,
+        frame: str,
+        joints: Sequence[int],
+        limits: Tensor,
+        home: Tensor,
+        config: FullIkConfig = FullIkConfig(),
+    ) -> None:
         self.config = config
-        self._robot, self._frame, self._joints = robot, frame, list(joints)
-        self._tree = KinematicTree(robot.spec.articulation, robot.home_positions.device)
-        self._home = robot.home_positions[self._joints]
-        limits = robot.position_limits[self._joints]
-        finite = limits.isfinite().all(1)
-        self._low = torch.where(finite, limits[:, 0], self._home - torch.pi)
-        self._high = torch.where(finite, limits[:, 1], self._home + torch.pi)
+        self._tree, self._frame, self._joints = tree, frame, list(joints)
+        self._home = home[self._joints]
+        low, high = limits[self._joints].unbind(1)
+        finite = low.isfinite() & high.isfinite()
+        self._low = torch.where(finite, low, self._home - torch.pi)
+        self._high = torch.where(finite, high, self._home + torch.pi)
         generator = torch.Generator().manual_seed(0)
         drawn = torch.rand(max(config.seeds - 2, 0), len(self._joints), generator=generator).to(self._low.device)
         self._drawn = self._low + drawn * (self._high - self._low)
 
-    def solve(self, pose: Tensor) -> IkSolution:
-        """The solution nearest to the joints' measured positions, for poses (N, 7) in each environment's frame.
+    def solve(self, pose: Tensor, positions: Tensor) -> IkSolution:
+        """The solution that is nearest to ``positions`` (N, J) in the joint that travels most.
 
-        Where no seed converges, the best one is returned.
+        Args:
+            pose: (N, 7) of the frame in the root link.
+            positions: (N, J) of all joints; also the first start.
+
+        Where no start converges, what comes nearest to the pose is returned.
         """
-        robot, count = self._robot, pose.shape[0]
-        current = robot.joint_positions[:, self._joints]
+        count = pose.shape[0]
+        current = positions[:, self._joints]
         starts = (current[:, None], self._home.expand(count, 1, -1), self._drawn.expand(count, -1, -1))
         seeds = torch.cat(starts, 1)[:, : self.config.seeds]
         width = seeds.shape[1]
-        local = pose_multiply(pose_inverse(robot.root_pose), pose).repeat_interleave(width, 0)
-        full = robot.joint_positions.repeat_interleave(width, 0)
-        full, error = self._descend(local, full, seeds.flatten(0, 1))
+        full = positions.repeat_interleave(width, 0)
+        full[:, self._joints] = seeds.flatten(0, 1)
+        full, error = self._descend(pose.repeat_interleave(width, 0), full)
         found = full[:, self._joints].view(count, width, -1)
         position, rotation = (part.norm(dim=-1).view(count, width) for part in (error[:, :3], error[:, 3:]))
         good = (position <= self.config.position_tolerance) & (rotation <= self.config.rotation_tolerance)
         travel = (found - current[:, None]).abs().amax(-1)
-        # Any that converged is better than any that did not; among those the shortest way, else the smallest error.
+        # Any that converged is better than any that did not.
         best = torch.where(good, travel, 1e3 + position + rotation).argmin(1)
         rows = torch.arange(count, device=pose.device)
         return IkSolution(found[rows, best], position[rows, best], rotation[rows, best], good[rows, best])
 
-    def _descend(self, target: Tensor, full: Tensor, seeds: Tensor) -> tuple[Tensor, Tensor]:
+    def _descend(self, target: Tensor, full: Tensor) -> tuple[Tensor, Tensor]:
         """Positions (M, J) and errors (M, 6) after all iterations."""
         root = torch.zeros_like(target)
         root[:, 3] = 1.0
-        full[:, self._joints] = seeds
         for _ in range(self.config.iterations):
             links = self._tree.forward(root, full)
             error = pose_error(self._tree.frame_pose(links, self._frame), target)
             jacobian = self._tree.jacobian(links, self._frame)[:, :, self._joints]
-            damping = (0.5 * error.square().sum(1).clamp(max=0.1) + _BIAS * 1e-2)[:, None, None]
+            damping = (0.5 * error.square().sum(1).clamp(max=0.1) + _BIAS)[:, None, None]
             at_limit = self._blocked(full[:, self._joints], jacobian, error)
             step = _damped_step(jacobian.masked_fill(at_limit[:, None], 0.0), error, damping)
             step = step.clamp(-_LARGEST_STEP, _LARGEST_STEP)

@@ -71,6 +71,16 @@ class JointPosition(MotionGenerator):
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return self.encode_positions(self.positions + towards_pose(self.robot, self.joints, pose))
 
+    @property
+    def position_range(self) -> Tensor:
+        if self.config.relative:
+            return super().position_range
+        low, high = super().position_range.unbind(1)
+        return torch.stack((low.maximum(self._home - self._below), high.minimum(self._home + self._above)), 1)
+
+    def encode_posture(self, positions: Tensor, pose: Tensor, gripper_open: Tensor) -> Tensor:
+        return self.encode_positions(positions[:, self._columns])
+
     def encode_positions(self, positions: Tensor) -> Tensor:
         """The command (N, k) whose targets are nearest to ``positions`` (N, k)."""
         offset = positions - (self._last_targets() if self.config.relative else self._home)

@@ -16,6 +16,7 @@ from orbit_core.scene.entities import (
     PlanarBase,
     RobotCategory,
     RobotSpec,
+    Workspace,
 )
 from orbit_core.scene.joints import DriveGains, Joint, JointType, LoopJoint, LoopType, Mimic
 from orbit_core.scene.lights import AmbientLight, DirectionalLight, Light, Rgb, Sky
@@ -55,5 +56,6 @@ __all__ = [
     "IdealPd", "ImplicitPd", "ImuSpec", "Joint", "JointCommands", "JointSensorSpec", "JointType", "Light", "Link",
     "LoopJoint", "LoopType", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision", "Mimic", "Noise", "ObjectSpec",
     "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Rgb", "RobotCategory", "RobotSpec", "Scene",
-    "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere", "look_at", "single_link",
+    "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere", "Workspace", "look_at",
+    "single_link",
 ]  # fmt: skip

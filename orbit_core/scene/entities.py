@@ -8,7 +8,7 @@ from enum import Enum
 
 from orbit_core.scene.actuators import ActuatorConfig
 from orbit_core.scene.articulation import Articulation
-from orbit_core.scene.pose import Pose
+from orbit_core.scene.pose import Pose, Vector3
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,18 @@ END_EFFECTOR = "end_effector"
 
 
 @dataclass(frozen=True)
+class Workspace:
+    """A box of positions in the root link's frame, m, where tasks may place what a hand is to reach.
+
+    The hand reaches every pose in it that is at most 0.3 rad from straight down about each horizontal axis and turned
+    by at most 1 rad about the vertical.
+    """
+
+    low: Vector3 = (0.4, -0.25, 0.15)
+    high: Vector3 = (0.65, 0.25, 0.5)
+
+
+@dataclass(frozen=True)
 class EndEffector:
     """The frame that a task moves, the joints that move it, and the gripper on it.
 
@@ -52,6 +64,7 @@ class EndEffector:
     gripper: Gripper | None = None
     finger_tips: tuple[str, ...] = ()
     """Links or frames at the ends of a hand's fingers."""
+    workspace: Workspace = Workspace()
 
 
 @dataclass(frozen=True, kw_only=True)

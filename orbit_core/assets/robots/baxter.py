@@ -10,7 +10,7 @@ from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
 from orbit_core.dynamics.drive_design import DriveDesign, with_armature
-from orbit_core.scene import Articulation, Frame, Gripper, ImplicitPd, Pose
+from orbit_core.scene import Articulation, Frame, Gripper, ImplicitPd, Pose, Workspace
 
 SOURCE = "example-robot-data"
 LICENCE = "BSD"
@@ -23,7 +23,9 @@ def arm() -> Articulation:
     """The arm from its mount on the torso to the frame ``left_flange``, z out of it, x towards the base at home."""
     source = subtree(installed_urdf(SOURCE, FILE), "left_arm_mount", "baxter_arm")
     arm = merge_fixed_links(without(source, "left_gripper_base_link"))
-    return with_armature(add_frames(arm, Frame("left_flange", "left_hand_link", Pose.from_euler(0.0, 0.0, math.pi, (0.0, 0.0, 0.025)))))
+    return with_armature(
+        add_frames(arm, Frame("left_flange", "left_hand_link", Pose.from_euler(0.0, 0.0, math.pi, (0.0, 0.0, 0.025))))
+    )
 
 
 def gripper() -> Articulation:
@@ -42,6 +44,7 @@ ARM = RobotPart(
     designs=(DriveDesign(joints=ARM_JOINTS),),
     mount="left_flange",
     joints=ARM_JOINTS,
+    workspace=Workspace((0.45, -0.2, 0.05), (0.65, 0.2, 0.3)),
     end_effector="rethink_gripper",
 )
 GRIPPER = RobotPart(

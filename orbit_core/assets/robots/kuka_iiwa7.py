@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from orbit_core.assets.cache import Model
 from orbit_core.assets.compose import add_frames, edit_joints, simplify_collisions
 from orbit_core.assets.installed import installed_urdf
@@ -13,13 +15,16 @@ from orbit_core.scene import Articulation, Frame, Pose
 SOURCE = "pybullet"
 
 
+FLANGE = Frame("flange", "lbr_iiwa_link_7", Pose.from_euler(0.0, 0.0, -math.pi / 2, (0.0, 0.0, 0.045)))
+
+
 def articulation() -> Articulation:
     """The arm up to the frame ``flange`` on its last link, 45 mm out, with z out of it."""
     source = installed_urdf(SOURCE, "pybullet_data/kuka_iiwa/model.urdf", "kuka_iiwa7")
     arm = simplify_collisions(merge_fixed_links(source))
     note = "velocity limit of 1.71 rad/s, the maker's for its slowest axes: the URDF has 10 rad/s on all"
     arm = edit_joints(arm, (".*",), note, velocity_limit=1.71)
-    return with_armature(add_frames(arm, Frame("flange", "lbr_iiwa_link_7", Pose((0.0, 0.0, 0.045)))))
+    return with_armature(add_frames(arm, FLANGE))
 
 
 PART = RobotPart(

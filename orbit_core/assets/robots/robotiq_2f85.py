@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from orbit_core.assets.cache import Model
-from orbit_core.assets.compose import add_frames, edit_joints, edit_links, simplify_collisions, subtree
+from orbit_core.assets.compose import add_frames, attach, edit_joints, edit_links, simplify_collisions, subtree
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
@@ -38,10 +38,16 @@ def gripper() -> Articulation:
     return edit_joints(hand, (".*",), note, velocity_limit=1.4)
 
 
+def seated() -> Articulation:
+    """The gripper turned on its flange, so that it opens along y as :class:`RobotPart` has it."""
+    seat = Articulation("robotiq_2f85", (Link("robotiq_2f85_seat"),))
+    return merge_fixed_links(attach(seat, gripper(), seat.root.name, Pose.from_euler(0.0, 0.0, math.pi / 2)))
+
+
 PART = RobotPart(
     name="robotiq_2f85",
     kind=PartKind.END_EFFECTOR,
-    model=Model("robotiq_2f85", gripper, (SOURCE,), LICENCE),
+    model=Model("robotiq_2f85", seated, (SOURCE,), LICENCE, parts=(gripper,)),
     drives=(DRIVE,),
     frame=TCP,
     gripper=GRIPPER,

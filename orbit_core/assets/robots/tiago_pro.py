@@ -10,7 +10,7 @@ from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
 from orbit_core.dynamics.drive_design import DriveDesign, with_armature
-from orbit_core.scene import Articulation, Box, Frame, Gripper, ImplicitPd, Link, Pose, Shape
+from orbit_core.scene import Articulation, Box, Frame, Gripper, ImplicitPd, Link, Pose, Shape, Workspace
 
 SOURCE = "example-robot-data"
 LICENCE = "Apache-2.0"
@@ -57,6 +57,7 @@ ARM = RobotPart(
     designs=(DriveDesign(joints=ARM_JOINTS),),
     mount="arm_left_tool_link",
     joints=ARM_JOINTS,
+    workspace=Workspace((0.35, -0.2, 0.1), (0.55, 0.2, 0.35)),
     end_effector="tiago_pro_gripper",
 )
 GRIPPER = RobotPart(

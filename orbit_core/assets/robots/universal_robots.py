@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from orbit_core.assets.cache import Model
-from orbit_core.assets.compose import simplify_collisions, subtree
+from orbit_core.assets.compose import add_frames, simplify_collisions, subtree
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
 from orbit_core.dynamics.drive_design import DriveDesign, with_armature
-from orbit_core.scene import Articulation
+from orbit_core.scene import Articulation, Frame, Pose, Workspace
 
 SOURCE = "example-robot-data"
 ARM_JOINTS = ("shoulder_.*_joint", "elbow_joint", "wrist_[123]_joint")
 
 
-def _part(name: str, home: Mapping[str, float]) -> RobotPart:
+def _part(name: str, workspace: Workspace, home: Mapping[str, float]) -> RobotPart:
     def articulation() -> Articulation:
         source = installed_urdf(SOURCE, f"robots/ur_description/urdf/{name}_robot.urdf", name)
-        return with_armature(simplify_collisions(merge_fixed_links(subtree(source, "base_link", name))))
+        arm = with_armature(simplify_collisions(merge_fixed_links(subtree(source, "base_link", name))))
+        return add_frames(arm, Frame("flange", "tool0", Pose.from_euler(0.0, 0.0, -math.pi / 2)))
 
     return RobotPart(
         name=name,
@@ -27,13 +29,15 @@ def _part(name: str, home: Mapping[str, float]) -> RobotPart:
         model=Model(name, articulation, (SOURCE,), "BSD", parts=(with_armature,)),
         home=home,
         designs=(DriveDesign(joints=ARM_JOINTS),),
-        mount="tool0",
+        mount="flange",
         joints=ARM_JOINTS,
+        workspace=workspace,
     )
 
 
 UR5 = _part(
     "ur5",
+    Workspace((0.35, -0.25, 0.15), (0.6, 0.25, 0.45)),
     {
         "shoulder_pan_joint": -0.245,
         "shoulder_lift_joint": -1.227,
@@ -45,6 +49,7 @@ UR5 = _part(
 )
 UR10 = _part(
     "ur10",
+    Workspace(),
     {
         "shoulder_pan_joint": -0.277,
         "shoulder_lift_joint": -1.739,
@@ -54,4 +59,4 @@ UR10 = _part(
         "wrist_3_joint": -0.277,
     },
 )
-"""Their flange ``tool0`` has z out of it."""
+"""Their ``flange`` is ``tool0`` turned: z out of it, y across at home."""

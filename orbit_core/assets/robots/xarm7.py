@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import math
+
 from orbit_core.assets.cache import Model
-from orbit_core.assets.compose import simplify_collisions
+from orbit_core.assets.compose import add_frames, simplify_collisions
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
 from orbit_core.dynamics.drive_design import DriveDesign, with_armature
-from orbit_core.scene import Articulation
+from orbit_core.scene import Articulation, Frame, Pose, Workspace
 
 SOURCE = "example-robot-data"
 
 
 def articulation() -> Articulation:
-    """The arm up to its flange ``link_eef``, which has z out of it."""
+    """The arm up to the frame ``flange``, which is ``link_eef`` turned: z out of it, y across at home."""
     source = installed_urdf(SOURCE, "robots/xarm_description/urdf/xarm7.urdf", "xarm7")
-    return with_armature(simplify_collisions(merge_fixed_links(source)))
+    arm = with_armature(simplify_collisions(merge_fixed_links(source)))
+    return add_frames(arm, Frame("flange", "link_eef", Pose.from_euler(0.0, 0.0, -math.pi / 2)))
 
 
 PART = RobotPart(
@@ -33,6 +36,7 @@ PART = RobotPart(
         "joint7": 1.531,
     },
     designs=(DriveDesign(joints=("joint[1-7]",)),),
-    mount="link_eef",
+    mount="flange",
     joints=("joint[1-7]",),
+    workspace=Workspace((0.35, -0.2, 0.1), (0.55, 0.2, 0.35)),
 )
