@@ -204,7 +204,7 @@ class Cabinet(Task):
             world,
             self,
             (
-                Phase(before_handle, position_tolerance=0.02, timeout=3.0),
+                Phase(before_handle, position_tolerance=0.02, timeout=3.0, free=True),
                 Phase(at_handle, position_tolerance=0.008, timeout=1.5),
                 Phase(at_handle, gripper_open=False, dwell=0.4, timeout=0.5),
                 Phase(pulled, gripper_open=False),
