@@ -169,11 +169,14 @@ class Cabinet(Task):
     """(N,) metres that the drawer is to be open."""
 
     def scene(self) -> Scene:
-        # The arm reaches the handle with a level hand only where it is at shoulder height.
-        plinth = SolidOptions(mass=10.0, fixed_base=True, pose=Pose((0.88, 0.0, 0.5 * PLINTH)))
+        robot = common.arm(self.robot)
+        # The handle is some 8 cm within the far side of the workspace, for it must be in reach 30 cm nearer as well; and
+        # at shoulder height, for the arm reaches it with a level hand only there.
+        away = robot.end_effector.workspace.high[0] + 0.23
+        plinth = SolidOptions(mass=10.0, fixed_base=True, pose=Pose((away, 0.0, 0.5 * PLINTH)))
         return Scene(
-            robots=(common.arm(self.robot),),
-            objects=(cabinet(pose=Pose((0.88, 0.0, PLINTH))), box("plinth", size=(0.62, 0.62, PLINTH), **plinth)),
+            robots=(robot,),
+            objects=(cabinet(pose=Pose((away, 0.0, PLINTH))), box("plinth", size=(0.62, 0.62, PLINTH), **plinth)),
             terrain=(common.floor(),),
             markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.12),),
             physics_dt=self.physics_dt,
@@ -204,7 +207,7 @@ class Cabinet(Task):
             world,
             self,
             (
-                Phase(before_handle, position_tolerance=0.02, timeout=3.0, free=True),
+                Phase(before_handle, position_tolerance=0.02, timeout=3.0),
                 Phase(at_handle, position_tolerance=0.008, timeout=1.5),
                 Phase(at_handle, gripper_open=False, dwell=0.4, timeout=0.5),
                 Phase(pulled, gripper_open=False),

@@ -13,7 +13,7 @@ from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces.layout import home_positions
 from orbit_core.interfaces.names import match_names
-from orbit_core.motion.full_ik import FullIk, FullIkConfig
+from orbit_core.motion.full_ik import FullIk
 
 
 @dataclass
@@ -39,13 +39,13 @@ class Arm:
         return positions
 
 
-def arm(name: str, config: FullIkConfig = FullIkConfig()) -> Arm:
+def arm(name: str) -> Arm:
     spec = robot(name)
     tree, effector = KinematicTree(spec.articulation), spec.end_effector
     joints = match_names(effector.arm_joints, spec.articulation.joint_names, "joint", name)
     limits = torch.tensor([(joint.lower_limit, joint.upper_limit) for joint in spec.articulation.movable_joints])
     home = torch.as_tensor(home_positions(spec), dtype=torch.float32)
-    return Arm(FullIk(tree, effector.frame, joints, limits, home, config), tree, joints, limits, home, effector.frame)
+    return Arm(FullIk(tree, effector.frame, joints, limits, home), tree, joints, limits, home, effector.frame)
 
 
 @pytest.mark.parametrize("name", ["franka_panda", "ur5", "kinova_gen3"])

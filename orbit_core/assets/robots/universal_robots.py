@@ -49,7 +49,7 @@ UR5 = _part(
 )
 UR10 = _part(
     "ur10",
-    Workspace(),
+    Workspace((0.6, -0.25, 0.15), (0.9, 0.25, 0.5)),
     {
         "shoulder_pan_joint": -0.277,
         "shoulder_lift_joint": -1.739,

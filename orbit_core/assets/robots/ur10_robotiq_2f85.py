@@ -7,6 +7,7 @@ from orbit_core.assets.compose import attach, edit_joints, simplify_collisions, 
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.robots import robotiq_2f85
+from orbit_core.assets.robots.universal_robots import UR10
 from orbit_core.scene import Articulation, EndEffector, ImplicitPd, RobotSpec
 
 SOURCE = "example-robot-data"
@@ -38,7 +39,7 @@ def build() -> RobotSpec:
         actuators=(SHOULDER, ELBOW, WRIST, robotiq_2f85.DRIVE),
         semantic_label="robot",
         gravity_compensation=True,
-        end_effectors=(EndEffector(robotiq_2f85.TCP, ARM_JOINTS, robotiq_2f85.GRIPPER),),
+        end_effectors=(EndEffector(robotiq_2f85.TCP, ARM_JOINTS, robotiq_2f85.GRIPPER, workspace=UR10.workspace),),
         licence=LICENCE,
         source=", ".join(packages),
     )
