@@ -69,7 +69,7 @@ def test_names_that_two_parts_share_are_prefixed_through_drives_home_and_gripper
     base = part.__class__(name="carrier", kind=type(part.kind)("base"), model=part.model, mount="tool0")
     spec = compose("two", (base, part))
     assert {"wrist_3_joint", "ur5_wrist_3_joint"} < set(spec.articulation.joint_names)
-    assert spec.end_effector.frame == "ur5_tool0"
+    assert spec.end_effector.frame == "ur5_flange"
     assert {drive.joints[0] for drive in spec.actuators} == {
         name for name in spec.articulation.joint_names if name.startswith("ur5_")
     }

