@@ -170,8 +170,8 @@ class Cabinet(Task):
 
     def scene(self) -> Scene:
         robot = common.arm(self.robot)
-        # The handle is 8 cm within the far side of the workspace, for it must be in reach 30 cm nearer as well. It is at
-        # shoulder height, for the arm reaches it with a level hand only there.
+        # The handle is 8 cm within the far side of the workspace, for it must be in reach 30 cm nearer as well; and as
+        # high as a shoulder, for the arm reaches it with a level hand only there.
         away = robot.end_effector.workspace.high[0] + 0.23
         plinth = SolidOptions(mass=10.0, fixed_base=True, pose=Pose((away, 0.0, 0.5 * PLINTH)))
         return Scene(
