@@ -35,8 +35,8 @@ _SPEED = 0.8
 """Largest peak velocity, of a joint's velocity limit."""
 _EFFORT = 0.5
 """Largest peak effort of the linear solution, of a joint's effort limit."""
-_RAMP, _SETTLE = 1, 1
-"""Periods in which the sine grows, and in which the mechanism settles; it is measured over one more."""
+_PERIODS = 2
+"""The sine grows in the first, and is measured over the second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,14 +126,14 @@ def _tracked(trial: Trial, world: World, robot: Robot, plan: _Plan, spec: RobotS
     period = trial.steps(1.0 / FREQUENCY)
     targets, motion = start.clone(), list[torch.Tensor]()
     strays = list[torch.Tensor]()
-    for step in range((_RAMP + _SETTLE + 1) * period):
+    for step in range(_PERIODS * period):
         time = (step + 0.5) * trial.time_step  # the middle of the step in which the target holds
-        growth = min(1.0, time * FREQUENCY / _RAMP)
+        growth = min(1.0, time * FREQUENCY)
         sine = growth * growth * (3.0 - 2.0 * growth) * math.sin(_RATE * time)
         targets[rows, joints] = start[rows, joints] + sine * amplitudes
         robot.set_position_targets(targets)
         trial.step(world)
-        if step >= (_RAMP + _SETTLE) * period:
+        if step >= (_PERIODS - 1) * period:
             motion.append((robot.joint_positions - start)[rows, joints].clone())
             strays.append(_stray(spec, robot.joint_positions))
     return torch.stack(motion).cpu().double().numpy(), float(torch.stack(strays).max())
@@ -152,7 +152,7 @@ def _stray(spec: RobotSpec, positions: torch.Tensor) -> torch.Tensor:
 
 def _fitted(trial: Trial, motion: FloatArray) -> tuple[npt.NDArray[np.complex128], FloatArray]:
     """(k,) complex amplitudes of the sine in each motion (T, k), and what is left of it, as a root mean square."""
-    steps = np.arange(len(motion)) + 1 + (_RAMP + _SETTLE) * trial.steps(1.0 / FREQUENCY)
+    steps = np.arange(len(motion)) + 1 + (_PERIODS - 1) * trial.steps(1.0 / FREQUENCY)
     phase = _RATE * trial.time_step * steps
     basis = np.stack((np.ones_like(phase), np.sin(phase), np.cos(phase)), 1)
     coefficients = np.linalg.lstsq(basis, motion, rcond=None)[0]
