@@ -33,6 +33,10 @@ COMMANDS = {
         "check_asset",
         "Check an asset file: masses, inertias, limits, shapes, and what was changed",
     ),
+    "check-robot": (
+        "check_robot",
+        "Check a catalogue entry or a composition: limits, gains, home, frames, stance, licence",
+    ),
     "convert": ("convert", "Convert between URDF, MJCF and USD, and meshes into rigid bodies"),
     "conformance": ("conformance", "Hold backends against known answers and whole tasks, and report"),
 }

@@ -15,7 +15,7 @@ from orbit_core.audit.audit import AssetReport, audit_file
 from orbit_core.audit.bodies import Body
 from orbit_core.audit.findings import Severity
 from orbit_core.cli.checks import check_output
-from orbit_core.cli.output import console, new_table, write_json
+from orbit_core.cli.output import console, findings_table, new_table, write_json
 from orbit_core.cli.parsing import parse_words
 from orbit_core.cli.reading import ReadSettings
 
@@ -43,7 +43,7 @@ def main(words: Sequence[str]) -> int:
     body = report.articulation
     out.print(Text.assemble((str(settings.file), "bold"), f": {body.name}, {body.mass:.6g} kg"))
     out.print(_bodies_table(report.bodies))
-    out.print(_findings_table(report))
+    out.print(findings_table(report.findings))
     out.print(_compared(report))
     counts = {level: sum(finding.severity is level for finding in report.findings) for level in Severity}
     out.print(", ".join(f"{count} {level.value}{'' if count == 1 else 's'}" for level, count in counts.items()))
@@ -71,15 +71,6 @@ def _bodies_table(bodies: Sequence[Body]) -> Table:
         volumes = f"{body.collision_volume:.3g} / {body.visual_volume:.3g}"
         density = f"{body.density:.0f}" if body.density is not None else ""
         table.add_row(body.name, f"{body.mass:.4g}", moments, size, density, volumes)
-    return table
-
-
-def _findings_table(report: AssetReport) -> Table:
-    table = new_table("", "where", "what")
-    for level in Severity:
-        for finding in report.findings:
-            if finding.severity is level:
-                table.add_row(level.value, Text(finding.element), Text(finding.text))
     return table
 
 

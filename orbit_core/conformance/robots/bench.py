@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.assets.convex import Convex, convex_shape
-from orbit_core.assets.posture import link_poses
-from orbit_core.interfaces import match_names, match_values
-from orbit_core.interfaces.layout import home_positions
-from orbit_core.scene import Articulation, Gripper, Joint, JointType, RobotSpec
+from orbit_core.interfaces import match_names
+from orbit_core.scene import Joint, JointType, RobotSpec
 
 FloatArray = npt.NDArray[np.float64]
 _TURN = math.pi
@@ -40,33 +36,6 @@ def travel(joint: Joint) -> tuple[float, float]:
     return (low if math.isfinite(low) else -_TURN), (high if math.isfinite(high) else _TURN)
 
 
-def with_followers(articulation: Articulation, positions: FloatArray) -> FloatArray:
-    """The positions (..., J) with each follower where its leader puts it."""
-    placed = positions.copy()
-    for index, joint in enumerate(articulation.movable_joints):
-        if joint.mimic is not None:
-            leader = articulation.joint_names.index(joint.mimic.joint)
-            placed[..., index] = joint.mimic.position(placed[..., leader])
-    return placed
-
-
-def lowest_point(spec: RobotSpec) -> float:
-    """Height (m) of the lowest point of all collision shapes at home, in the world."""
-    positions = dict(zip(spec.articulation.joint_names, home_positions(spec).tolist(), strict=True))
-    shapes = (shape for shapes in placed_shapes(spec, positions).values() for shape in shapes)
-    return min(float(shape.bounds()[0][2]) for shape in shapes)
-
-
-def placed_shapes(spec: RobotSpec, positions: Mapping[str, float]) -> dict[str, list[Convex]]:
-    """Collision shapes of each link, in the world, at joint positions (rad, m) by name."""
-    poses = link_poses(spec.articulation, positions)
-    placed = {
-        link.name: [convex_shape(shape, spec.pose @ poses[link.name]) for shape in link.collisions]
-        for link in spec.articulation.links
-    }
-    return {name: [shape for shape in shapes if shape is not None] for name, shapes in placed.items()}
-
-
 def drive_gains(spec: RobotSpec) -> tuple[FloatArray, FloatArray]:
     """Stiffness and damping (J,) of the joints' drives, whoever computes them; zero where there is none."""
     gains = np.zeros((2, len(spec.articulation.joint_names)))
@@ -81,10 +50,3 @@ def held_joints(spec: RobotSpec) -> list[int]:
     stiffness, _ = drive_gains(spec)
     joints = enumerate(spec.articulation.movable_joints)
     return [index for index, joint in joints if joint.mimic is None and stiffness[index] > 0.0]
-
-
-def gripper_positions(spec: RobotSpec, gripper: Gripper, value: float | tuple[float, ...]) -> Mapping[int, float]:
-    """Positions by joint index, of a gripper's ``open_position`` or ``closed_position``."""
-    values = value if isinstance(value, tuple) else (value,) * len(gripper.joints)
-    names = spec.articulation.joint_names
-    return match_values(dict(zip(gripper.joints, values, strict=True)), names, "joint", f"the gripper of '{spec.name}'")

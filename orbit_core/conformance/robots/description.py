@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from orbit_core.audit.robots.postures import with_followers
 from orbit_core.conformance.bodies import scene
-from orbit_core.conformance.robots.bench import travel, with_followers
+from orbit_core.conformance.robots.bench import travel
 from orbit_core.conformance.robots.check import Measures, RobotCheck
 from orbit_core.conformance.scenario import SINGLE, Metric, Trial
 from orbit_core.dynamics.kinematics import KinematicTree

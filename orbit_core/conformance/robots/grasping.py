@@ -5,14 +5,15 @@ from __future__ import annotations
 import torch
 
 from orbit_core.assets.objects import cylinder
+from orbit_core.audit.robots.postures import gripper_positions, gripping
 from orbit_core.conformance.bodies import WEIGHTLESS, G, scene
-from orbit_core.conformance.robots.bench import clamped, gripper_positions
+from orbit_core.conformance.robots.bench import clamped
 from orbit_core.conformance.robots.check import Measures, RobotCheck
 from orbit_core.conformance.robots.placing import LENGTH, RADIUS, Place, place_of
 from orbit_core.conformance.scenario import Metric, Trial
 from orbit_core.dynamics.transforms import quat_rotate, quat_rotate_inverse
 from orbit_core.interfaces import World
-from orbit_core.scene import EndEffector, PhysicsMaterial, RobotSpec
+from orbit_core.scene import EndEffector, Gripper, PhysicsMaterial, RobotSpec
 
 MASS, FRICTION = 0.2, 1.0
 """kg, and its coefficient: rubber's, also where the finger's own is less."""
@@ -25,21 +26,22 @@ _CLOSE, _SETTLE, _HOLD = 1.0, 0.5, 2.0
 
 def _run(trial: Trial, spec: RobotSpec) -> Measures:
     """All hands of the robot, one after another."""
-    slips = [_slip(trial, spec, effector, place) for effector, place in _places(spec)]
+    slips = [_slip(trial, spec, *hand) for hand in _hands(spec)]
     return Measures({"slip": max(slips)})
 
 
-def _places(spec: RobotSpec) -> list[tuple[EndEffector, Place]]:
-    hands = [effector for effector in spec.end_effectors if effector.gripper is not None]
-    return [(hand, place) for hand in hands if (place := place_of(spec, hand)) is not None]
+def _hands(spec: RobotSpec) -> list[tuple[EndEffector, Gripper, Place]]:
+    """The hands that could hold the cylinder, and where it is put for each."""
+    hands = gripping(spec)
+    return [(effector, hand, place) for effector, hand in hands if (place := place_of(spec, effector, hand))]
 
 
-def _slip(trial: Trial, spec: RobotSpec, effector: EndEffector, place: Place) -> float:
+def _slip(trial: Trial, spec: RobotSpec, effector: EndEffector, gripper: Gripper, place: Place) -> float:
     """How far the cylinder moves in the end effector's frame while it is pulled, in metres."""
     material = PhysicsMaterial(static_friction=FRICTION, dynamic_friction=FRICTION)
     thing = cylinder("cylinder", RADIUS, LENGTH, mass=MASS, material=material, pose=place.pose)
     world = trial.world(scene(clamped(spec), thing, terrain=(), gravity=WEIGHTLESS), len(_PULLS))
-    _close(trial, world, spec, effector, place)
+    _close(trial, world, spec, gripper, place)
     robot, held = world.robots[spec.name], world.objects["cylinder"]
     before = _within(world, spec, effector)
     pulls = quat_rotate(robot.frame_pose(effector.frame)[:, 3:], _LOAD * _PULLS.to(world.device))
@@ -48,9 +50,8 @@ def _slip(trial: Trial, spec: RobotSpec, effector: EndEffector, place: Place) ->
     return float((_within(world, spec, effector) - before).norm(dim=-1).max())
 
 
-def _close(trial: Trial, world: World, spec: RobotSpec, effector: EndEffector, place: Place) -> None:
+def _close(trial: Trial, world: World, spec: RobotSpec, gripper: Gripper, place: Place) -> None:
     """Close from the open position at an even pace, and wait."""
-    assert effector.gripper is not None
     robot = world.robots[spec.name]
     names = spec.articulation.joint_names
     opened, closed = (
@@ -58,7 +59,7 @@ def _close(trial: Trial, world: World, spec: RobotSpec, effector: EndEffector, p
         for posture in (place.opened, place.closed)
     )
     robot.set_joint_state(opened, torch.zeros_like(opened))
-    fingers = list(gripper_positions(spec, effector.gripper, effector.gripper.closed_position))
+    fingers = list(gripper_positions(spec, gripper, gripper.closed_position))
     for time in trial.advance(world, _CLOSE):
         share = min(1.0, time / _CLOSE)
         robot.set_position_targets(((1.0 - share) * opened + share * closed)[:, fingers], fingers)
@@ -72,9 +73,9 @@ def _within(world: World, spec: RobotSpec, effector: EndEffector) -> torch.Tenso
 
 
 def _spared(spec: RobotSpec) -> str:
-    if not any(effector.gripper for effector in spec.end_effectors):
+    if not gripping(spec):
         return "it has no gripper and no hand"
-    if not _places(spec):
+    if not _hands(spec):
         return "its open fingers leave no room for a cylinder of 40 mm that they would close on"
     return ""
 

@@ -9,11 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbit_core.assets.convex import Convex, convex_shape, within
-from orbit_core.assets.merge import merge_fixed_links
-from orbit_core.assets.posture import link_poses
-from orbit_core.conformance.robots.bench import gripper_positions, placed_shapes, with_followers
-from orbit_core.interfaces.layout import home_positions
-from orbit_core.scene import Cylinder, EndEffector, Pose, RobotSpec, Shape
+from orbit_core.audit.robots.postures import all_shapes, frame_pose, gripper_posture
+from orbit_core.scene import Cylinder, EndEffector, Gripper, Pose, RobotSpec, Shape
 
 RADIUS, LENGTH = 0.02, 0.1
 """Metres. The axis is along the x of the end effector's frame: across the fingers' opening and the approach."""
@@ -37,41 +34,21 @@ class Place:
     closed: Mapping[str, float]
 
 
-def place_of(spec: RobotSpec, effector: EndEffector) -> Place | None:
+def place_of(spec: RobotSpec, effector: EndEffector, gripper: Gripper) -> Place | None:
     """The place nearest to the end effector's frame where the open hand leaves room and the closing one does not.
 
     None where there is none: the hand opens too little, or closes beside it.
     """
-    assert effector.gripper is not None
-    opened = _posture(spec, effector, effector.gripper.open_position)
-    closed = _posture(spec, effector, effector.gripper.closed_position)
-    frame = _frame_pose(spec, effector.frame, opened)
-    around, within_reach = _shapes(spec, opened), _shapes(spec, closed)
+    opened = gripper_posture(spec, gripper, gripper.open_position)
+    closed = gripper_posture(spec, gripper, gripper.closed_position)
+    frame = frame_pose(spec, effector.frame, opened)
+    around, within_reach = all_shapes(spec, opened), all_shapes(spec, closed)
     whole, core = (Shape(Cylinder(radius, LENGTH / 2.0)) for radius in (RADIUS, _CORE * RADIUS))
     for out in np.arange(0.0, _FARTHEST, _STRIDE):
         pose = frame @ Pose((0.0, 0.0, float(out))) @ _LYING
         if not _touches(whole, pose, around) and _touches(core, pose, within_reach):
             return Place(pose, opened, closed)
     return None
-
-
-def _posture(spec: RobotSpec, effector: EndEffector, value: float | tuple[float, ...]) -> dict[str, float]:
-    assert effector.gripper is not None
-    articulation = merge_fixed_links(spec.articulation)
-    positions = home_positions(spec).copy()
-    for joint, position in gripper_positions(spec, effector.gripper, value).items():
-        positions[joint] = position
-    placed = with_followers(articulation, positions)
-    return dict(zip(articulation.joint_names, placed.tolist(), strict=True))
-
-
-def _frame_pose(spec: RobotSpec, name: str, positions: Mapping[str, float]) -> Pose:
-    frame = spec.articulation.frame(name)
-    return spec.pose @ link_poses(spec.articulation, positions)[frame.link] @ frame.pose
-
-
-def _shapes(spec: RobotSpec, positions: Mapping[str, float]) -> list[Convex]:
-    return [shape for shapes in placed_shapes(spec, positions).values() for shape in shapes]
 
 
 def _touches(shape: Shape, pose: Pose, others: list[Convex]) -> bool:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import torch
 
+from orbit_core.audit.robots.postures import lowest_point
 from orbit_core.conformance.bodies import scene
-from orbit_core.conformance.robots.bench import held_joints, lowest_point
+from orbit_core.conformance.robots.bench import held_joints
 from orbit_core.conformance.robots.check import Measures, RobotCheck
 from orbit_core.conformance.scenario import Metric, Trial
 from orbit_core.dynamics.transforms import quat_rotate
@@ -20,7 +21,8 @@ def _run(trial: Trial, spec: RobotSpec) -> Measures:
     world = trial.world(scene(spec))
     robot = world.robots[spec.name]
     joints = held_joints(spec)
-    standing = spec.pose.position[2] - lowest_point(spec)
+    lowest = lowest_point(spec)
+    standing = spec.pose.position[2] - (0.0 if lowest is None else lowest)
     trial.step(world, trial.steps(_SETTLE))
     settled, rest = robot.joint_positions.clone(), robot.root_pose.clone()
     trial.step(world, trial.steps(_STAND - _SETTLE))

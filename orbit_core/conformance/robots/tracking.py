@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from orbit_core.audit.robots.postures import with_followers
 from orbit_core.conformance.bodies import WEIGHTLESS, scene
 from orbit_core.conformance.robots.bench import (
     clamped,
@@ -16,7 +17,6 @@ from orbit_core.conformance.robots.bench import (
     frictionless,
     held_joints,
     travel,
-    with_followers,
 )
 from orbit_core.conformance.robots.check import Measures, RobotCheck
 from orbit_core.conformance.scenario import Metric, Trial
