@@ -113,7 +113,7 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
         body = attach(body, articulation, carrier.mount, prefix=prefix)
     body = replace(merge_fixed_links(body), name=name)
     home = {pattern: value for part in mounted for pattern, value in part.home.items()}
-    if others and body.self_collisions:
+    if body.self_collisions:
         body = without_home_contacts(body, home)
     designs = [design for part in mounted for design in part.designs]
     drives: tuple[ActuatorConfig, ...] = tuple(drive for part in mounted for drive in part.drives)
