@@ -115,10 +115,13 @@ def test_a_closed_hand_holds_a_cylinder_against_twice_its_weight_from_every_side
     upright = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(6, 4)
     held.set_root_pose(torch.cat((frame[:, :3], upright), dim=1))
     gripper = BinaryGripperConfig().build("gripper", hand)
-    targets = gripper.compute({"command": -torch.ones(6, 1)})[JointTarget.POSITION.value]
-    hand.set_position_targets(targets, gripper.joints)
+    opened, closed = (
+        gripper.compute({"command": torch.full((6, 1), command)})[JointTarget.POSITION.value] for command in (1.0, -1.0)
+    )
     weight = torch.tensor([0.0, 0.0, mass * 9.81, 0.0, 0.0, 0.0])
-    for _ in range(100):  # the hand closes on what does not fall yet
+    for step in range(200):  # the hand closes within half a second on what does not fall yet
+        share = min(1.0, step / 100)
+        hand.set_position_targets((1.0 - share) * opened + share * closed, gripper.joints)
         held.set_wrenches(weight.expand(6, 1, 6))
         world.step()
     start = held.root_pose[:, :3].clone()

@@ -32,17 +32,15 @@ def articulation() -> Articulation:
     source = read_mjcf(folder / "hand/reach.xml", options=options)
     hand = renamed(source, lambda name: name.removeprefix("robot0:").replace(" ", "_"))
     coupling = 0.00805 / 0.00705  # arms of the tendon at a finger's middle and last joint
-    note = "a finger's last joint follows the one before and halts it; the file's tendons let it stray by 0.14 rad"
-    hand = edit_joints(hand, (".FJ1",), note, upper_limit=1.571 / coupling)
+    note = "a finger's last joint follows the one before and damps and halts it; tendons would let it stray by 0.14 rad"
+    hand = edit_joints(hand, (".FJ1",), note, upper_limit=1.571 / coupling, damping=0.1 * (1.0 + coupling**2))
     for finger in ("FF", "MF", "RF", "LF"):
-        hand = edit_joints(hand, (f"{finger}J0",), note, mimic=Mimic(f"{finger}J1", coupling))
+        hand = edit_joints(hand, (f"{finger}J0",), note, mimic=Mimic(f"{finger}J1", coupling), damping=0.0)
     note = "boxes of 2 mm in two joints of the thumb do not collide, nor the hand with itself: the file lets 19 pairs"
     hand = edit_links(hand, ("thbase", "thhub"), note, lambda link: replace(link, collisions=()))
     hand = simplify_collisions(replace(hand, self_collisions=False, collision_exclusions=()), ("forearm",))
     hand = on_bracket(hand, "shadow_hand", (0.0, 0.01, 0.04), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), 60.0)
-    return add_frames(
-        hand, Frame("shadow_tcp", "palm", Pose.from_euler(math.pi / 3, 0.0, 0.0, (0.011, -0.0633, 0.1129)))
-    )
+    return add_frames(hand, Frame("shadow_tcp", "palm", Pose.from_euler(math.pi / 3, 0.0, 0.0, (0.011, -0.065, 0.114))))
 
 
 PART = RobotPart(
