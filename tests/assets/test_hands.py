@@ -143,3 +143,16 @@ def test_a_task_for_arms_says_what_a_hand_lacks(task: str) -> None:
 def test_a_hand_on_a_base_without_an_arm_is_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"unitree_a1 .base. . shadow_hand .end effector.: allowed are"):
         robot("unitree_a1+shadow_hand")
+
+
+@pytest.mark.parametrize("name", ["franka_panda_allegro", "ur10_shadow_hand"])
+def test_an_arm_with_a_hand_is_in_the_catalogue_and_grips_by_every_joint_of_the_hand(name: str) -> None:
+    spec = robot(name)
+    validate_entity(spec)
+    assert spec.has_arm
+    gripper = BinaryGripperConfig()
+    assert gripper.gripper_of(spec).joints
+    moved = {spec.articulation.joint_names[joint] for joint in gripper.joint_indices(spec, "gripper")}
+    arm = match_names(spec.end_effector.arm_joints, spec.articulation.joint_names, "joint")
+    assert moved.isdisjoint(spec.articulation.joint_names[joint] for joint in arm)
+    assert len(moved) in (13, 16)

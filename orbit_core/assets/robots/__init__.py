@@ -80,7 +80,11 @@ _PARTS = (
 )
 
 # Compositions with a name of their own: name, description, parts.
-_COMPOSITES = (("ur10_robotiq_2f85", "Universal Robots UR10: 6-joint arm, Robotiq 2F-85 gripper", "ur10+robotiq_2f85"),)
+_COMPOSITES = (
+    ("franka_panda_allegro", "Franka Emika Panda: 7-joint arm, right Allegro hand", "franka_panda+allegro_right"),
+    ("ur10_robotiq_2f85", "Universal Robots UR10: 6-joint arm, Robotiq 2F-85 gripper", "ur10+robotiq_2f85"),
+    ("ur10_shadow_hand", "Universal Robots UR10: 6-joint arm, Shadow Dexterous Hand", "ur10+shadow_hand"),
+)
 
 _NONCOMMERCIAL = "CC BY-NC 4.0 (no commercial use)"
 _MANISKILL = (
