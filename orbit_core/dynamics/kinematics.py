@@ -191,6 +191,27 @@ class KinematicTree:
         joints = self._jacobians[frame](link_poses, point)
         return torch.cat((_base_columns(point - link_poses[:, 0, :3]), joints), -1) if floating_base else joints
 
+    def frame_drift(self, link_poses: Tensor, joint_velocities: Tensor, frame: str) -> Tensor:
+        """(N, 6) acceleration of a link or named frame while no joint accelerates, ``dJ/dt v``; the root is at rest.
+
+        Linear of the frame's origin, then angular, world axes. Featherstone, Rigid Body Dynamics Algorithms, 2008,
+        section 2.10: velocity products, and what a moving point has besides its body's spatial acceleration.
+
+        Raises:
+            UnknownNameError: no link or frame has that name.
+        """
+        origin = link_poses[:, 0, :3]
+        joint_twists = self.motion_subspaces(link_poses, origin) * joint_velocities[..., None]
+        link, moves = self._frame(frame)[0], self._moves
+        carried = (moves @ joint_twists)[:, self._children]
+        spatial = moves[link] @ cross_motion(carried, joint_twists)
+        twist = moves[link] @ joint_twists
+        arm = self.frame_pose(link_poses, frame)[:, :3] - origin
+        angular = twist[:, 3:]
+        velocity = twist[:, :3] + torch.linalg.cross(angular, arm)
+        linear = spatial[:, :3] + torch.linalg.cross(spatial[:, 3:], arm) + torch.linalg.cross(angular, velocity)
+        return torch.cat((linear, spatial[:, 3:]), -1)
+
     def _frame(self, name: str) -> tuple[int, Tensor]:
         if name not in self._frames:
             try:
@@ -204,6 +225,13 @@ class KinematicTree:
 
     def _tensor(self, values: object) -> Tensor:
         return torch.as_tensor(np.asarray(values, dtype=np.float64), dtype=self.dtype, device=self.device)
+
+
+def cross_motion(twist: Tensor, motion: Tensor) -> Tensor:
+    """Rate of change (..., 6) of ``motion`` as it is carried along by ``twist``."""
+    linear, angular = twist[..., :3], twist[..., 3:]
+    along = torch.linalg.cross(angular, motion[..., :3]) + torch.linalg.cross(linear, motion[..., 3:])
+    return torch.cat((along, torch.linalg.cross(angular, motion[..., 3:])), -1)
 
 
 def mimic_matrix(articulation: Articulation) -> FloatArray:

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.kinematics import KinematicTree, cross_motion
 from orbit_core.dynamics.transforms import quat_to_matrix
 from orbit_core.dynamics.tree import child_links, joint_ancestry, link_ancestry
 from orbit_core.scene import Articulation
@@ -97,7 +97,7 @@ class RigidBodyModel:
         joint_twists = self.kinematics.motion_subspaces(link_poses, origin) * joint_velocities[..., None]
         twists = root[:, None] + self._moves @ joint_twists
         base = 0 if self.fixed_base else 6
-        turning = _cross_motion(twists[:, self._children[base:]], joint_twists)
+        turning = cross_motion(twists[:, self._children[base:]], joint_twists)
         # With the origin's velocity held constant, the spatial acceleration of the root is that of a turning axis.
         linear = -torch.linalg.cross(root[:, 3:], root[:, :3]) - self._gravity
         accelerations = torch.cat((linear, torch.zeros_like(linear)), -1)[:, None] + self._moves @ turning
@@ -141,13 +141,6 @@ def _cross_matrix(v: Tensor) -> Tensor:
     x, y, z = v.unbind(-1)
     zero = torch.zeros_like(x)
     return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
-
-
-def _cross_motion(twist: Tensor, motion: Tensor) -> Tensor:
-    """Rate of change (..., 6) of ``motion`` as it is carried along by ``twist``."""
-    linear, angular = twist[..., :3], twist[..., 3:]
-    along = torch.linalg.cross(angular, motion[..., :3]) + torch.linalg.cross(linear, motion[..., 3:])
-    return torch.cat((along, torch.linalg.cross(angular, motion[..., 3:])), -1)
 
 
 def _cross_force(twist: Tensor, force: Tensor) -> Tensor:

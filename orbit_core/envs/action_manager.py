@@ -75,6 +75,7 @@ def _built(world: World, name: str, term: ActionTerm) -> MotionGenerator:
             f"action term '{name}' names {len(named)} components ({', '.join(named)}), but its generator takes "
             f"{generator.command_size}: mend {type(term).__name__}.components"
         )
+    generator.enter(world)
     return generator
 
 

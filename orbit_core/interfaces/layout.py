@@ -280,6 +280,11 @@ def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.
     return home
 
 
+def joint_constants(entity: Entity, name: Literal["armature", "damping"]) -> npt.NDArray[np.float64]:
+    """Reflected inertias or passive damping (J,) of the movable joints: an actuator's where it names one."""
+    return _entity_parameters(entity)[name]
+
+
 def joint_limits(entity: Entity, name: Literal["effort_limit", "velocity_limit"]) -> npt.NDArray[np.float64]:
     """Limits (J,) of the movable joints: an actuator's where it names one, else the joint's own."""
     return _entity_parameters(entity)[name]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
@@ -120,6 +120,13 @@ class World(ABC):
     @abstractmethod
     def close(self) -> None:
         """Free what the world holds; idempotent."""
+
+    def add_servo(self, servo: Callable[[], None]) -> None:
+        """Have ``servo`` set targets of joints anew before every physics step, as a motor controller does.
+
+        It reads the present state, is called in the order of adding, and keeps to what a captured step may do.
+        """
+        raise self._unsupported("servos at the physics rate")
 
     def save_state(self) -> Any:
         """Everything that the continuation depends on."""

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import columns_of
-from orbit_core.interfaces import Node, Port, Robot
+from orbit_core.interfaces import Node, Port, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 
 
@@ -46,6 +46,14 @@ class MotionGenerator(Node):
         self.device = robot.joint_positions.device
         self.lower_limits, self.upper_limits = robot.position_limits[self.joints].unbind(-1)
         self._columns = columns_of(self.joints, self.device)
+
+    def enter(self, world: World) -> None:
+        """Take up what the generator needs of the world besides its robot; called once, before the first turn.
+
+        Raises:
+            ConfigurationError: the generator's settings do not suit the world.
+            UnsupportedCapabilityError: the world lacks what the generator needs.
+        """
 
     @abstractmethod
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:

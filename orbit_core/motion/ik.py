@@ -14,6 +14,7 @@ from enum import Enum
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces import Robot
 from orbit_core.motion.embodiment import end_effector_moved_by
@@ -53,10 +54,8 @@ def damped_least_squares(jacobian: Tensor, error: Tensor, damping: float) -> Ten
     """``J^T (J J^T + lambda^2 I)^-1 e`` (N, k), by Cholesky's factors of the 6 x 6 matrices."""
     transposed = jacobian.transpose(1, 2)
     regular = _scaled_identity(jacobian.shape[1], damping**2, jacobian.device)
-    factors, _ = torch.linalg.cholesky_ex(torch.baddbmm(regular, jacobian, transposed))
-    # Two triangular solves, for a CUDA graph cannot record torch.cholesky_solve.
-    half = torch.linalg.solve_triangular(factors, error.unsqueeze(-1), upper=False)
-    return torch.bmm(transposed, torch.linalg.solve_triangular(factors.mT, half, upper=True)).squeeze(-1)
+    square = torch.baddbmm(regular, jacobian, transposed)
+    return torch.bmm(transposed, solve_spd(square, error.unsqueeze(-1))).squeeze(-1)
 
 
 @functools.lru_cache(maxsize=64)

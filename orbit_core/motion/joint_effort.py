@@ -1,4 +1,4 @@
-"""Commands are joint efforts."""
+"""Commands are joint efforts, or changes of them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.rigid_body import RigidBodyModel
 from orbit_core.interfaces import ConfigurationError, Robot
 from orbit_core.interfaces.layout import joint_limits
+from orbit_core.motion.arm_dynamics import ArmDynamics
 from orbit_core.motion.base import JointTarget, MotionGenerator
 from orbit_core.motion.ik import towards_pose
+from orbit_core.motion.modes import CommandMode, LastTargets
 from orbit_core.motion.term import ActionTerm
 
 _PURSUIT_FREQUENCY = 6.0
@@ -22,10 +23,12 @@ _PURSUIT_FREQUENCY = 6.0
 
 @dataclass(frozen=True, kw_only=True)
 class JointEffortConfig(ActionTerm):
-    """A command is the effort of each joint.
+    """A command is the effort of each joint, or its change.
 
-    ``effort target = scale * command``. Position and velocity targets are put at the measured state at every turn, so
-    that a drive with gains resists only what changes between two turns; a drive meant for efforts has none.
+    Absolute: ``effort target = scale * command``. Relative: the effort applied in the last physics step is added.
+    Integrated: the last target is added, from the applied efforts after a reset. Targets are clipped to the joints'
+    effort limits. Position and velocity targets are put at the measured state at every turn, so that a drive with gains
+    resists only what changes between two turns; a drive meant for efforts has none.
     """
 
     name: ClassVar[str] = "joint_effort"
@@ -36,6 +39,7 @@ class JointEffortConfig(ActionTerm):
 
     scale: float | None = None
     """N m or N; None takes each joint's effort limit."""
+    mode: CommandMode = CommandMode.ABSOLUTE
 
     def build(self, name: str, robot: Robot) -> JointEffort:
         return JointEffort(name, robot, self)
@@ -50,30 +54,47 @@ class JointEffort(MotionGenerator):
         self.config = config
         scales = _effort_limits(robot, joints) if config.scale is None else [config.scale] * len(joints)
         self._scale = torch.tensor(scales, device=self.device)
-        self._model: RigidBodyModel | None = None
+        limits = joint_limits(robot.spec, "effort_limit")[joints]
+        self._strongest = torch.as_tensor(limits, dtype=torch.float32, device=self.device)
+        self._last = LastTargets(self.num_envs, (len(joints),), self.device)
+        self._dynamics: ArmDynamics | None = None
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        efforts = self._origin() + self._scale * inputs["command"]
+        efforts = torch.clamp(efforts, -self._strongest, self._strongest)
+        if self.config.mode is CommandMode.INTEGRATED:
+            self._last.keep(efforts)
         return {
             JointTarget.POSITION.value: self.positions,
             JointTarget.VELOCITY.value: self.velocities,
-            JointTarget.EFFORT.value: self._scale * inputs["command"],
+            JointTarget.EFFORT.value: efforts,
         }
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         """Computed torque: the efforts that accelerate the joints towards ``pose``, with the base and all others held.
 
-        Drives and passive damping are not in the model.
+        Drives are not in the model.
         """
-        robot, frequency = self.robot, _PURSUIT_FREQUENCY
-        displacement = towards_pose(robot, self.joints, pose)
+        frequency = _PURSUIT_FREQUENCY
+        displacement = towards_pose(self.robot, self.joints, pose)
         acceleration = frequency**2 * displacement - 2.0 * frequency * self.velocities
-        if self._model is None:
-            gravity = (0.0, 0.0, 0.0) if robot.spec.gravity_compensation else (0.0, 0.0, -9.81)
-            self._model = RigidBodyModel(robot.spec.articulation, True, self.device, gravity=gravity)
-        mass = self._model.mass_matrix(robot.link_poses)[:, self.joints][:, :, self.joints]
-        bias = self._model.bias_forces(robot.link_poses, robot.root_velocity, robot.joint_velocities)[:, self.joints]
-        efforts = (mass @ acceleration.unsqueeze(-1)).squeeze(-1) + bias
-        return (efforts / self._scale).clamp(-1.0, 1.0)
+        if self._dynamics is None:
+            self._dynamics = ArmDynamics(self.robot, self.joints)
+        efforts = self._dynamics.state().efforts(acceleration)
+        return ((efforts - self._origin()) / self._scale).clamp(-1.0, 1.0)
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        self._last.reset(env_ids)
+
+    def memory(self) -> Mapping[str, Tensor]:
+        return self._last.memory() if self.config.mode is CommandMode.INTEGRATED else {}
+
+    def _origin(self) -> Tensor | float:
+        """What commands are added to."""
+        if self.config.mode is CommandMode.ABSOLUTE:
+            return 0.0
+        applied = self.robot.joint_efforts[:, self._columns]
+        return applied if self.config.mode is CommandMode.RELATIVE else self._last.read(applied)
 
 
 def _effort_limits(robot: Robot, joints: list[int]) -> list[float]:

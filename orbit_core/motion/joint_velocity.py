@@ -1,4 +1,4 @@
-"""Commands are joint velocities."""
+"""Commands are joint velocities, or changes of them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 
 from orbit_core.interfaces import Robot
+from orbit_core.interfaces.layout import joint_limits
 from orbit_core.motion.base import JointTarget, MotionGenerator
 from orbit_core.motion.ik import towards_pose
+from orbit_core.motion.modes import CommandMode, LastTargets
 from orbit_core.motion.term import ActionTerm
 
 _PURSUIT_RATE = 5.0
@@ -19,11 +22,12 @@ _PURSUIT_RATE = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class JointVelocityConfig(ActionTerm):
-    """A command is the velocity of each joint.
+    """A command is the velocity of each joint, or its change.
 
-    ``velocity target = scale * command``. The position target is put at the measured position at every turn, so that a
-    drive with stiffness resists the motion only by as much as it moves between two turns; a drive meant for velocities
-    has none.
+    Absolute: ``velocity target = scale * command``. Relative: the measured velocity is added. Integrated: the last
+    target is added, from the measured velocities after a reset. Targets are clipped to the joints' velocity limits. The
+    position target is put at the measured position at every turn, so that a drive with stiffness resists the motion
+    only by as much as it moves between two turns; a drive meant for velocities has none.
     """
 
     name: ClassVar[str] = "joint_velocity"
@@ -31,6 +35,7 @@ class JointVelocityConfig(ActionTerm):
 
     scale: float = 1.0
     """rad/s or m/s."""
+    mode: CommandMode = CommandMode.ABSOLUTE
 
     def build(self, name: str, robot: Robot) -> JointVelocity:
         return JointVelocity(name, robot, self)
@@ -43,14 +48,31 @@ class JointVelocity(MotionGenerator):
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, len(joints), (JointTarget.POSITION, JointTarget.VELOCITY))
         self.config = config
+        limits = joint_limits(robot.spec, "velocity_limit")[joints]
+        self._fastest = torch.as_tensor(limits, dtype=torch.float32, device=self.device)
+        self._last = LastTargets(self.num_envs, (len(joints),), self.device)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        return {
-            JointTarget.POSITION.value: self.positions,
-            JointTarget.VELOCITY.value: self.config.scale * inputs["command"],
-        }
+        targets = self._origin() + self.config.scale * inputs["command"]
+        targets = torch.clamp(targets, -self._fastest, self._fastest)
+        if self.config.mode is CommandMode.INTEGRATED:
+            self._last.keep(targets)
+        return {JointTarget.POSITION.value: self.positions, JointTarget.VELOCITY.value: targets}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
-        velocities = _PURSUIT_RATE * towards_pose(self.robot, self.joints, pose)
+        wanted = _PURSUIT_RATE * towards_pose(self.robot, self.joints, pose)
+        velocities = wanted - self._origin()
         # Slowed down together, so that the hand keeps its direction.
         return velocities / velocities.abs().amax(-1, keepdim=True).clamp_min(self.config.scale)
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        self._last.reset(env_ids)
+
+    def memory(self) -> Mapping[str, Tensor]:
+        return self._last.memory() if self.config.mode is CommandMode.INTEGRATED else {}
+
+    def _origin(self) -> Tensor | float:
+        """What commands are added to."""
+        if self.config.mode is CommandMode.ABSOLUTE:
+            return 0.0
+        return self.velocities if self.config.mode is CommandMode.RELATIVE else self._last.read(self.velocities)

@@ -14,6 +14,7 @@ from orbit_core.motion.embodiment import joint_commands
 from orbit_core.motion.joint_effort import JointEffortConfig
 from orbit_core.motion.joint_position import JointPositionConfig
 from orbit_core.motion.joint_velocity import JointVelocityConfig
+from orbit_core.motion.modes import CommandMode
 from orbit_core.motion.registry import generator_descriptions, motion_generators
 from orbit_core.motion.term import ActionTerm
 from orbit_core.scene import RobotSpec
@@ -83,7 +84,8 @@ def _joint_position(spec: RobotSpec) -> ActionTerm:
 
 
 def _joint_position_relative(spec: RobotSpec) -> ActionTerm:
-    return JointPositionConfig(scale=0.05, relative=True, limit_speed=joint_commands(spec).limit_speed)
+    limit_speed = joint_commands(spec).limit_speed
+    return JointPositionConfig(scale=0.05, mode=CommandMode.INTEGRATED, limit_speed=limit_speed)
 
 
 ACTION_PRESETS: Mapping[str, ActionPreset] = {

@@ -12,6 +12,7 @@ from orbit_core.motion.base_velocity import BaseVelocityConfig
 from orbit_core.motion.binary_gripper import BinaryGripperConfig
 from orbit_core.motion.differential_ik import DifferentialIkConfig
 from orbit_core.motion.joint_effort import JointEffortConfig
+from orbit_core.motion.joint_impedance import JointImpedanceConfig
 from orbit_core.motion.joint_position import JointPositionConfig
 from orbit_core.motion.joint_velocity import JointVelocityConfig
 from orbit_core.motion.term import ActionTerm
@@ -23,6 +24,7 @@ _OWN = (
     JointPositionConfig,
     JointVelocityConfig,
     JointEffortConfig,
+    JointImpedanceConfig,
     BinaryGripperConfig,
     BaseVelocityConfig,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -156,11 +156,24 @@ class SimulatedWorld(World):
         self._sensing = SensorContext(*parts)
         self._timed = {spec.name: create_sensor(spec, self._sensing) for spec in self.scene.sensors}
         self.sensors = NamedThings(self._timed, "sensor", "world.sensors", self._names)
-        # The engine runs in stretches that end where a sensor is due.
+        self._servos: list[Callable[[], None]] = []
+        self._stretch = self._longest_stretch()
+
+    def _longest_stretch(self) -> int | None:
+        """Physics steps of which the engine's stretches are divisors, for they end where a sensor is due."""
         periods = [sensor.period for sensor in self._timed.values() if sensor.period is not None]
-        if self.actuators.explicit and self.layout.contact_queries:
-            periods.append(1)  # the engine is stepped one by one, and averages contact forces over each call
-        self._stretch = math.gcd(*periods) if periods else None
+        if self._steps_singly and self.layout.contact_queries:
+            periods.append(1)  # the engine averages contact forces over each call
+        return math.gcd(*periods) if periods else None
+
+    @property
+    def _steps_singly(self) -> bool:
+        """Whether something is to be done before each physics step."""
+        return self.actuators.explicit or bool(self._servos)
+
+    def add_servo(self, servo: Callable[[], None]) -> None:
+        self._servos.append(servo)
+        self._stretch = self._longest_stretch()
 
     @property
     def link_poses(self) -> Tensor:
@@ -215,12 +228,16 @@ class SimulatedWorld(World):
             steps -= stretch
 
     def _step_engine(self, steps: int) -> None:
-        if not self.actuators.explicit:
+        if not self._steps_singly:
             self._engine.step(steps)
             return
         for _ in range(steps):
-            self.actuators.apply()
+            for servo in self._servos:
+                servo()
+            if self.actuators.explicit:
+                self.actuators.apply()
             self._engine.step(1)
+            self.clock.touch()  # the next servo derives poses anew
 
     # In a step that is captured
 

@@ -58,14 +58,14 @@ def test_a_word_for_what_the_robot_lacks_is_refused(kinematic_robot: MakeRobot) 
 _THEIRS = '''
 from dataclasses import dataclass
 from typing import ClassVar
-from orbit_core.motion import JointPosition, JointPositionConfig
+from orbit_core.motion import CommandMode, JointPosition, JointPositionConfig
 
 @dataclass(frozen=True, kw_only=True)
 class Gentle(JointPositionConfig):
     """A command is a small step of each joint."""
     name: ClassVar[str] = "gentle"
     scale: float | None = 0.01
-    relative: bool = True
+    mode: CommandMode = CommandMode.INTEGRATED
 
 class Nothing:
     pass

@@ -13,6 +13,7 @@ from orbit_core.dynamics.rigid_body import RigidBodyModel
 from orbit_core.dynamics.transforms import pose_error, pose_multiply
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.motion import (
+    CommandMode,
     DifferentialIk,
     DifferentialIkConfig,
     IkMethod,
@@ -113,7 +114,7 @@ def test_limit_mapping_spans_lower_home_upper(kinematic_robot: MakeRobot) -> Non
 
 def test_relative_targets_accumulate_and_start_from_the_measured_positions(kinematic_robot: MakeRobot) -> None:
     robot = kinematic_robot()
-    generator = JointPosition("joints", robot, JointPositionConfig(scale=0.1, relative=True))
+    generator = JointPosition("joints", robot, JointPositionConfig(scale=0.1, mode=CommandMode.INTEGRATED))
     start = robot.q[:, :7].clone()
     for _ in range(2):
         targets = generator.compute({"command": torch.full((4, 7), 0.5)})["position_targets"]
@@ -124,10 +125,12 @@ def test_relative_targets_accumulate_and_start_from_the_measured_positions(kinem
     torch.testing.assert_close(targets, start + torch.tensor([[0.1], [0.3], [0.1], [0.1]]))
 
 
-@pytest.mark.parametrize("relative", [False, True])
-def test_at_the_velocity_limit_a_speed_limited_drive_pushes_no_more(kinematic_robot: MakeRobot, relative: bool) -> None:
+@pytest.mark.parametrize("mode", list(CommandMode))
+def test_at_the_velocity_limit_a_speed_limited_drive_pushes_no_more(
+    kinematic_robot: MakeRobot, mode: CommandMode
+) -> None:
     robot = kinematic_robot()
-    config = JointPositionConfig(scale=3.0, relative=relative, limit_speed=True)
+    config = JointPositionConfig(scale=3.0, mode=mode, limit_speed=True)
     generator = JointPosition("joints", robot, config)
     (drive,) = (group for group in robot.spec.actuators if "panda_joint[1-7]" in group.joints)
     targets = generator.compute({"command": torch.full((4, 7), 1.0)})["position_targets"]
@@ -154,7 +157,7 @@ def test_a_speed_limit_takes_no_effort_from_a_weakly_damped_drive(kinematic_robo
 
 def test_relative_joint_positions_need_a_scale(kinematic_robot: MakeRobot) -> None:
     with pytest.raises(ConfigurationError, match="scale"):
-        JointPosition("joints", kinematic_robot(), JointPositionConfig(scale=None, relative=True))
+        JointPosition("joints", kinematic_robot(), JointPositionConfig(scale=None, mode=CommandMode.INTEGRATED))
 
 
 def test_velocity_commands_scale(kinematic_robot: MakeRobot) -> None:
@@ -163,6 +166,27 @@ def test_velocity_commands_scale(kinematic_robot: MakeRobot) -> None:
     outputs = generator.compute({"command": torch.tensor([[0.5, -1.0]]).expand(4, 2)})
     assert outputs["velocity_targets"][0].tolist() == [1.0, -2.0]
     torch.testing.assert_close(outputs["position_targets"], robot.q[:, [0, 2]])
+
+
+@pytest.mark.parametrize("config", [JointVelocityConfig, JointEffortConfig])
+def test_changes_of_velocity_or_effort_start_from_what_is_measured(kinematic_robot: MakeRobot, config: Any) -> None:
+    robot = kinematic_robot()
+    joints = ("panda_joint[13]",)
+    measured = torch.tensor([[0.4, -0.2]] * 4)
+    robot.v[:, [0, 2]], robot.efforts[:, [0, 2]] = measured, measured
+    half = torch.full((4, 2), 0.5)
+    for mode, steps in ((CommandMode.ABSOLUTE, 0.0), (CommandMode.RELATIVE, 1.0), (CommandMode.INTEGRATED, 2.0)):
+        generator = config(joints=joints, scale=0.2, mode=mode).build("it", robot)
+        for _ in range(2):
+            outputs = generator.compute({"command": half})
+        targets = outputs["velocity_targets" if config is JointVelocityConfig else "effort_targets"]
+        expected = {0.0: half * 0.2, 1.0: measured + 0.1, 2.0: measured + 0.2}[steps]
+        torch.testing.assert_close(targets, expected)
+    for _ in range(200):
+        targets = generator.compute({"command": torch.ones(4, 2)})[[*outputs][-1]]
+    limit = "velocity_limit" if config is JointVelocityConfig else "effort_limit"
+    ends = [getattr(robot.joints[j], limit) for j in (0, 2)]
+    torch.testing.assert_close(targets, torch.tensor([ends]).expand(4, 2).clamp(max=40.3), atol=0.5, rtol=0.0)
 
 
 def test_efforts_scale_with_the_joints_limits(kinematic_robot: MakeRobot) -> None:

@@ -1,0 +1,83 @@
+"""The equation of motion of the joints that a generator moves, the base and all other joints held.
+
+``M(q) a + bias(q, v) = efforts``, from the robot's description alone (:mod:`orbit_core.dynamics.rigid_body`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.linear import solve_spd
+from orbit_core.dynamics.rigid_body import RigidBodyModel
+from orbit_core.interfaces import Robot
+from orbit_core.interfaces.layout import joint_constants
+
+_GRAVITY = (0.0, 0.0, -9.81)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmState:
+    """Positions, velocities and bias (N, k), and the mass matrix (N, k, k), of the joints that move.
+
+    The bias are the efforts that leave the joints without acceleration: gravity, Coriolis and centrifugal forces, and
+    the mechanism's own damping.
+    """
+
+    positions: Tensor
+    velocities: Tensor
+    mass: Tensor
+    bias: Tensor
+
+    def efforts(self, accelerations: Tensor) -> Tensor:
+        """(N, k) that accelerate the joints by (N, k)."""
+        return torch.baddbmm(self.bias.unsqueeze(-1), self.mass, accelerations.unsqueeze(-1)).squeeze(-1)
+
+    def accelerations(self, efforts: Tensor) -> Tensor:
+        """(N, k) under efforts (N, k)."""
+        return solve_spd(self.mass, (efforts - self.bias).unsqueeze(-1)).squeeze(-1)
+
+
+class ArmDynamics:
+    """Reads a robot's state, and makes the equation of motion of it.
+
+    Where the robot's own controller compensates gravity, gravity is no part of the bias.
+
+    Args:
+        robot: that moves.
+        joints: indices of the joints that move.
+        physics_dt: s. The mechanism's own damping d is integrated at the end of each step, which so shows the inertia
+            ``M + physics_dt d``; zero leaves it out.
+        gravity: m/s^2, world axes.
+    """
+
+    def __init__(
+        self, robot: Robot, joints: Sequence[int], physics_dt: float = 0.0, gravity: Sequence[float] = _GRAVITY
+    ) -> None:
+        spec, device = robot.spec, robot.joint_positions.device
+        damping = joint_constants(spec, "damping")
+        armature = joint_constants(spec, "armature") + physics_dt * damping
+        gravity = (0.0, 0.0, 0.0) if spec.gravity_compensation else gravity
+        self.robot = robot
+        self.model = RigidBodyModel(spec.articulation, True, device, armature=armature.tolist(), gravity=gravity)
+        self._joints = torch.tensor(list(joints), dtype=torch.int64, device=device)
+        self._damping = torch.as_tensor(damping, dtype=torch.float32, device=device)[self._joints]
+
+    def state(self) -> ArmState:
+        """Of the present."""
+        robot, joints = self.robot, self._joints
+        poses, velocities = robot.link_poses, robot.joint_velocities
+        moving = velocities.index_select(1, joints)
+        bias = self.model.bias_forces(poses, robot.root_velocity, velocities).index_select(1, joints)
+        mass = self.model.mass_matrix(poses).index_select(1, joints).index_select(2, joints)
+        return ArmState(
+            robot.joint_positions.index_select(1, joints), moving, mass, torch.addcmul(bias, self._damping, moving)
+        )
+
+    def drift(self, frame: str) -> Tensor:
+        """(N, 6) acceleration of a frame while no joint accelerates."""
+        tree = self.model.kinematics
+        return tree.frame_drift(self.robot.link_poses, self.robot.joint_velocities, frame)
