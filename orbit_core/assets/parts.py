@@ -23,6 +23,7 @@ from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.scene import (
     ActuatorConfig,
     Articulation,
+    DifferentialBase,
     EndEffector,
     Gripper,
     PlanarBase,
@@ -81,6 +82,7 @@ class RobotPart:
     wheels: tuple[str, ...] = ()
     """A base's: links or frames that roll on the ground."""
     planar_base: PlanarBase | None = None
+    differential_base: DifferentialBase | None = None
     end_effectors: tuple[EndEffector, ...] = ()
     """Those that a base brings itself, as a humanoid its hands; one that is mounted on it comes first."""
     pose: Pose = field(default_factory=Pose)
@@ -132,6 +134,7 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
         end_effectors=_end_effectors(mounted, body),
         feet=first.feet,
         planar_base=first.planar_base,
+        differential_base=first.differential_base,
         wheels=first.wheels,
         licence=_licence(parts),
         source=", ".join(dict.fromkeys(package for part in parts for package in part.model.packages)),
@@ -192,15 +195,14 @@ def _end_effectors(parts: Sequence[RobotPart], body: Articulation) -> tuple[EndE
     arm = next((part for part in parts if part.kind is PartKind.ARM), None)
     tool = parts[-1]
     if arm is not None:
-        space = arm.workspace if arm is parts[0] else _placed(arm.workspace, body, parts[0].mount)
+        space = arm.workspace if arm is parts[0] else arm.workspace.placed(_seat(body, parts[0].mount))
         return (EndEffector(tool.frame or arm.mount, arm.joints, tool.gripper, tool.finger_tips, space), *own)
     if tool.kind is PartKind.END_EFFECTOR:
         return (EndEffector(tool.frame, (), tool.gripper, tool.finger_tips), *own)
     return own
 
 
-def _placed(workspace: Workspace, body: Articulation, mount: str) -> Workspace:
-    """An arm's workspace in the root of the base that carries it, whose joints are at zero."""
+def _seat(body: Articulation, mount: str) -> Pose:
+    """The pose of a base's mount in its root, its joints at zero."""
     frame = body.frame(mount)
-    seat = link_poses(body, {})[frame.link] @ frame.pose
-    return Workspace(seat.transform(workspace.low), seat.transform(workspace.high))
+    return link_poses(body, {})[frame.link] @ frame.pose

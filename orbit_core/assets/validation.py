@@ -129,6 +129,9 @@ def _check_robot(robot: RobotSpec) -> None:
     if robot.planar_base is not None:
         for joint in (robot.planar_base.x, robot.planar_base.y, robot.planar_base.yaw):
             find_name(joint, articulation.joint_names, "joint", f"planar base of robot '{robot.name}'")
+    if robot.differential_base is not None:
+        for joint in (robot.differential_base.left, robot.differential_base.right):
+            find_name(joint, articulation.joint_names, "joint", f"differential base of robot '{robot.name}'")
 
 
 def _check_variant(entity: Entity, variant: Articulation) -> None:

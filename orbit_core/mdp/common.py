@@ -78,8 +78,8 @@ def workspace(world: World, agent: str = ROBOT) -> tuple[Vector3, Vector3]:
         ConfigurationError: the robot has no end effector.
     """
     spec = world.robots[agent].spec
-    box = spec.end_effector.workspace
-    return spec.pose.transform(box.low), spec.pose.transform(box.high)
+    box = spec.end_effector.workspace.placed(spec.pose)
+    return box.low, box.high
 
 
 def joint_positions(world: World, task: Task, agent: str = ROBOT) -> Tensor:

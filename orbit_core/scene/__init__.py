@@ -8,6 +8,7 @@ from orbit_core.scene.articulation import Articulation, Frame, Link, single_link
 from orbit_core.scene.deformables import Cloth, SoftBody
 from orbit_core.scene.entities import (
     END_EFFECTOR,
+    DifferentialBase,
     EndEffector,
     Entity,
     Gripper,
@@ -51,8 +52,8 @@ from orbit_core.scene.shapes import (
 
 __all__ = [
     "END_EFFECTOR", "ActuatorConfig", "AmbientLight", "Articulation", "Box", "CameraSpec", "Capsule", "Channel",
-    "Cloth", "Color", "Compliance", "ContactSensorSpec", "Cylinder", "DcMotor", "DirectionalLight", "DriveGains",
-    "EndEffector", "Entity", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField",
+    "Cloth", "Color", "Compliance", "ContactSensorSpec", "Cylinder", "DcMotor", "DifferentialBase", "DirectionalLight",
+    "DriveGains", "EndEffector", "Entity", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField",
     "IdealPd", "ImplicitPd", "ImuSpec", "Joint", "JointCommands", "JointSensorSpec", "JointType", "Light", "Link",
     "LoopJoint", "LoopType", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision", "Mimic", "Noise", "ObjectSpec",
     "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Rgb", "RobotCategory", "RobotSpec", "Scene",

@@ -50,6 +50,12 @@ class Workspace:
     low: Vector3 = (0.4, -0.25, 0.15)
     high: Vector3 = (0.65, 0.25, 0.5)
 
+    def placed(self, pose: Pose) -> Workspace:
+        """The box in the frame in which ``pose`` is that of the root; turns are of 90 degrees, as boxes allow."""
+        first, second = (pose @ Pose(self.low)).position, (pose @ Pose(self.high)).position
+        x, y, z = (sorted(pair) for pair in zip(first, second, strict=True))
+        return Workspace((x[0], y[0], z[0]), (x[1], y[1], z[1]))
+
 
 @dataclass(frozen=True)
 class EndEffector:
@@ -87,6 +93,20 @@ class PlanarBase:
     x: str
     y: str
     yaw: str
+
+
+@dataclass(frozen=True)
+class DifferentialBase:
+    """Two driven wheels, side by side, that carry a robot over the ground; a turning joint moves its wheel forward.
+
+    ``left`` and ``right`` are joints by name, ``radius`` is that of both wheels and ``track`` the distance between
+    where they touch the ground, m.
+    """
+
+    left: str
+    right: str
+    radius: float
+    track: float
 
 
 class RobotCategory(Enum):
@@ -155,6 +175,7 @@ class RobotSpec(Entity):
     joint_commands: JointCommands | None = None
     """None: as :func:`orbit_core.motion.joint_commands` makes it of the end effectors and feet."""
     planar_base: PlanarBase | None = None
+    differential_base: DifferentialBase | None = None
     wheels: tuple[str, ...] = ()
     """Links or frames of a mobile robot that roll on the ground."""
     licence: str = ""

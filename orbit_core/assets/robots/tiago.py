@@ -1,0 +1,76 @@
+"""PAL Robotics' TIAGo: a base on two driven wheels with torso and head, and its arm of seven joints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from orbit_core.assets.cache import Model
+from orbit_core.assets.compose import add_frames, branch, edit_links, simplify_collisions, without
+from orbit_core.assets.installed import installed_urdf
+from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.parts import PartKind, RobotPart
+from orbit_core.dynamics.drive_design import DriveDesign, with_armature
+from orbit_core.scene import (
+    Articulation,
+    DifferentialBase,
+    Frame,
+    ImplicitPd,
+    JointType,
+    Pose,
+    Shape,
+    Sphere,
+    Workspace,
+)
+
+SOURCE = "example-robot-data"
+LICENCE = "Apache-2.0"
+FILE = "robots/tiago_description/robots/tiago.urdf"
+ARM_JOINTS = ("arm_[1-7]_joint",)
+NOTE = "TIAGo's casters, fixed in the URDF, swivel and roll; 1 mm less in radius leaves its weight to the driven wheels"
+
+
+def base() -> Articulation:
+    """Base, torso and head; ``mount`` is the arm's seat on the torso."""
+    body = without(installed_urdf(SOURCE, FILE, "tiago_base"), "arm_1_link")
+    joints = (
+        replace(joint, type=JointType.CONTINUOUS) if joint.name.startswith("caster_") else joint
+        for joint in body.joints
+    )
+    body = simplify_collisions(merge_fixed_links(replace(body, joints=tuple(joints))))
+    ball = (Shape(Sphere(0.024), name="caster"),)
+    body = edit_links(body, ("caster_.*_2_link",), NOTE, lambda link: replace(link, collisions=ball))
+    return with_armature(add_frames(body, Frame("mount", "torso_lift_link", Pose((0.155, 0.014, -0.151)))))
+
+
+def arm() -> Articulation:
+    """The arm from its seat on the torso to the frame ``arm_flange``, z out of it."""
+    source = branch(installed_urdf(SOURCE, FILE), "arm_1_joint", "torso_arm_link", "tiago_arm")
+    limb = merge_fixed_links(without(source, "hand_palm_link"))
+    flange = Frame("arm_flange", "arm_7_link", Pose((0.0, 0.0, 0.067)))
+    return with_armature(simplify_collisions(add_frames(limb, flange)))
+
+
+BASE = RobotPart(
+    name="tiago_base",
+    kind=PartKind.BASE,
+    model=Model("tiago_base", base, (SOURCE,), LICENCE, parts=(with_armature,)),
+    home={"torso_lift_joint": 0.15},
+    drives=(ImplicitPd(joints=("wheel_.*_joint",), stiffness=0.0, damping=10.0),),
+    designs=(DriveDesign(joints=("torso_lift_joint", "head_._joint")),),
+    mount="mount",
+    wheels=("wheel_left_link", "wheel_right_link"),
+    differential_base=DifferentialBase("wheel_left_joint", "wheel_right_joint", radius=0.0985, track=0.404),
+    fixed_base=False,
+)
+ARM = RobotPart(
+    name="tiago_arm",
+    kind=PartKind.ARM,
+    model=Model("tiago_arm", arm, (SOURCE,), LICENCE, parts=(with_armature,)),
+    home={},
+    designs=(DriveDesign(joints=ARM_JOINTS),),
+    mount="arm_flange",
+    joints=ARM_JOINTS,
+    workspace=Workspace((0.45, -0.2, -0.4), (0.65, 0.2, -0.15)),
+    end_effector="robotiq_2f85",
+    pose=Pose((0.0, 0.0, 0.5)),
+)
