@@ -29,7 +29,7 @@ _COMMANDED = 2.0
 _TILT, _YAW = 0.3, 1.0
 """rad to either side, of a workspace's poses."""
 _CLEARANCE = 0.05
-"""m that every moving link's origin is above the root's, which stands on a table."""
+"""m that every moving link's origin is above what the robot stands on, at the height that it is placed in a scene."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,7 @@ class Arm:
     def __init__(self, name: str) -> None:
         spec = robot(name)
         self.effector, self.articulation = spec.end_effector, spec.articulation
+        self.floor = -spec.pose.position[2]
         self.tree = KinematicTree(self.articulation)
         self.joints = match_names(self.effector.arm_joints, self.articulation.joint_names, "joint", name)
         joints = self.articulation.movable_joints
@@ -79,7 +80,7 @@ class Arm:
         root = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]).repeat(count, 1)
         moved = [link for link, moves in enumerate(joint_ancestry(self.articulation)) if moves.any()]
         heights = self.tree.forward(root, starts)[:, moved, 2].amin(1)
-        return starts[solution.converged & (heights > _CLEARANCE)]
+        return starts[solution.converged & (heights > self.floor + _CLEARANCE)]
 
     def margin(self, homes: Tensor) -> Tensor:
         """(M,) of the joint that is nearest to a limit, as a share of its range; joints that turn on have half."""

@@ -106,8 +106,10 @@ def subtree(articulation: Articulation, link: str, name: str | None = None) -> A
     )
 
 
-def branch(articulation: Articulation, joint: str, root: str, name: str | None = None) -> Articulation:
-    """The joint and everything beyond it, on a massless link ``root`` that has the joint's own frame at zero.
+def branch(
+    articulation: Articulation, joint: str, root: str, name: str | None = None, pose: Pose | None = None
+) -> Articulation:
+    """The joint and everything beyond it, on a massless link ``root`` in which the joint's frame at zero has ``pose``.
 
     Raises:
         UnknownNameError: there is no such joint.
@@ -117,7 +119,7 @@ def branch(articulation: Articulation, joint: str, root: str, name: str | None =
     if joint not in known:
         raise UnknownNameError("joint", joint, tuple(known), f"'{articulation.name}'")
     limb = subtree(articulation, known[joint].child, name)
-    first = replace(known[joint], parent=root, parent_pose=Pose())
+    first = replace(known[joint], parent=root, parent_pose=pose or Pose())
     return replace(limb, links=(Link(root), *limb.links), joints=(first, *limb.joints))
 
 

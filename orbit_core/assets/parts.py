@@ -20,6 +20,7 @@ from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.posture import link_poses
 from orbit_core.assets.self_contacts import without_home_contacts
 from orbit_core.interfaces.errors import ConfigurationError
+from orbit_core.interfaces.names import match_values
 from orbit_core.scene import (
     ActuatorConfig,
     Articulation,
@@ -195,14 +196,16 @@ def _end_effectors(parts: Sequence[RobotPart], body: Articulation) -> tuple[EndE
     arm = next((part for part in parts if part.kind is PartKind.ARM), None)
     tool = parts[-1]
     if arm is not None:
-        space = arm.workspace if arm is parts[0] else arm.workspace.placed(_seat(body, parts[0].mount))
+        space = arm.workspace if arm is parts[0] else arm.workspace.placed(_seat(body, parts[0]))
         return (EndEffector(tool.frame or arm.mount, arm.joints, tool.gripper, tool.finger_tips, space), *own)
     if tool.kind is PartKind.END_EFFECTOR:
         return (EndEffector(tool.frame, (), tool.gripper, tool.finger_tips), *own)
     return own
 
 
-def _seat(body: Articulation, mount: str) -> Pose:
-    """The pose of a base's mount in its root, its joints at zero."""
-    frame = body.frame(mount)
-    return link_poses(body, {})[frame.link] @ frame.pose
+def _seat(body: Articulation, carrier: RobotPart) -> Pose:
+    """The pose of a base's mount in its root, its joints at home."""
+    names = body.joint_names
+    home = match_values(carrier.home, names, "joint", f"the home pose of '{carrier.name}'")
+    frame = body.frame(carrier.mount)
+    return link_poses(body, {names[index]: value for index, value in home.items()})[frame.link] @ frame.pose

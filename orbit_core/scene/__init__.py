@@ -53,7 +53,8 @@ from orbit_core.scene.shapes import (
 __all__ = [
     "END_EFFECTOR", "ActuatorConfig", "AmbientLight", "Articulation", "Box", "CameraSpec", "Capsule", "Channel",
     "Cloth", "Color", "Compliance", "ContactSensorSpec", "Cylinder", "DcMotor", "DifferentialBase", "DirectionalLight",
-    "DriveGains", "EndEffector", "Entity", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField",
+    "DriveGains", "EndEffector", "Entity", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper",
+    "HeightField",
     "IdealPd", "ImplicitPd", "ImuSpec", "Joint", "JointCommands", "JointSensorSpec", "JointType", "Light", "Link",
     "LoopJoint", "LoopType", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision", "Mimic", "Noise", "ObjectSpec",
     "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Rgb", "RobotCategory", "RobotSpec", "Scene",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from orbit_core.assets.cache import Model
@@ -44,7 +45,8 @@ def base() -> Articulation:
 
 def arm() -> Articulation:
     """The arm from its seat on the torso to the frame ``arm_flange``, z out of it."""
-    source = branch(installed_urdf(SOURCE, FILE), "arm_1_joint", "torso_arm_link", "tiago_arm")
+    sideways = Pose.from_euler(0.0, 0.0, -math.pi / 2)
+    source = branch(installed_urdf(SOURCE, FILE), "arm_1_joint", "torso_arm_link", "tiago_arm", sideways)
     limb = merge_fixed_links(without(source, "hand_palm_link"))
     flange = Frame("arm_flange", "arm_7_link", Pose((0.0, 0.0, 0.067)))
     return with_armature(simplify_collisions(add_frames(limb, flange)))
@@ -66,7 +68,15 @@ ARM = RobotPart(
     name="tiago_arm",
     kind=PartKind.ARM,
     model=Model("tiago_arm", arm, (SOURCE,), LICENCE, parts=(with_armature,)),
-    home={},
+    home={
+        "arm_1_joint": 1.088,
+        "arm_2_joint": 0.579,
+        "arm_3_joint": -0.81,
+        "arm_4_joint": 1.725,
+        "arm_5_joint": 0.641,
+        "arm_6_joint": -0.858,
+        "arm_7_joint": 0.759,
+    },
     designs=(DriveDesign(joints=ARM_JOINTS),),
     mount="arm_flange",
     joints=ARM_JOINTS,

@@ -21,10 +21,10 @@ FINGERS = (".*_hand_.*_joint",)
 # 40 and need a policy to stand: a standing body of mass m, h above its ankles, falls where these have less than
 # m g h = 34 kg * 9.81 m/s^2 * 0.65 m = 217 N m/rad together.
 LEGS = (
-    ImplicitPd(joints=(".*_hip_.*_joint",), stiffness=600.0, damping=15.0),
-    ImplicitPd(joints=(".*_knee_joint",), stiffness=600.0, damping=15.0),
-    ImplicitPd(joints=(".*_ankle_.*_joint",), stiffness=600.0, damping=15.0),
-    ImplicitPd(joints=("waist_.*_joint",), stiffness=600.0, damping=15.0),
+    ImplicitPd(joints=(".*_hip_.*_joint",), stiffness=1000.0, damping=25.0),
+    ImplicitPd(joints=(".*_knee_joint",), stiffness=1000.0, damping=25.0),
+    ImplicitPd(joints=(".*_ankle_.*_joint",), stiffness=1000.0, damping=25.0),
+    ImplicitPd(joints=("waist_.*_joint",), stiffness=1000.0, damping=25.0),
 )
 
 
