@@ -6,9 +6,10 @@ from orbit_core.assets.cache import Model
 from orbit_core.assets.compose import add_frames, simplify_collisions, subtree
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.parts import PartKind, RobotPart
-from orbit_core.assets.robots.hands import grasp, on_bracket, opened
+from orbit_core.assets.robots.hands import bracket, grasp, on_bracket, opened
 from orbit_core.dynamics.drive_design import DriveDesign, with_armature
 from orbit_core.scene import Articulation, Frame, Pose
+from orbit_core.scene.pose import Vector3
 
 SOURCE = "example-robot-data"
 LICENCE = "BSD-3-Clause"
@@ -19,22 +20,19 @@ GRASP = {
     "middle_0": (-0.615, -1.046), "middle_1": (-0.847, -1.056),
     "index_0": (-0.615, -1.046), "index_1": (-0.847, -1.056),
 }  # fmt: skip
+_SIGNS = {"left": 1.0, "right": -1.0}
+"""The right hand is the mirror image of the left."""
 _TIPS = {"thumb": "thumb_2", "middle": "middle_1", "index": "index_1"}
 
 
-def _part(side: str, sign: float) -> RobotPart:
-    """``sign`` is 1 for the left hand and -1 for the right, its mirror image."""
+def _part(side: str) -> RobotPart:
+    sign = _SIGNS[side]
     name, prefix = f"dex3_{side}", f"{side}_hand_"
 
     def articulation() -> Articulation:
         robot = installed_urdf(SOURCE, "robots/g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf")
-        hand = subtree(robot, f"{prefix}palm_link")
-        hand = on_bracket(hand, name, (0.0435, 0.0214 * sign, 0.0), (1.0, 0.0, 0.0), (0.0, -sign, 0.0), 70.0)
-        tips = (
-            Frame(f"{prefix}{tip}_tip", f"{prefix}{link}_link", Pose(_tip_of(tip, sign))) for tip, link in _TIPS.items()
-        )
-        tcp = Frame(f"{name}_tcp", hand.root.name, Pose((0.0, -0.006, 0.1087)))
-        return with_armature(simplify_collisions(add_frames(hand, tcp, *tips)))
+        hand = with_frames(subtree(robot, f"{prefix}palm_link"), side)
+        return with_armature(simplify_collisions(on_bracket(hand, name, *_seat(sign))))
 
     positions = {f"{prefix}{joint}_joint": (sign * a, sign * b) for joint, (a, b) in GRASP.items()}
     return RobotPart(
@@ -50,9 +48,23 @@ def _part(side: str, sign: float) -> RobotPart:
     )
 
 
+def with_frames(robot: Articulation, side: str) -> Articulation:
+    """The robot with frames on its hand of that side, as the hand's part names them: between the tips, and at each."""
+    sign, prefix = _SIGNS[side], f"{side}_hand_"
+    tips = (
+        Frame(f"{prefix}{tip}_tip", f"{prefix}{link}_link", Pose(_tip_of(tip, sign))) for tip, link in _TIPS.items()
+    )
+    tcp = Frame(f"dex3_{side}_tcp", f"{prefix}palm_link", bracket(*_seat(sign)) @ Pose((0.0, -0.006, 0.1087)))
+    return add_frames(robot, tcp, *tips)
+
+
+def _seat(sign: float) -> tuple[Vector3, Vector3, Vector3, float]:
+    return (0.0435, 0.0214 * sign, 0.0), (1.0, 0.0, 0.0), (0.0, -sign, 0.0), 70.0
+
+
 def _tip_of(finger: str, sign: float) -> tuple[float, float, float]:
     """The middle of the last link's rounded end, in that link."""
     return (0.0, -0.042 * sign, 0.0) if finger == "thumb" else (0.042, 0.0, 0.0)
 
 
-LEFT, RIGHT = _part("left", 1.0), _part("right", -1.0)
+LEFT, RIGHT = _part("left"), _part("right")

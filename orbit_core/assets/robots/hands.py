@@ -19,14 +19,23 @@ def on_bracket(
 ) -> Articulation:
     """The hand on a bracket without mass, so that the flange that carries it points where the hand grasps.
 
-    The thumb meets the other fingers in front of the palm rather than beyond its end: a hand grasps along a direction
-    ``angle`` degrees from ``fingers`` to ``palm``. That is z of the new root ``<name>_mount``, and y points from the
-    thumb to the fingers.
-
     Args:
         hand: its root is the palm, or what carries the palm.
-        name: of the result.
-        origin: of the new root, where the flange is, in the hand's root.
+        name: of the result, whose root is ``<name>_mount``.
+        origin, fingers, palm, angle: as :func:`bracket` takes them.
+    """
+    mount = bracket(origin, fingers, palm, angle).inverse()
+    return merge_fixed_links(attach(Articulation(name, (Link(f"{name}_mount"),)), hand, f"{name}_mount", mount))
+
+
+def bracket(origin: Vector3, fingers: Vector3, palm: Vector3, angle: float) -> Pose:
+    """The pose of a flange in the root of the hand that it carries.
+
+    The thumb meets the other fingers in front of the palm rather than beyond its end: a hand grasps along a direction
+    ``angle`` degrees from ``fingers`` to ``palm``. That is z of the flange, and y points from the thumb to the fingers.
+
+    Args:
+        origin: of the flange in the hand's root.
         fingers: along the stretched fingers, in the hand's root.
         palm: out of the palm, in the hand's root; perpendicular to ``fingers``.
         angle: in degrees.
@@ -35,8 +44,7 @@ def on_bracket(
     cosine, sine = math.cos(math.radians(angle)), math.sin(math.radians(angle))
     approach, opening = cosine * along + sine * out, sine * along - cosine * out
     turned = Pose.from_matrix(np.column_stack((np.cross(opening, approach), opening, approach)))
-    mount = Pose(origin, turned.orientation).inverse()
-    return merge_fixed_links(attach(Articulation(name, (Link(f"{name}_mount"),)), hand, f"{name}_mount", mount))
+    return Pose(origin, turned.orientation)
 
 
 def grasp(positions: Mapping[str, tuple[float, float]]) -> Gripper:

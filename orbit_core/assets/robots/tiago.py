@@ -13,6 +13,7 @@ from orbit_core.assets.parts import PartKind, RobotPart
 from orbit_core.dynamics.drive_design import DriveDesign, with_armature
 from orbit_core.scene import (
     Articulation,
+    Cylinder,
     DifferentialBase,
     Frame,
     ImplicitPd,
@@ -27,7 +28,8 @@ SOURCE = "example-robot-data"
 LICENCE = "Apache-2.0"
 FILE = "robots/tiago_description/robots/tiago.urdf"
 ARM_JOINTS = ("arm_[1-7]_joint",)
-NOTE = "TIAGo's casters, fixed in the URDF, swivel and roll; 1 mm less in radius leaves its weight to the driven wheels"
+CASTERS = "TIAGo's casters, fixed in the URDF, swivel and roll; 1 mm less in radius leaves its weight to the wheels"
+WHEELS = "TIAGo's driven wheels collide 1 cm wide, as crowned treads: as flat ones of 4 cm they would scrub in turns"
 
 
 def base() -> Articulation:
@@ -39,7 +41,9 @@ def base() -> Articulation:
     )
     body = simplify_collisions(merge_fixed_links(replace(body, joints=tuple(joints))))
     ball = (Shape(Sphere(0.024), name="caster"),)
-    body = edit_links(body, ("caster_.*_2_link",), NOTE, lambda link: replace(link, collisions=ball))
+    tread = (Shape(Cylinder(0.0985, 0.005), name="tread"),)
+    body = edit_links(body, ("caster_.*_2_link",), CASTERS, lambda link: replace(link, collisions=ball))
+    body = edit_links(body, ("wheel_.*_link",), WHEELS, lambda link: replace(link, collisions=tread))
     return with_armature(add_frames(body, Frame("mount", "torso_lift_link", Pose((0.155, 0.014, -0.151)))))
 
 
@@ -57,7 +61,7 @@ BASE = RobotPart(
     kind=PartKind.BASE,
     model=Model("tiago_base", base, (SOURCE,), LICENCE, parts=(with_armature,)),
     home={"torso_lift_joint": 0.15},
-    drives=(ImplicitPd(joints=("wheel_.*_joint",), stiffness=0.0, damping=10.0),),
+    drives=(ImplicitPd(joints=("wheel_.*_joint",), stiffness=0.0, damping=40.0),),
     designs=(DriveDesign(joints=("torso_lift_joint", "head_._joint")),),
     mount="mount",
     wheels=("wheel_left_link", "wheel_right_link"),

@@ -2,51 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from orbit_core.assets.cache import Model
 from orbit_core.assets.compose import simplify_collisions
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
+from orbit_core.assets.robots import dex3_hand
 from orbit_core.dynamics.drive_design import DriveDesign, with_armature
-from orbit_core.scene import Articulation, ImplicitPd, Pose
+from orbit_core.scene import Articulation, EndEffector, ImplicitPd, Pose
 
 SOURCE = "example-robot-data"
 LICENCE = "BSD-3-Clause"
 HOME = {".*_hip_pitch_joint": -0.1, ".*_knee_joint": 0.3, ".*_ankle_pitch_joint": -0.2, ".*_elbow_joint": 0.9}
-ARMS = (".*_(shoulder|elbow|wrist)_.*joint",)
-FINGERS = (".*_hand_.*_joint",)
-# Hips and knees as in Unitree's own reinforcement learning code (unitree_rl_gym: 100 to 150 N m/rad). Its ankles have
-# 40 and need a policy to stand: a standing body of mass m, h above its ankles, falls where these have less than
-# m g h = 34 kg * 9.81 m/s^2 * 0.65 m = 217 N m/rad together.
-LEGS = (
-    ImplicitPd(joints=(".*_hip_.*_joint",), stiffness=1000.0, damping=25.0),
-    ImplicitPd(joints=(".*_knee_joint",), stiffness=1000.0, damping=25.0),
-    ImplicitPd(joints=(".*_ankle_.*_joint",), stiffness=1000.0, damping=25.0),
-    ImplicitPd(joints=("waist_.*_joint",), stiffness=1000.0, damping=25.0),
+# Unitree's reinforcement learning code has 100 to 150 N m/rad at hips and knees and 40 at the ankles (unitree_rl_gym),
+# and needs a policy to stand. A standing body of mass m, h above its ankles, falls where these have less than
+# m g h = 34 kg * 9.81 m/s^2 * 0.65 m = 217 N m/rad together; what is under and above them gives too: with 600 it falls.
+LEGS = ImplicitPd(joints=(".*_(hip|knee|ankle)_.*joint", "waist_.*_joint"), stiffness=1000.0, damping=25.0)
+ARMS = DriveDesign(joints=(".*_(shoulder|elbow|wrist)_.*joint",))
+HANDS = (dex3_hand.LEFT, dex3_hand.RIGHT)
+SIDES = ("left", "right")
+
+
+def articulation() -> Articulation:
+    """The robot with hands of rubber, which have frames ``left_rubber_hand`` and ``right_rubber_hand``."""
+    return _read("unitree_g1", "g1_29dof_rev_1_0")
+
+
+def with_hands() -> Articulation:
+    """The robot with Dex3 hands, which have the frames that they have by themselves."""
+    body = _read("unitree_g1_dex3", "g1_29dof_with_hand_rev_1_0")
+    return dex3_hand.with_frames(dex3_hand.with_frames(body, "left"), "right")
+
+
+def _read(name: str, file: str) -> Articulation:
+    source = installed_urdf(SOURCE, f"robots/g1_description/urdf/{file}.urdf", name)
+    return with_armature(simplify_collisions(merge_fixed_links(source)))
+
+
+def _arm(side: str) -> tuple[str, ...]:
+    return (f"{side}_(shoulder|elbow|wrist)_.*joint",)
+
+
+G1 = RobotPart(
+    name="unitree_g1",
+    kind=PartKind.BASE,
+    model=Model("unitree_g1", articulation, (SOURCE,), LICENCE, parts=(with_armature,)),
+    home=HOME,
+    drives=(LEGS,),
+    designs=(ARMS,),
+    feet=("left_ankle_roll_link", "right_ankle_roll_link"),
+    end_effectors=tuple(EndEffector(f"{side}_rubber_hand", _arm(side)) for side in SIDES),
+    pose=Pose((0.0, 0.0, 0.79)),
+    fixed_base=False,
 )
-
-
-def _part(name: str, file: str, designs: tuple[DriveDesign, ...], home: Mapping[str, float]) -> RobotPart:
-    def articulation() -> Articulation:
-        source = installed_urdf(SOURCE, f"robots/g1_description/urdf/{file}.urdf", name)
-        return with_armature(simplify_collisions(merge_fixed_links(source)))
-
-    return RobotPart(
-        name=name,
-        kind=PartKind.BASE,
-        model=Model(name, articulation, (SOURCE,), LICENCE, parts=(with_armature,)),
-        home=home,
-        drives=LEGS,
-        designs=designs,
-        feet=("left_ankle_roll_link", "right_ankle_roll_link"),
-        pose=Pose((0.0, 0.0, 0.79)),
-        fixed_base=False,
-    )
-
-
-G1 = _part("unitree_g1", "g1_29dof_rev_1_0", (DriveDesign(joints=ARMS),), HOME)
-G1_DEX3 = _part(
-    "unitree_g1_dex3", "g1_29dof_with_hand_rev_1_0", (DriveDesign(joints=ARMS), DriveDesign(joints=FINGERS)), HOME
+G1_DEX3 = RobotPart(
+    name="unitree_g1_dex3",
+    kind=PartKind.BASE,
+    model=Model("unitree_g1_dex3", with_hands, (SOURCE,), LICENCE, parts=(with_armature, dex3_hand.with_frames)),
+    home={**HOME, **HANDS[0].home, **HANDS[1].home},
+    drives=(LEGS,),
+    designs=(ARMS, *HANDS[0].designs, *HANDS[1].designs),
+    feet=G1.feet,
+    end_effectors=tuple(
+        EndEffector(hand.frame, _arm(side), hand.gripper, hand.finger_tips)
+        for side, hand in zip(SIDES, HANDS, strict=True)
+    ),
+    pose=G1.pose,
+    fixed_base=False,
 )

@@ -73,8 +73,7 @@ STAND = RobotCheck(
             name="height",
             unit="",
             tolerance=0.1,
-            meaning="change of the root's height after 10 s, as a share of that at home with the feet on the ground, 0.25 m "
-            "at least",
+            meaning="change of the root's height after 10 s, as a share of that at home on the ground, 0.25 m at least",
             looser_because=_POSTURE,
         ),
         Metric(
