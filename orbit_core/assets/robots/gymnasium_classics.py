@@ -38,7 +38,7 @@ def humanoid() -> Articulation:
 
 
 def _read(name: str) -> Articulation:
-    path = model_folder(SOURCE) / f"gymnasium/envs/mujoco/assets/{name}.xml"
+    (path,) = model_folder(SOURCE).glob(f"gymnasium/envs/*/assets/{name}.xml")
     return merge_fixed_links(read_mjcf(path, options=ReadOptions(unsupported=Unsupported.DROP)))
 
 
