@@ -1,5 +1,5 @@
-"""Finds physics engines and renderers: plugins under the entry-point groups ``orbit.backends`` and, for what draws and
-simulates nothing, ``orbit.renderers``, by name.
+"""Finds physics engines, renderers and matter solvers: plugins under the entry-point groups ``orbit.backends``, for
+what draws and simulates nothing ``orbit.renderers``, and for what simulates deformables ``orbit.matter``, by name.
 
 Nothing is imported until a backend is asked for. The core knows no engine's name: those that could be installed are
 the extras of the distribution ``orbit-core`` that bring a distribution ``orbit-<extra>``. An entry point that ends in
@@ -27,12 +27,14 @@ from orbit_core.interfaces.errors import (
     UnsupportedCapabilityError,
 )
 from orbit_core.interfaces.fields import settings_table
-from orbit_core.interfaces.requirements import IMAGES, required_capabilities
+from orbit_core.interfaces.matter import NATIVE, MatterSolver
+from orbit_core.interfaces.requirements import IMAGES, MATTER, required_capabilities
 from orbit_core.registry import Registry, faults_named
 from orbit_core.scene import Scene
 
 GROUP = "orbit.backends"
 RENDERERS = "orbit.renderers"
+MATTER_SOLVERS = "orbit.matter"
 
 
 def backend_names() -> list[str]:
@@ -109,19 +111,80 @@ def renderer(name: str) -> Backend:
         raise UnknownNameError("renderer", name, known) from None
 
 
-def check_scene(backend: Backend, scene: Scene, renderer: Backend | None = None) -> None:
+def matter_names() -> list[str]:
+    """The installed matter solvers, sorted; none of them is imported."""
+    return sorted(_matter_solvers().names)
+
+
+def matter_solver(name: str) -> MatterSolver:
+    """The matter solver of that name, made once and kept.
+
+    Raises:
+        UnknownNameError: no installed solver has that name.
+        ConfigurationError: its plugin fails to import, or is no matter solver.
+    """
+    if name not in matter_names():
+        raise UnknownNameError("matter solver", name, {NATIVE, *matter_names()})
+    return _kept_matter(name)
+
+
+def choose_matter(backend: Backend, scene: Scene, name: str | None) -> MatterSolver | None:
+    """What simulates a scene's deformables: a solver, or None where the engine itself does or there are none.
+
+    Args:
+        backend: what simulates the rest.
+        scene: what is asked for.
+        name: of the solver, or ``"native"``. None takes the first installed solver that does all that the scene needs,
+            so that a scene means the same thing on every engine, and else the engine's own.
+
+    Raises:
+        UnknownNameError: no installed solver has that name.
+        UnsupportedCapabilityError: the solver that is named lacks what the scene needs; says what has it.
+    """
+    needs = {need: culprit for need, culprit in required_capabilities(scene).items() if need in MATTER}
+    named = None if name is None or name == NATIVE else matter_solver(name)
+    if not needs or name == NATIVE:
+        return None
+    if named is not None:
+        _check_matter(named, needs)
+        return named
+    solvers = [matter_solver(each) for each in matter_names()]
+    return next((s for s in solvers if all(s.capabilities().has(need) for need in needs)), None)
+
+
+def _check_matter(solver: MatterSolver, needs: Mapping[Capability, str]) -> None:
+    capabilities = solver.capabilities()
+    for need, culprit in needs.items():
+        if not capabilities.has(need):
+            able = _able(backend_names(), (need,)) + [
+                each for each in matter_names() if matter_solver(each).capabilities().has(need)
+            ]
+            remedy = f"{' or '.join(map(repr, able))} does" if able else "nothing that is installed does"
+            raise UnsupportedCapabilityError(
+                f"matter solver '{solver.name}' does not do {need.value} (needed by {culprit}; "
+                f"{capabilities[need].reason}): {remedy}"
+            )
+
+
+def check_scene(
+    backend: Backend, scene: Scene, renderer: Backend | None = None, matter: MatterSolver | None = None
+) -> None:
     """Refuse a scene that needs what the backend, or the renderer of its images, lacks, before anything is built.
 
     Args:
         backend: what simulates.
         scene: what is asked for.
         renderer: what draws; the backend if None.
+        matter: what simulates deformables; the backend if None.
 
     Raises:
         UnsupportedCapabilityError: names each capability, what needs it, why it is missing and what has it.
     """
     needs = required_capabilities(scene)
-    physics = {need: culprit for need, culprit in needs.items() if need not in IMAGES}
+    others = IMAGES if matter is None else (*IMAGES, *MATTER)
+    physics = {need: culprit for need, culprit in needs.items() if need not in others}
+    if matter is not None:  # whose wrenches the engine is to take
+        _check_matter(matter, {need: culprit for need, culprit in needs.items() if need in MATTER})
     drawn = (*IMAGES, Capability.SHAPES_PER_ENVIRONMENT)  # who draws must know of other shapes too
     images = {need: culprit for need, culprit in needs.items() if need in drawn}
     _check("backend", backend, physics, backend_names())
@@ -139,6 +202,12 @@ def _check(kind: str, plugin: Backend, needs: Mapping[Capability, str], others: 
     able = _able(others, missing)
     remedy = f"choose {kind} {' or '.join(repr(name) for name in able)}" if able else f"no installed {kind} does"
     raise UnsupportedCapabilityError(f"{kind} '{plugin.name}' does not do {', nor '.join(complaints)}: {remedy}")
+
+
+def matter_config(solver: MatterSolver, values: Mapping[str, Any] | None = None) -> Any:
+    """The typed settings of a matter solver, as :func:`backend_config` makes a backend's."""
+    owner = f"matter solver '{solver.name}'"
+    return configured(solver.config_type(), settings_table(values, owner), owner, "setting")
 
 
 def backend_config(backend: Backend, values: Mapping[str, Any] | None = None) -> Any:
@@ -159,6 +228,22 @@ def _backends() -> Registry[Callable[[], Backend]]:
 @functools.cache
 def _renderers() -> Registry[Callable[[], Backend]]:
     return Registry("renderer", RENDERERS, usable=_is_complete)
+
+
+@functools.cache
+def _matter_solvers() -> Registry[Callable[[], MatterSolver]]:
+    return Registry("matter solver", MATTER_SOLVERS, usable=_is_complete)
+
+
+@functools.cache
+def _kept_matter(name: str) -> MatterSolver:
+    registry = _matter_solvers()
+    plugin = f"matter solver '{name}', {registry.origin(name)}"
+    with faults_named(plugin):
+        made = registry.get(name)()
+    if not isinstance(made, MatterSolver):
+        raise ConfigurationError(f"{plugin}, makes a {type(made).__name__}, not an orbit_core.interfaces MatterSolver")
+    return made
 
 
 def _made(registry: Registry[Callable[[], Backend]], name: str) -> Backend:

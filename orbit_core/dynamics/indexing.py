@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TypeGuard
 
 import torch
 from torch import Tensor
@@ -21,6 +20,11 @@ from orbit_core.dynamics.arguments import (
     check_shape,
 )
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.plugin_kit.rows import is_mask, take_rows, write_columns, write_rows
+
+__all__ = [
+    "Choice", "Columns", "Masking", "columns_of", "is_mask", "take_rows", "write_block", "write_columns", "write_rows",
+]  # fmt: skip
 
 Columns = slice | Tensor
 """What ``tensor[:, columns]`` takes."""
@@ -32,30 +36,6 @@ def columns_of(indices: Sequence[int], device: torch.device) -> Columns:
     if list(indices) == list(range(first, first + len(indices))):
         return slice(first, first + len(indices))
     return torch.tensor(list(indices), dtype=torch.int64, device=device)
-
-
-def is_mask(env_ids: Tensor | None) -> TypeGuard[Tensor]:
-    """Whether environments are given as (N,) bool, and not as int64 indices (n,)."""
-    return env_ids is not None and env_ids.dtype == torch.bool
-
-
-def take_rows(values: Tensor, env_ids: Tensor | None) -> Tensor:
-    """The rows of environments that are given by index; all of them where they are given by mask, or not at all."""
-    return values if env_ids is None or is_mask(env_ids) else values[env_ids]
-
-
-def write_rows(target: Tensor, values: Tensor | float, env_ids: Tensor | None) -> None:
-    """Set the rows of some environments; with a mask ``values`` are of all, and those outside of it count for nothing.
-
-    Nothing waits for the device.
-    """
-    if env_ids is None:
-        target[:] = values
-    elif env_ids.dtype != torch.bool:
-        target[env_ids] = values
-    else:
-        mask = env_ids.view(-1, *(1 for _ in target.shape[1:]))
-        target.copy_(torch.where(mask, values, target))
 
 
 def write_block(target: Tensor, columns: Columns, values: Tensor, env_ids: Tensor | None) -> None:

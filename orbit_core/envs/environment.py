@@ -65,6 +65,8 @@ class Environment:
         check_finite: whether to look for observations that are NaN or infinite on a GPU too, where each step then waits
             for the device; on a CPU they always are.
         world: makes the world instead of a backend: one of recorded states, or of real robots.
+        matter: name of the matter solver, or ``"native"``, as :func:`orbit_core.world.simulate` takes it.
+        matter_settings: of the matter solver, by field name.
 
     Raises:
         ConfigurationError: among others, nothing compiles here, or the task's step cannot be compiled.
@@ -84,6 +86,8 @@ class Environment:
         compile: bool = False,
         check_finite: bool = False,
         world: WorldFactory | None = None,
+        matter: str | None = None,
+        matter_settings: Mapping[str, Any] | None = None,
     ) -> None:
         if not isinstance(task, Task):
             raise ConfigurationError(f"an environment needs a Task, not a {type(task).__name__}: orbit_core.envs.make")
@@ -99,10 +103,12 @@ class Environment:
             backend = default_backend() if backend is None else backend
             preset = task.backend_presets.get(backend, {}) if isinstance(backend, str) else {}
             merged = {**preset, **settings_table(settings, f"backend '{backend}'")}
-            self.world = simulate(scene, num_envs, backend, merged, device, seed, renderer, renderer_settings)
+            others = (renderer, renderer_settings, matter, matter_settings)
+            self.world = simulate(scene, num_envs, backend, merged, device, seed, *others)
         else:
             drawn = {"renderer": renderer, "renderer_settings": renderer_settings}
-            _check_no_backend({"backend": backend, "settings": settings, **drawn})
+            matters = {"matter": matter, "matter_settings": matter_settings}
+            _check_no_backend({"backend": backend, "settings": settings, **drawn, **matters})
             self.world = world(scene, num_envs, usable_device(device), seed)
         self.num_envs = num_envs
         self.device = self.world.device

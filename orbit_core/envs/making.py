@@ -27,6 +27,8 @@ def make(
     compile: bool = False,
     check_finite: bool = False,
     world: WorldFactory | None = None,
+    matter: str | None = None,
+    matter_settings: Mapping[str, Any] | None = None,
     **fields: Any,
 ) -> Environment:
     """The environment of a task, given by name or configured; ``fields`` set the task's own, such as ``robot``.
@@ -38,5 +40,5 @@ def make(
         task = configure(task_entry(task).task_type(), fields)
     elif fields:
         raise ConfigurationError(f"set {', '.join(fields)} on the task itself: it is given configured")
-    common = (device, seed, renderer, settings, renderer_settings, compile, check_finite, world)
+    common = (device, seed, renderer, settings, renderer_settings, compile, check_finite, world, matter, matter_settings)
     return Environment(task, num_envs, backend, *common)

@@ -91,7 +91,9 @@ class Capability(Enum):
     RAY_TRACED_RGB = "ray-traced colour images"
     GPU = "simulation on a GPU"
     CLOTH = "cloth"
+    ROPES = "ropes"
     SOFT_BODIES = "soft bodies"
+    FLUIDS = "fluids"
 
     @property
     def key(self) -> str:

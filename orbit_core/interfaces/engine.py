@@ -225,6 +225,18 @@ class Engine(Watched, ABC):
         """Let particles (k,) go, of which some may not be anchored."""
         raise self._unsupported("anchors of particles")
 
+    @changes("values")
+    def set_particle_parameter(
+        self, deformable: int, name: str, values: Tensor, env_ids: Tensor | None = None
+    ) -> None:
+        """Set (n,) of one of a deformable's parameters (:data:`orbit_core.interfaces.matter.PARAMETERS`)."""
+        raise self._unsupported("parameters of deformables per environment")
+
+    @measures()
+    def particle_forces(self, deformable: int) -> Tensor:
+        """(N, L, 3) newtons, world axes, that a deformable exerts on each link, at the last physics step."""
+        raise self._unsupported("contact forces of deformables")
+
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
     @abstractmethod

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.names import match_names
-from orbit_core.scene import Cloth, Entity, Joint, MarkerSpec, RobotSpec, SoftBody
+from orbit_core.scene import DeformableSpec, Entity, Joint, MarkerSpec, Region, RobotSpec
 
 
 class Object(ABC):
@@ -191,12 +191,13 @@ class Robot(Object):
 
 
 class Deformable(ABC):
-    """Cloth or a soft body in N environments: P particles, one at each vertex of its mesh.
+    """Cloth, rope, a soft body or a fluid in N environments: P particles, one at each vertex or point of its spec.
 
     Tensors read are valid until the next step or write: clone what you keep.
     """
 
-    spec: Cloth | SoftBody
+    name: str
+    spec: DeformableSpec
 
     @property
     @abstractmethod
@@ -237,6 +238,59 @@ class Deformable(ABC):
         Raises:
             UnsupportedCapabilityError: the engine holds no particles.
         """
+
+    # Derived from positions
+
+    @property
+    def key_points(self) -> Tensor:
+        """(N, K, 3) of the spec's key points, in its order."""
+        raise self._unsupported("key points")
+
+    def key_point(self, name: str) -> Tensor:
+        """(N, 3) of one of them.
+
+        Raises:
+            UnknownNameError: there is none of that name.
+        """
+        raise self._unsupported("key points")
+
+    @property
+    def covered_area(self) -> Tensor:
+        """(N,) m^2 that a cloth covers seen from above, layers counted once."""
+        raise self._unsupported("covered area")
+
+    def share_inside(self, region: Region) -> Tensor:
+        """(N,) in [0, 1]: the part of the particles that is in a box.
+
+        Raises:
+            UnknownNameError: there is no such entity, link or frame.
+        """
+        raise self._unsupported("share inside a region")
+
+    # Forces and parameters. Only what a matter solver simulates has them.
+
+    def contact_force(self, entity: str, link: str) -> Tensor:
+        """(N, 3) newtons, world axes, that it exerts on a link, mean of the last physics step.
+
+        Raises:
+            UnknownNameError: no such robot, object or link.
+            UnsupportedCapabilityError: the engine does not tell.
+        """
+        raise self._unsupported("contact forces")
+
+    def set_parameter(self, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
+        """One of ``"density"``, ``"stiffness"``, ``"bending"`` (scales of the spec's) and ``"friction"``, (n,).
+
+        It outlasts resets.
+
+        Raises:
+            UnknownNameError: there is no such parameter.
+            UnsupportedCapabilityError: the engine has one value for all.
+        """
+        raise self._unsupported("parameters to set")
+
+    def _unsupported(self, what: str) -> UnsupportedCapabilityError:
+        return UnsupportedCapabilityError(f"'{self.name}' has no {what}: {type(self).__name__} provides none")
 
 
 class Marker(ABC):

@@ -12,6 +12,7 @@ from orbit_core.scene import (
     Cloth,
     ContactSensorSpec,
     Entity,
+    Fluid,
     ForceTorqueSpec,
     HeightField,
     ImplicitPd,
@@ -20,6 +21,7 @@ from orbit_core.scene import (
     MeshCollision,
     PhysicsMaterial,
     RayCasterSpec,
+    Rope,
     Scene,
     SensorSpec,
     Shape,
@@ -31,6 +33,9 @@ IMAGES = (
     Capability.RAY_TRACED_RGB, Capability.LIGHTING, Capability.SHADOWS,
 )  # fmt: skip
 """What scenes need of whatever draws them; all else they need of the engine."""
+
+MATTER = (Capability.CLOTH, Capability.ROPES, Capability.SOFT_BODIES, Capability.FLUIDS)
+"""What scenes need of the matter solver where one is chosen, and else of the engine."""
 
 _CHANNEL_NEEDS = {
     Channel.RGB: Capability.RGB,
@@ -78,8 +83,12 @@ def _needs(scene: Scene) -> Iterator[tuple[Capability, str]]:
         match deformable:
             case Cloth(name=name):
                 yield Capability.CLOTH, f"cloth '{name}'"
+            case Rope(name=name):
+                yield Capability.ROPES, f"rope '{name}'"
             case SoftBody(name=name):
                 yield Capability.SOFT_BODIES, f"soft body '{name}'"
+            case Fluid(name=name):
+                yield Capability.FLUIDS, f"fluid '{name}'"
     for sensor in scene.sensors:
         yield from _sensor_needs(sensor)
 

@@ -5,7 +5,16 @@ Units are SI, angles radians, z is up, quaternions are ``(w, x, y, z)``.
 
 from orbit_core.scene.actuators import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
 from orbit_core.scene.articulation import Articulation, Frame, Link, single_link
-from orbit_core.scene.deformables import Cloth, SoftBody
+from orbit_core.scene.deformables import (
+    Attachment,
+    Cloth,
+    DeformableSpec,
+    Fluid,
+    KeyPoint,
+    Region,
+    Rope,
+    SoftBody,
+)
 from orbit_core.scene.entities import (
     END_EFFECTOR,
     DifferentialBase,
@@ -51,13 +60,12 @@ from orbit_core.scene.shapes import (
 )
 
 __all__ = [
-    "END_EFFECTOR", "ActuatorConfig", "AmbientLight", "Articulation", "Box", "CameraSpec", "Capsule", "Channel",
-    "Cloth", "Color", "Compliance", "ContactSensorSpec", "Cylinder", "DcMotor", "DifferentialBase", "DirectionalLight",
-    "DriveGains", "EndEffector", "Entity", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper",
-    "HeightField",
-    "IdealPd", "ImplicitPd", "ImuSpec", "Joint", "JointCommands", "JointSensorSpec", "JointType", "Light", "Link",
-    "LoopJoint", "LoopType", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision", "Mimic", "Noise", "ObjectSpec",
-    "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Rgb", "RobotCategory", "RobotSpec", "Scene",
-    "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere", "Workspace", "look_at",
-    "single_link",
+    "END_EFFECTOR", "ActuatorConfig", "AmbientLight", "Articulation", "Attachment", "Box", "CameraSpec", "Capsule",
+    "Channel", "Cloth", "Color", "Compliance", "ContactSensorSpec", "Cylinder", "DcMotor", "DeformableSpec",
+    "DifferentialBase", "DirectionalLight", "DriveGains", "EndEffector", "Entity", "Fluid", "ForceTorqueSpec",
+    "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField", "IdealPd", "ImplicitPd", "ImuSpec", "Joint",
+    "JointCommands", "JointSensorSpec", "JointType", "KeyPoint", "Light", "Link", "LoopJoint", "LoopType",
+    "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision", "Mimic", "Noise", "ObjectSpec", "PhysicsMaterial",
+    "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Region", "Rgb", "RobotCategory", "RobotSpec", "Rope", "Scene",
+    "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere", "Workspace", "look_at", "single_link",
 ]  # fmt: skip

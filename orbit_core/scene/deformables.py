@@ -1,30 +1,129 @@
-"""Bodies that bend. A backend that lacks one refuses the scene before it is built."""
+"""Matter that bends or flows. A world whose backend and matter solver lack a kind refuses the scene before it is built.
+
+Stiffnesses are those of the material and not of a mesh's edges, so that a finer mesh is the same thing.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+import numpy.typing as npt
+
 from orbit_core.scene.materials import Color
-from orbit_core.scene.pose import Pose
+from orbit_core.scene.pose import Pose, Vector3
 from orbit_core.scene.shapes import Mesh
 
 
 @dataclass(frozen=True)
+class KeyPoint:
+    """A named point of a deformable: the mean of some particles, weighted.
+
+    Raises:
+        ValueError: there are other numbers of weights than of particles, or none.
+    """
+
+    name: str
+    particles: tuple[int, ...]
+    weights: tuple[float, ...] = ()
+    """Barycentric, whose sum is 1; equal ones if empty."""
+
+    def __post_init__(self) -> None:
+        if not self.particles or (self.weights and len(self.weights) != len(self.particles)):
+            raise ValueError(f"key point '{self.name}' has {len(self.weights)} weights of {len(self.particles)} particles")
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """Particles held where a reset puts them: to a link of a robot or an object, or to the world without one."""
+
+    particles: tuple[int, ...]
+    entity: str | None = None
+    link: str | None = None
+
+
+@dataclass(frozen=True)
+class Region:
+    """A box, fixed to a frame of an entity or standing in the environment, in which matter is counted."""
+
+    half_extents: Vector3
+    pose: Pose = field(default_factory=Pose)
+    """Of the box's middle, in the frame."""
+    entity: str | None = None
+    frame: str | None = None
+    """Link or frame of ``entity``."""
+
+
+@dataclass(frozen=True)
 class Cloth:
-    """A thin sheet of particles joined by springs; ``mesh`` is its rest shape, one particle a vertex."""
+    """A thin elastic sheet of triangles; ``mesh`` is its flat shape at rest, one particle a vertex."""
 
     name: str
     mesh: Mesh
-    mass: float
+    area_density: float
+    """kg/m^2; cotton has 0.1 to 0.3."""
     pose: Pose = field(default_factory=Pose)
-    stretch_stiffness: float = 1000.0
-    """N/m, along an edge."""
-    bend_stiffness: float = 1e-4
-    """N m/rad, across an edge."""
-    thickness: float = 0.002
+    membrane_stiffness: float = 2000.0
+    """Young's modulus times thickness, N/m."""
+    poissons_ratio: float = 0.3
+    bending_stiffness: float = 2e-5
+    """Moment per width and curvature, N m: Peirce's flexural rigidity. Cotton has 1e-6 to 1e-4."""
+    damping: float = 0.2
+    """Rate at which still air slows it, 1/s."""
+    thickness: float = 0.004
+    """Metres between surfaces that touch it from both sides."""
     friction: float = 0.5
+    self_collisions: bool = True
     color: Color = (0.8, 0.3, 0.3, 1.0)
     semantic_label: str = "cloth"
+    attachments: tuple[Attachment, ...] = ()
+    key_points: tuple[KeyPoint, ...] = ()
+
+    @property
+    def rest_positions(self) -> npt.NDArray[np.float64]:
+        """(P, 3) m, in the frame of ``pose``."""
+        return np.asarray(self.mesh.vertices, dtype=np.float64)
+
+    @property
+    def mass(self) -> float:
+        """Kilograms."""
+        a, b, c = (self.rest_positions[np.asarray(self.mesh.faces)[:, k]] for k in range(3))
+        return float(self.area_density * 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Rope:
+    """A thin elastic rod, straight at rest, that does not resist twist; ``points`` (P, 3) are its particles."""
+
+    name: str
+    points: npt.NDArray[np.floating]
+    """In metres and the frame of ``pose``: where a reset puts it. Their distances are its lengths at rest."""
+    linear_density: float
+    """kg/m"""
+    pose: Pose = field(default_factory=Pose)
+    radius: float = 0.005
+    axial_stiffness: float = 2000.0
+    """Young's modulus times section, N."""
+    bending_stiffness: float = 1e-4
+    """Young's modulus times second moment of area, N m^2."""
+    damping: float = 0.2
+    """Rate at which still air slows it, 1/s."""
+    friction: float = 0.5
+    self_collisions: bool = True
+    color: Color = (0.85, 0.7, 0.35, 1.0)
+    semantic_label: str = "rope"
+    attachments: tuple[Attachment, ...] = ()
+    key_points: tuple[KeyPoint, ...] = ()
+
+    @property
+    def rest_positions(self) -> npt.NDArray[np.float64]:
+        """(P, 3) m, in the frame of ``pose``."""
+        return np.asarray(self.points, dtype=np.float64)
+
+    @property
+    def mass(self) -> float:
+        """Kilograms."""
+        return float(self.linear_density * np.linalg.norm(np.diff(self.rest_positions, axis=0), axis=1).sum())
 
 
 @dataclass(frozen=True)
@@ -42,3 +141,39 @@ class SoftBody:
     friction: float = 0.5
     color: Color = (0.3, 0.8, 0.4, 1.0)
     semantic_label: str = "soft"
+    attachments: tuple[Attachment, ...] = ()
+    key_points: tuple[KeyPoint, ...] = ()
+
+    @property
+    def rest_positions(self) -> npt.NDArray[np.float64]:
+        """(P, 3) m, in the frame of ``pose``."""
+        return np.asarray(self.mesh.vertices, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Fluid:
+    """A liquid that fills a box at rest, as particles on a grid."""
+
+    name: str
+    half_extents: Vector3
+    density: float = 1000.0
+    """kg/m^3"""
+    pose: Pose = field(default_factory=Pose)
+    viscosity: float = 1e-3
+    """Pa s"""
+    spacing: float = 0.01
+    """Metres between particles at rest."""
+    color: Color = (0.3, 0.5, 0.9, 0.6)
+    semantic_label: str = "fluid"
+    attachments: tuple[Attachment, ...] = ()
+    key_points: tuple[KeyPoint, ...] = ()
+
+    @property
+    def rest_positions(self) -> npt.NDArray[np.float64]:
+        """(P, 3) m, in the frame of ``pose``: the middles of cubes of ``spacing`` that fill the box."""
+        counts = [max(1, round(2.0 * half / self.spacing)) for half in self.half_extents]
+        axes = [(np.arange(count) - 0.5 * (count - 1)) * self.spacing for count in counts]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+DeformableSpec = Cloth | Rope | SoftBody | Fluid

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from orbit_core.scene.deformables import Cloth, SoftBody
+from orbit_core.scene.deformables import DeformableSpec
 from orbit_core.scene.entities import Entity, ObjectSpec, RobotSpec
 from orbit_core.scene.lights import AmbientLight, DirectionalLight, Light, Rgb, Sky
 from orbit_core.scene.markers import MarkerSpec
@@ -23,7 +23,7 @@ class Scene:
 
     robots: tuple[RobotSpec, ...] = ()
     objects: tuple[ObjectSpec, ...] = ()
-    deformables: tuple[Cloth | SoftBody, ...] = ()
+    deformables: tuple[DeformableSpec, ...] = ()
     terrain: tuple[Shape, ...] = (Shape(Plane(), color=(0.35, 0.38, 0.42, 1.0), name="ground"),)
     sensors: tuple[SensorSpec, ...] = ()
     markers: tuple[MarkerSpec, ...] = ()

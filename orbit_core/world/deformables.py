@@ -1,29 +1,50 @@
-"""Cloth and soft bodies of a simulated world."""
+"""Cloth, ropes, soft bodies and fluids of a simulated world."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.arguments import POSITIONS, VELOCITIES, columns_chosen
+from orbit_core.dynamics.arguments import FRICTIONS, POSITIONS, VELOCITIES, Bounds, columns_chosen
 from orbit_core.dynamics.indexing import Masking
-from orbit_core.interfaces import Deformable, Engine, find_name
-from orbit_core.scene import Cloth, SoftBody
+from orbit_core.dynamics.transforms import quat_rotate_inverse
+from orbit_core.interfaces import ConfigurationError, Deformable, Engine, Object, find_name
+from orbit_core.interfaces.matter import PARAMETERS
+from orbit_core.scene import Cloth, DeformableSpec, Region
 from orbit_core.world.clock import Clock
+from orbit_core.world.covered_area import CoveredArea
+
+_SCALES = Bounds(1e-6, 1e6)
 
 
 class SimulatedDeformable(Deformable):
     """The particles of one deformable of an engine."""
 
-    def __init__(self, index: int, spec: Cloth | SoftBody, engine: Engine, masking: Masking, clock: Clock) -> None:
-        self.spec = spec
+    def __init__(
+        self,
+        index: int,
+        spec: DeformableSpec,
+        engine: Engine,
+        masking: Masking,
+        clock: Clock,
+        entities: Mapping[str, Object],
+    ) -> None:
+        self.name, self.spec = spec.name, spec
+        self._entities = entities
         self._index = index
         self._engine = engine
         self._masking = masking
         self._clock = clock
-        self._shape = (len(spec.mesh.vertices), 3)
+        self._shape = (len(spec.rest_positions), 3)
+        weights = torch.zeros(len(spec.key_points), self._shape[0])
+        for row, point in enumerate(spec.key_points):
+            for number, particle in enumerate(point.particles):
+                weights[row, particle] += point.weights[number] if point.weights else 1.0 / len(point.particles)
+        self._weights = weights.to(engine.device)
+        """(K, P) of particles in key points."""
 
     @property
     def positions(self) -> Tensor:
@@ -50,6 +71,47 @@ class SimulatedDeformable(Deformable):
     def release(self, points: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
         chosen = range(self._shape[0]) if points is None else points
         self._engine.release_particles(self._index, self._particles(chosen), self._masking.rows(env_ids))
+
+    @property
+    def key_points(self) -> Tensor:
+        return torch.matmul(self._weights, self.positions)
+
+    def key_point(self, name: str) -> Tensor:
+        names = [point.name for point in self.spec.key_points]
+        row = find_name(name, names, "key point", f"'{self.name}'")
+        return torch.matmul(self._weights[row], self.positions)
+
+    @property
+    def covered_area(self) -> Tensor:
+        return self._covered_area(self.positions)
+
+    @cached_property
+    def _covered_area(self) -> CoveredArea:
+        if not isinstance(self.spec, Cloth):
+            raise ConfigurationError(f"'{self.name}' is a {type(self.spec).__name__}: only a Cloth covers an area")
+        return CoveredArea(self.spec, self._engine.device)
+
+    def share_inside(self, region: Region) -> Tensor:
+        points = self.positions
+        if region.entity is not None and region.frame is not None:
+            thing = self._entities[find_name(region.entity, list(self._entities), "robot or object", "the scene")]
+            pose = thing.frame_pose(region.frame)[:, None]
+            points = quat_rotate_inverse(pose[..., 3:], points - pose[..., :3])
+        middle, turn = (torch.tensor(v, device=points.device) for v in (region.pose.position, region.pose.orientation))
+        local = quat_rotate_inverse(turn, points - middle)
+        half = torch.tensor(region.half_extents, device=points.device)
+        return (local.abs() <= half).all(-1).float().mean(1)
+
+    def contact_force(self, entity: str, link: str) -> Tensor:
+        return self._engine.particle_forces(self._index)[:, self._link(entity, link)]
+
+    def set_parameter(self, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
+        find_name(name, PARAMETERS, "parameter", f"'{self.name}'")
+        chosen = self._masking.choose(env_ids)
+        bounds = FRICTIONS if name == "friction" else _SCALES
+        values = chosen.values(values, (), f"{name} of '{self.name}'", bounds)
+        self._engine.set_particle_parameter(self._index, name, values, chosen.rows)
+        self._clock.touch()
 
     def _particles(self, points: Sequence[int]) -> Tensor:
         chosen = columns_chosen(points, self._shape[0], f"points of '{self.spec.name}'")

@@ -29,6 +29,8 @@ def simulate(
     seed: int = 0,
     renderer: str | None = None,
     renderer_settings: Mapping[str, Any] | None = None,
+    matter: str | None = None,
+    matter_settings: Mapping[str, Any] | None = None,
 ) -> World:
     """N environments of a scene in one physics engine.
 
@@ -41,6 +43,9 @@ def simulate(
         seed: of the environments' random streams.
         renderer: name of the renderer, or backend, that draws; the one that simulates if None.
         renderer_settings: the renderer's own, by field name; over ``settings`` where one backend simulates and draws.
+        matter: name of the matter solver that simulates deformables, or ``"native"`` for the engine's own; the first
+            installed solver that does what the scene needs, and else the engine, if None.
+        matter_settings: the matter solver's own, by field name.
 
     Raises:
         UnknownNameError, BackendNotInstalledError: no such backend.
@@ -48,4 +53,5 @@ def simulate(
         AssetError: an articulation cannot be simulated.
         BuildError: what the engine built is not what the scene describes.
     """
-    return SimulatedWorld(scene, num_envs, backend, settings, device, seed, renderer, renderer_settings)
+    drawing, matters = (renderer, renderer_settings), (matter, matter_settings)
+    return SimulatedWorld(scene, num_envs, backend, settings, device, seed, *drawing, *matters)

@@ -16,7 +16,7 @@ from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.scene_data import check_data
 from orbit_core.assets.validation import validate_entity
 from orbit_core.backends import backend as find_backend
-from orbit_core.backends import backend_config, check_scene
+from orbit_core.backends import backend_config, check_scene, choose_matter
 from orbit_core.backends import renderer as find_renderer
 from orbit_core.dynamics.arguments import (
     ACCELERATIONS,
@@ -33,10 +33,10 @@ from orbit_core.interfaces import (
     TERRAIN,
     Approximation,
     ArgumentError,
-    BuildError,
     ConfigurationError,
     Engine,
     NamedThings,
+    OrbitError,
     Renderer,
     SceneLayout,
     World,
@@ -48,6 +48,7 @@ from orbit_core.world.build_check import check_build
 from orbit_core.world.capacity import check_capacity
 from orbit_core.world.clock import Clock
 from orbit_core.world.closing import close_for_good, leave_to_parent
+from orbit_core.world.coupling import coupled, rigid_part
 from orbit_core.world.deformables import SimulatedDeformable
 from orbit_core.world.entities import SimulatedObject
 from orbit_core.world.forking import give_up_in_forks
@@ -93,6 +94,8 @@ class SimulatedWorld(World):
         seed: int = 0,
         renderer: str | None = None,
         renderer_settings: Mapping[str, Any] | None = None,
+        matter: str | None = None,
+        matter_settings: Mapping[str, Any] | None = None,
     ) -> None:
         num_envs, seed = whole_number(num_envs, "num_envs", 1, MOST_ENVIRONMENTS), seed_number(seed)
         plugin = find_backend(backend)
@@ -101,7 +104,8 @@ class SimulatedWorld(World):
             raise ConfigurationError(f"a world needs a Scene, not a {type(scene).__name__}")
         check_data(scene, "scene")
         scene = _prepared(scene)
-        check_scene(plugin, scene, self._renderer_plugin)
+        solver = choose_matter(plugin, scene, matter)
+        check_scene(plugin, scene, self._renderer_plugin, solver)
         self.scene = scene
         self.layout = SceneLayout.of(scene)
         self.num_envs = num_envs
@@ -114,11 +118,12 @@ class SimulatedWorld(World):
         self._renderer_config = backend_config(self._renderer_plugin, {**shared, **own})
         check_capacity(self.layout, num_envs, self.device)
         check_drives(self.layout, plugin)
-        self._engine = plugin.create_engine(self.layout, num_envs, self.device, config)
+        engine = plugin.create_engine(rigid_part(self.layout, solver), num_envs, self.device, config)
         try:
-            check_build(self._engine, backend)
-        except BuildError:
-            self._engine.close()
+            check_build(engine, backend)
+            self._engine = coupled(engine, self.layout, solver, matter_settings)
+        except OrbitError:
+            engine.close()
             raise
         self.masking = Masking(num_envs, self.device)  # pyright: ignore[reportIncompatibleVariableOverride]
         """Which environments a call is for."""
@@ -138,7 +143,7 @@ class SimulatedWorld(World):
         robots = {e.name: SimulatedRobot(e, *parts) for e in self.layout.entities[:count]}
         objects = {e.name: SimulatedObject(e, *parts) for e in self.layout.entities[count:]}
         deformables = {
-            spec.name: SimulatedDeformable(i, spec, self._engine, self.masking, self.clock)
+            spec.name: SimulatedDeformable(i, spec, self._engine, self.masking, self.clock, {**robots, **objects})
             for i, spec in enumerate(self.scene.deformables)
         }
         self._marker_poses = identity_poses(self.num_envs, len(self.scene.markers), self.device)

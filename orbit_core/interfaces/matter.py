@@ -1,0 +1,128 @@
+"""What a matter solver registers under the entry-point group ``orbit.matter``: cloth, rope and the like for any engine.
+
+The core couples one with a physics engine at every physics step: poses of links go in, wrenches on links come out
+(:mod:`orbit_core.world.coupling`).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from orbit_core.interfaces.capabilities import Capabilities
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+
+    from orbit_core.interfaces.engine import Approximation
+    from orbit_core.interfaces.layout import SceneLayout
+
+NATIVE = "native"
+"""Stands for the physics engine's own matter where the name of a solver is expected."""
+
+
+class Matter(ABC):
+    """The deformables of N environments of one scene.
+
+    State tensors are float32 on the world's device, in each environment's own world frame, and may be the solver's own
+    buffers: read only, valid until the next step or write. ``env_ids`` are int64 indices (n,), a mask (N,) bool with
+    values of all environments, or None for all. The solver trusts its caller, as an engine does.
+    """
+
+    @abstractmethod
+    def positions(self, deformable: int) -> Tensor:
+        """(N, P, 3) m of the scene's deformable of that index."""
+
+    @abstractmethod
+    def velocities(self, deformable: int) -> Tensor:
+        """(N, P, 3) m/s."""
+
+    @abstractmethod
+    def write(self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None = None) -> None:
+        """Set (n, P, 3) positions and velocities."""
+
+    @abstractmethod
+    def anchor(
+        self, deformable: int, particles: Tensor, link: int | None, link_poses: Tensor, env_ids: Tensor | None = None
+    ) -> None:
+        """Hold particles (k,) where they are to a link, at ``link_poses`` (N, L, 7), or to the world if None."""
+
+    @abstractmethod
+    def release(self, deformable: int, particles: Tensor, env_ids: Tensor | None = None) -> None:
+        """Let particles (k,) go, of which some may not be held."""
+
+    @abstractmethod
+    def set_parameter(self, deformable: int, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
+        """Set (n,) of one of :data:`PARAMETERS`; outlasts resets."""
+
+    @abstractmethod
+    def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
+        """Gravity (n, 3) in m/s^2."""
+
+    @abstractmethod
+    def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:
+        """Friction (n, k) of all shapes of links (k,); index TERRAIN sets the terrain's."""
+
+    @abstractmethod
+    def reset(self, link_poses: Tensor, env_ids: Tensor | None = None) -> None:
+        """Put environments, with links at ``link_poses`` (N, L, 7), into the initial state; what is held stays held."""
+
+    @abstractmethod
+    def step(self, before: Tensor, after: Tensor) -> None:
+        """Advance by one physics step, in which links went from poses ``before`` to ``after``, (N, L, 7) each."""
+
+    @property
+    @abstractmethod
+    def wrenches(self) -> Tensor:
+        """(N, L, 6) force and torque about the link frame's origin, world axes, on each link, mean of the last step."""
+
+    @property
+    @abstractmethod
+    def contact_forces(self) -> Tensor:
+        """(N, D, L, 3) newtons that each deformable exerts on each link, in world axes, mean of the last step."""
+
+    @abstractmethod
+    def diverged(self) -> Tensor:
+        """(N, D) bool: which deformables are beyond the bounds of :mod:`orbit_core.interfaces.divergence`."""
+
+    @abstractmethod
+    def save_state(self) -> Any:
+        """Everything that the continuation depends on, detached."""
+
+    @abstractmethod
+    def load_state(self, state: Any) -> None:
+        """Return to a saved state."""
+
+    @property
+    def build_report(self) -> tuple[Approximation, ...]:
+        """What the solver could not take exactly as the scene asked."""
+        return ()
+
+    def close(self) -> None:
+        """Free what it holds; idempotent."""
+
+
+PARAMETERS = ("density", "stiffness", "bending", "friction")
+"""Of a deformable in one environment: scales of mass, of membrane or axial stiffness and of bending stiffness, whose
+nominal value is 1, and the coefficient of friction itself."""
+
+
+class MatterSolver(ABC):
+    """A plugin that makes :class:`Matter`. Importing and making one must not import what it computes with."""
+
+    name: ClassVar[str]
+    config_type: ClassVar[type]
+    """The dataclass of the solver's own settings; every field has a default."""
+
+    @abstractmethod
+    def capabilities(self) -> Capabilities:
+        """What of :data:`~orbit_core.interfaces.requirements.MATTER` it can do, with reasons."""
+
+    def versions(self) -> dict[str, str]:
+        """Installed distributions that results depend on, with their versions."""
+        return {}
+
+    @abstractmethod
+    def create(self, layout: SceneLayout, num_envs: int, device: torch.device, config: Any) -> Matter:
+        """Make the deformables of ``num_envs`` copies of the scene. ``config`` is of ``config_type``."""

@@ -1,0 +1,8 @@
+"""Cloth and rope by small-step XPBD, for any physics engine. Importing this package does not import Warp."""
+
+from __future__ import annotations
+
+from orbit_matter.config import MatterConfig
+from orbit_matter.plugin import OrbitMatter
+
+__all__ = ["MatterConfig", "OrbitMatter"]

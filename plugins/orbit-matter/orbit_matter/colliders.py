@@ -1,0 +1,110 @@
+"""The collision shapes of a scene as kernels take them."""
+
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false
+# Warp's arrays and structs carry their types at run time.
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+import warp as wp
+
+from orbit_core.interfaces import TERRAIN, SceneLayout
+from orbit_core.scene import (
+    Box,
+    Capsule,
+    Cylinder,
+    HeightField,
+    Mesh,
+    MeshCollision,
+    Plane,
+    Pose,
+    Shape,
+    Sphere,
+)
+from orbit_matter.surfaces import BOX, CAPSULE, CYLINDER, HEIGHT_FIELD, MESH, PLANE, SPHERE, Shapes
+
+_ENDLESS = 1e6
+"""Metres; the reach of what is near everything."""
+
+
+class Colliders:
+    """All shapes of each kind of environment, links' first, then the terrain's."""
+
+    def __init__(self, layout: SceneLayout, device: wp.Device) -> None:
+        self._device = device
+        self._meshes: list[wp.Mesh] = []
+        """Kept, for the kernels know them by number alone."""
+        self._heights: list[np.ndarray] = []
+        kinds = [_shapes_of(variant) for variant in layout.variants]
+        self.count = max(1, *(len(shapes) for shapes in kinds))
+        self.kinds = len(kinds)
+        self.links = np.full((self.kinds, self.count), TERRAIN, np.int64)
+        """(K, S) link of each shape, or TERRAIN."""
+        self.friction = np.zeros((self.kinds, self.count), np.float32)
+        self.shapes = self._assembled(kinds, len(layout.links))
+
+    def _assembled(self, kinds: list[list[tuple[Shape, int]]], terrain: int) -> Shapes:
+        shape = (self.kinds, self.count)
+        form, rows = np.full(shape, int(SPHERE), np.int32), np.zeros((*shape, 3), np.int32)
+        link, mesh = np.full(shape, terrain, np.int32), np.zeros(shape, np.uint64)
+        pose, size = np.zeros((*shape, 7), np.float32), np.zeros((*shape, 3), np.float32)
+        pose[..., 6] = 1.0
+        reach = np.full(shape, -_ENDLESS, np.float32)  # where a kind has fewer shapes: near nothing
+        for k, shapes in enumerate(kinds):
+            for s, (own, number) in enumerate(shapes):
+                form[k, s], size[k, s], reach[k, s], mesh[k, s], rows[k, s] = self._form(own)
+                pose[k, s] = _transform(own.pose)
+                self.links[k, s] = number
+                link[k, s] = terrain if number == TERRAIN else number
+                self.friction[k, s] = own.material.dynamic_friction
+        made = Shapes()
+        with wp.ScopedDevice(self._device):
+            made.kind, made.link = wp.array(form, dtype=int), wp.array(link, dtype=int)
+            made.pose = wp.array(pose, dtype=wp.transform)
+            made.size, made.reach = wp.array(size, dtype=wp.vec3), wp.array(reach, dtype=float)
+            made.mesh, made.rows = wp.array(mesh, dtype=wp.uint64), wp.array(rows, dtype=wp.vec3i)
+            heights = np.concatenate([np.zeros(1, np.float32), *self._heights])
+            made.heights = wp.array(heights, dtype=float)
+        return made
+
+    def _form(self, shape: Shape) -> tuple[int, tuple[float, float, float], float, int, tuple[int, int, int]]:
+        """Kind, size, reach, mesh and place among the height fields."""
+        match shape.geometry:
+            case Box(half_extents=half):
+                return int(BOX), half, float(np.linalg.norm(half)), 0, (0, 0, 0)
+            case Sphere(radius=r):
+                return int(SPHERE), (r, 0.0, 0.0), r, 0, (0, 0, 0)
+            case Capsule(radius=r, half_length=h):
+                return int(CAPSULE), (r, h, 0.0), r + h, 0, (0, 0, 0)
+            case Cylinder(radius=r, half_length=h):
+                return int(CYLINDER), (r, h, 0.0), float(np.hypot(r, h)), 0, (0, 0, 0)
+            case Plane():
+                return int(PLANE), (0.0, 0.0, 0.0), _ENDLESS, 0, (0, 0, 0)
+            case HeightField(heights=heights, size=(x, y)):
+                start = 1 + sum(len(each) for each in self._heights)
+                self._heights.append(np.asarray(heights, np.float32).ravel())
+                return int(HEIGHT_FIELD), (x, y, 0.0), _ENDLESS, 0, (start, *heights.shape)
+            case Mesh() as mesh:
+                reach = float(np.linalg.norm(mesh.vertices, axis=1).max())
+                return int(MESH), (0.0, 0.0, 0.0), reach, self._mesh(mesh), (0, 0, 0)
+
+    def _mesh(self, mesh: Mesh) -> int:
+        vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)
+        if mesh.collision is MeshCollision.CONVEX_HULL:
+            hull = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).convex_hull
+            vertices, faces = np.asarray(hull.vertices, np.float32), np.asarray(hull.faces, np.int32)
+        with wp.ScopedDevice(self._device):
+            points, indices = wp.array(vertices, dtype=wp.vec3), wp.array(faces.ravel(), dtype=int)
+            self._meshes.append(wp.Mesh(points=points, indices=indices))
+        return int(self._meshes[-1].id)
+
+
+def _shapes_of(layout: SceneLayout) -> list[tuple[Shape, int]]:
+    links = [(shape, n) for n, link in enumerate(layout.links) for shape in link.collisions]
+    return links + [(shape, TERRAIN) for shape in layout.scene.terrain]
+
+
+def _transform(pose: Pose) -> tuple[float, ...]:
+    w, x, y, z = pose.orientation
+    return (*pose.position, x, y, z, w)

@@ -1,0 +1,157 @@
+"""Particles against the surfaces of links and terrain: compliant, with Coulomb friction, felt by the links.
+
+All surfaces that a particle is in are solved together, so that a particle between two fingers rests where their forces
+cancel: it minimises ``m |x - x'|^2 / (2 h^2) + sum k depth^2 / 2``. Friction then undoes what a particle moved along a
+surface in the substep, as far as Coulomb's cone lets it; a particle that holds does not creep.
+"""
+
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
+
+from __future__ import annotations
+
+import warp as wp
+
+from orbit_matter.kernels import FREE, HELD, Links, Particles, mass_of, target
+from orbit_matter.surfaces import PLANE, HEIGHT_FIELD, Shapes, distance
+
+NEAREST = wp.constant(6)
+"""Shapes that one particle may be near at a time; those met first count."""
+MARGIN = wp.constant(0.005)
+"""Metres, beside what particle and shape move, within which a shape is looked at in a physics step."""
+
+Normals = wp.types.matrix(shape=(6, 3), dtype=float)
+Depths = wp.types.vector(length=6, dtype=float)
+
+
+@wp.struct
+class Felt:
+    """What links feel, mean over the substeps of a physics step."""
+
+    forces: wp.array3d[wp.vec3]
+    """(N, D, L)"""
+    torques: wp.array2d[wp.vec3]
+    """(N, L) about the link frame's origin."""
+    friction: wp.array2d[float]
+    """(N, S) of each shape."""
+    near: wp.array3d[int]
+    """(N, P, NEAREST) shapes that a particle may meet in this physics step; -1 for none."""
+
+
+@wp.kernel(enable_backward=False)
+def find_near(p: Particles, links: Links, shapes: Shapes, felt: Felt, step: float):
+    """Which shapes each particle may meet. ``links.shape`` are at the step's end, ``shape_before`` at its beginning."""
+    env, i = wp.tid()
+    kind = env % shapes.kind.shape[0]
+    x, count = p.x[env, i], int(0)
+    moved = wp.length(p.v[env, i]) * step + p.radius[i] + MARGIN
+    for s in range(shapes.kind.shape[1]):
+        before, after = links.shape_before[env, s], links.shape[env, s]
+        way = wp.length(wp.transform_get_translation(after) - wp.transform_get_translation(before))
+        reach = shapes.reach[kind, s] + moved + way
+        local = wp.transform_point(wp.transform_inverse(after), x)
+        close = wp.length(local) < reach
+        if close and shapes.kind[kind, s] < PLANE:
+            close = distance(shapes, kind, s, local, reach)[3] < moved + way
+        if shapes.kind[kind, s] == PLANE:
+            close = local[2] < moved
+        if close and count < NEAREST:
+            felt.near[env, i, count] = s
+            count += 1
+    for k in range(count, NEAREST):
+        felt.near[env, i, k] = -1
+
+
+@wp.func
+def feel(felt: Felt, links: Links, shapes: Shapes, env: int, owner: int, link: int, x: wp.vec3, force: wp.vec3):
+    """Add the force on a link at a point."""
+    if link < felt.torques.shape[1]:
+        wp.atomic_add(felt.forces, env, owner, link, force)
+        arm = x - wp.transform_get_translation(links.link[env, link])
+        wp.atomic_add(felt.torques, env, link, wp.cross(arm, force))
+
+
+@wp.kernel(enable_backward=False)
+def finish(
+    p: Particles,
+    links: Links,
+    shapes: Shapes,
+    felt: Felt,
+    gravity: wp.array[wp.vec3],
+    stiffness: float,
+    h: float,
+    share: float,
+):
+    """The end of a substep: what is held goes back, contacts are solved, displacements become velocities."""
+    env, i = wp.tid()
+    inertia = mass_of(p, env, i) / (h * h)
+    link = p.anchor[env, i]
+    if link != FREE:
+        goal = target(p, links, env, i)
+        pulled = p.x[env, i] + p.d[env, i] - goal
+        if link >= 0:
+            force = (pulled * (inertia * HELD) + gravity[env] * mass_of(p, env, i)) * share
+            feel(felt, links, shapes, env, p.owner[i], link, goal, force)
+        p.d[env, i] = goal - p.x[env, i]
+    elif felt.near[env, i, 0] >= 0:
+        solve_contacts(p, links, shapes, felt, env, i, inertia, stiffness, share)
+    p.v[env, i] = p.d[env, i] / h
+    p.x[env, i] = p.x[env, i] + p.d[env, i]
+
+
+@wp.func
+def solve_contacts(
+    p: Particles,
+    links: Links,
+    shapes: Shapes,
+    felt: Felt,
+    env: int,
+    i: int,
+    inertia: float,
+    stiffness: float,
+    share: float,
+):
+    kind = env % shapes.kind.shape[0]
+    x = p.x[env, i] + p.d[env, i]
+    normals, depths = Normals(), Depths()
+    # Twice: the first pass finds surfaces at the place without contact, the second those that then still push.
+    moved = wp.vec3()
+    for attempt in range(2):
+        matrix = wp.identity(n=3, dtype=float) * inertia
+        pushes = wp.vec3()
+        for k in range(NEAREST):
+            s = felt.near[env, i, k]
+            if s >= 0:
+                if attempt == 0:
+                    pose = links.shape[env, s]
+                    local = wp.transform_point(wp.transform_inverse(pose), x)
+                    found = distance(shapes, kind, s, local, 10.0 * p.radius[i] + MARGIN)
+                    n = wp.transform_vector(pose, wp.vec3(found[0], found[1], found[2]))
+                    depths[k] = p.radius[i] - found[3]
+                    for axis in range(3):
+                        normals[k, axis] = n[axis]
+                n = wp.vec3(normals[k, 0], normals[k, 1], normals[k, 2])
+                if depths[k] > 0.0 and depths[k] - wp.dot(n, moved) > 0.0:
+                    matrix += wp.outer(n, n) * stiffness
+                    pushes += n * (stiffness * depths[k])
+        moved = wp.inverse(matrix) * pushes
+    d = p.d[env, i] + moved
+    for k in range(NEAREST):
+        s = felt.near[env, i, k]
+        if s >= 0:
+            n = wp.vec3(normals[k, 0], normals[k, 1], normals[k, 2])
+            normal = stiffness * (depths[k] - wp.dot(n, moved))
+            if depths[k] > 0.0 and normal > 0.0:
+                here = p.x[env, i] + d
+                there = wp.transform_point(links.shape_before[env, s], wp.transform_point(wp.transform_inverse(links.shape[env, s]), here))
+                slid = d - (here - there)
+                slid = slid - n * wp.dot(n, slid)
+                friction = wp.max(p.parameters[env, p.owner[i], 3], felt.friction[env, s])
+                way, limit = wp.length(slid), friction * normal / inertia
+                if way > limit:
+                    slid = slid * (limit / way)
+                d = d - slid
+                force = -(n * normal - slid * inertia) * share
+                feel(felt, links, shapes, env, p.owner[i], shapes.link[kind, s], here, force)
+    p.d[env, i] = d

@@ -1,0 +1,333 @@
+"""One substep of extended position-based dynamics, as launches over environments and particles or constraints.
+
+Macklin et al., "XPBD: position-based simulation of compliant constrained dynamics" (2016) and "Small steps in physics
+simulation" (2019). Positions stand still during a substep and displacements gather beside them, so that velocities keep
+their digits wherever in the world a particle is. Multipliers (force times substep squared) of the last substep are
+applied first, which makes a hanging thing's stretch that of its material and not of the number of iterations.
+"""
+
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
+
+from __future__ import annotations
+
+import warp as wp
+
+from orbit_matter.surfaces import Shapes
+
+HELD = wp.constant(100.0)
+"""Times its mass that a held particle counts in constraints: it hardly moves, and what pulls it back is the force that
+holds it."""
+FREE = wp.constant(-2)
+"""In the place of the link that holds a particle: none does."""
+WORLD = wp.constant(-1)
+
+
+@wp.struct
+class Particles:
+    """State of (N, P) particles, and what does not differ between environments."""
+
+    x: wp.array2d[wp.vec3]
+    d: wp.array2d[wp.vec3]
+    """Displacement in this substep."""
+    v: wp.array2d[wp.vec3]
+    anchor: wp.array2d[int]
+    """Link that holds it, WORLD or FREE."""
+    place: wp.array2d[wp.vec3]
+    """Where it is held, in the link's frame."""
+    mass: wp.array[float]
+    radius: wp.array[float]
+    damping: wp.array[float]
+    owner: wp.array[int]
+    parameters: wp.array3d[float]
+    """(N, D, 4) scales of mass, stiffness and bending stiffness, and friction."""
+
+
+@wp.struct
+class Links:
+    """Where links and shapes are, at both ends of the substep. Link L is the terrain."""
+
+    start: wp.array3d[float]
+    """(N, L, 7) at the beginning of the physics step."""
+    end: wp.array3d[float]
+    link: wp.array2d[wp.transform]
+    """(N, L + 1) at the end of the substep."""
+    shape: wp.array2d[wp.transform]
+    """(N, S)"""
+    shape_before: wp.array2d[wp.transform]
+
+
+@wp.func
+def mass_of(p: Particles, env: int, i: int) -> float:
+    """Kilograms of a particle in its environment."""
+    return p.mass[i] * p.parameters[env, p.owner[i], 0]
+
+
+@wp.func
+def inverse_mass(p: Particles, env: int, i: int) -> float:
+    """As constraints take it."""
+    w = 1.0 / mass_of(p, env, i)
+    if p.anchor[env, i] != FREE:
+        w = w / HELD
+    return w
+
+
+@wp.func
+def pose_between(start: wp.array3d[float], end: wp.array3d[float], env: int, link: int, share: float) -> wp.transform:
+    """Evenly on the way from one pose (w, x, y, z) to the other."""
+    a, b = start, end
+    p0 = wp.vec3(a[env, link, 0], a[env, link, 1], a[env, link, 2])
+    p1 = wp.vec3(b[env, link, 0], b[env, link, 1], b[env, link, 2])
+    q0 = wp.quat(a[env, link, 4], a[env, link, 5], a[env, link, 6], a[env, link, 3])
+    q1 = wp.quat(b[env, link, 4], b[env, link, 5], b[env, link, 6], b[env, link, 3])
+    if wp.dot(q0, q1) < 0.0:
+        q1 = -q1
+    return wp.transform(p0 + (p1 - p0) * share, wp.normalize(q0 * (1.0 - share) + q1 * share))
+
+
+@wp.kernel(enable_backward=False)
+def place_links(links: Links, count: int, share: float):
+    env, link = wp.tid()
+    pose = wp.transform_identity()
+    if link < count:
+        pose = pose_between(links.start, links.end, env, link, share)
+    links.link[env, link] = pose
+
+
+@wp.kernel(enable_backward=False)
+def place_shapes(links: Links, shapes: Shapes, first: int):
+    env, shape = wp.tid()
+    kind = env % shapes.kind.shape[0]
+    if first == 0:
+        links.shape_before[env, shape] = links.shape[env, shape]
+    links.shape[env, shape] = links.link[env, shapes.link[kind, shape]] * shapes.pose[kind, shape]
+    if first == 1:
+        links.shape_before[env, shape] = links.shape[env, shape]
+
+
+@wp.kernel(enable_backward=False)
+def predict(p: Particles, links: Links, gravity: wp.array[wp.vec3], h: float):
+    """Where particles would go without forces between them; what is held goes with what holds it."""
+    env, i = wp.tid()
+    link = p.anchor[env, i]
+    if link == FREE:
+        v = (p.v[env, i] + gravity[env] * h) * wp.exp(-p.damping[i] * h)
+        p.d[env, i] = v * h
+    else:
+        p.d[env, i] = target(p, links, env, i) - p.x[env, i]
+
+
+@wp.kernel(enable_backward=False)
+def hold(p: Particles, links: Links, chosen: wp.array[bool]):
+    """What is held is held where it is, by links at their poses ``links.end``."""
+    env, i = wp.tid()
+    link = p.anchor[env, i]
+    if chosen[env] and link != FREE:
+        place = p.x[env, i]
+        if link != WORLD:
+            pose = pose_between(links.end, links.end, env, link, 0.0)
+            place = wp.transform_point(wp.transform_inverse(pose), place)
+        p.place[env, i] = place
+
+
+@wp.func
+def target(p: Particles, links: Links, env: int, i: int) -> wp.vec3:
+    """Where a held particle is to be at the end of the substep."""
+    link = p.anchor[env, i]
+    if link == WORLD:
+        return p.place[env, i]
+    return wp.transform_point(links.link[env, link], p.place[env, i])
+
+
+@wp.func
+def at(p: Particles, env: int, i: int) -> wp.vec3:
+    """Where a particle is now."""
+    return p.x[env, i] + p.d[env, i]
+
+
+@wp.func
+def push(p: Particles, env: int, i: int, by: wp.vec3):
+    """Displace a particle, whoever else does so at the same time."""
+    wp.atomic_add(p.d, env, i, by)
+
+
+# Triangles ---------------------------------------------------------------------------------------------------------
+
+
+@wp.struct
+class Triangles:
+    """Saint Venant-Kirchhoff membranes: three strains of each triangle."""
+
+    particles: wp.array2d[int]
+    weights: wp.array2d[float]
+    owner: wp.array[int]
+    multipliers: wp.array2d[wp.vec3]
+    """(N, T)"""
+
+
+@wp.struct
+class Stretch:
+    """Deformed axes of a triangle, and how its particles move them."""
+
+    f0: wp.vec3
+    f1: wp.vec3
+    a0: float
+    a1: float
+    b0: float
+    b1: float
+
+
+@wp.func
+def stretch_of(p: Particles, t: Triangles, env: int, c: int) -> Stretch:
+    s = Stretch()
+    base = at(p, env, t.particles[c, 0])
+    e1, e2 = at(p, env, t.particles[c, 1]) - base, at(p, env, t.particles[c, 2]) - base
+    s.a0 = t.weights[c, 0]
+    s.a1 = t.weights[c, 1]
+    s.b0 = t.weights[c, 2]
+    s.b1 = t.weights[c, 3]
+    s.f0 = e1 * s.a0 + e2 * s.b0
+    s.f1 = e1 * s.a1 + e2 * s.b1
+    return s
+
+
+@wp.func
+def pull_triangle(p: Particles, t: Triangles, env: int, c: int, s: Stretch, change: wp.vec3):
+    """Move the particles by a change of multipliers."""
+    # Gradients: of strains (f0.f0 - 1)/2, (f1.f1 - 1)/2 and f0.f1.
+    g1 = s.f0 * (s.a0 * change[0] + s.a1 * change[2]) + s.f1 * (s.a1 * change[1] + s.a0 * change[2])
+    g2 = s.f0 * (s.b0 * change[0] + s.b1 * change[2]) + s.f1 * (s.b1 * change[1] + s.b0 * change[2])
+    i, j, k = t.particles[c, 0], t.particles[c, 1], t.particles[c, 2]
+    push(p, env, i, -(g1 + g2) * inverse_mass(p, env, i))
+    push(p, env, j, g1 * inverse_mass(p, env, j))
+    push(p, env, k, g2 * inverse_mass(p, env, k))
+
+
+@wp.kernel(enable_backward=False)
+def warm_triangles(p: Particles, t: Triangles, share: float):
+    env, c = wp.tid()
+    change = t.multipliers[env, c] * share
+    t.multipliers[env, c] = change
+    pull_triangle(p, t, env, c, stretch_of(p, t, env, c), change)
+
+
+@wp.kernel(enable_backward=False)
+def solve_triangles(p: Particles, t: Triangles, first: int, h: float):
+    env, number = wp.tid()
+    c = first + number
+    s = stretch_of(p, t, env, c)
+    w0 = inverse_mass(p, env, t.particles[c, 0])
+    w1 = inverse_mass(p, env, t.particles[c, 1])
+    w2 = inverse_mass(p, env, t.particles[c, 2])
+    # f0 and f1 move by M times a force on them, where M = A W A^T; J W J^T follows from it.
+    m00 = w0 * (s.a0 + s.b0) * (s.a0 + s.b0) + w1 * s.a0 * s.a0 + w2 * s.b0 * s.b0
+    m01 = w0 * (s.a0 + s.b0) * (s.a1 + s.b1) + w1 * s.a0 * s.a1 + w2 * s.b0 * s.b1
+    m11 = w0 * (s.a1 + s.b1) * (s.a1 + s.b1) + w1 * s.a1 * s.a1 + w2 * s.b1 * s.b1
+    l0, l1, x = wp.dot(s.f0, s.f0), wp.dot(s.f1, s.f1), wp.dot(s.f0, s.f1)
+    soft = t.weights[c, 4] / (h * h * p.parameters[env, t.owner[c], 1])
+    nu = t.weights[c, 5]
+    k00 = m00 * l0 + soft
+    k11 = m11 * l1 + soft
+    k22 = m00 * l1 + 2.0 * m01 * x + m11 * l0 + 2.0 * (1.0 + nu) * soft
+    k01 = m01 * x - nu * soft
+    k02 = m00 * x + m01 * l0
+    k12 = m01 * l1 + m11 * x
+    old = t.multipliers[env, c]
+    residual = wp.vec3(
+        0.5 * (l0 - 1.0) + soft * (old[0] - nu * old[1]),
+        0.5 * (l1 - 1.0) + soft * (old[1] - nu * old[0]),
+        x + 2.0 * (1.0 + nu) * soft * old[2],
+    )
+    change = -(wp.inverse(wp.mat33(k00, k01, k02, k01, k11, k12, k02, k12, k22)) * residual)
+    t.multipliers[env, c] = old + change
+    pull_triangle(p, t, env, c, s, change)
+
+
+# Edges of ropes ------------------------------------------------------------------------------------------------------
+
+
+@wp.struct
+class Edges:
+    """Distances between particles."""
+
+    particles: wp.array2d[int]
+    weights: wp.array2d[float]
+    owner: wp.array[int]
+    multipliers: wp.array2d[float]
+
+
+@wp.func
+def pull_edge(p: Particles, e: Edges, env: int, c: int, change: float):
+    i, j = e.particles[c, 0], e.particles[c, 1]
+    n = wp.normalize(at(p, env, j) - at(p, env, i))
+    push(p, env, i, -n * (inverse_mass(p, env, i) * change))
+    push(p, env, j, n * (inverse_mass(p, env, j) * change))
+
+
+@wp.kernel(enable_backward=False)
+def warm_edges(p: Particles, e: Edges, share: float):
+    env, c = wp.tid()
+    change = e.multipliers[env, c] * share
+    e.multipliers[env, c] = change
+    pull_edge(p, e, env, c, change)
+
+
+@wp.kernel(enable_backward=False)
+def solve_edges(p: Particles, e: Edges, first: int, h: float):
+    env, number = wp.tid()
+    c = first + number
+    i, j = e.particles[c, 0], e.particles[c, 1]
+    soft = e.weights[c, 1] / (h * h * p.parameters[env, e.owner[c], 1])
+    w = inverse_mass(p, env, i) + inverse_mass(p, env, j)
+    length = wp.length(at(p, env, j) - at(p, env, i))
+    old = e.multipliers[env, c]
+    change = -(length - e.weights[c, 0] + soft * old) / (w + soft)
+    e.multipliers[env, c] = old + change
+    pull_edge(p, e, env, c, change)
+
+
+# Bending -------------------------------------------------------------------------------------------------------------
+
+
+@wp.struct
+class Bends:
+    """Curvatures, linear in the positions of four particles."""
+
+    particles: wp.array2d[int]
+    weights: wp.array2d[float]
+    owner: wp.array[int]
+    multipliers: wp.array2d[wp.vec3]
+
+
+@wp.func
+def pull_bend(p: Particles, b: Bends, env: int, c: int, change: wp.vec3):
+    for k in range(4):
+        i = b.particles[c, k]
+        if b.weights[c, k] != 0.0:
+            push(p, env, i, change * (b.weights[c, k] * inverse_mass(p, env, i)))
+
+
+@wp.kernel(enable_backward=False)
+def warm_bends(p: Particles, b: Bends, share: float):
+    env, c = wp.tid()
+    change = b.multipliers[env, c] * share
+    b.multipliers[env, c] = change
+    pull_bend(p, b, env, c, change)
+
+
+@wp.kernel(enable_backward=False)
+def solve_bends(p: Particles, b: Bends, first: int, h: float):
+    env, number = wp.tid()
+    c = first + number
+    curvature, w = wp.vec3(), float(0.0)
+    for k in range(4):
+        i = b.particles[c, k]
+        weight = b.weights[c, k]
+        curvature += at(p, env, i) * weight
+        w += inverse_mass(p, env, i) * weight * weight
+    soft = b.weights[c, 4] / (h * h * p.parameters[env, b.owner[c], 2])
+    old = b.multipliers[env, c]
+    change = -(curvature + old * soft) / (w + soft)
+    b.multipliers[env, c] = old + change
+    pull_bend(p, b, env, c, change)

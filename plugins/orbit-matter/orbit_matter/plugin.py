@@ -1,0 +1,45 @@
+"""What the entry point names."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+from orbit_core.interfaces.capabilities import EXACT, Capabilities, Capability, approximate, unsupported
+from orbit_core.interfaces.matter import Matter, MatterSolver
+from orbit_matter.config import MatterConfig
+
+if TYPE_CHECKING:
+    import torch
+
+    from orbit_core.interfaces import SceneLayout
+
+_DECLARED = {
+    Capability.CLOTH: approximate(
+        "solids meet its particles and not its triangles, so that edges and corners finer than the mesh poke through; "
+        "it is flat at rest, and one that touches itself is kept apart by its particles' distances"
+    ),
+    Capability.ROPES: approximate("it does not resist twist, and solids meet its particles alone"),
+    Capability.SOFT_BODIES: unsupported("solids are not simulated by it"),
+    Capability.FLUIDS: unsupported("fluids are not simulated by it"),
+    Capability.GPU: EXACT,
+    Capability.SNAPSHOTS: EXACT,
+}
+
+
+class OrbitMatter(MatterSolver):
+    """Cloth and rope by small-step XPBD."""
+
+    name = "orbit-matter"
+    config_type = MatterConfig
+
+    def capabilities(self) -> Capabilities:
+        return Capabilities(_DECLARED)
+
+    def versions(self) -> dict[str, str]:
+        return {"warp-lang": version("warp-lang")}
+
+    def create(self, layout: SceneLayout, num_envs: int, device: torch.device, config: MatterConfig) -> Matter:
+        from orbit_matter.matter import ParticleMatter
+
+        return ParticleMatter(layout, num_envs, device, config)
