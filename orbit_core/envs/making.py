@@ -40,5 +40,16 @@ def make(
         task = configure(task_entry(task).task_type(), fields)
     elif fields:
         raise ConfigurationError(f"set {', '.join(fields)} on the task itself: it is given configured")
-    common = (device, seed, renderer, settings, renderer_settings, compile, check_finite, world, matter, matter_settings)
+    common = (
+        device,
+        seed,
+        renderer,
+        settings,
+        renderer_settings,
+        compile,
+        check_finite,
+        world,
+        matter,
+        matter_settings,
+    )
     return Environment(task, num_envs, backend, *common)

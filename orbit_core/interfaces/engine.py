@@ -226,9 +226,7 @@ class Engine(Watched, ABC):
         raise self._unsupported("anchors of particles")
 
     @changes("values")
-    def set_particle_parameter(
-        self, deformable: int, name: str, values: Tensor, env_ids: Tensor | None = None
-    ) -> None:
+    def set_particle_parameter(self, deformable: int, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
         """Set (n,) of one of a deformable's parameters (:data:`orbit_core.interfaces.matter.PARAMETERS`)."""
         raise self._unsupported("parameters of deformables per environment")
 

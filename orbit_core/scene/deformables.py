@@ -30,7 +30,9 @@ class KeyPoint:
 
     def __post_init__(self) -> None:
         if not self.particles or (self.weights and len(self.weights) != len(self.particles)):
-            raise ValueError(f"key point '{self.name}' has {len(self.weights)} weights of {len(self.particles)} particles")
+            raise ValueError(
+                f"key point '{self.name}' has {len(self.weights)} weights of {len(self.particles)} particles"
+            )
 
 
 @dataclass(frozen=True)

@@ -244,9 +244,7 @@ class CoupledEngine(Engine):
     def release_particles(self, deformable: int, particles: Tensor, env_ids: Tensor | None = None) -> None:
         self._matter.release(deformable, particles, env_ids)
 
-    def set_particle_parameter(
-        self, deformable: int, name: str, values: Tensor, env_ids: Tensor | None = None
-    ) -> None:
+    def set_particle_parameter(self, deformable: int, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
         self._matter.set_parameter(deformable, name, values, env_ids)
 
     def particle_forces(self, deformable: int) -> Tensor:
@@ -284,4 +282,3 @@ def _moving(spec: Any, first: int) -> list[int]:
     """Links of an entity that a wrench may move."""
     fixed = {0} if spec.fixed_base else set()
     return [first + n for n, link in enumerate(spec.articulation.links) if n not in fixed and link.mass > 0.0]
-

@@ -144,7 +144,9 @@ def solve_contacts(
             normal = stiffness * (depths[k] - wp.dot(n, moved))
             if depths[k] > 0.0 and normal > 0.0:
                 here = p.x[env, i] + d
-                there = wp.transform_point(links.shape_before[env, s], wp.transform_point(wp.transform_inverse(links.shape[env, s]), here))
+                there = wp.transform_point(
+                    links.shape_before[env, s], wp.transform_point(wp.transform_inverse(links.shape[env, s]), here)
+                )
                 slid = d - (here - there)
                 slid = slid - n * wp.dot(n, slid)
                 friction = wp.max(p.parameters[env, p.owner[i], 3], felt.friction[env, s])

@@ -1,9 +1,9 @@
 """One substep of extended position-based dynamics, as launches over environments and particles or constraints.
 
 Macklin et al., "XPBD: position-based simulation of compliant constrained dynamics" (2016) and "Small steps in physics
-simulation" (2019). Positions stand still during a substep and displacements gather beside them, so that velocities keep
-their digits wherever in the world a particle is. Multipliers (force times substep squared) of the last substep are
-applied first, which makes a hanging thing's stretch that of its material and not of the number of iterations.
+simulation" (2019): one sweep over all constraints in each of many substeps, whose multipliers start from zero. Positions
+stand still during a substep and displacements gather beside them, so that velocities keep their digits wherever in the
+world a particle is.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
@@ -148,8 +148,8 @@ def at(p: Particles, env: int, i: int) -> wp.vec3:
 
 @wp.func
 def push(p: Particles, env: int, i: int, by: wp.vec3):
-    """Displace a particle, whoever else does so at the same time."""
-    wp.atomic_add(p.d, env, i, by)
+    """Displace a particle, which no other constraint of the colour does."""
+    p.d[env, i] = p.d[env, i] + by
 
 
 # Triangles ---------------------------------------------------------------------------------------------------------
@@ -162,8 +162,6 @@ class Triangles:
     particles: wp.array2d[int]
     weights: wp.array2d[float]
     owner: wp.array[int]
-    multipliers: wp.array2d[wp.vec3]
-    """(N, T)"""
 
 
 @wp.struct
@@ -205,14 +203,6 @@ def pull_triangle(p: Particles, t: Triangles, env: int, c: int, s: Stretch, chan
 
 
 @wp.kernel(enable_backward=False)
-def warm_triangles(p: Particles, t: Triangles, share: float):
-    env, c = wp.tid()
-    change = t.multipliers[env, c] * share
-    t.multipliers[env, c] = change
-    pull_triangle(p, t, env, c, stretch_of(p, t, env, c), change)
-
-
-@wp.kernel(enable_backward=False)
 def solve_triangles(p: Particles, t: Triangles, first: int, h: float):
     env, number = wp.tid()
     c = first + number
@@ -233,14 +223,8 @@ def solve_triangles(p: Particles, t: Triangles, first: int, h: float):
     k01 = m01 * x - nu * soft
     k02 = m00 * x + m01 * l0
     k12 = m01 * l1 + m11 * x
-    old = t.multipliers[env, c]
-    residual = wp.vec3(
-        0.5 * (l0 - 1.0) + soft * (old[0] - nu * old[1]),
-        0.5 * (l1 - 1.0) + soft * (old[1] - nu * old[0]),
-        x + 2.0 * (1.0 + nu) * soft * old[2],
-    )
-    change = -(wp.inverse(wp.mat33(k00, k01, k02, k01, k11, k12, k02, k12, k22)) * residual)
-    t.multipliers[env, c] = old + change
+    strain = wp.vec3(0.5 * (l0 - 1.0), 0.5 * (l1 - 1.0), x)
+    change = -(wp.inverse(wp.mat33(k00, k01, k02, k01, k11, k12, k02, k12, k22)) * strain)
     pull_triangle(p, t, env, c, s, change)
 
 
@@ -249,42 +233,60 @@ def solve_triangles(p: Particles, t: Triangles, first: int, h: float):
 
 @wp.struct
 class Edges:
-    """Distances between particles."""
+    """Distances between a rope's particles, in a row."""
 
     particles: wp.array2d[int]
     weights: wp.array2d[float]
     owner: wp.array[int]
-    multipliers: wp.array2d[float]
+    ranges: wp.array2d[int]
+    """(R, 2) first edge, and one past the last, of each rope."""
+    upper: wp.array2d[float]
+    """(N, E) scratch of the elimination, and the multipliers."""
+    value: wp.array2d[float]
 
 
 @wp.func
-def pull_edge(p: Particles, e: Edges, env: int, c: int, change: float):
-    i, j = e.particles[c, 0], e.particles[c, 1]
-    n = wp.normalize(at(p, env, j) - at(p, env, i))
-    push(p, env, i, -n * (inverse_mass(p, env, i) * change))
-    push(p, env, j, n * (inverse_mass(p, env, j) * change))
+def direction(p: Particles, e: Edges, env: int, c: int) -> wp.vec3:
+    return at(p, env, e.particles[c, 1]) - at(p, env, e.particles[c, 0])
 
 
 @wp.kernel(enable_backward=False)
-def warm_edges(p: Particles, e: Edges, share: float):
-    env, c = wp.tid()
-    change = e.multipliers[env, c] * share
-    e.multipliers[env, c] = change
-    pull_edge(p, e, env, c, change)
-
-
-@wp.kernel(enable_backward=False)
-def solve_edges(p: Particles, e: Edges, first: int, h: float):
-    env, number = wp.tid()
-    c = first + number
-    i, j = e.particles[c, 0], e.particles[c, 1]
-    soft = e.weights[c, 1] / (h * h * p.parameters[env, e.owner[c], 1])
-    w = inverse_mass(p, env, i) + inverse_mass(p, env, j)
-    length = wp.length(at(p, env, j) - at(p, env, i))
-    old = e.multipliers[env, c]
-    change = -(length - e.weights[c, 0] + soft * old) / (w + soft)
-    e.multipliers[env, c] = old + change
-    pull_edge(p, e, env, c, change)
+def solve_edges(p: Particles, e: Edges, h: float):
+    """All edges of a rope at once: their matrix is tridiagonal, and one elimination solves it (Thomas)."""
+    env, rope = wp.tid()
+    first, stop = e.ranges[rope, 0], e.ranges[rope, 1]
+    before, coupling = wp.vec3(), float(0.0)
+    for c in range(first, stop):
+        arm = direction(p, e, env, c)
+        length = wp.length(arm)
+        n = arm / length
+        w0 = inverse_mass(p, env, e.particles[c, 0])
+        w1 = inverse_mass(p, env, e.particles[c, 1])
+        soft = e.weights[c, 1] / (h * h * p.parameters[env, e.owner[c], 1])
+        pivot, value = w0 + w1 + soft, e.weights[c, 0] - length
+        if c > first:
+            coupling = -w0 * wp.dot(before, n)
+            pivot -= coupling * e.upper[env, c - 1]
+            value -= coupling * e.value[env, c - 1]
+        following = float(0.0)
+        if c + 1 < stop:
+            following = -w1 * wp.dot(n, wp.normalize(direction(p, e, env, c + 1)))
+        e.upper[env, c] = following / pivot
+        e.value[env, c] = value / pivot
+        before = n
+    multiplier = float(0.0)
+    for k in range(stop - first):
+        c = stop - 1 - k
+        multiplier = e.value[env, c] - e.upper[env, c] * multiplier
+        e.value[env, c] = multiplier
+    # A particle moves only after both edges at it were looked at, so that directions are those of the matrix.
+    behind, i = wp.vec3(), int(e.particles[first, 0])
+    for c in range(first, stop):
+        ahead = wp.normalize(direction(p, e, env, c)) * e.value[env, c]
+        push(p, env, i, (behind - ahead) * inverse_mass(p, env, i))
+        behind = ahead
+        i = int(e.particles[c, 1])
+    push(p, env, i, behind * inverse_mass(p, env, i))
 
 
 # Bending -------------------------------------------------------------------------------------------------------------
@@ -297,7 +299,6 @@ class Bends:
     particles: wp.array2d[int]
     weights: wp.array2d[float]
     owner: wp.array[int]
-    multipliers: wp.array2d[wp.vec3]
 
 
 @wp.func
@@ -306,14 +307,6 @@ def pull_bend(p: Particles, b: Bends, env: int, c: int, change: wp.vec3):
         i = b.particles[c, k]
         if b.weights[c, k] != 0.0:
             push(p, env, i, change * (b.weights[c, k] * inverse_mass(p, env, i)))
-
-
-@wp.kernel(enable_backward=False)
-def warm_bends(p: Particles, b: Bends, share: float):
-    env, c = wp.tid()
-    change = b.multipliers[env, c] * share
-    b.multipliers[env, c] = change
-    pull_bend(p, b, env, c, change)
 
 
 @wp.kernel(enable_backward=False)
@@ -327,7 +320,4 @@ def solve_bends(p: Particles, b: Bends, first: int, h: float):
         curvature += at(p, env, i) * weight
         w += inverse_mass(p, env, i) * weight * weight
     soft = b.weights[c, 4] / (h * h * p.parameters[env, b.owner[c], 2])
-    old = b.multipliers[env, c]
-    change = -(curvature + old * soft) / (w + soft)
-    b.multipliers[env, c] = old + change
-    pull_bend(p, b, env, c, change)
+    pull_bend(p, b, env, c, -curvature / (w + soft))

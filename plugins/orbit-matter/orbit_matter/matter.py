@@ -15,10 +15,10 @@ import warp as wp
 from torch import Tensor
 
 from orbit_core.plugin_kit.rows import take_rows, write_columns, write_rows
-from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, ConfigurationError, SceneLayout
+from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, SceneLayout
 from orbit_core.interfaces.matter import PARAMETERS, Matter
 from orbit_core.scene import Attachment
-from orbit_matter import contact, kernels
+from orbit_matter import contact, kernels, substeps
 from orbit_matter.colliders import Colliders
 from orbit_matter.config import MatterConfig
 from orbit_matter.model import Constraints, build
@@ -42,7 +42,8 @@ class ParticleMatter(Matter):
         start()
         self._layout, self._num_envs, self._device, self._config = layout, num_envs, device, config
         self._model = build(layout.scene)
-        self._substeps = max(1, math.ceil(layout.scene.physics_dt / config.substep - 1e-6))
+        longest = substeps.chosen(layout.scene) if config.substep is None else config.substep
+        self._substeps = max(1, math.ceil(layout.scene.physics_dt / longest - 1e-6))
         self._h = layout.scene.physics_dt / self._substeps
         self._graphs = Graphs(device, config.capture)
         self._colliders = Colliders(layout, self._graphs.device)
@@ -71,9 +72,6 @@ class ParticleMatter(Matter):
             "parameters": parameters,
             "gravity": torch.tensor(scene.gravity, **make).repeat(n, 1),
             "friction": torch.as_tensor(self._colliders.friction, **make)[kinds].contiguous(),
-            "triangles": torch.zeros(n, len(model.triangles.particles), 3, **make),
-            "edges": torch.zeros(n, len(model.edges.particles), **make),
-            "bends": torch.zeros(n, len(model.bends.particles), 3, **make),
             "forces": torch.zeros(n, len(scene.deformables), links, 3, **make),
             "torques": torch.zeros(n, links, 3, **make),
         }
@@ -117,9 +115,14 @@ class ParticleMatter(Matter):
             felt.torques = wp.from_torch(t["torques"], wp.vec3)
             felt.friction = wp.from_torch(t["friction"])
             felt.near = wp.full((n, p, int(contact.NEAREST)), -1, dtype=int)
-            self._triangles = _struct(kernels.Triangles(), model.triangles, wp.from_torch(t["triangles"], wp.vec3))
-            self._edges = _struct(kernels.Edges(), model.edges, wp.from_torch(t["edges"]))
-            self._bends = _struct(kernels.Bends(), model.bends, wp.from_torch(t["bends"], wp.vec3))
+            edges = self._edges = _struct(kernels.Edges(), model.edges)
+            edges.ranges = wp.array(np.array(model.edges.ranges, np.int32).reshape(-1, 2), dtype=int, ndim=2)
+            edges.upper = wp.zeros((n, len(model.edges.particles)), dtype=float)
+            edges.value = wp.zeros((n, len(model.edges.particles)), dtype=float)
+            self._constraints = (
+                (model.triangles, _struct(kernels.Triangles(), model.triangles), kernels.solve_triangles),
+                (model.bends, _struct(kernels.Bends(), model.bends), kernels.solve_bends),
+            )
 
     # Time ------------------------------------------------------------------------------------------------------------
 
@@ -151,18 +154,11 @@ class ParticleMatter(Matter):
         shapes = [self._links, self._colliders.shapes, 0]
         wp.launch(kernels.place_shapes, (n, self._colliders.count), inputs=shapes)
         wp.launch(kernels.predict, (n, p), inputs=[self._particles, self._links, self._gravity, h])
-        kinds = (
-            (self._model.triangles, self._triangles, kernels.warm_triangles, kernels.solve_triangles),
-            (self._model.edges, self._edges, kernels.warm_edges, kernels.solve_edges),
-            (self._model.bends, self._bends, kernels.warm_bends, kernels.solve_bends),
-        )
-        for constraints, struct, warm, _ in kinds:
-            if len(constraints.particles):
-                share_kept = self._config.warm_start
-                wp.launch(warm, (n, len(constraints.particles)), inputs=[self._particles, struct, share_kept])
-        for constraints, struct, _, solve in kinds:
-            for first, stop in constraints.colors:
+        for constraints, struct, solve in self._constraints:
+            for first, stop in constraints.ranges:
                 wp.launch(solve, (n, stop - first), inputs=[self._particles, struct, first, h])
+        if ropes := len(self._model.edges.ranges):  # last, so that nothing makes them longer again
+            wp.launch(kernels.solve_edges, (n, ropes), inputs=[self._particles, self._edges, h])
         contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]
         numbers = [self._config.contact_stiffness, h, 1.0 / self._substeps]
         wp.launch(contact.finish, (n, p), inputs=[*contacts, *numbers])
@@ -179,7 +175,6 @@ class ParticleMatter(Matter):
         columns = self._model.slices[deformable]
         write_rows(self._tensors["x"][:, columns], positions, env_ids)
         write_rows(self._tensors["v"][:, columns], velocities, env_ids)
-        self._forget(env_ids)
 
     def anchor(
         self, deformable: int, particles: Tensor, link: int | None, link_poses: Tensor, env_ids: Tensor | None = None
@@ -210,15 +205,9 @@ class ParticleMatter(Matter):
         write_rows(self._tensors["x"], take_rows(rest, env_ids), env_ids)
         write_rows(self._tensors["v"], torch.zeros_like(take_rows(rest, env_ids)), env_ids)
         self._hold(link_poses, env_ids)
-        self._forget(env_ids)
         for name in ("forces", "torques"):
             write_rows(self._tensors[name], torch.zeros_like(take_rows(self._tensors[name], env_ids)), env_ids)
         write_rows(self._wrenches, torch.zeros_like(take_rows(self._wrenches, env_ids)), env_ids)
-
-    def _forget(self, env_ids: Tensor | None) -> None:
-        """Multipliers are of the motion that a write or reset ends."""
-        for name in ("triangles", "edges", "bends"):
-            write_rows(self._tensors[name], torch.zeros_like(take_rows(self._tensors[name], env_ids)), env_ids)
 
     # Parameters ------------------------------------------------------------------------------------------------------
 
@@ -237,6 +226,10 @@ class ParticleMatter(Matter):
         write_rows(target, changed, env_ids)
 
     # Measurements and snapshots --------------------------------------------------------------------------------------
+
+    @property
+    def build_report(self) -> tuple[Approximation, ...]:
+        return substeps.report(self._layout.scene, self._h)
 
     @property
     def wrenches(self) -> Tensor:
@@ -263,9 +256,8 @@ class ParticleMatter(Matter):
         self._wrenches.copy_(state.tensors["wrenches"])
 
 
-def _struct(made: Any, constraints: Constraints, multipliers: wp.array) -> Any:
+def _struct(made: Any, constraints: Constraints) -> Any:
     made.particles = wp.array(constraints.particles, dtype=int, ndim=2)
     made.weights = wp.array(constraints.weights, dtype=float, ndim=2)
     made.owner = wp.array(constraints.owners, dtype=int)
-    made.multipliers = multipliers
     return made

@@ -16,7 +16,10 @@ IntArray = npt.NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """Constraints of one kind in the order of their colours: those of one colour share no particle."""
+    """Constraints of one kind in the order of their colours: those of one colour share no particle.
+
+    Edges of ropes are not coloured: the solver takes a whole rope at once.
+    """
 
     particles: IntArray
     """(C, k)"""
@@ -24,8 +27,8 @@ class Constraints:
     """(C, w) numbers that the kernel needs of each."""
     owners: IntArray
     """(C,) index of the deformable."""
-    colors: tuple[tuple[int, int], ...]
-    """First and one past the last of each colour."""
+    ranges: tuple[tuple[int, int], ...]
+    """First and one past the last of each colour; of edges, of each rope, in their order along it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +88,10 @@ def _joined(parts: list[Constraints], starts: npt.NDArray[np.int64], columns: in
     joined = np.concatenate([np.zeros((0, columns), np.int32), *particles])
     weights = np.concatenate([np.zeros((0, width), np.float32), *(part.weights for part in parts)])
     owners = np.concatenate([np.zeros(0, np.int32), *(part.owners for part in parts)])
-    colors = _colors(joined)
+    colors = owners.astype(np.int64) if columns == 2 else _colors(joined)
     order = np.argsort(colors, kind="stable")
     bounds = np.searchsorted(colors[order], np.arange(colors.max(initial=-1) + 2))
-    ranges = tuple((int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True))
+    ranges = tuple((int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True) if b > a)
     return Constraints(joined[order].astype(np.int32), weights[order].astype(np.float32), owners[order], ranges)
 
 
