@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 BACKENDS := mujoco bullet sapien warp
 LEARNING := rsl-rl,sb3,skrl,rl-games,torchrl,pettingzoo,onnx
 # Newton's solvers register as backends only where Newton is installed, which `pip install "orbit-core[newton]"` does.
-PLUGINS := mjmodel warpkit $(BACKENDS) newton
+PLUGINS := mjmodel warpkit $(BACKENDS) newton matter
 SOURCES := pyproject.toml constraints.txt $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
 CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples
 

@@ -49,11 +49,12 @@ if TYPE_CHECKING:
         JointParameters,
         SceneLayout,
     )
+    from orbit_core.interfaces.matter import Matter, MatterSolver
     from orbit_core.interfaces.names import NamedThings, find_name, match_names, match_values
     from orbit_core.interfaces.node import Node, Port
     from orbit_core.interfaces.rays import RayHits
     from orbit_core.interfaces.renderer import Image, Renderer, albedo_table, drawn_shapes
-    from orbit_core.interfaces.requirements import IMAGES, required_capabilities
+    from orbit_core.interfaces.requirements import IMAGES, MATTER, required_capabilities
     from orbit_core.interfaces.sensor import Sensor
     from orbit_core.interfaces.world import World, WorldClock, WorldMasking, WorldRandom
 
@@ -74,25 +75,27 @@ _MODULES = {
     ),
     "gaps": ("Gap",),
     "layout": ("BACKGROUND", "TERRAIN", "ContactQuery", "EntityLayout", "JointParameters", "SceneLayout"),
+    "matter": ("Matter", "MatterSolver"),
     "names": ("NamedThings", "find_name", "match_names", "match_values"),
     "node": ("Node", "Port"),
     "rays": ("RayHits",),
     "renderer": ("Image", "Renderer", "albedo_table", "drawn_shapes"),
-    "requirements": ("IMAGES", "required_capabilities"),
+    "requirements": ("IMAGES", "MATTER", "required_capabilities"),
     "sensor": ("Sensor",),
     "world": ("World", "WorldClock", "WorldMasking", "WorldRandom"),
 }  # fmt: skip
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "BACKGROUND", "EXACT", "IMAGES", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation", "ArgumentError",
-    "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities", "Capability",
-    "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable", "DriveIntegration", "Engine",
-    "EntityLayout", "Gap", "Image", "JointParameters", "Level", "Marker", "NamedThings", "Node", "NonFiniteError",
-    "Object", "OrbitError", "Port", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError",
-    "SimulationError", "StorageError", "Support", "UnknownNameError", "UnsupportedCapabilityError", "World",
-    "WorldClock", "WorldMasking", "WorldRandom", "albedo_table", "approximate", "diverged", "divergence_error",
-    "drawn_shapes", "find_name", "first_few", "match_names", "match_values", "required_capabilities", "unsupported",
+    "BACKGROUND", "EXACT", "IMAGES", "MATTER", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation",
+    "ArgumentError", "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities",
+    "Capability", "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable",
+    "DriveIntegration", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "Level", "Marker", "Matter",
+    "MatterSolver", "NamedThings", "Node", "NonFiniteError", "Object", "OrbitError", "Port", "RayHits", "Renderer",
+    "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError", "Support", "UnknownNameError",
+    "UnsupportedCapabilityError", "World", "WorldClock", "WorldMasking", "WorldRandom", "albedo_table", "approximate",
+    "diverged", "divergence_error", "drawn_shapes", "find_name", "first_few", "match_names", "match_values",
+    "required_capabilities", "unsupported",
 ]  # fmt: skip
 
 

@@ -175,7 +175,8 @@ class Fluid:
         """(P, 3) m, in the frame of ``pose``: the middles of cubes of ``spacing`` that fill the box."""
         counts = [max(1, round(2.0 * half / self.spacing)) for half in self.half_extents]
         axes = [(np.arange(count) - 0.5 * (count - 1)) * self.spacing for count in counts]
-        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        return np.asarray(grid.reshape(-1, 3), dtype=np.float64)
 
 
 DeformableSpec = Cloth | Rope | SoftBody | Fluid

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from orbit_core.interfaces import SceneLayout
+from orbit_core.plugin_kit.deformable_surface import DeformableSurface
 from orbit_core.plugin_kit.markers import marker_shapes
 from orbit_core.scene import Plane, RobotSpec, Shape
 from orbit_core.scene.pose import Vector3
@@ -75,6 +77,7 @@ class SceneView:
         self._bodies: list[_Body] = []
         self._axes = _robot_axes(layout)
         self._layout = layout
+        self._surfaces = [DeformableSurface(spec) for spec in layout.scene.deformables]
         self._markers = [Drawing.of(marker_shapes(marker)) for marker in layout.scene.markers]
         planes = [shape for shape in layout.scene.terrain if isinstance(shape.geometry, Plane)]
         solids = [shape for shape in layout.scene.terrain if not isinstance(shape.geometry, Plane)]
@@ -108,8 +111,8 @@ class SceneView:
                 self._place(handle, frame.link_poses[:, body.link], body.rows(self._first))
             for index, handle in enumerate(self._markers_drawn):
                 self._place(handle, frame.marker_poses[:, index])
-            for handles, particles in zip(self._particles_drawn, frame.particles, strict=True):
-                for handle, vertices in zip(handles, particles, strict=True):
+            for index, (handles, particles) in enumerate(zip(self._particles_drawn, frame.particles, strict=True)):
+                for handle, vertices in zip(handles, self._vertices(index, particles), strict=True):
                     handle.vertices = vertices
 
     def show_collisions(self, collisions: bool) -> None:
@@ -198,14 +201,20 @@ class SceneView:
             self._server.scene.add_mesh_simple(
                 f"/deformables/{index}/{environment}",
                 vertices,
-                spec.mesh.faces,
+                self._surfaces[index].faces,
                 color=_bytes(spec.color),
                 opacity=spec.color[3] if spec.color[3] < 1.0 else None,
                 side="double",
                 position=offset,
             )
-            for environment, (vertices, offset) in enumerate(zip(particles, self._offsets, strict=True))
+            for environment, (vertices, offset) in enumerate(
+                zip(self._vertices(index, particles), self._offsets, strict=True)
+            )
         ]
+
+    def _vertices(self, index: int, particles: FloatArray) -> FloatArray:
+        """(n, V, 3) of what is drawn of a deformable's particles (n, P, 3)."""
+        return self._surfaces[index].vertices(torch.from_numpy(particles)).numpy()
 
     def _draw_plane(self, index: int, plane: Shape) -> None:
         color = _bytes(plane.color)

@@ -65,7 +65,7 @@ class CoupledCapture(CaptureFacet):
 
     def __init__(self, inner: CaptureFacet) -> None:
         self._inner = inner
-        self.takes_masks = inner.takes_masks | {"write_particles"}  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.takes_masks = inner.takes_masks | {"write_particles"}  # pyright: ignore[reportAttributeAccessIssue]
         self.record = inner.record
         self.expression = inner.expression
         self.settle = inner.settle
@@ -133,9 +133,10 @@ class CoupledEngine(Engine):
         wrong = self._matter.diverged()
         if wrong.any():
             rows, which = wrong.nonzero(as_tuple=True)
-            names = {self.layout.scene.deformables[index].name for index in which.tolist()}
+            found = {self.layout.scene.deformables[index].name for index in which.tolist()}
+            names = ", ".join(map(repr, sorted(found)))
             raise SimulationError(
-                f"environments {first_few(sorted(set(rows.tolist())))} diverged in {', '.join(map(repr, sorted(names)))}: "
+                f"environments {first_few(sorted(set(rows.tolist())))} diverged in {names}: "
                 "reset them, and use a smaller physics_dt, softer material or gentler grasps"
             )
 

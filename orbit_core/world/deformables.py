@@ -94,7 +94,8 @@ class SimulatedDeformable(Deformable):
     def share_inside(self, region: Region) -> Tensor:
         points = self.positions
         if region.entity is not None and region.frame is not None:
-            thing = self._entities[find_name(region.entity, list(self._entities), "robot or object", "the scene")]
+            things = list(self._entities.values())
+            thing = things[find_name(region.entity, list(self._entities), "robot or object", "the scene")]
             pose = thing.frame_pose(region.frame)[:, None]
             points = quat_rotate_inverse(pose[..., 3:], points - pose[..., :3])
         middle, turn = (torch.tensor(v, device=points.device) for v in (region.pose.position, region.pose.orientation))

@@ -71,7 +71,7 @@ def test_the_panel_tells_of_the_chosen_environment(fakes: ModuleType) -> None:
 
 def test_cloth_is_drawn_by_its_particles(server: ViserServer) -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=np.float32)
-    cloth = Cloth("sheet", Mesh(vertices, np.array([[0, 1, 2]])), mass=0.1)
+    cloth = Cloth("sheet", Mesh(vertices, np.array([[0, 1, 2]])), area_density=0.2)
     view = SceneView(server, SceneLayout.of(Scene(deformables=(cloth,))))
     links, markers = np.zeros((2, 0, 7), dtype=np.float32), np.zeros((2, 0, 7), dtype=np.float32)
     view.update(Frame(links, markers, (np.stack([vertices, vertices]),)))

@@ -39,7 +39,7 @@ class Buffers:
 def shapes_of(layout: SceneLayout, num_envs: int) -> Shapes:
     """The shape of each buffer."""
     joints, links = len(layout.joints), len(layout.links)
-    particles = sum(len(deformable.mesh.vertices) for deformable in layout.scene.deformables)
+    particles = sum(len(deformable.rest_positions) for deformable in layout.scene.deformables)
     per_joint = dict.fromkeys(
         ("position_targets", "velocity_targets", "efforts", "joint_positions", "joint_velocities", "joint_efforts"),
         (num_envs, joints),

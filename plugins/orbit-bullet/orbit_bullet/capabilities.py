@@ -77,6 +77,8 @@ CAPABILITIES = Capabilities(
         Capability.CLOTH: approximate(
             "springs along edges, integrated explicitly; no contact forces, snapshots or written velocities"
         ),
+        Capability.ROPES: unsupported("Bullet's interface to Python makes none"),
+        Capability.FLUIDS: unsupported("Bullet has none"),
         Capability.SOFT_BODIES: approximate(
             "Neo-Hookean tetrahedra, integrated explicitly; no contact forces, snapshots or written velocities"
         ),

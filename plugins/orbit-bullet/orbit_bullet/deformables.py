@@ -41,7 +41,7 @@ def check_stability(layout: SceneLayout) -> None:
         ConfigurationError: names the deformable and the step that would do.
     """
     step = layout.scene.physics_dt
-    for deformable in layout.scene.deformables:
+    for deformable in _simulated(layout):
         bound = _greatest_step(deformable)
         if step > bound:
             raise ConfigurationError(
@@ -50,10 +50,24 @@ def check_stability(layout: SceneLayout) -> None:
             )
 
 
+def _simulated(layout: SceneLayout) -> tuple[Cloth | SoftBody, ...]:
+    """The deformables of a scene, which has no others: its needs were held against what the backend declares."""
+    return tuple(spec for spec in layout.scene.deformables if isinstance(spec, Cloth | SoftBody))
+
+
+def spring_stiffness(cloth: Cloth) -> float:
+    """N/m of each edge, as equilateral triangles of springs have the cloth's membrane stiffness.
+
+    Seung and Nelson, "Defects in flexible membranes with crystalline order", Physical Review A 38 (1988): ``E t = 2 k /
+    sqrt(3)``, at a Poisson's ratio of 1/3.
+    """
+    return 0.5 * math.sqrt(3.0) * cloth.membrane_stiffness
+
+
 def _greatest_step(deformable: Cloth | SoftBody) -> float:
     if isinstance(deformable, Cloth):
         particle = deformable.mass / len(deformable.mesh.vertices)
-        return math.sqrt(particle / max(deformable.stretch_stiffness, 1e-12))
+        return math.sqrt(particle / max(spring_stiffness(deformable), 1e-12))
     mu, lame = lame_parameters(deformable)
     height = smallest_height(*fill(deformable.mesh, deformable.name))
     return height * math.sqrt(deformable.density / (lame + 2 * mu))
@@ -68,14 +82,19 @@ def lame_parameters(soft: SoftBody) -> tuple[float, float]:
 def deformable_report(layout: SceneLayout) -> list[Approximation]:
     """What of the deformables Bullet does not take as it is."""
     found: list[Approximation] = []
-    for deformable in layout.scene.deformables:
+    for deformable in _simulated(layout):
         subject = f"'{deformable.name}'"
         why = "Bullet multiplies it by that of what touches"
         found.append(Approximation(subject, f"friction {deformable.friction}, the larger of a pair", "a factor", why))
         if isinstance(deformable, Cloth):
             why = "Bullet bends cloth with springs between second neighbours"
-            asked = f"bending stiffness {deformable.bend_stiffness} N m/rad"
+            asked = f"bending stiffness {deformable.bending_stiffness} N m"
             found.append(Approximation(subject, asked, "springs of that stiffness over the edge length squared", why))
+            asked = (
+                f"membrane stiffness {deformable.membrane_stiffness} N/m, Poisson's ratio {deformable.poissons_ratio}"
+            )
+            got = f"springs of {spring_stiffness(deformable):.4g} N/m along edges"
+            found.append(Approximation(subject, asked, got, "exact for equilateral triangles, at a ratio of 1/3"))
     return found
 
 
@@ -107,7 +126,7 @@ class Deformables:
         self._buffers = buffers
         self._bodies: list[_Body] = []
         start = 0
-        for index, spec in enumerate(stage.layout.scene.deformables):
+        for index, spec in enumerate(_simulated(stage.layout)):
             stop = start + len(spec.mesh.vertices)
             file, mass = self._write(index, spec)
             self._bodies.append(_Body(spec, file, mass, slice(start, stop)))
@@ -154,10 +173,10 @@ class Deformables:
             particle = spec.mass / len(spec.mesh.vertices)
             return {
                 "useMassSpring": 1,
-                "useBendingSprings": int(spec.bend_stiffness > 0),
-                "springElasticStiffness": spec.stretch_stiffness,
-                "springDampingStiffness": 2 * _SPRING_DAMPING * math.sqrt(spec.stretch_stiffness * particle),
-                "springBendingStiffness": spec.bend_stiffness / edge**2,
+                "useBendingSprings": int(spec.bending_stiffness > 0),
+                "springElasticStiffness": spring_stiffness(spec),
+                "springDampingStiffness": 2 * _SPRING_DAMPING * math.sqrt(spring_stiffness(spec) * particle),
+                "springBendingStiffness": spec.bending_stiffness / edge**2,
                 "springDampingAllDirections": 1,
                 "useSelfCollision": 0,
                 "collisionMargin": spec.thickness / 2,

@@ -203,7 +203,7 @@ class BulletEngine(Engine):
 
     def _particles(self, deformable: int) -> slice:
         """Columns of a deformable's particles."""
-        counts = [len(spec.mesh.vertices) for spec in self.layout.scene.deformables]
+        counts = [len(spec.rest_positions) for spec in self.layout.scene.deformables]
         if not 0 <= deformable < len(counts):
             raise ConfigurationError(f"there is no deformable {deformable}: the scene has {len(counts)}")
         start = sum(counts[:deformable])

@@ -1,9 +1,11 @@
 """The collision shapes of a scene as kernels take them."""
 
-# pyright: reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportGeneralTypeIssues=false
 # Warp's arrays and structs carry their types at run time.
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -44,7 +46,7 @@ class Colliders:
         self.friction = np.zeros((self.kinds, self.count), np.float32)
         self.shapes = self._assembled(kinds, len(layout.links))
 
-    def _assembled(self, kinds: list[list[tuple[Shape, int]]], terrain: int) -> Shapes:
+    def _assembled(self, kinds: list[list[tuple[Shape, int]]], terrain: int) -> Any:
         shape = (self.kinds, self.count)
         form, rows = np.full(shape, int(SPHERE), np.int32), np.zeros((*shape, 3), np.int32)
         link, mesh = np.full(shape, terrain, np.int32), np.zeros(shape, np.uint64)

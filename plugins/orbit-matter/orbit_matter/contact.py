@@ -7,6 +7,8 @@ surface in the substep, as far as Coulomb's cone lets it; a particle that holds 
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 # pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false
+# ruff: noqa: UP018, RUF046 - float() and int() make variables that a kernel's loops may change.
 # Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from __future__ import annotations
 import warp as wp
 
 from orbit_matter.kernels import FREE, HELD, Links, Particles, mass_of, target
-from orbit_matter.surfaces import PLANE, HEIGHT_FIELD, Shapes, distance
+from orbit_matter.surfaces import PLANE, Shapes, distance
 
 NEAREST = wp.constant(6)
 """Shapes that one particle may be near at a time; those met first count."""

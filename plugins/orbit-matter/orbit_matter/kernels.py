@@ -1,13 +1,15 @@
 """One substep of extended position-based dynamics, as launches over environments and particles or constraints.
 
 Macklin et al., "XPBD: position-based simulation of compliant constrained dynamics" (2016) and "Small steps in physics
-simulation" (2019): one sweep over all constraints in each of many substeps, whose multipliers start from zero. Positions
-stand still during a substep and displacements gather beside them, so that velocities keep their digits wherever in the
-world a particle is.
+simulation" (2019): one sweep over all constraints in each of many substeps, whose multipliers start from zero.
+Positions stand still during a substep and displacements gather beside them, so that velocities keep their digits
+wherever in the world a particle is.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 # pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false
+# ruff: noqa: UP018 - float() and int() make variables that a kernel's loops may change.
 # Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
 
 from __future__ import annotations

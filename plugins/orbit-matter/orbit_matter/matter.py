@@ -14,9 +14,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from orbit_core.plugin_kit.rows import take_rows, write_columns, write_rows
 from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, SceneLayout
 from orbit_core.interfaces.matter import PARAMETERS, Matter
+from orbit_core.plugin_kit.rows import take_rows, write_columns, write_rows
 from orbit_core.scene import Attachment
 from orbit_matter import contact, kernels, substeps
 from orbit_matter.colliders import Colliders

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -63,7 +64,7 @@ def build(scene: Scene) -> Model:
     """
     parts = [_cloth(spec, n) if isinstance(spec, Cloth) else _rope(spec, n) for n, spec in _solved(scene)]
     starts = np.cumsum([0, *(len(part.rest) for part in parts)])
-    slices = tuple(slice(int(a), int(b)) for a, b in zip(starts[:-1], starts[1:], strict=True))
+    slices = tuple(slice(int(a), int(b)) for a, b in pairwise(starts))
     return Model(
         slices,
         np.concatenate([part.rest for part in parts]),
@@ -91,7 +92,7 @@ def _joined(parts: list[Constraints], starts: npt.NDArray[np.int64], columns: in
     colors = owners.astype(np.int64) if columns == 2 else _colors(joined)
     order = np.argsort(colors, kind="stable")
     bounds = np.searchsorted(colors[order], np.arange(colors.max(initial=-1) + 2))
-    ranges = tuple((int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True) if b > a)
+    ranges = tuple((int(a), int(b)) for a, b in pairwise(bounds) if b > a)
     return Constraints(joined[order].astype(np.int32), weights[order].astype(np.float32), owners[order], ranges)
 
 
@@ -116,7 +117,9 @@ def _constraints(particles: npt.ArrayLike, weights: npt.ArrayLike, owner: int, c
     return Constraints(rows, numbers, np.full(len(rows), owner, np.int32), ())
 
 
-def _part(spec: Cloth | Rope, owner: int, masses: FloatArray, radius: float, **kinds: Constraints) -> Model:
+def _part(
+    spec: Cloth | Rope, owner: int, masses: npt.NDArray[np.float64], radius: float, **kinds: Constraints
+) -> Model:
     rest = spec.pose.transform(spec.rest_positions).astype(np.float32)
     empty = {"triangles": (3, 6), "edges": (2, 2), "bends": (4, 5)}
     made = {name: kinds.get(name, _constraints([], [], owner, *shape)) for name, shape in empty.items()}
@@ -158,8 +161,8 @@ def _flattened(spec: Cloth) -> npt.NDArray[np.float64]:
     _, sizes, axes = np.linalg.svd(centred, full_matrices=False)
     if sizes[2] > 1e-4 * sizes[0]:
         raise ConfigurationError(
-            f"cloth '{spec.name}' is not flat at rest, which orbit-matter takes it to be: flatten its mesh, and fold it "
-            "by writing its particles"
+            f"cloth '{spec.name}' is not flat at rest, which orbit-matter takes it to be: flatten its mesh, and fold "
+            "it by writing its particles"
         )
     return centred @ axes[:2].T
 

@@ -1,8 +1,8 @@
 """How long a substep may be for what a scene's matter is made of.
 
 One sweep of a substep carries forces over one edge or so, which makes what hangs too long and what bends too soft: by
-``0.42 g h^2 L / l^2`` of the length for cloth of extent L and edges l (measured at 9 to 33 rows; ropes are solved whole),
-and noticeably where ``h (pi / l)^2 sqrt(D / rho)``, the phase of the shortest bending wave, is above 3.
+``0.42 g h^2 L / l^2`` of the length for cloth of extent L and edges l (measured at 9 to 33 rows; ropes are solved
+whole), and noticeably where ``h (pi / l)^2 sqrt(D / rho)``, the phase of the shortest bending wave, is above 3.
 """
 
 from __future__ import annotations

@@ -125,7 +125,7 @@ def test_a_hanging_rope_swings_in_the_period_of_a_chain(make: Make) -> None:
     length, count = 0.5, 41
     pose = Pose((0.0, 0.0, 1.0), UPRIGHT)
     held = (Attachment((0,)),)
-    points = line(length, count) + [0.5 * length, 0, 0]
+    points = line(length, count) + np.array([0.5 * length, 0, 0])
     rope = Rope("rope", points, 0.1, pose, bending_stiffness=0.0, damping=0.0, attachments=held)
     world = make(Scene(deformables=(rope,), terrain=(), physics_dt=0.0025))
     body = world.deformables["rope"]
@@ -203,7 +203,7 @@ def test_what_lies_on_a_box_is_felt_by_it_with_its_weight(make: Make) -> None:
 
 def test_a_rope_that_hangs_from_a_link_pulls_it_with_its_weight(make: Make) -> None:
     """Two ways: the block falls at the pace of both, and feels what holds the rope."""
-    points = line(0.2, 11) + [0.1, 0, 0]
+    points = line(0.2, 11) + np.array([0.1, 0, 0])
     rope = Rope("rope", points, 0.5, Pose((0.0, 0.0, 0.6), UPRIGHT), attachments=(Attachment((0,), "block", "block"),))
     block = box("block", size=(0.05, 0.05, 0.05), mass=0.5, pose=Pose((0.0, 0.0, 0.6)), fixed_base=True)
     world = make(Scene(objects=(block,), deformables=(rope,), terrain=()))
@@ -217,7 +217,7 @@ def test_a_rope_that_hangs_from_a_link_pulls_it_with_its_weight(make: Make) -> N
 
 def test_a_block_and_the_rope_on_it_fall_together(make: Make) -> None:
     """Momentum over both ways: in free fall nothing pulls, and a kick of the block is shared with the rope."""
-    points = line(0.2, 11) + [0.1, 0, 0]
+    points = line(0.2, 11) + np.array([0.1, 0, 0])
     rope = Rope("rope", points, 1.0, attachments=(Attachment((0,), "block", "block"),), damping=0.0)
     block = box("block", size=(0.05, 0.05, 0.05), mass=0.5, pose=Pose())
     world = make(Scene(objects=(block,), deformables=(rope,), terrain=(), gravity=(0.0, 0.0, 0.0), physics_dt=0.002))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from orbit_core.interfaces import EXACT, Capability, Support, approximate, unsupported
+from orbit_core.interfaces import EXACT, MATTER, Capability, Support, approximate, unsupported
 
 
 def shared_support(engine: str) -> dict[Capability, Support]:
@@ -75,6 +75,5 @@ def shared_support(engine: str) -> dict[Capability, Support]:
         Capability.NORMALS: EXACT,
         Capability.ALBEDO: EXACT,
         Capability.SEGMENTATION: EXACT,
-        Capability.CLOTH: unsupported(f"{engine}'s deformables are not connected to this backend"),
-        Capability.SOFT_BODIES: unsupported(f"{engine}'s deformables are not connected to this backend"),
+        **dict.fromkeys(MATTER, unsupported(f"{engine}'s deformables are not connected to this backend")),
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
+from orbit_core.interfaces import EXACT, MATTER, Capabilities, Capability, approximate, unsupported
 
 _NO_IMAGES = "Newton's ray tracer is not connected to this backend: choose another renderer"
 _NO_RAYS = "Newton's ray casts are not connected to this backend"
@@ -46,8 +46,7 @@ _COMMON = {
     Capability.LOOP_JOINTS: unsupported("joints that close loops are not connected to this backend"),
     Capability.SHAPES_PER_ENVIRONMENT: unsupported("all environments have the same shapes on this backend"),
     Capability.GPU: approximate("each step waits for the device to say that it went well; not measured on one yet"),
-    Capability.CLOTH: unsupported(_NO_DEFORMABLES),
-    Capability.SOFT_BODIES: unsupported(_NO_DEFORMABLES),
+    **dict.fromkeys(MATTER, unsupported(_NO_DEFORMABLES)),
 }
 
 FEATHERSTONE = Capabilities(

@@ -1,6 +1,6 @@
 """The capabilities of SAPIEN, and the reasons for what it lacks."""
 
-from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
+from orbit_core.interfaces import EXACT, MATTER, Capabilities, Capability, approximate, unsupported
 
 _SHADOW_MAP = "from a map of 6 mm squares that reaches 3 m around the middle of what moves; beyond, all is lit"
 _LINEAR = "reckons in linear light: right within 4 of 255 where no directional light falls, elsewhere 8 to 33 brighter"
@@ -119,7 +119,6 @@ CAPABILITIES = Capabilities(
             "untested: PhysX's GPU library is no part of SAPIEN's package and was never at hand; where it is installed "
             "(python -m orbit_sapien.physx_gpu), device 'cuda' runs code that no GPU has run"
         ),
-        Capability.CLOTH: unsupported("SAPIEN has no deformable bodies"),
-        Capability.SOFT_BODIES: unsupported("SAPIEN has no deformable bodies"),
+        **dict.fromkeys(MATTER, unsupported("SAPIEN has no deformable bodies")),
     }
 )
