@@ -45,8 +45,8 @@ def offered_backends() -> list[str]:
     """Names of the backends that an extra of their name brings."""
     extras = _project(ROOT)["optional-dependencies"].items()
     brought = [name for name, needs in extras if any(need.startswith(f"orbit-{name} ") for need in needs)]
-    registered = {name: _project(ROOT / f"plugins/orbit-{name}")["entry-points"]["orbit.backends"] for name in brought}
-    return [name for name in brought if name in registered[name]]
+    registered = {name: _project(ROOT / f"plugins/orbit-{name}")["entry-points"] for name in brought}
+    return [name for name in brought if name in registered[name].get("orbit.backends", {})]
 
 
 def _project(folder: Path) -> dict[str, Any]:
