@@ -1,15 +1,15 @@
-"""Franka Emika Panda, an arm of seven joints, and its hand."""
+"""Franka Emika Panda, an arm of seven joints."""
 
 from __future__ import annotations
 
 import math
 
 from orbit_core.assets.cache import Model
-from orbit_core.assets.compose import add_frames, edit_joints, simplify_collisions, subtree, without
+from orbit_core.assets.compose import add_frames, edit_joints, simplify_collisions, without
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
-from orbit_core.scene import Articulation, Frame, Gripper, ImplicitPd, Pose
+from orbit_core.scene import Articulation, Frame, ImplicitPd, Pose
 
 SOURCE = "example-robot-data"
 LICENCE = "Apache-2.0"
@@ -20,15 +20,11 @@ def arm() -> Articulation:
     """The arm up to the frame ``panda_flange``, which has z out of it and carries a hand 45 degrees about z."""
     source = merge_fixed_links(without(installed_urdf(SOURCE, FILE, "franka_panda"), "panda_hand"))
     flange = Frame("panda_flange", "panda_link7", Pose.from_euler(0.0, 0.0, -math.pi / 4, (0.0, 0.0, 0.107)))
-    return _simplified(add_frames(source, flange))
+    return simplified(add_frames(source, flange))
 
 
-def hand() -> Articulation:
-    """The hand; its frame ``panda_hand_tcp`` lies between the finger pads, 0.1034 m out of its root."""
-    return _simplified(merge_fixed_links(subtree(installed_urdf(SOURCE, FILE), "panda_hand")))
-
-
-def _simplified(articulation: Articulation) -> Articulation:
+def simplified(articulation: Articulation) -> Articulation:
+    """The arm, or its hand, with the motors' inertia and fewer points in its collision shapes."""
     # The URDF leaves the motors' inertia out. 0.1 is that of a 10 kg mm^2 rotor behind a gear of 100:1; the fingers
     # (15 g) get as many kg, so that the drive and the contact forces act on bodies of like weight.
     note = "armature of 0.1 kg m^2 (arm) and 0.1 kg (fingers) is the catalogue's choice: the URDF has none"
@@ -53,13 +49,4 @@ ARM = RobotPart(
     mount="panda_flange",
     joints=("panda_joint[1-7]",),
     end_effector="panda_hand",
-)
-HAND = RobotPart(
-    name="panda_hand",
-    kind=PartKind.END_EFFECTOR,
-    model=Model("panda_hand", hand, (SOURCE,), LICENCE),
-    home={"panda_finger_joint.*": 0.04},
-    drives=(ImplicitPd(joints=("panda_finger_joint1",), stiffness=2000.0, damping=100.0),),
-    frame="panda_hand_tcp",
-    gripper=Gripper(("panda_finger_joint1",), 0.04, 0.0),
 )

@@ -26,12 +26,8 @@ def gripper() -> Articulation:
     hand = merge_fixed_links(subtree(arm, "robotiq_85_base_link", "robotiq_2f85"))
     # The pads close along the flange's x; their middle is 0.141 m out when they hold something 0.05 m wide.
     hand = add_frames(hand, Frame(TCP, hand.root.name, Pose.from_euler(0.0, 0.0, -math.pi / 2, (0.0, 0.0, 0.141))))
-    hand = edit_links(
-        simplify_collisions(hand),
-        ("robotiq_85_.*_finger_tip_link",),
-        "the 2F-85's finger tips collide as two boxes each, so that flat pads meet what they hold",
-        _boxed_tip,
-    )
+    note = "the 2F-85's finger tips collide as two boxes each, so that flat pads meet what they hold"
+    hand = edit_links(simplify_collisions(hand), ("robotiq_85_.*_finger_tip_link",), note, _boxed_tip)
     note = "armature of 0.002 kg m^2 on the 2F-85's joints is the catalogue's choice: its links weigh 40 g"
     hand = edit_joints(hand, (".*",), note, armature=0.002)
     note = "velocity limit of 1.4 rad/s on the 2F-85's joints: the maker's 150 mm/s over 85 mm and 0.8 rad, not 0.5"

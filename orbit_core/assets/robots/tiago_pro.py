@@ -1,44 +1,25 @@
-"""The left arm of PAL Robotics' TIAGo Pro, with seven joints, and its gripper."""
+"""The left arm of PAL Robotics' TIAGo Pro, with seven joints."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from orbit_core.assets.cache import Model
-from orbit_core.assets.compose import add_frames, branch, edit_joints, edit_links, simplify_collisions, subtree, without
+from orbit_core.assets.compose import branch, simplify_collisions, without
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
 from orbit_core.dynamics.drive_design import DriveDesign, with_armature
-from orbit_core.scene import Articulation, Box, Frame, Gripper, ImplicitPd, Link, Pose, Shape, Workspace
+from orbit_core.scene import Articulation, Workspace
 
 SOURCE = "example-robot-data"
 LICENCE = "Apache-2.0"
 FILE = "robots/tiago_pro_description/robots/tiago_pro.urdf"
 ARM_JOINTS = ("arm_left_[1-7]_joint",)
-FINGER = "gripper_left_finger_joint"
 
 
 def arm() -> Articulation:
     """The arm from its seat on the torso, joint 1 upright, to the frame ``arm_left_tool_link``, z out of it."""
     source = branch(installed_urdf(SOURCE, FILE), "arm_left_1_joint", "torso_arm_left_link", "tiago_pro_arm")
     return with_armature(simplify_collisions(merge_fixed_links(without(source, "gripper_left_base_link"))))
-
-
-def gripper() -> Articulation:
-    """The gripper with two parallel jaws, open by 79 mm; the frame ``gripper_left_tcp`` lies between the pads."""
-    hand = merge_fixed_links(subtree(installed_urdf(SOURCE, FILE), "gripper_left_base_link", "tiago_pro_gripper"))
-    hand = add_frames(hand, Frame("gripper_left_tcp", "gripper_left_base_link", Pose((0.0, 0.0, 0.155))))
-    note = "TIAGo Pro's finger tips collide as one box each, so that flat pads meet what they hold"
-    hand = edit_links(simplify_collisions(hand), ("gripper_left_fingertip_.*_link",), note, _boxed_tip)
-    note = "effort limit of 2 N m on TIAGo Pro's gripper, some 20 N at each pad: with the URDF's 0.1 N m it holds 50 g"
-    hand = edit_joints(hand, (".*",), note, effort_limit=2.0)
-    note = "armature of 0.002 kg m^2 on TIAGo Pro's gripper is the catalogue's choice: its links weigh 30 g"
-    return edit_joints(hand, (".*",), note, armature=0.002)
-
-
-def _boxed_tip(link: Link) -> Link:
-    return replace(link, collisions=(Shape(Box((0.005, 0.02, 0.0125)), Pose((-0.0065, 0.027, 0.0)), name="pad"),))
 
 
 ARM = RobotPart(
@@ -59,12 +40,4 @@ ARM = RobotPart(
     joints=ARM_JOINTS,
     workspace=Workspace((0.35, -0.2, 0.1), (0.55, 0.2, 0.35)),
     end_effector="tiago_pro_gripper",
-)
-GRIPPER = RobotPart(
-    name="tiago_pro_gripper",
-    kind=PartKind.END_EFFECTOR,
-    model=Model("tiago_pro_gripper", gripper, (SOURCE,), LICENCE),
-    drives=(ImplicitPd(joints=(FINGER,), stiffness=20.0, damping=1.0),),
-    frame="gripper_left_tcp",
-    gripper=Gripper((FINGER,), 0.0, 0.8),
 )

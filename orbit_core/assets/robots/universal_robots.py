@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 from orbit_core.assets.cache import Model
 from orbit_core.assets.compose import add_frames, simplify_collisions, subtree
@@ -14,10 +13,12 @@ from orbit_core.dynamics.drive_design import DriveDesign, with_armature
 from orbit_core.scene import Articulation, Frame, Pose, Workspace
 
 SOURCE = "example-robot-data"
-ARM_JOINTS = ("shoulder_.*_joint", "elbow_joint", "wrist_[123]_joint")
+JOINTS = (
+    "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
+)  # fmt: skip
 
 
-def _part(name: str, workspace: Workspace, home: Mapping[str, float]) -> RobotPart:
+def _part(name: str, workspace: Workspace, home: tuple[float, ...]) -> RobotPart:
     def articulation() -> Articulation:
         source = installed_urdf(SOURCE, f"robots/ur_description/urdf/{name}_robot.urdf", name)
         arm = with_armature(simplify_collisions(merge_fixed_links(subtree(source, "base_link", name))))
@@ -27,10 +28,10 @@ def _part(name: str, workspace: Workspace, home: Mapping[str, float]) -> RobotPa
         name=name,
         kind=PartKind.ARM,
         model=Model(name, articulation, (SOURCE,), "BSD", parts=(with_armature,)),
-        home=home,
-        designs=(DriveDesign(joints=ARM_JOINTS),),
+        home=dict(zip(JOINTS, home, strict=True)),
+        designs=(DriveDesign(joints=JOINTS),),
         mount="flange",
-        joints=ARM_JOINTS,
+        joints=JOINTS,
         workspace=workspace,
     )
 
@@ -38,25 +39,11 @@ def _part(name: str, workspace: Workspace, home: Mapping[str, float]) -> RobotPa
 UR5 = _part(
     "ur5",
     Workspace((0.35, -0.25, 0.15), (0.6, 0.25, 0.45)),
-    {
-        "shoulder_pan_joint": -0.245,
-        "shoulder_lift_joint": -1.227,
-        "elbow_joint": 1.372,
-        "wrist_1_joint": -1.716,
-        "wrist_2_joint": -1.571,
-        "wrist_3_joint": -0.245,
-    },
+    (-0.245, -1.227, 1.372, -1.716, -1.571, -0.245),
 )
 UR10 = _part(
     "ur10",
     Workspace((0.6, -0.25, 0.15), (0.9, 0.25, 0.5)),
-    {
-        "shoulder_pan_joint": -0.277,
-        "shoulder_lift_joint": -1.739,
-        "elbow_joint": 1.91,
-        "wrist_1_joint": -1.742,
-        "wrist_2_joint": -1.571,
-        "wrist_3_joint": -0.277,
-    },
+    (-0.277, -1.739, 1.91, -1.742, -1.571, -0.277),
 )
 """Their ``flange`` is ``tool0`` turned: z out of it, y across at home."""
