@@ -247,13 +247,14 @@ class Lift(Task):
         return {"goal_distance_m": goal_distance(world, self)}
 
     def expert(self, world: World) -> Expert:
+        closing = max(0.4, common.closing_time(world))
         return Expert(
             world,
             self,
             (
                 Phase(above_cube, position_tolerance=0.02, free=True),
                 Phase(at_cube, position_tolerance=0.006, timeout=1.5),
-                Phase(at_cube, gripper_open=False, dwell=0.4, timeout=0.5),
+                Phase(at_cube, gripper_open=False, dwell=closing, timeout=closing + 0.1),
                 Phase(at_goal, gripper_open=False, free=True),
             ),
         )

@@ -77,17 +77,16 @@ class TableSettings:
 
 def main(settings: TableSettings) -> None:
     """Run, keep, and write."""
-    figures = kept()
     for backend in settings.backend:
         for task in settings.task:
             for robot in settings.robot or GOALS[task].robots:
-                if not (settings.missing and (task, robot, backend) in figures):
-                    figures[task, robot, backend] = figure = measured(task, robot, backend, settings)
-                    keep(figures)
+                if not (settings.missing and (task, robot, backend) in kept()):
+                    figure = measured(task, robot, backend, settings)
+                    keep(figure)
                     print(task, robot, backend, told(figure), f"{figure['wall_seconds']:.0f} s", flush=True)
     text = PAGE.read_text(encoding="utf-8")
     before, after = text.split(START)[0], text.split(START)[1].split(END, 1)[1]
-    PAGE.write_text(before + START + tables(figures) + END + after, encoding="utf-8")
+    PAGE.write_text(before + START + tables(kept()) + END + after, encoding="utf-8")
 
 
 def measured(task: str, robot: str, backend: str, settings: TableSettings) -> dict[str, Any]:
@@ -119,8 +118,9 @@ def kept() -> dict[Key, dict[str, Any]]:
     return {(figure["task"], figure["robot"], figure["backend"]): figure for figure in figures}
 
 
-def keep(figures: Mapping[Key, Mapping[str, Any]]) -> None:
-    """Write all figures, in order."""
+def keep(figure: Mapping[str, Any]) -> None:
+    """Put a figure among those kept, in the place of the one before it."""
+    figures = {**kept(), (figure["task"], figure["robot"], figure["backend"]): figure}
     FIGURES.write_text("".join(f"{json.dumps(figures[key])}\n" for key in sorted(figures)), encoding="utf-8")
 
 

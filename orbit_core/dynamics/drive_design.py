@@ -2,7 +2,8 @@
 
 A drive of stiffness k and damping d on a joint that moves the inertia M (armature included) is a second-order system of
 natural frequency ``sqrt(k / M)`` and damping ratio ``d / (2 sqrt(k M))``. :func:`designed_drives` chooses k and d for
-the largest inertia that the joint meets: elsewhere the joint is faster and more damped, never less.
+the largest inertia that the joint meets: elsewhere the joint is faster and more damped, never less. Where a joint has
+dry friction F, k is no less than F over the error that the friction may leave.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.interfaces.layout import SceneLayout, actuator_of_joint
 from orbit_core.interfaces.names import match_names
-from orbit_core.scene import Articulation, ImplicitPd, RobotSpec, Scene
+from orbit_core.scene import Articulation, ImplicitPd, Joint, RobotSpec, Scene
 
 MOTOR_TIME = 0.005
 """Seconds in which a motor without load reaches its joint's velocity limit at its effort limit. The reflected inertia
@@ -38,6 +39,9 @@ class DriveDesign:
     """Hz, with the largest inertia that the joint meets."""
     damping_ratio: float = 1.0
     """1 is critical: the fastest response without overshoot."""
+    friction_error: float = 0.01
+    """How far from its target, in rad or m, dry friction may hold the joint at rest: stiffer and faster where that asks
+    for it."""
     effort_limit: float | None = None
     """N m or N; None keeps the joint's own."""
 
@@ -141,21 +145,28 @@ def designed_drives(articulation: Articulation, designs: Sequence[DriveDesign]) 
         for index in match_names(design.joints, names, "joint", f"'{articulation.name}'"):
             if names[index] in drives:
                 raise ConfigurationError(f"'{articulation.name}': joint '{names[index]}' has two designs: give it one")
-            drives[names[index]] = _drive(names[index], design, float(largest[index]))
+            drives[names[index]] = _drive(articulation.movable_joints[index], design, float(largest[index]))
     told = ", ".join(f"{name} {drive.stiffness:g}/{drive.damping:g}" for name, drive in drives.items())
     note = f"stiffness/damping for the inertia that each joint moves: {told} (N m/rad and N m s/rad, or N/m and N s/m)"
     return tuple(drives.values()), note
 
 
-def _drive(joint: str, design: DriveDesign, inertia: float) -> ImplicitPd:
-    for what, value in (("frequency", design.natural_frequency), ("damping ratio", design.damping_ratio)):
+def _drive(joint: Joint, design: DriveDesign, inertia: float) -> ImplicitPd:
+    chosen = {
+        "frequency": design.natural_frequency,
+        "damping ratio": design.damping_ratio,
+        "friction error": design.friction_error,
+    }
+    for what, value in chosen.items():
         if not (math.isfinite(value) and value > 0):
-            raise ConfigurationError(f"drive design of joint '{joint}': its {what} is {value}, give a positive number")
-    rate = 2 * math.pi * design.natural_frequency
+            raise ConfigurationError(
+                f"drive design of joint '{joint.name}': its {what} is {value}, give a positive one"
+            )
+    stiffness = max(inertia * (2 * math.pi * design.natural_frequency) ** 2, joint.friction / design.friction_error)
     return ImplicitPd(
-        joints=(re.escape(joint),),
-        stiffness=_rounded(inertia * rate**2),
-        damping=_rounded(2 * design.damping_ratio * inertia * rate),
+        joints=(re.escape(joint.name),),
+        stiffness=_rounded(stiffness),
+        damping=_rounded(2 * design.damping_ratio * math.sqrt(stiffness * inertia)),
         effort_limit=design.effort_limit,
     )
 

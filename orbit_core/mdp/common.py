@@ -9,6 +9,7 @@ from torch import Tensor
 
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import table
+from orbit_core.audit.robots.postures import gripper_positions
 from orbit_core.envs.task import ROBOT, Task
 from orbit_core.envs.terms import ObservationGroup, once_per_state
 from orbit_core.interfaces import ConfigurationError, Robot, World
@@ -103,6 +104,23 @@ def hand_pose(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     """(N, 7) of the end effector, in the environment's frame."""
     robot = robot_of(world, agent)
     return robot.frame_pose(robot.spec.end_effector.frame)
+
+
+def closing_time(world: World, agent: str = ROBOT) -> float:
+    """Seconds in which the gripper closes from its open position at its joints' velocity limits.
+
+    Raises:
+        ConfigurationError: the robot has no end effector, or no gripper on it.
+    """
+    spec = world.robots[agent].spec
+    gripper = spec.end_effector.gripper
+    if gripper is None:
+        raise ConfigurationError(f"robot '{spec.name}' has no gripper that could close")
+    opened, closed = (
+        gripper_positions(spec, gripper, value) for value in (gripper.open_position, gripper.closed_position)
+    )
+    limits = [joint.velocity_limit for joint in spec.articulation.movable_joints]
+    return max(abs(closed[joint] - opened[joint]) / limits[joint] for joint in opened)
 
 
 def action_rate(world: World, task: Task, agent: str | None = None) -> Tensor:

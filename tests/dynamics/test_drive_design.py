@@ -64,6 +64,15 @@ def test_gains_give_the_frequency_and_damping_asked_for():
     assert f"joint0 {drive.stiffness:g}/{drive.damping:g}" in note
 
 
+def test_dry_friction_holds_a_joint_no_farther_from_its_target_than_asked():
+    (drive,), _ = designed_drives(
+        pendulums(friction=3.0), (DriveDesign(joints=(".*",), natural_frequency=0.5, friction_error=0.02),)
+    )
+    inertia = MASS * LENGTH**2
+    assert drive.stiffness == 150.0 > inertia * (2 * math.pi * 0.5) ** 2
+    assert drive.damping / (2 * math.sqrt(drive.stiffness * inertia)) == pytest.approx(1.0, rel=5e-3)
+
+
 def test_armature_comes_from_limits_and_leaves_what_the_model_has():
     body = with_armature(pendulums())
     assert body.joints[0].armature == pytest.approx(MOTOR_TIME * 20.0 / 4.0)
@@ -97,6 +106,8 @@ def test_responses_span_the_workspace_and_count_the_mechanisms_damping():
 def test_bad_designs_are_named():
     with pytest.raises(ConfigurationError, match="joint 'joint0': its frequency is -1"):
         designed_drives(pendulums(), (DriveDesign(joints=(".*",), natural_frequency=-1.0),))
+    with pytest.raises(ConfigurationError, match="its friction error is 0"):
+        designed_drives(pendulums(), (DriveDesign(joints=(".*",), friction_error=0.0),))
     twice = (DriveDesign(joints=(".*",)), DriveDesign(joints=("joint0",)))
     with pytest.raises(ConfigurationError, match="'joint0' has two designs"):
         designed_drives(pendulums(), twice)

@@ -1,22 +1,21 @@
-"""The left arm of Rethink Robotics' Baxter, with seven joints, and its electric gripper."""
+"""The left arm of Rethink Robotics' Baxter, with seven joints."""
 
 from __future__ import annotations
 
 import math
 
 from orbit_core.assets.cache import Model
-from orbit_core.assets.compose import add_frames, edit_joints, inertia_of_shapes, subtree, without
+from orbit_core.assets.compose import add_frames, subtree, without
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
 from orbit_core.dynamics.drive_design import DriveDesign, with_armature
-from orbit_core.scene import Articulation, Frame, Gripper, ImplicitPd, Pose, Workspace
+from orbit_core.scene import Articulation, Frame, Pose, Workspace
 
 SOURCE = "example-robot-data"
 LICENCE = "BSD"
 FILE = "robots/baxter_description/urdf/baxter.urdf"
 ARM_JOINTS = ("left_[sew][012]",)
-FINGER = "l_gripper_l_finger_joint"
 
 
 def arm() -> Articulation:
@@ -28,15 +27,7 @@ def arm() -> Articulation:
     )
 
 
-def gripper() -> Articulation:
-    """The gripper in its wider setting: 16 to 58 mm between the pads, which are boxes in the URDF already."""
-    source = merge_fixed_links(subtree(installed_urdf(SOURCE, FILE), "left_gripper_base_link", "rethink_gripper"))
-    fingers = inertia_of_shapes(source, ("l_gripper_._finger", "left_gripper_base_link"))
-    note = "armature of 0.1 kg on the Rethink gripper's fingers is the catalogue's choice: they weigh 30 g"
-    return edit_joints(fingers, (".*",), note, armature=0.1)
-
-
-ARM = RobotPart(
+PART = RobotPart(
     name="baxter_arm",
     kind=PartKind.ARM,
     model=Model("baxter_arm", arm, (SOURCE,), LICENCE, parts=(with_armature,)),
@@ -46,13 +37,4 @@ ARM = RobotPart(
     joints=ARM_JOINTS,
     workspace=Workspace((0.45, -0.2, 0.05), (0.65, 0.2, 0.3)),
     end_effector="rethink_gripper",
-)
-GRIPPER = RobotPart(
-    name="rethink_gripper",
-    kind=PartKind.END_EFFECTOR,
-    model=Model("rethink_gripper", gripper, (SOURCE,), LICENCE, parts=(inertia_of_shapes,)),
-    home={FINGER: 0.0208, "l_gripper_r_finger_joint": -0.0208},
-    drives=(ImplicitPd(joints=(FINGER,), stiffness=2000.0, damping=60.0),),
-    frame="left_gripper",
-    gripper=Gripper((FINGER,), 0.0208, 0.0),
 )

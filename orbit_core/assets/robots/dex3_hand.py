@@ -40,7 +40,7 @@ def _part(side: str) -> RobotPart:
         kind=PartKind.END_EFFECTOR,
         model=Model(name, articulation, (SOURCE,), LICENCE, parts=(on_bracket, with_armature)),
         home=opened(positions),
-        designs=(DriveDesign(joints=(f"{prefix}.*",), natural_frequency=10.0),),
+        designs=(DriveDesign(joints=(f"{prefix}.*",), natural_frequency=12.0),),
         frame=f"{name}_tcp",
         gripper=grasp(positions),
         finger_tips=tuple(f"{prefix}{tip}_tip" for tip in _TIPS),

@@ -31,7 +31,7 @@ def simplified(articulation: Articulation) -> Articulation:
     return simplify_collisions(edit_joints(articulation, (".*",), note, armature=0.1))
 
 
-ARM = RobotPart(
+PART = RobotPart(
     name="franka_panda",
     kind=PartKind.ARM,
     model=Model("franka_panda_arm", arm, (SOURCE,), LICENCE),

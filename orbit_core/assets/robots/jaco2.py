@@ -26,7 +26,7 @@ def arm() -> Articulation:
     return with_armature(add_frames(simplify_collisions(merge_fixed_links(source)), PALM))
 
 
-ARM = RobotPart(
+PART = RobotPart(
     name="jaco2",
     kind=PartKind.ARM,
     model=Model("jaco2", arm, (SOURCE,), LICENCE, parts=(with_armature,)),

@@ -29,12 +29,15 @@ def hand() -> Articulation:
     )
     fingers = merge_fixed_links(replace(source, links=(Link(palm), *links), joints=joints, frames=()))
     fingers = add_frames(fingers, Frame("kg2_tcp", palm, Pose((0.0, 0.0, 0.06))))
-    note = "the URDF fixes the KG-2's fingers: here they turn from 0 to 1.51 rad, 2 N m, as in Kinova's own models"
+    note = (
+        "the URDF fixes the KG-2's fingers: here they turn from 0 to 1.51 rad as in Kinova's own models, whose 2 N m "
+        "at each of two motors are 4 N m of the one drive"
+    )
     return simplify_collisions(edit_joints(fingers, FINGERS, note, armature=0.002))
 
 
 def _moving(name: str) -> dict[str, object]:
-    limits = {"lower_limit": 0.0, "upper_limit": 1.51, "effort_limit": 2.0, "velocity_limit": 1.0}
+    limits = {"lower_limit": 0.0, "upper_limit": 1.51, "effort_limit": 4.0, "velocity_limit": 1.0}
     mimic = None if name == FINGERS[0] else Mimic(FINGERS[0])
     return {"type": JointType.REVOLUTE, "axis": (0.0, 0.0, 1.0), "mimic": mimic, **limits}
 

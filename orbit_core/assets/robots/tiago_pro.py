@@ -22,7 +22,7 @@ def arm() -> Articulation:
     return with_armature(simplify_collisions(merge_fixed_links(without(source, "gripper_left_base_link"))))
 
 
-ARM = RobotPart(
+PART = RobotPart(
     name="tiago_pro_arm",
     kind=PartKind.ARM,
     model=Model("tiago_pro_arm", arm, (SOURCE,), LICENCE, parts=(with_armature,)),
