@@ -16,9 +16,9 @@ LICENCE = "BSD-3-Clause"
 # Of the left hand. The tips are 0.08 m apart where it is open. Closed on what is 0.04 m wide, the fingers press with
 # 8.5 N each against 17 N of the thumb.
 GRASP = {
-    "thumb_0": (0.0, 0.0), "thumb_1": (-0.308, 0.312), "thumb_2": (0.842, 1.234),
-    "middle_0": (-0.615, -1.046), "middle_1": (-0.847, -1.056),
-    "index_0": (-0.615, -1.046), "index_1": (-0.847, -1.056),
+    "thumb_0": (0.0, 0.0), "thumb_1": (-0.308, 0.192), "thumb_2": (0.842, 1.166),
+    "middle_0": (-0.615, -0.982), "middle_1": (-0.847, -1.014),
+    "index_0": (-0.615, -0.982), "index_1": (-0.847, -1.014),
 }  # fmt: skip
 _SIGNS = {"left": 1.0, "right": -1.0}
 """The right hand is the mirror image of the left."""
