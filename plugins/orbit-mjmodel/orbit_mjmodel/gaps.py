@@ -71,6 +71,12 @@ _TORSION = (
     "torsional friction; with impratio=10 a gripped box turns seven times slower, for up to a quarter more time a step"
 )
 
+_HANDS = (
+    "allegro_left", "allegro_right", "dex3_left", "dex3_right", "shadow_hand",
+    "franka_panda_allegro", "ur10_shadow_hand",
+)  # fmt: skip
+_FINGERS = f"what soft motors press with 10 to 20 N creeps by 3 to 6 mm/s under 4 N: {CREEP}"
+
 CONTACT = (
     Gap("stick_and_slip", "creep", 0.012, CREEP),
     Gap("stick_and_slip", "friction", 0.12, _HOP),
@@ -96,5 +102,6 @@ CONTACT = (
     Gap("unequal_collision", "speeds", 0.09, _SPRING),
     Gap("grasp", "limit", 0.08, f"{CREEP}; once it slips, {_HOP}"),
     Gap("stack", "penetration", 1.1e-3, _SOFT),
+    Gap("robot_grasp", "slip", 0.017, _FINGERS, _HANDS),
 )
 """Gaps of contact."""
