@@ -31,17 +31,23 @@ def workspace_mass_matrices(
         armature: (J,) reflected inertias in place of the joints' own.
     """
     joints = articulation.movable_joints
-    low, high = (np.array([_ends(joint)[end] for joint in joints]) for end in (0, 1))
-    drawn = np.random.default_rng(0).uniform(low, high, (_SAMPLES, len(joints)))
     fold = mimic_matrix(articulation)
-    offsets = np.array([joint.mimic.offset if joint.mimic else 0.0 for joint in joints])
-    positions = torch.as_tensor(drawn @ fold.T + offsets)
+    positions = torch.as_tensor(workspace_positions(articulation))
     model = RigidBodyModel(articulation, not free_root, armature=armature, dtype=torch.float64)
     root = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(_SAMPLES, 1)
     full = model.mass_matrix(model.kinematics.forward(root, positions)).numpy()
     if free_root:
         fold = np.block([[np.eye(6), np.zeros((6, len(joints)))], [np.zeros((len(joints), 6)), fold]])
     return fold.T @ full @ fold
+
+
+def workspace_positions(articulation: Articulation) -> npt.NDArray[np.float64]:
+    """(S, J) drawn evenly within the joints' limits, the same at each call; followers where their leaders put them."""
+    joints = articulation.movable_joints
+    low, high = (np.array([_ends(joint)[end] for joint in joints]) for end in (0, 1))
+    drawn = np.random.default_rng(0).uniform(low, high, (_SAMPLES, len(joints)))
+    offsets = np.array([joint.mimic.offset if joint.mimic else 0.0 for joint in joints])
+    return drawn @ mimic_matrix(articulation).T + offsets
 
 
 def leaders(articulation: Articulation) -> list[int]:

@@ -33,7 +33,7 @@ class ActionManager:
         if task.actions is not None:
             task.action = COMPOSED
         self.terms = terms
-        self.generators = task.generators = tuple(_built(world, name, term) for name, term in terms.items())
+        self.generators = task.generators = tuple(_built(world, task, name, term) for name, term in terms.items())
         """Motion generators in the order of the action's components."""
         self.slices = task.action_slices = _slices_by_agent(self.generators)
         """Which components of the action are each agent's."""
@@ -66,7 +66,7 @@ class ActionManager:
         return {port.name: part for port, part in zip(self._commands, parts, strict=True)}
 
 
-def _built(world: World, name: str, term: ActionTerm) -> MotionGenerator:
+def _built(world: World, task: Task, name: str, term: ActionTerm) -> MotionGenerator:
     robot = world.robots[term.robot]
     generator = term.build(name, robot)
     named = term.components(robot.spec, name)
@@ -75,7 +75,7 @@ def _built(world: World, name: str, term: ActionTerm) -> MotionGenerator:
             f"action term '{name}' names {len(named)} components ({', '.join(named)}), but its generator takes "
             f"{generator.command_size}: mend {type(term).__name__}.components"
         )
-    generator.enter(world)
+    generator.enter(world, task.physics_dt * task.decimation)
     return generator
 
 

@@ -4,6 +4,7 @@ from orbit_core.motion.actuate import Actuate
 from orbit_core.motion.base import JointTarget, MotionGenerator
 from orbit_core.motion.base_velocity import BaseVelocity, BaseVelocityConfig
 from orbit_core.motion.binary_gripper import BinaryGripper, BinaryGripperConfig
+from orbit_core.motion.cartesian_impedance import CartesianImpedance, CartesianImpedanceConfig
 from orbit_core.motion.differential_ik import DifferentialIk, DifferentialIkConfig
 from orbit_core.motion.drives import with_drives_for
 from orbit_core.motion.embodiment import driven_joints, end_effector_of, joint_commands
@@ -14,15 +15,17 @@ from orbit_core.motion.joint_impedance import JointImpedance, JointImpedanceConf
 from orbit_core.motion.joint_position import JointPosition, JointPositionConfig
 from orbit_core.motion.joint_velocity import JointVelocity, JointVelocityConfig
 from orbit_core.motion.modes import CommandMode
+from orbit_core.motion.operational_space import OperationalSpace, OperationalSpaceConfig
 from orbit_core.motion.presets import ACTION_PRESETS, ActionPreset, action_words, preset_terms
 from orbit_core.motion.registry import generator_descriptions, motion_generators
 from orbit_core.motion.term import ActionTerm, ActionTerms
 
 __all__ = [
     "ACTION_PRESETS", "ActionPreset", "ActionTerm", "ActionTerms", "Actuate", "BaseVelocity", "BaseVelocityConfig",
-    "BinaryGripper", "BinaryGripperConfig", "CommandMode", "DifferentialIk", "DifferentialIkConfig", "GainCommand",
-    "GainRange", "IkMethod", "JointEffort", "JointEffortConfig", "JointImpedance", "JointImpedanceConfig",
-    "JointPosition", "JointPositionConfig", "JointTarget", "JointVelocity", "JointVelocityConfig",
-    "MotionGenerator", "action_words", "driven_joints", "end_effector_of", "generator_descriptions",
+    "BinaryGripper", "BinaryGripperConfig", "CartesianImpedance", "CartesianImpedanceConfig", "CommandMode",
+    "DifferentialIk", "DifferentialIkConfig", "GainCommand", "GainRange", "IkMethod", "JointEffort",
+    "JointEffortConfig", "JointImpedance", "JointImpedanceConfig", "JointPosition", "JointPositionConfig",
+    "JointTarget", "JointVelocity", "JointVelocityConfig", "MotionGenerator", "OperationalSpace",
+    "OperationalSpaceConfig", "action_words", "driven_joints", "end_effector_of", "generator_descriptions",
     "joint_commands", "joint_delta", "motion_generators", "preset_terms", "with_drives_for",
 ]  # fmt: skip

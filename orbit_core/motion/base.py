@@ -47,8 +47,12 @@ class MotionGenerator(Node):
         self.lower_limits, self.upper_limits = robot.position_limits[self.joints].unbind(-1)
         self._columns = columns_of(self.joints, self.device)
 
-    def enter(self, world: World) -> None:
+    def enter(self, world: World, step_dt: float) -> None:
         """Take up what the generator needs of the world besides its robot; called once, before the first turn.
+
+        Args:
+            world: of the robot.
+            step_dt: s from one command to the next.
 
         Raises:
             ConfigurationError: the generator's settings do not suit the world.

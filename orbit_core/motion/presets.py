@@ -95,7 +95,7 @@ ACTION_PRESETS: Mapping[str, ActionPreset] = {
     "joint_effort": ActionPreset("each joint's effort limit", lambda spec: JointEffortConfig()),
     "ik_absolute": ActionPreset(
         "0.5 m, pi rad from the hand's pose at home, in the robot's root frame",
-        lambda spec: DifferentialIkConfig(relative=False, position_scale=0.5, rotation_scale=math.pi),
+        lambda spec: DifferentialIkConfig(mode=CommandMode.ABSOLUTE, position_scale=0.5, rotation_scale=math.pi),
     ),
     "ik_relative": ActionPreset(
         "5 cm, 0.2 rad from the hand's measured pose, in world axes", lambda spec: DifferentialIkConfig()

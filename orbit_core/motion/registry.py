@@ -10,11 +10,13 @@ from functools import cache
 
 from orbit_core.motion.base_velocity import BaseVelocityConfig
 from orbit_core.motion.binary_gripper import BinaryGripperConfig
+from orbit_core.motion.cartesian_impedance import CartesianImpedanceConfig
 from orbit_core.motion.differential_ik import DifferentialIkConfig
 from orbit_core.motion.joint_effort import JointEffortConfig
 from orbit_core.motion.joint_impedance import JointImpedanceConfig
 from orbit_core.motion.joint_position import JointPositionConfig
 from orbit_core.motion.joint_velocity import JointVelocityConfig
+from orbit_core.motion.operational_space import OperationalSpaceConfig
 from orbit_core.motion.term import ActionTerm
 from orbit_core.registry import ClassRegistry
 
@@ -25,6 +27,8 @@ _OWN = (
     JointVelocityConfig,
     JointEffortConfig,
     JointImpedanceConfig,
+    OperationalSpaceConfig,
+    CartesianImpedanceConfig,
     BinaryGripperConfig,
     BaseVelocityConfig,
 )

@@ -66,7 +66,7 @@ class Servo(MotionGenerator):
             ConfigurationError: says which gain is stable.
         """
 
-    def enter(self, world: World) -> None:
+    def enter(self, world: World, step_dt: float) -> None:
         self.physics_dt = world.physics_dt
         self.dynamics = ArmDynamics(self.robot, self.joints, world.physics_dt, world.scene.gravity)
         self.check_stable()

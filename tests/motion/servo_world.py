@@ -56,7 +56,7 @@ def held(
     world = simulate(scene, num_envs, backend)
     robot = world.robots["robot"]
     generator = term.build("it", robot)
-    generator.enter(world)
+    generator.enter(world, 4 * physics_dt)
     return Held(world, robot, generator)
 
 

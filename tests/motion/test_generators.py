@@ -81,7 +81,7 @@ def test_relative_ik_moves_the_hand_by_the_command(kinematic_robot: MakeRobot, m
 
 def test_absolute_ik_command_is_a_pose_in_the_root_frame(kinematic_robot: MakeRobot) -> None:
     robot = kinematic_robot()
-    generator = DifferentialIk("ik", robot, DifferentialIkConfig(relative=False, position_scale=0.4))
+    generator = DifferentialIk("ik", robot, DifferentialIkConfig(mode=CommandMode.ABSOLUTE, position_scale=0.4))
     home = robot.frame_pose(generator.frame)
     ahead = torch.tensor([0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]).expand(4, 7)
     root = robot.root_pose

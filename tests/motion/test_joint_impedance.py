@@ -91,12 +91,12 @@ def test_commands_lead_the_hand_to_a_pose(mode: CommandMode) -> None:
     goal = arm.hand()
     goal[:, :3] += torch.tensor([0.05, 0.1, -0.05])
     for _ in range(120):
-        arm.run(arm.generator.encode(goal, torch.ones(2, dtype=torch.bool)), 8)
+        arm.run(arm.generator.encode(goal, torch.ones(2, dtype=torch.bool)), 8, decimation=8)
     assert towards_pose(arm.robot, arm.generator.joints, goal).abs().max() < 0.01
     arm.world.close()
 
 
-@pytest.mark.parametrize("action", ["joint_impedance"])
+@pytest.mark.parametrize("action", ["joint_impedance", "osc", "impedance"])
 def test_a_captured_step_is_the_step(action: str) -> None:
     paths = []
     for captured in (False, True):

@@ -1,0 +1,79 @@
+"""Springs draw the hand to where it is wanted, with the inertia that the arm has: Cartesian impedance control."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.workspace import workspace_positions
+from orbit_core.interfaces import Robot
+from orbit_core.motion.arm_dynamics import ArmState
+from orbit_core.motion.compliant import Compliant, CompliantConfig, HandState, without_free
+from orbit_core.motion.servo import check_rate
+
+_ROOT_ITERATIONS = 8
+"""Enough for motions whose frequencies differ by a factor of 15."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CartesianImpedanceConfig(CompliantConfig):
+    """A command is a pose of the hand, or its change, towards which springs draw the hand.
+
+    ``wrench = K (x* - x) - D x'`` in six world axes, K in N/m and N m/rad. The arm's inertia stays as it is: the hand
+    yields to a steady force by force over stiffness (Hogan, Impedance Control: An Approach to Manipulation, Journal of
+    Dynamic Systems, Measurement, and Control 107, 1985). ``D = 2 zeta (Lambda # K)``, the geometric mean of the inertia
+    that the hand shows and the stiffness, gives all its motions the damping ratio zeta, however the axes are coupled
+    (the double diagonalisation of Albu-Schaeffer et al., Cartesian Impedance Control of Redundant Robots, ICRA 2003).
+    """
+
+    name: ClassVar[str] = "impedance"
+
+    stiffness: float = 400.0
+    rotational_stiffness: float = 30.0
+
+    def build(self, name: str, robot: Robot) -> CartesianImpedance:
+        return CartesianImpedance(name, robot, self)
+
+
+class CartesianImpedance(Compliant):
+    """Six commands, or more for gains, :class:`CartesianImpedanceConfig`."""
+
+    def check_stable(self) -> None:
+        positions = torch.as_tensor(workspace_positions(self.robot.spec.articulation), device=self.device).float()
+        model, step = self.dynamics.model, self.physics_dt
+        root = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], device=self.device)
+        poses = model.kinematics.forward(root.repeat(len(positions), 1), positions)
+        jacobian = model.kinematics.jacobian(poses, self.frame)[:, :, self.joints].double()
+        mass = model.mass_matrix(poses)[:, self.joints][:, :, self.joints].double()
+        roots = torch.tensor(self.gains.stiffest, dtype=torch.float64, device=self.device).sqrt()
+        mobility = roots.unsqueeze(-1) * (jacobian @ torch.linalg.solve(mass, jacobian.mT)) * roots
+        fastest = float(torch.linalg.eigvalsh(mobility).max()) ** 0.5
+        told = f"a stiffness of {max(self.gains.stiffest):g} with a damping ratio of {self.gains.most_damped:g}"
+        check_rate(self.name, (step * fastest) ** 2 + 4.0 * step * self.gains.most_damped * fastest, told)
+
+    def hand_accelerations(self, state: ArmState, hand: HandState, free: Tensor) -> Tensor:
+        stiffness = self.gains.stiffness
+        weights = (2.0 * self.gains.damping_ratio * stiffness).sqrt()
+        roots = stiffness.sqrt()
+        inverse_rate = inverse_root(roots.unsqueeze(-1) * hand.inverse_inertia * roots.unsqueeze(-2))
+        damping = weights * torch.bmm(inverse_rate, (weights * hand.velocity).unsqueeze(-1)).squeeze(-1)
+        wrench = stiffness * self.error(hand) - damping
+        return hand.joint_accelerations(wrench - hand.wrench(without_free(hand, free))) + free
+
+
+def inverse_root(matrix: Tensor) -> Tensor:
+    """``A^-1/2`` of symmetric positive definite matrices (N, n, n), by products alone.
+
+    Newton and Schulz' iteration, coupled (Higham, Functions of Matrices, 2008, equation 6.35). Where A has eigenvalues
+    below a 200th of its trace, the root comes out too small there.
+    """
+    size = matrix.diagonal(dim1=1, dim2=2).sum(-1)[:, None, None].clamp_min(1e-12)
+    identity = torch.eye(matrix.shape[-1], device=matrix.device)
+    root, inverse = matrix / size, identity.expand_as(matrix)
+    for _ in range(_ROOT_ITERATIONS):
+        step = 1.5 * identity - 0.5 * torch.bmm(inverse, root)
+        root, inverse = torch.bmm(root, step), torch.bmm(step, inverse)
+    return inverse * size.rsqrt()
