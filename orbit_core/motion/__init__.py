@@ -1,6 +1,7 @@
 """Motion generators: nodes that turn normalised commands into joint targets, and the action terms made of them."""
 
 from orbit_core.motion.actuate import Actuate
+from orbit_core.motion.admittance import Admittance, AdmittanceConfig
 from orbit_core.motion.base import JointTarget, MotionGenerator
 from orbit_core.motion.base_velocity import BaseVelocity, BaseVelocityConfig
 from orbit_core.motion.binary_gripper import BinaryGripper, BinaryGripperConfig
@@ -9,6 +10,7 @@ from orbit_core.motion.differential_ik import DifferentialIk, DifferentialIkConf
 from orbit_core.motion.drives import with_drives_for
 from orbit_core.motion.embodiment import driven_joints, end_effector_of, joint_commands
 from orbit_core.motion.gains import GainCommand, GainRange
+from orbit_core.motion.hybrid_force_motion import HybridForceMotion, HybridForceMotionConfig
 from orbit_core.motion.ik import IkMethod, joint_delta
 from orbit_core.motion.joint_effort import JointEffort, JointEffortConfig
 from orbit_core.motion.joint_impedance import JointImpedance, JointImpedanceConfig
@@ -21,11 +23,12 @@ from orbit_core.motion.registry import generator_descriptions, motion_generators
 from orbit_core.motion.term import ActionTerm, ActionTerms
 
 __all__ = [
-    "ACTION_PRESETS", "ActionPreset", "ActionTerm", "ActionTerms", "Actuate", "BaseVelocity", "BaseVelocityConfig",
-    "BinaryGripper", "BinaryGripperConfig", "CartesianImpedance", "CartesianImpedanceConfig", "CommandMode",
-    "DifferentialIk", "DifferentialIkConfig", "GainCommand", "GainRange", "IkMethod", "JointEffort",
-    "JointEffortConfig", "JointImpedance", "JointImpedanceConfig", "JointPosition", "JointPositionConfig",
-    "JointTarget", "JointVelocity", "JointVelocityConfig", "MotionGenerator", "OperationalSpace",
-    "OperationalSpaceConfig", "action_words", "driven_joints", "end_effector_of", "generator_descriptions",
-    "joint_commands", "joint_delta", "motion_generators", "preset_terms", "with_drives_for",
+    "ACTION_PRESETS", "ActionPreset", "ActionTerm", "ActionTerms", "Actuate", "Admittance", "AdmittanceConfig",
+    "BaseVelocity", "BaseVelocityConfig", "BinaryGripper", "BinaryGripperConfig", "CartesianImpedance",
+    "CartesianImpedanceConfig", "CommandMode", "DifferentialIk", "DifferentialIkConfig", "GainCommand", "GainRange",
+    "HybridForceMotion", "HybridForceMotionConfig", "IkMethod", "JointEffort", "JointEffortConfig",
+    "JointImpedance", "JointImpedanceConfig", "JointPosition", "JointPositionConfig", "JointTarget",
+    "JointVelocity", "JointVelocityConfig", "MotionGenerator", "OperationalSpace", "OperationalSpaceConfig",
+    "action_words", "driven_joints", "end_effector_of", "generator_descriptions", "joint_commands", "joint_delta",
+    "motion_generators", "preset_terms", "with_drives_for",
 ]  # fmt: skip

@@ -106,10 +106,7 @@ class DifferentialIk(MotionGenerator):
         displacement = self._pose.displacement(inputs["command"])
         jacobian = self.robot.jacobian(self.frame, self.joints)
         delta = joint_delta(self.config.method, jacobian, displacement, self.config.damping)
-        largest = torch.linalg.vector_norm(delta, math.inf, dim=-1, keepdim=True)
-        shrink = (self.config.max_joint_step / largest).clamp(max=1.0)
-        targets = torch.addcmul(self.positions, delta, shrink)
-        return {JointTarget.POSITION.value: torch.clamp(targets, self.lower_limits, self.upper_limits)}
+        return {JointTarget.POSITION.value: bounded_targets(self, delta, self.config.max_joint_step)}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return self._pose.encode(pose)
@@ -119,3 +116,14 @@ class DifferentialIk(MotionGenerator):
 
     def memory(self) -> Mapping[str, Tensor]:
         return self._pose.memory()
+
+
+def bounded_targets(generator: MotionGenerator, delta: Tensor, max_joint_step: float) -> Tensor:
+    """(N, k) positions that lie ``delta`` (N, k) from the measured ones, as a whole no further than ``max_joint_step``.
+
+    They are clipped to the joints' limits.
+    """
+    largest = torch.linalg.vector_norm(delta, math.inf, dim=-1, keepdim=True)
+    shrink = (max_joint_step / largest).clamp(max=1.0)
+    targets = torch.addcmul(generator.positions, delta, shrink)
+    return torch.clamp(targets, generator.lower_limits, generator.upper_limits)

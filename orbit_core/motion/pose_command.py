@@ -46,21 +46,26 @@ class PoseCommand:
         self._home = _pose_at_home(robot, frame)
         self._last = LastTargets(robot.joint_positions.shape[0], (7,), device)
 
-    def displacement(self, command: Tensor) -> Tensor:
-        """(N, 6) m and rad, world axes, from the measured pose to the one that a command (N, 6) asks for."""
+    def displacement(self, command: Tensor, kept: Tensor | None = None) -> Tensor:
+        """(N, 6) m and rad, world axes, from the measured pose to the one that a command (N, 6) asks for.
+
+        ``kept`` (N, 6, 6) projects on the directions that commands are about; along all others the measured pose is
+        what is asked for.
+        """
         offset = command * self._scale
         if self._mode is CommandMode.RELATIVE:
             return offset
         measured = self._robot.frame_pose(self._frame)
         if self._mode is CommandMode.ABSOLUTE:
-            return self._led(pose_error(measured, pose_multiply(self._robot.root_pose, displaced(self._home, offset))))
-        led = self._led(pose_error(measured, displaced(self._last.read(measured), offset)))
+            wanted = pose_multiply(self._robot.root_pose, displaced(self._home, offset))
+            return self._led(_projected(kept, pose_error(measured, wanted)))
+        led = self._led(_projected(kept, pose_error(measured, displaced(self._last.read(measured), offset))))
         self._last.keep(displaced(measured, led))
         return led
 
-    def target(self, command: Tensor) -> Tensor:
-        """(N, 7) the pose that a command asks for."""
-        return displaced(self._robot.frame_pose(self._frame), self.displacement(command))
+    def target(self, command: Tensor, kept: Tensor | None = None) -> Tensor:
+        """(N, 7) the pose that a command asks for, :meth:`displacement`."""
+        return displaced(self._robot.frame_pose(self._frame), self.displacement(command, kept))
 
     def encode(self, pose: Tensor) -> Tensor:
         """(N, 6) the command that comes nearest to a pose (N, 7)."""
@@ -91,6 +96,10 @@ def displaced(pose: Tensor, displacement: Tensor) -> Tensor:
     """(..., 7) a pose after a displacement (..., 6): metres, then a rotation vector, in its parent's axes."""
     rotation = quat_multiply(quat_from_rotation_vector(displacement[..., 3:]), pose[..., 3:])
     return torch.cat((pose[..., :3] + displacement[..., :3], rotation), -1)
+
+
+def _projected(kept: Tensor | None, displacement: Tensor) -> Tensor:
+    return displacement if kept is None else torch.bmm(kept, displacement.unsqueeze(-1)).squeeze(-1)
 
 
 def _pose_at_home(robot: Robot, frame: str) -> Tensor:

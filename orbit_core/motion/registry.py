@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from functools import cache
 
+from orbit_core.motion.admittance import AdmittanceConfig
 from orbit_core.motion.base_velocity import BaseVelocityConfig
 from orbit_core.motion.binary_gripper import BinaryGripperConfig
 from orbit_core.motion.cartesian_impedance import CartesianImpedanceConfig
 from orbit_core.motion.differential_ik import DifferentialIkConfig
+from orbit_core.motion.hybrid_force_motion import HybridForceMotionConfig
 from orbit_core.motion.joint_effort import JointEffortConfig
 from orbit_core.motion.joint_impedance import JointImpedanceConfig
 from orbit_core.motion.joint_position import JointPositionConfig
@@ -29,6 +31,8 @@ _OWN = (
     JointImpedanceConfig,
     OperationalSpaceConfig,
     CartesianImpedanceConfig,
+    HybridForceMotionConfig,
+    AdmittanceConfig,
     BinaryGripperConfig,
     BaseVelocityConfig,
 )

@@ -23,8 +23,7 @@ def critically_damped(stiffness: float, time: float) -> float:
     return 1.0 - (1.0 + rate * time) * math.exp(-rate * time)
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("engine_compensates", [True, False])
+@pytest.mark.parametrize(("backend", "engine_compensates"), [(BACKENDS[0], False), (BACKENDS[-1], True)])
 def test_with_inertia_compensation_every_joint_is_a_unit_mass_on_a_spring(
     backend: str, engine_compensates: bool
 ) -> None:
@@ -52,7 +51,7 @@ def test_a_commanded_stiffness_yields_to_a_force_by_force_over_stiffness(backend
     gains = torch.tensor([[-1.0] * 7, [1.0] * 7])
     stiffness = torch.tensor([[100.0], [800.0]])
     wrench_on_hand(arm, (0.0, 6.0, 0.0))
-    arm.run(torch.cat((torch.zeros(2, 7), gains, torch.zeros(2, 7)), 1), 1500)
+    arm.run(torch.cat((torch.zeros(2, 7), gains, torch.zeros(2, 7)), 1), 1000)
     force = torch.tensor([0.0, 6.0, 0.0, 0.0, 0.0, 0.0])
     torques = arm.robot.jacobian(arm.robot.spec.end_effector.frame, arm.generator.joints).mT @ force
     # The force's arm follows the hand; it stays where it was put on the link, within the small turn.
@@ -85,7 +84,7 @@ def test_unstable_gains_are_refused_with_what_is_stable(inertia_compensation: bo
         held(JointImpedanceConfig(stiffness=-1.0), BACKENDS[0])
 
 
-@pytest.mark.parametrize("mode", list(CommandMode))
+@pytest.mark.parametrize("mode", [CommandMode.ABSOLUTE, CommandMode.INTEGRATED])
 def test_commands_lead_the_hand_to_a_pose(mode: CommandMode) -> None:
     arm = held(JointImpedanceConfig(stiffness=400.0, scale=2.0, mode=mode), BACKENDS[0])
     goal = arm.hand()

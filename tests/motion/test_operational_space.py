@@ -23,8 +23,7 @@ def response(stiffness: float, ratio: float, time: float) -> float:
     return 1.0 - math.exp(-ratio * rate * time) * wave
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("engine_compensates", [True, False])
+@pytest.mark.parametrize(("backend", "engine_compensates"), [(BACKENDS[0], False), (BACKENDS[-1], True)])
 def test_each_axis_of_the_hand_is_a_second_order_system_of_its_own(backend: str, engine_compensates: bool) -> None:
     config = OperationalSpaceConfig(
         stiffness=100.0, rotational_stiffness=100.0, damping_ratio=0.5, mode=CommandMode.ABSOLUTE,
@@ -60,8 +59,14 @@ def test_the_hand_yields_to_a_force_by_force_over_stiffness(backend: str) -> Non
     arm.world.close()
 
 
-@pytest.mark.parametrize("config", [OperationalSpaceConfig, CartesianImpedanceConfig])
-@pytest.mark.parametrize("mode", list(CommandMode))
+@pytest.mark.parametrize(
+    ("config", "mode"),
+    [
+        (OperationalSpaceConfig, CommandMode.INTEGRATED),
+        (OperationalSpaceConfig, CommandMode.RELATIVE),
+        (CartesianImpedanceConfig, CommandMode.ABSOLUTE),
+    ],
+)
 def test_encoded_commands_lead_the_hand_to_a_pose(
     config: type[OperationalSpaceConfig | CartesianImpedanceConfig], mode: CommandMode
 ) -> None:
