@@ -31,7 +31,7 @@ RANKS = {
     "actuators": 3,
     "sensors": 3,
     "agent": 3,
-    "motion": 3,
+    "motion": 3.2,
     "perception": 3.5,
     "capture": 3,
     "world": 4,
