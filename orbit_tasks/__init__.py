@@ -23,3 +23,9 @@ def register(registry: TaskRegistry) -> None:
         "A legged robot follows a commanded velocity on a plane",
         "orbit_tasks.velocity_flat:VelocityFlat",
     )
+    registry.add(
+        "Cloth-Lifting", "Lift a cloth by its middle to a sampled position", "orbit_tasks.cloth_lifting:ClothLifting"
+    )
+    registry.add(
+        "Rope-Reshaping", "Bend a rope into a corner of a sampled angle", "orbit_tasks.rope_reshaping:RopeReshaping"
+    )

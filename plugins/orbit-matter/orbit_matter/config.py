@@ -19,7 +19,7 @@ class MatterConfig:
     """Longest substep in seconds; a physics step is divided into as many equal ones as it takes. None takes what the
     finest mesh of the scene needs to hang within 1 % of its length and to bend as its stiffness says, between 0.25 and
     1.25 ms."""
-    contact_stiffness: float = 2000.0
+    contact_stiffness: float = 1000.0
     """N/m with which one particle resists being pressed into a surface."""
     capture: bool = True
     """Whether launches are recorded once and replayed as a graph."""

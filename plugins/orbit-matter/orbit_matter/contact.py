@@ -1,8 +1,9 @@
 """Particles against the surfaces of links and terrain: compliant, with Coulomb friction, felt by the links.
 
 All surfaces that a particle is in are solved together, so that a particle between two fingers rests where their forces
-cancel: it minimises ``m |x - x'|^2 / (2 h^2) + sum k depth^2 / 2``. Friction then undoes what a particle moved along a
-surface in the substep, as far as Coulomb's cone lets it; a particle that holds does not creep.
+cancel: it minimises ``m |x - x'|^2 / (2 h^2) + sum k depth^2 / 2``. Friction then undoes what a particle moved along the
+surface that holds it best, as far as Coulomb's cone lets it, against all that surfaces which move otherwise rub; a
+particle that holds does not creep.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
@@ -22,6 +23,9 @@ NEAREST = wp.constant(6)
 """Shapes that one particle may be near at a time; those met first count."""
 MARGIN = wp.constant(0.005)
 """Metres, beside what particle and shape move, within which a shape is looked at in a physics step."""
+
+STILL = wp.constant(0.001)
+"""m/s between two surfaces at most, for both to hold what is between them."""
 
 Normals = wp.types.matrix(shape=(6, 3), dtype=float)
 Depths = wp.types.vector(length=6, dtype=float)
@@ -97,7 +101,7 @@ def finish(
             feel(felt, links, shapes, env, p.owner[i], link, goal, force)
         p.d[env, i] = goal - p.x[env, i]
     elif felt.near[env, i, 0] >= 0:
-        solve_contacts(p, links, shapes, felt, env, i, inertia, stiffness, share)
+        solve_contacts(p, links, shapes, felt, env, i, inertia, stiffness, share, h)
     p.v[env, i] = p.d[env, i] / h
     p.x[env, i] = p.x[env, i] + p.d[env, i]
 
@@ -113,6 +117,7 @@ def solve_contacts(
     inertia: float,
     stiffness: float,
     share: float,
+    step: float,
 ):
     kind = env % shapes.kind.shape[0]
     x = p.x[env, i] + p.d[env, i]
@@ -133,29 +138,70 @@ def solve_contacts(
                     depths[k] = p.radius[i] - found[3]
                     for axis in range(3):
                         normals[k, axis] = n[axis]
-                n = wp.vec3(normals[k, 0], normals[k, 1], normals[k, 2])
+                n = normal_of(normals, k)
                 if depths[k] > 0.0 and depths[k] - wp.dot(n, moved) > 0.0:
                     matrix += wp.outer(n, n) * stiffness
                     pushes += n * (stiffness * depths[k])
         moved = wp.inverse(matrix) * pushes
     d = p.d[env, i] + moved
+    here = p.x[env, i] + d
+    # The surface that holds best: the particle goes with it where it can.
+    limits, best = Depths(), int(-1)
     for k in range(NEAREST):
         s = felt.near[env, i, k]
-        if s >= 0:
-            n = wp.vec3(normals[k, 0], normals[k, 1], normals[k, 2])
-            normal = stiffness * (depths[k] - wp.dot(n, moved))
-            if depths[k] > 0.0 and normal > 0.0:
-                here = p.x[env, i] + d
-                there = wp.transform_point(
-                    links.shape_before[env, s], wp.transform_point(wp.transform_inverse(links.shape[env, s]), here)
-                )
-                slid = d - (here - there)
-                slid = slid - n * wp.dot(n, slid)
-                friction = wp.max(p.parameters[env, p.owner[i], 3], felt.friction[env, s])
-                way, limit = wp.length(slid), friction * normal / inertia
-                if way > limit:
-                    slid = slid * (limit / way)
-                d = d - slid
-                force = -(n * normal - slid * inertia) * share
-                feel(felt, links, shapes, env, p.owner[i], shapes.link[kind, s], here, force)
+        normal = stiffness * (depths[k] - wp.dot(normal_of(normals, k), moved))
+        if s < 0 or depths[k] <= 0.0:
+            normal = float(0.0)
+        depths[k] = wp.max(normal, 0.0)
+        if normal > 0.0:
+            limits[k] = wp.max(p.parameters[env, p.owner[i], 3], felt.friction[env, s]) * normal / inertia
+            if best < 0:
+                best = k
+            elif limits[k] > limits[best]:
+                best = k
+    if best < 0:
+        p.d[env, i] = d
+        return
+    way = carried(links, env, felt.near[env, i, best], here)
+    # Surfaces that move against it rub with all of their friction; the others hold with it.
+    hold = float(0.0)
+    for k in range(NEAREST):
+        if depths[k] > 0.0:
+            n = normal_of(normals, k)
+            s = felt.near[env, i, k]
+            rubbed = way - carried(links, env, s, here)
+            rubbed = rubbed - n * wp.dot(n, rubbed)
+            length = wp.length(rubbed)
+            if length > STILL * step:
+                rub = rubbed * (limits[k] / length)
+                limits[k] = float(0.0)
+                d = d - rub
+                felt_at = (rub * inertia - n * depths[k]) * share
+                feel(felt, links, shapes, env, p.owner[i], shapes.link[kind, s], here, felt_at)
+            else:
+                hold += limits[k]
+    n = normal_of(normals, best)
+    slid = d - way
+    slid = slid - n * wp.dot(n, slid)
+    if wp.length(slid) > hold:
+        slid = slid * (hold / wp.length(slid))
+    d = d - slid
+    for k in range(NEAREST):
+        if limits[k] > 0.0:
+            s = felt.near[env, i, k]
+            force = (slid * (inertia * limits[k] / hold) - normal_of(normals, k) * depths[k]) * share
+            feel(felt, links, shapes, env, p.owner[i], shapes.link[kind, s], here, force)
     p.d[env, i] = d
+
+
+@wp.func
+def normal_of(normals: Normals, k: int) -> wp.vec3:
+    """Of the k-th surface."""
+    return wp.vec3(normals[k, 0], normals[k, 1], normals[k, 2])
+
+
+@wp.func
+def carried(links: Links, env: int, shape: int, x: wp.vec3) -> wp.vec3:
+    """How far a shape's point that is now at x went in the substep."""
+    local = wp.transform_point(wp.transform_inverse(links.shape[env, shape]), x)
+    return x - wp.transform_point(links.shape_before[env, shape], local)

@@ -1,0 +1,63 @@
+"""Terms that tasks of cloth and rope share."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.transforms import quat_rotate
+from orbit_core.envs.task import Task
+from orbit_core.envs.terms import EventFunction, TermFunction
+from orbit_core.interfaces import World
+from orbit_core.interfaces.names import match_names
+from orbit_core.mdp.common import turned
+from orbit_core.scene import RobotSpec
+
+
+def with_grip_force(robot: RobotSpec, force: float) -> RobotSpec:
+    """The robot with a first gripper that closes with ``force`` newtons, on thin things too: its drives reach that force
+    half a millimetre from where they want to be, and give no more."""
+    gripper = robot.end_effector.gripper
+    if gripper is None:
+        return robot
+    names = robot.articulation.joint_names
+    joints = set(match_names(gripper.joints, names, "joint", f"'{robot.name}'"))
+    groups = (
+        replace(group, effort_limit=force, stiffness=max(group.stiffness, force / 5e-4), damping=2.0 * group.damping)
+        if joints & set(match_names(group.joints, names, "joint", f"'{robot.name}'"))
+        else group
+        for group in robot.actuators
+    )
+    return replace(robot, actuators=tuple(groups))
+
+
+def key_points(name: str) -> TermFunction:
+    """Term: (N, 3 K) key points of a deformable, in the environment's frame."""
+
+    def observe(world: World, task: Task) -> Tensor:
+        return world.deformables[name].key_points.flatten(1)
+
+    return observe
+
+
+def place_deformable(name: str, spread: tuple[float, float], turn: float = math.pi) -> EventFunction:
+    """Event: the deformable at its spec's pose, moved by up to ``spread`` (x, y) m and turned by up to ``turn`` rad."""
+
+    def place(world: World, task: Task, env_ids: Tensor) -> None:
+        thing = world.deformables[name]
+        rest = torch.tensor(thing.spec.pose.transform(thing.spec.rest_positions), dtype=torch.float32)
+        rest = rest.to(world.device)
+        middle = rest.mean(0)
+        low, high = (-spread[0], -spread[1], -turn), (*spread, turn)
+        offset = world.random.uniform((3,), low, high, env_ids)
+        shift = torch.cat((offset[:, :2], torch.zeros_like(offset[:, :1])), dim=1)
+        rotation = turned(offset[:, 2])[:, None].expand(-1, len(rest), -1)
+        thing.set_state(
+            quat_rotate(rotation, (rest - middle).expand(len(offset), -1, -1)) + middle + shift[:, None],
+            env_ids=env_ids,
+        )
+
+    return place

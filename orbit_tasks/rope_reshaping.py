@@ -1,0 +1,244 @@
+"""Rope-Reshaping: bend a rope that lies straight on a table into a corner of a sampled angle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+from torch.linalg import vector_norm
+
+from orbit_core.assets.deformables import line
+from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.terms import once_per_state
+from orbit_core.interfaces import World
+from orbit_core.mdp import common, matter
+from orbit_core.scene import KeyPoint, MarkerShape, MarkerSpec, Pose, Rope, Scene, look_at
+
+ROPE = "rope"
+KEY_POINTS = 5
+"""Evenly along the rope; the goal has a place for each."""
+WAYPOINTS = (0.35, 0.7, 1.0)
+"""Parts of the angle by which the expert leads the rope's end."""
+
+
+@once_per_state
+def key_points(world: World, task: RopeReshaping) -> Tensor:
+    """(N, 5, 3) along the rope, in the environment's frame."""
+    return world.deformables[ROPE].key_points
+
+
+@once_per_state
+def shape_distance(world: World, task: RopeReshaping) -> Tensor:
+    """(N,) metres: mean over the key points of the way to their places."""
+    return vector_norm(key_points(world, task) - task.goal, dim=2).mean(1)
+
+
+def end(world: World, task: RopeReshaping) -> Tensor:
+    """(N, 3) the key point that is taken: the rope's last, less its half centimetre of end."""
+    return key_points(world, task)[:, -1]
+
+
+def reaching(world: World, task: RopeReshaping) -> Tensor:
+    """(N,) in [0, 1]: how near the hand is to the rope's end."""
+    return common.nearness(vector_norm(end(world, task) - common.hand_pose(world, task)[:, :3], dim=1), 0.1)
+
+
+def shaping(world: World, task: RopeReshaping, scale: float) -> Tensor:
+    """(N,) in [0, 1]: how near the rope is to its shape."""
+    return common.nearness(shape_distance(world, task), scale)
+
+
+def sample_goal(world: World, task: RopeReshaping, env_ids: Tensor) -> None:
+    """The rope's second half is to be turned by 40 to 80 degrees either way about its middle."""
+    points = world.deformables[ROPE].key_points[env_ids]
+    u = world.random.uniform((2,), env_ids=env_ids)
+    angle = torch.deg2rad(40.0 + 40.0 * u[:, 0]) * torch.where(u[:, 1] < 0.5, -1.0, 1.0)
+    task.angle[env_ids] = angle
+    task.start_end[env_ids] = points[:, -1]
+    task.middle[env_ids] = points[:, KEY_POINTS // 2]
+    task.goal[env_ids] = _bent(points, angle)
+    upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=world.device).expand(len(env_ids), 4)
+    for number in range(KEY_POINTS):
+        place = task.goal[env_ids, number]
+        world.markers[f"goal{number}"].set_pose(torch.cat((place, upright), dim=1), env_ids)
+
+
+def _bent(points: Tensor, angle: Tensor) -> Tensor:
+    """(n, 5, 3) with those behind the middle turned about it by an angle (n,)."""
+    middle = points[:, KEY_POINTS // 2 : KEY_POINTS // 2 + 1]
+    turned = middle + _turn(points - middle, angle[:, None])
+    behind = torch.arange(KEY_POINTS, device=points.device) > KEY_POINTS // 2
+    return torch.where(behind[:, None], turned, points)
+
+
+def _turn(arms: Tensor, angle: Tensor) -> Tensor:
+    """Vectors (..., 3) turned about the vertical."""
+    x, y, z = arms.unbind(-1)
+    return torch.stack(
+        (angle.cos() * x - angle.sin() * y, angle.sin() * x + angle.cos() * y, z.expand_as(x * angle)), -1
+    )
+
+
+def led(world: World, task: RopeReshaping, part: float, height: float) -> Tensor:
+    """(N, 7) the hand with the rope's end on its arc about the middle, across the rope there, at a height."""
+    arm = _turn(task.start_end - task.middle, part * task.angle)
+    # A bent rope is as long as a straight one, but not its chord: a little nearer leaves the middle where it is.
+    position = task.middle + arm * (1.0 - 0.03 * part)
+    position = torch.cat((position[:, :2], torch.full_like(position[:, :1], task.radius + height)), dim=1)
+    return torch.cat((position, _across(arm)), dim=1)
+
+
+def at_end(world: World, task: RopeReshaping, height: float) -> Tensor:
+    """(N, 7) the hand around the rope's end, at a height above its middle line."""
+    points = key_points(world, task)
+    position = points[:, -1].clone()
+    position[:, 2] = task.radius + height
+    return torch.cat((position, _across(points[:, -1] - points[:, -2])), dim=1)
+
+
+def _across(along: Tensor) -> Tensor:
+    """(N, 4) pointing down, fingers on both sides of a rope that goes along (N, 3), by the lesser turn."""
+    yaw = torch.atan2(along[:, 1], along[:, 0])
+    return common.facing_down(yaw - math.pi * torch.round(yaw / math.pi))
+
+
+@dataclass
+class RopeReshapingState(ObservationGroup):
+    """The arm's joints and hand, the rope's key points, their places and the last action."""
+
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    key_points: ObservationTerm | None = ObservationTerm(matter.key_points(ROPE))
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal.flatten(1))
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class RopeReshapingObservations:
+    """Policy and critic see the state."""
+
+    policy: RopeReshapingState = field(default_factory=RopeReshapingState)
+    critic: ObservationGroup | None = None
+
+
+@dataclass
+class RopeReshapingRewards:
+    """Rewards of the hand at the rope's end and the rope in its shape, less what is fast or abrupt."""
+
+    reach: RewardTerm | None = RewardTerm(reaching, 1.0)
+    shape: RewardTerm | None = RewardTerm(lambda world, task: shaping(world, task, 0.1), 10.0)
+    shape_finely: RewardTerm | None = RewardTerm(lambda world, task: shaping(world, task, 0.02), 5.0)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
+    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
+
+
+@dataclass
+class RopeReshapingTerminations:
+    """Only the time limit ends an episode."""
+
+
+@dataclass
+class RopeReshapingEvents:
+    """Robot, rope and goal are placed anew for each episode."""
+
+    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
+    place_rope: EventTerm | None = EventTerm(matter.place_deformable(ROPE, (0.04, 0.04), 0.3))
+    sample_goal: EventTerm | None = EventTerm(sample_goal)
+
+
+@dataclass(kw_only=True)
+class RopeReshaping(Task):
+    """The rope lies straight across the robot's front, a little off and turned; half of it is to be turned.
+
+    Succeeds when the key points are within ``tolerance`` of their places, on average, at the episode's end. Metric:
+    that mean distance.
+    """
+
+    robot: str = "franka_panda"
+    action: str = "joint_position"
+    physics_dt: float = 0.0025
+    decimation: int = 8
+    episode_length: float = 8.0
+    ppo: PpoSettings = PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005)
+    view: Pose = look_at(eye=(1.3, 0.8, 0.7), target=(0.45, 0.0, 0.05))
+    length: float = 0.4
+    """Metres."""
+    radius: float = 0.008
+    """Metres."""
+    particles: int = 41
+    grip_force: float = 10.0
+    """Newtons at most that the gripper closes with."""
+    tolerance: float = 0.025
+    """Metres."""
+    observations: RopeReshapingObservations = field(default_factory=RopeReshapingObservations)
+    rewards: RopeReshapingRewards = field(default_factory=RopeReshapingRewards)
+    terminations: RopeReshapingTerminations = field(default_factory=RopeReshapingTerminations)
+    events: RopeReshapingEvents = field(default_factory=RopeReshapingEvents)
+    goal: Tensor = field(init=False)
+    """(N, 5, 3) places of the key points, in the environment's frame."""
+    angle: Tensor = field(init=False)
+    """(N,) by which the second half is to be turned."""
+    start_end: Tensor = field(init=False)
+    """(N, 3) where the rope's end lay."""
+    middle: Tensor = field(init=False)
+    """(N, 3) where its middle lay."""
+
+    def scene(self) -> Scene:
+        points = line(self.length, self.particles)
+        places = torch.linspace(1, self.particles - 2, KEY_POINTS).round().int().tolist()
+        named = tuple(KeyPoint(f"point{number}", (place,)) for number, place in enumerate(places))
+        pose = Pose.from_euler(0.0, 0.0, 0.5 * math.pi, (0.5, 0.0, self.radius))
+        rope = Rope(ROPE, points, 0.15, pose, self.radius, bending_stiffness=5e-4, friction=0.8, key_points=named)
+        markers = (MarkerSpec(f"goal{number}", MarkerShape.SPHERE, size=0.02) for number in range(KEY_POINTS))
+        return Scene(
+            robots=(matter.with_grip_force(common.arm(self.robot), self.grip_force),),
+            objects=(common.work_bench(),),
+            deformables=(rope,),
+            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            markers=tuple(markers),
+            physics_dt=self.physics_dt,
+        )
+
+    def start(self, world: World) -> None:
+        super().start(world)
+        self.goal = torch.zeros(world.num_envs, KEY_POINTS, 3, device=world.device)
+        self.angle = torch.zeros(world.num_envs, device=world.device)
+        self.start_end = torch.zeros(world.num_envs, 3, device=world.device)
+        self.middle = torch.zeros(world.num_envs, 3, device=world.device)
+
+    def success(self, world: World) -> Tensor:
+        return shape_distance(world, self) < self.tolerance
+
+    def metrics(self, world: World) -> dict[str, Tensor]:
+        return {"shape_distance_m": shape_distance(world, self)}
+
+    def expert(self, world: World) -> Expert:
+        def over(world: World, task: RopeReshaping) -> Tensor:
+            return at_end(world, task, 0.1)
+
+        def around(world: World, task: RopeReshaping) -> Tensor:
+            return at_end(world, task, 0.004)
+
+        def lead(part: float):
+            return lambda world, task: led(world, task, part, 0.01)
+
+        def above(world: World, task: RopeReshaping) -> Tensor:
+            return led(world, task, 1.0, 0.12)
+
+        return Expert(
+            world,
+            self,
+            (
+                Phase(over, position_tolerance=0.02, free=True),
+                Phase(around, position_tolerance=0.008, timeout=1.0),
+                Phase(around, gripper_open=False, dwell=0.4, timeout=0.4),
+                *(Phase(lead(part), False, position_tolerance=0.015, timeout=1.0) for part in WAYPOINTS),
+                Phase(lead(1.0), position_tolerance=1.0, rotation_tolerance=4.0, dwell=0.3),
+                Phase(above),
+            ),
+            position_lead=0.06,
+        )
