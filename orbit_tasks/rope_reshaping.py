@@ -88,7 +88,7 @@ def led(world: World, task: RopeReshaping, part: float, height: float) -> Tensor
     # A bent rope is as long as a straight one, but not its chord: a little nearer leaves the middle where it is.
     position = task.middle + arm * (1.0 - 0.03 * part)
     position = torch.cat((position[:, :2], torch.full_like(position[:, :1], task.radius + height)), dim=1)
-    return torch.cat((position, _across(arm)), dim=1)
+    return torch.cat((position, _across(task, arm)), dim=1)
 
 
 def at_end(world: World, task: RopeReshaping, height: float) -> Tensor:
@@ -96,13 +96,16 @@ def at_end(world: World, task: RopeReshaping, height: float) -> Tensor:
     points = key_points(world, task)
     position = points[:, -1].clone()
     position[:, 2] = task.radius + height
-    return torch.cat((position, _across(points[:, -1] - points[:, -2])), dim=1)
+    return torch.cat((position, _across(task, points[:, -1] - points[:, -2])), dim=1)
 
 
-def _across(along: Tensor) -> Tensor:
-    """(N, 4) pointing down, fingers on both sides of a rope that goes along (N, 3), by the lesser turn."""
+def _across(task: RopeReshaping, along: Tensor) -> Tensor:
+    """(N, 4) pointing down, fingers on both sides of a rope that goes along (N, 3).
+
+    Of the two ways to do so it is the one from which the rope's turn is towards the wrist's middle.
+    """
     yaw = torch.atan2(along[:, 1], along[:, 0])
-    return common.facing_down(yaw - math.pi * torch.round(yaw / math.pi))
+    return common.facing_down(torch.where(task.angle > 0.0, yaw - math.pi, yaw))
 
 
 @dataclass

@@ -18,8 +18,10 @@ from orbit_core.scene import RobotSpec
 
 
 def with_grip_force(robot: RobotSpec, force: float) -> RobotSpec:
-    """The robot with a first gripper that closes with ``force`` newtons, on thin things too: its drives reach that force
-    half a millimetre from where they want to be, and give no more."""
+    """The robot with a first gripper that closes with ``force`` newtons, on thin things too.
+
+    Its drives reach that force half a millimetre from where they want to be, and give no more.
+    """
     gripper = robot.end_effector.gripper
     if gripper is None:
         return robot
