@@ -137,12 +137,18 @@ class SceneLayout:
     @cached_property
     def semantic_labels(self) -> tuple[str, ...]:
         """Every label of the scene, sorted; an image's semantic channel holds indices into it."""
-        return tuple(sorted({*self._label_of_link, "terrain"}))
+        return tuple(sorted({*self._label_of_link, *(d.semantic_label for d in self.scene.deformables), "terrain"}))
 
     @cached_property
     def semantic_of_link(self) -> npt.NDArray[np.int64]:
         """Label index of each link (L,)."""
         return np.array([self.semantic_labels.index(label) for label in self._label_of_link], dtype=np.int64)
+
+    @cached_property
+    def semantic_of_deformable(self) -> npt.NDArray[np.int64]:
+        """Label index of each deformable (D,)."""
+        labels = [self.semantic_labels.index(spec.semantic_label) for spec in self.scene.deformables]
+        return np.array(labels, dtype=np.int64)
 
     @property
     def _label_of_link(self) -> list[str]:

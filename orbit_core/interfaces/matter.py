@@ -7,9 +7,11 @@ The core couples one with a physics engine at every physics step: poses of links
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from orbit_core.interfaces.capabilities import Capabilities
+from orbit_core.interfaces.errors import UnsupportedCapabilityError
 
 if TYPE_CHECKING:
     import torch
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
 
     from orbit_core.interfaces.engine import Approximation
     from orbit_core.interfaces.layout import SceneLayout
+    from orbit_core.interfaces.renderer import Image
+    from orbit_core.scene import CameraSpec
 
 NATIVE = "native"
 """Stands for the physics engine's own matter where the name of a solver is expected."""
@@ -103,6 +107,23 @@ class Matter(ABC):
         """Free what it holds; idempotent."""
 
 
+class MatterPainter(ABC):
+    """Paints deformables into the pictures of any renderer."""
+
+    @abstractmethod
+    def paint(self, camera: CameraSpec, camera_poses: Tensor, vertices: Sequence[Tensor], image: Image) -> Image:
+        """The image with deformables over what lies behind them.
+
+        Args:
+            camera: that took it.
+            camera_poses: (n, 7) in each environment's frame, -z forward, y up.
+            vertices: (n, V, 3) of each deformable's surface
+                (:class:`orbit_core.plugin_kit.deformable_surface.DeformableSurface`), in the environment's frame.
+            image: with depth; its other fields may be None, and stay so. In ``links`` a deformable has the number of
+                links plus its own index.
+        """
+
+
 PARAMETERS = ("density", "stiffness", "bending", "friction")
 """Of a deformable in one environment: scales of mass, of membrane or axial stiffness and of bending stiffness, whose
 nominal value is 1, and the coefficient of friction itself."""
@@ -122,6 +143,14 @@ class MatterSolver(ABC):
     def versions(self) -> dict[str, str]:
         """Installed distributions that results depend on, with their versions."""
         return {}
+
+    def create_painter(self, layout: SceneLayout, device: torch.device) -> MatterPainter:
+        """What paints deformables into other renderers' pictures.
+
+        Raises:
+            UnsupportedCapabilityError: the solver draws nothing.
+        """
+        raise UnsupportedCapabilityError(f"matter solver '{self.name}' draws no deformables")
 
     @abstractmethod
     def create(self, layout: SceneLayout, num_envs: int, device: torch.device, config: Any) -> Matter:

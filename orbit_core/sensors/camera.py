@@ -154,10 +154,13 @@ class CameraSensor(TimedSensor):
 
 def _instance_table(layout: SceneLayout) -> Tensor:
     entities = torch.as_tensor(layout.entity_of_link, dtype=torch.int32)
-    return torch.cat((torch.tensor((TERRAIN, BACKGROUND), dtype=torch.int32), entities))
+    first = len(layout.entities)  # deformables count after entities, as they do after links
+    deformables = torch.arange(first, first + len(layout.scene.deformables), dtype=torch.int32)
+    return torch.cat((torch.tensor((TERRAIN, BACKGROUND), dtype=torch.int32), entities, deformables))
 
 
 def _semantic_table(layout: SceneLayout) -> Tensor:
     labels = torch.as_tensor(layout.semantic_of_link, dtype=torch.int32)
     terrain = layout.semantic_labels.index("terrain")
-    return torch.cat((torch.tensor((terrain, BACKGROUND), dtype=torch.int32), labels))
+    deformables = torch.as_tensor(layout.semantic_of_deformable, dtype=torch.int32)
+    return torch.cat((torch.tensor((terrain, BACKGROUND), dtype=torch.int32), labels, deformables))

@@ -1,8 +1,8 @@
 """Particles against the surfaces of links and terrain: compliant, with Coulomb friction, felt by the links.
 
 All surfaces that a particle is in are solved together, so that a particle between two fingers rests where their forces
-cancel: it minimises ``m |x - x'|^2 / (2 h^2) + sum k depth^2 / 2``. Friction then undoes what a particle moved along the
-surface that holds it best, as far as Coulomb's cone lets it, against all that surfaces which move otherwise rub; a
+cancel: it minimises ``m |x - x'|^2 / (2 h^2) + sum k depth^2 / 2``. Friction then undoes what a particle moved along
+the surface that holds it best, as far as Coulomb's cone lets it, against all that surfaces which move otherwise rub; a
 particle that holds does not creep.
 """
 
@@ -155,9 +155,7 @@ def solve_contacts(
         depths[k] = wp.max(normal, 0.0)
         if normal > 0.0:
             limits[k] = wp.max(p.parameters[env, p.owner[i], 3], felt.friction[env, s]) * normal / inertia
-            if best < 0:
-                best = k
-            elif limits[k] > limits[best]:
+            if best < 0 or limits[k] > limits[best]:
                 best = k
     if best < 0:
         p.d[env, i] = d

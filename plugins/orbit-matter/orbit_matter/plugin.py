@@ -6,7 +6,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 from orbit_core.interfaces.capabilities import EXACT, Capabilities, Capability, approximate, unsupported
-from orbit_core.interfaces.matter import Matter, MatterSolver
+from orbit_core.interfaces.matter import Matter, MatterPainter, MatterSolver
 from orbit_matter.config import MatterConfig
 
 if TYPE_CHECKING:
@@ -38,6 +38,11 @@ class OrbitMatter(MatterSolver):
 
     def versions(self) -> dict[str, str]:
         return {"warp-lang": version("warp-lang")}
+
+    def create_painter(self, layout: SceneLayout, device: torch.device) -> MatterPainter:
+        from orbit_matter.painting import Painter
+
+        return Painter(layout, device)
 
     def create(self, layout: SceneLayout, num_envs: int, device: torch.device, config: MatterConfig) -> Matter:
         from orbit_matter.matter import ParticleMatter

@@ -1,0 +1,201 @@
+"""Deformables painted into the pictures of any renderer: rasterised in Warp, shaded as the scene's light says."""
+
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false
+
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+import warp as wp
+from torch import Tensor
+
+from orbit_core.interfaces import Image, SceneLayout
+from orbit_core.interfaces.matter import MatterPainter
+from orbit_core.plugin_kit.deformable_surface import DeformableSurface
+from orbit_core.scene import CameraSpec
+from orbit_warpkit.graphs import Graphs
+from orbit_warpkit.start import start
+
+_NOTHING = 2**62
+NOTHING = wp.constant(wp.int64(_NOTHING))
+"""The key of a pixel that no triangle covers."""
+TICKS = wp.constant(1.0e5)
+"""Per metre of depth, in which surfaces are told apart."""
+SHIFT = wp.constant(wp.int64(2**24))
+"""Above the number of a triangle in a pixel's key stands its depth."""
+
+
+@wp.struct
+class Lens:
+    """A pinhole camera in pixels."""
+
+    focal: float
+    width: int
+    height: int
+    near: float
+    far: float
+
+
+@wp.func
+def seen(poses: wp.array2d[float], env: int, p: wp.vec3) -> wp.vec3:
+    """A point in the camera's frame, depth along +z and y down."""
+    eye = wp.vec3(poses[env, 0], poses[env, 1], poses[env, 2])
+    turn = wp.quat(poses[env, 4], poses[env, 5], poses[env, 6], poses[env, 3])
+    local = wp.quat_rotate_inv(turn, p - eye)
+    return wp.vec3(local[0], -local[1], -local[2])
+
+
+@wp.func
+def pixel_of(lens: Lens, p: wp.vec3) -> wp.vec2:
+    scale = lens.focal / p[2]
+    return wp.vec2(p[0] * scale + 0.5 * float(lens.width), p[1] * scale + 0.5 * float(lens.height))
+
+
+@wp.func
+def shares(a: wp.vec2, b: wp.vec2, c: wp.vec2, p: wp.vec2) -> wp.vec3:
+    """Barycentric coordinates in the picture."""
+    area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    if wp.abs(area) < 1.0e-9:
+        return wp.vec3(-1.0, -1.0, -1.0)
+    u = ((b[0] - p[0]) * (c[1] - p[1]) - (b[1] - p[1]) * (c[0] - p[0])) / area
+    v = ((c[0] - p[0]) * (a[1] - p[1]) - (c[1] - p[1]) * (a[0] - p[0])) / area
+    return wp.vec3(u, v, 1.0 - u - v)
+
+
+@wp.kernel(enable_backward=False)
+def rasterise(
+    points: wp.array2d[wp.vec3],
+    faces: wp.array2d[int],
+    poses: wp.array2d[float],
+    lens: Lens,
+    keys: wp.array3d[wp.int64],
+):
+    """The nearest triangle of each pixel's centre, by depth and then by number."""
+    env, face = wp.tid()
+    a = seen(poses, env, points[env, faces[face, 0]])
+    b = seen(poses, env, points[env, faces[face, 1]])
+    c = seen(poses, env, points[env, faces[face, 2]])
+    if wp.min(a[2], wp.min(b[2], c[2])) < lens.near:
+        return
+    pa, pb, pc = pixel_of(lens, a), pixel_of(lens, b), pixel_of(lens, c)
+    left = wp.max(int(wp.floor(wp.min(pa[0], wp.min(pb[0], pc[0])))), 0)
+    right = wp.min(int(wp.ceil(wp.max(pa[0], wp.max(pb[0], pc[0])))), lens.width - 1)
+    top = wp.max(int(wp.floor(wp.min(pa[1], wp.min(pb[1], pc[1])))), 0)
+    bottom = wp.min(int(wp.ceil(wp.max(pa[1], wp.max(pb[1], pc[1])))), lens.height - 1)
+    for row in range(top, bottom + 1):
+        for column in range(left, right + 1):
+            s = shares(pa, pb, pc, wp.vec2(float(column) + 0.5, float(row) + 0.5))
+            if s[0] >= 0.0 and s[1] >= 0.0 and s[2] >= 0.0:
+                depth = 1.0 / (s[0] / a[2] + s[1] / b[2] + s[2] / c[2])
+                if depth < lens.far:
+                    key = wp.int64(depth * TICKS) * SHIFT + wp.int64(face)
+                    wp.atomic_min(keys, env, row, column, key)
+
+
+@wp.kernel(enable_backward=False)
+def resolve(
+    points: wp.array2d[wp.vec3],
+    normals: wp.array2d[wp.vec3],
+    faces: wp.array2d[int],
+    poses: wp.array2d[float],
+    lens: Lens,
+    keys: wp.array3d[wp.int64],
+    depths: wp.array3d[float],
+    bent: wp.array3d[wp.vec3],
+):
+    """Depth and normal of each pixel's triangle, the normal towards the camera."""
+    env, row, column = wp.tid()
+    if keys[env, row, column] == NOTHING:
+        return
+    face = int(keys[env, row, column] % SHIFT)
+    i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
+    a, b, c = seen(poses, env, points[env, i]), seen(poses, env, points[env, j]), seen(poses, env, points[env, k])
+    p = wp.vec2(float(column) + 0.5, float(row) + 0.5)
+    s = shares(pixel_of(lens, a), pixel_of(lens, b), pixel_of(lens, c), p)
+    depth = 1.0 / (s[0] / a[2] + s[1] / b[2] + s[2] / c[2])
+    weights = wp.vec3(s[0] * depth / a[2], s[1] * depth / b[2], s[2] * depth / c[2])
+    n = normals[env, i] * weights[0] + normals[env, j] * weights[1] + normals[env, k] * weights[2]
+    eye = wp.vec3(poses[env, 0], poses[env, 1], poses[env, 2])
+    n = wp.normalize(n)
+    if wp.dot(n, points[env, i] - eye) > 0.0:
+        n = -n
+    depths[env, row, column] = depth
+    bent[env, row, column] = n
+
+
+class Painter(MatterPainter):
+    """Paints all deformables of a scene, one after another; none throws a shadow."""
+
+    def __init__(self, layout: SceneLayout, device: torch.device) -> None:
+        start()
+        self._scene, self._first, self._device = layout.scene, len(layout.links), device
+        self._graphs = Graphs(device, capture=False)
+        faces = [DeformableSurface(spec).faces for spec in layout.scene.deformables]
+        self._corners = [torch.as_tensor(each, dtype=torch.int64, device=device) for each in faces]
+        with wp.ScopedDevice(self._graphs.device):
+            self._faces = [wp.array(np.asarray(each, np.int32), dtype=int, ndim=2) for each in faces]
+        lights = layout.scene.directional_lights
+        make = {"dtype": torch.float32, "device": device}
+        self._directions = torch.tensor([light.unit_direction for light in lights], **make).view(-1, 3)
+        self._radiance = torch.tensor([light.radiance for light in lights], **make).view(-1, 3)
+        self._ambient = torch.tensor(layout.scene.ambient, **make)
+
+    def paint(self, camera: CameraSpec, camera_poses: Tensor, vertices: Sequence[Tensor], image: Image) -> Image:
+        for index, points in enumerate(vertices):
+            depth, normals = self._draw(camera, camera_poses, points, index)
+            image = self._over(image, index, depth, normals)
+        return image
+
+    def _draw(self, camera: CameraSpec, poses: Tensor, points: Tensor, index: int) -> tuple[Tensor, Tensor]:
+        """Depth (n, H, W, 1), infinite beside it, and normals (n, H, W, 3) of one deformable."""
+        shape = (len(points), camera.height, camera.width)
+        lens = Lens()
+        lens.focal = 0.5 * camera.height / math.tan(0.5 * camera.vertical_fov)
+        lens.width, lens.height, lens.near, lens.far = camera.width, camera.height, camera.near, camera.far
+        keys = torch.full(shape, _NOTHING, dtype=torch.int64, device=self._device)
+        depth = torch.full(shape, torch.inf, device=self._device)
+        bent = torch.zeros(*shape, 3, device=self._device)
+        points = points.contiguous()
+        normals = self._normals(points, index)
+        faces, eyes = self._faces[index], wp.from_torch(poses.contiguous().float())
+        corners = [wp.from_torch(points, wp.vec3), faces, eyes, lens, wp.from_torch(keys)]
+        with self._graphs.stream():
+            wp.launch(rasterise, (len(points), faces.shape[0]), inputs=corners)
+            given = [corners[0], wp.from_torch(normals, wp.vec3), *corners[1:]]
+            drawn = [wp.from_torch(depth), wp.from_torch(bent, wp.vec3)]
+            wp.launch(resolve, shape, inputs=[*given, *drawn])
+        return depth[..., None], bent
+
+    def _normals(self, points: Tensor, index: int) -> Tensor:
+        """(n, V, 3) mean of the triangles at each vertex, by their areas."""
+        corners = self._corners[index]
+        a, b, c = (points[:, corners[:, k]] for k in range(3))
+        across = torch.linalg.cross(b - a, c - a)
+        normals = torch.zeros_like(points)
+        for k in range(3):
+            normals.index_add_(1, corners[:, k], across)
+        return torch.nn.functional.normalize(normals, dim=-1)
+
+    def _over(self, image: Image, index: int, depth: Tensor, normals: Tensor) -> Image:
+        assert image.depth is not None  # the core asks for it
+        nearer = depth < image.depth
+        color = torch.tensor(self._scene.deformables[index].color[:3], device=self._device)
+        light = torch.relu(-(normals @ self._directions.T)) @ self._radiance + self._ambient
+        return Image(
+            rgb=_chosen(nearer, (255.0 * color * light).clamp(0.0, 255.0).add(0.5), image.rgb),
+            depth=_chosen(nearer, depth, image.depth),
+            normals=_chosen(nearer, normals, image.normals),
+            links=_chosen(nearer, torch.full_like(depth, float(self._first + index)), image.links),
+            albedo=_chosen(nearer, (255.0 * color + 0.5).expand_as(normals), image.albedo),
+        )
+
+
+def _chosen(where: Tensor, new: Tensor, old: Tensor | None) -> Tensor | None:
+    return None if old is None else torch.where(where, new.to(old.dtype), old)
