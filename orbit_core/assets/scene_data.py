@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from orbit_core.assets.deformable_checks import check_deformable
 from orbit_core.assets.surface_checks import check_height_field, check_hulls, check_mesh
 from orbit_core.interfaces.divergence import MAX_DISTANCE, MAX_SPEED
 from orbit_core.interfaces.errors import ArgumentError
@@ -17,18 +18,22 @@ from orbit_core.scene import (
     Box,
     CameraSpec,
     Capsule,
+    Cloth,
     Compliance,
     Cylinder,
     DirectionalLight,
+    Fluid,
     HeightField,
     Joint,
     Link,
     Mesh,
     PhysicsMaterial,
     Pose,
+    Rope,
     Scene,
     Shape,
     Sky,
+    SoftBody,
     Sphere,
 )
 from orbit_core.scene.lights import MAX_DIRECTIONAL_LIGHTS
@@ -168,6 +173,10 @@ _SCENES = Typed(
         AmbientLight: _check_ambient_light,
         DirectionalLight: _check_directional_light,
         Sky: _check_sky,
+        Cloth: check_deformable,
+        Rope: check_deformable,
+        SoftBody: check_deformable,
+        Fluid: check_deformable,
         Scene: _check_scene,
     }
 )

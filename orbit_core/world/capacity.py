@@ -12,6 +12,8 @@ from orbit_core.scene import CameraSpec, Channel
 
 _PER_BODY = 2048
 """Bytes that an engine takes at least per link or joint of an environment: its state, the core's, and contacts."""
+_PER_PARTICLE = 128
+"""Bytes of a particle of matter: position, displacement, velocity, what it is held by and what it is near."""
 _PER_PIXEL = {
     Channel.RGB: 3,
     Channel.DEPTH: 4,
@@ -31,7 +33,8 @@ def check_capacity(layout: SceneLayout, num_envs: int, device: torch.device) -> 
         ConfigurationError: says how many fit, and which part is pictures.
     """
     pictures = sum(_picture_bytes(spec) for spec in layout.scene.sensors if isinstance(spec, CameraSpec))
-    each = pictures + _PER_BODY * (len(layout.links) + len(layout.joints) + 1)
+    particles = sum(len(spec.rest_positions) for spec in layout.scene.deformables)
+    each = pictures + _PER_BODY * (len(layout.links) + len(layout.joints) + 1) + _PER_PARTICLE * particles
     free = free_bytes(device)
     if num_envs * each > free:
         cameras = f", {_size(num_envs * pictures)} of it for the cameras' pictures" if pictures else ""

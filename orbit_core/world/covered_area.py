@@ -10,7 +10,7 @@ from torch import Tensor
 
 from orbit_core.scene import Cloth
 
-_CELLS_PER_EDGE = 4
+_CELLS_PER_EDGE = 6
 """Cells of the grid along a triangle's longest edge."""
 _STRETCH = 1.25
 """By how much an edge may be longer than at rest and still be seen whole."""

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from orbit_core.actuators import Actuators
 from orbit_core.actuators.stability import check_drives
+from orbit_core.assets.deformable_checks import check_attachments
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.scene_data import check_data
 from orbit_core.assets.validation import validate_entity
@@ -105,6 +106,7 @@ class SimulatedWorld(World):
             raise ConfigurationError(f"a world needs a Scene, not a {type(scene).__name__}")
         check_data(scene, "scene")
         scene = _prepared(scene)
+        check_attachments(scene)
         solver = choose_matter(plugin, scene, matter)
         check_scene(plugin, scene, self._renderer_plugin, solver)
         self._solver = solver

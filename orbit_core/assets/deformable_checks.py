@@ -1,0 +1,74 @@
+"""Whether the numbers of a deformable can be, and what it names is there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbit_core.interfaces.errors import ArgumentError
+from orbit_core.interfaces.typed import wrong
+from orbit_core.scene import Cloth, DeformableSpec, Fluid, Rope, Scene, SoftBody
+
+_POSITIVE = {
+    Cloth: ("area_density", "membrane_stiffness", "thickness"),
+    Rope: ("linear_density", "axial_stiffness", "radius"),
+    SoftBody: ("density", "youngs_modulus"),
+    Fluid: ("density", "spacing"),
+}
+_NOT_NEGATIVE = {
+    Cloth: ("bending_stiffness", "damping", "friction"),
+    Rope: ("bending_stiffness", "damping", "friction"),
+    SoftBody: ("friction",),
+    Fluid: ("viscosity",),
+}
+_LARGEST = 1e12
+_MOST_PARTICLES = 1_000_000
+
+
+def check_deformable(spec: DeformableSpec, where: str) -> None:
+    """Hold a deformable's numbers to what they may be.
+
+    Raises:
+        ArgumentError: names the field, its value and what is wanted.
+    """
+    for names, least in ((_POSITIVE, 1e-12), (_NOT_NEGATIVE, 0.0)):
+        for name in names[type(spec)]:
+            if not least <= getattr(spec, name) <= _LARGEST:
+                raise wrong(f"{where}.{name}", getattr(spec, name), f"{least:g} to {_LARGEST:g}")
+    if isinstance(spec, Cloth | SoftBody) and not -1.0 < spec.poissons_ratio < 0.5 + 0.5 * isinstance(spec, Cloth):
+        most = "1" if isinstance(spec, Cloth) else "0.5"
+        raise wrong(f"{where}.poissons_ratio", spec.poissons_ratio, f"more than -1 and less than {most}")
+    if isinstance(spec, Rope) and (np.ndim(spec.points) != 2 or np.shape(spec.points)[1] != 3):
+        raise ArgumentError(f"{where}.points has shape {np.shape(spec.points)}: give (particles, 3)")
+    count = len(spec.rest_positions)
+    if count > _MOST_PARTICLES:
+        raise ArgumentError(f"{where} has {count} particles: give {_MOST_PARTICLES} at most")
+    if not np.isfinite(spec.rest_positions).all():
+        raise ArgumentError(f"{where} has particles that are not finite")
+    named = [(f"key point '{point.name}'", point.particles) for point in spec.key_points]
+    named += [(f"attachment {number}", held.particles) for number, held in enumerate(spec.attachments)]
+    for what, particles in named:
+        if missing := [particle for particle in particles if not 0 <= particle < count]:
+            raise ArgumentError(f"{what} of '{spec.name}' is of particle {missing[0]}: it has {count}, from 0 on")
+
+
+def check_attachments(scene: Scene) -> None:
+    """Refuse attachments to what the scene lacks, and deformables of one name.
+
+    Raises:
+        ArgumentError: names the deformable and the entity or link.
+    """
+    links = {entity.name: entity.articulation.link_names for entity in scene.entities}
+    names = [spec.name for spec in scene.deformables]
+    if len(set(names)) < len(names):
+        raise ArgumentError(f"two deformables share a name, of {', '.join(names)}: give each its own")
+    for spec in scene.deformables:
+        for held in spec.attachments:
+            if held.entity is None:
+                continue
+            if held.entity not in links:
+                raise ArgumentError(f"an attachment of '{spec.name}' is to '{held.entity}': the scene has {[*links]}")
+            if held.link not in links[held.entity]:
+                raise ArgumentError(
+                    f"an attachment of '{spec.name}' is to link '{held.link}' of '{held.entity}', which has "
+                    f"{', '.join(links[held.entity])}"
+                )

@@ -1,0 +1,216 @@
+"""What worlds, snapshots, pictures and mistakes come to with cloth and rope."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from orbit_core.assets.deformables import corners, line, sheet
+from orbit_core.assets.objects import box
+from orbit_core.interfaces import ArgumentError, ConfigurationError, UnknownNameError, UnsupportedCapabilityError, World
+from orbit_core.scene import (
+    Attachment,
+    CameraSpec,
+    Channel,
+    Cloth,
+    Fluid,
+    KeyPoint,
+    Mesh,
+    Pose,
+    Region,
+    Rope,
+    Scene,
+    SoftBody,
+    look_at,
+)
+from orbit_core.world import simulate
+
+COUNTS = (9, 9)
+CLOTH = Cloth("cloth", sheet((0.2, 0.2), COUNTS), 0.2, Pose((0.0, 0.0, 0.15)), key_points=corners(COUNTS))
+ROPE = Rope("rope", line(0.2, 11), 0.1, Pose((0.0, 0.3, 0.1)))
+BLOCK = box("block", size=(0.1, 0.1, 0.1), mass=0.5, pose=Pose((0.0, 0.0, 0.05)))
+CAMERA = CameraSpec(
+    name="eye",
+    width=40,
+    height=40,
+    vertical_fov=0.8,
+    pose=look_at(eye=(0.0, -1e-3, 0.65), target=(0.0, 0.0, 0.0)),
+    channels=(Channel.RGB, Channel.DEPTH, Channel.NORMALS, Channel.INSTANCE, Channel.SEMANTIC),
+)
+SCENE = Scene(objects=(BLOCK,), deformables=(CLOTH, ROPE), sensors=(CAMERA,))
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[World]:
+    made = simulate(SCENE, 3, "mujoco", matter="orbit-matter")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def fresh(world: World) -> World:
+    world.reset()
+    return world
+
+
+def test_a_run_repeats_bit_for_bit_after_a_reset_a_snapshot_and_in_every_environment(fresh: World) -> None:
+    body = fresh.deformables["cloth"]
+    fresh.step(30)
+    saved, middle = fresh.save_state(), body.positions.clone()
+    fresh.step(30)
+    end = body.positions.clone()
+    assert torch.equal(end[0], end[1])
+    assert torch.equal(end[0], end[2])
+    fresh.load_state(saved)
+    assert torch.equal(body.positions, middle)
+    fresh.step(30)
+    assert torch.equal(body.positions, end)
+    fresh.reset()
+    fresh.step(60)
+    assert torch.equal(body.positions, end)
+
+
+def test_a_reset_of_one_environment_leaves_the_others_alone(fresh: World) -> None:
+    fresh.step(20)
+    before = fresh.deformables["cloth"].positions.clone()
+    fresh.reset(torch.tensor([1]))
+    after = fresh.deformables["cloth"].positions
+    assert torch.equal(after[[0, 2]], before[[0, 2]])
+    rest = CLOTH.pose.transform(CLOTH.rest_positions)
+    torch.testing.assert_close(after[1], torch.as_tensor(rest, dtype=torch.float32))
+
+
+def test_cloth_drapes_over_a_block_and_covers_less(fresh: World) -> None:
+    body = fresh.deformables["cloth"]
+    assert body.covered_area[0].item() == pytest.approx(0.04, rel=0.04)
+    fresh.step(120)
+    points = body.positions[0]
+    assert points[:, 2].min() > 0.0, "nothing falls through the ground"
+    inside = (points[:, :2].abs() < 0.045).all(1)
+    assert points[inside, 2].min() > 0.099, "nor through the block"
+    assert body.covered_area[0].item() < 0.035
+    assert body.key_point("middle")[0, 2].item() == pytest.approx(0.102, abs=0.002)
+    over = Region((0.06, 0.06, 0.05), Pose((0.0, 0.0, 0.05)), "block", "block")
+    assert 0.2 < body.share_inside(over)[0].item() < 0.9
+
+
+def test_particles_are_anchored_to_a_link_carried_and_released(fresh: World) -> None:
+    body = fresh.deformables["rope"]
+    body.anchor([0], to=("block", "block"), env_ids=torch.tensor([0]))
+    start = body.positions[:, 0].clone()
+    pose = fresh.objects["block"].root_pose.clone()
+    pose[:, 2] += 0.01
+    fresh.objects["block"].set_root_pose(pose)
+    fresh.step(1)
+    moved = body.positions[:, 0] - start
+    assert moved[0, 2].item() == pytest.approx(0.01, abs=5e-4)
+    assert moved[1:, 2].max() < 0.0
+    body.release()
+    fresh.step(60)
+    assert body.positions[0, 0, 2] < 0.05
+
+
+def test_parameters_differ_between_environments(fresh: World) -> None:
+    body = fresh.deformables["cloth"]
+    body.set_parameter("density", torch.tensor([1.0, 2.0, 1.0]))
+    body.set_parameter("bending", torch.tensor([20.0]), torch.tensor([2]))
+    fresh.step(150)
+    forces = torch.stack([_stepped(fresh, body) for _ in range(50)]).mean(0)
+    assert forces[1, 2].item() == pytest.approx(2.0 * forces[0, 2].item(), rel=0.2)
+    assert not torch.equal(body.positions[0], body.positions[2])
+    body.set_parameter("density", torch.ones(3))
+    body.set_parameter("bending", torch.ones(3))
+
+
+def _stepped(world: World, body) -> torch.Tensor:
+    world.step(1)
+    return body.contact_force("block", "block").clone()
+
+
+def test_pictures_show_cloth_in_colour_depth_normals_and_segmentation(fresh: World) -> None:
+    fresh.step(1)
+    eye = fresh.sensors["eye"]
+    depth, instance = eye.image(Channel.DEPTH)[0, ..., 0], eye.image(Channel.INSTANCE)[0, ..., 0]
+    semantic, normals = eye.image(Channel.SEMANTIC)[0, ..., 0], eye.image(Channel.NORMALS)[0]
+    assert depth[20, 20].item() == pytest.approx(0.5, abs=2e-3)
+    assert instance[20, 20] == 1, "after the block"
+    assert (instance == 2).any() == False, "the rope lies beside the picture"  # noqa: E712
+    assert eye.semantic_labels[int(semantic[20, 20])] == "cloth"
+    assert normals[20, 20, 2] > 0.99
+    red, green, blue = eye.image(Channel.RGB)[0, 20, 20].tolist()
+    assert red > green
+    assert red > blue
+    shown = (instance == 1).sum().item() * (2 * 0.5 * np.tan(0.4) / 40) ** 2
+    assert shown == pytest.approx(0.04, rel=0.1)
+
+
+def test_contact_sensors_feel_matter(fresh: World) -> None:
+    held = replace(CLOTH, pose=Pose((0.0, 0.0, 0.104)))
+    from orbit_core.scene import ContactSensorSpec
+
+    scene = Scene(objects=(BLOCK,), deformables=(held,), sensors=(ContactSensorSpec(name="touch", entity="block"),))
+    own = simulate(scene, 1, "mujoco")
+    own.step(200)
+    force = own.sensors["touch"].forces[0, 0, 2].item()
+    own.close()
+    assert force == pytest.approx(0.5 * 9.81, rel=0.03), "in balance: ground and cloth together carry its weight"
+
+
+@pytest.mark.parametrize(
+    ("thing", "what"),
+    [
+        (replace(CLOTH, attachments=(Attachment((81,)),)), "particle 81: it has 81"),
+        (replace(CLOTH, key_points=(KeyPoint("far", (-1,)),)), "key point 'far'"),
+        (replace(CLOTH, attachments=(Attachment((0,), "blok", "x"),)), "'blok'"),
+        (replace(CLOTH, attachments=(Attachment((0,), "block", "x"),)), "link 'x'"),
+        (replace(CLOTH, area_density=0.0), "area_density"),
+        (replace(CLOTH, poissons_ratio=1.0), "poissons_ratio"),
+        (replace(ROPE, points=np.zeros((3, 2))), "points"),
+        (replace(ROPE, radius=float("nan")), "radius"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(thing: Cloth | Rope, what: str) -> None:
+    with pytest.raises(ArgumentError, match=what):
+        simulate(Scene(objects=(BLOCK,), deformables=(thing,)), 1, "mujoco")
+
+
+def test_what_the_solver_cannot_do_is_refused_with_the_reason() -> None:
+    soft = SoftBody("soft", _tetrahedron(), 1000.0)
+    with pytest.raises(UnsupportedCapabilityError, match="soft bodies"):
+        simulate(Scene(deformables=(soft,)), 1, "mujoco", matter="orbit-matter")
+    with pytest.raises(UnsupportedCapabilityError, match="fluids"):
+        simulate(Scene(deformables=(Fluid("water", (0.1, 0.1, 0.1)),)), 1, "mujoco")
+    with pytest.raises(UnsupportedCapabilityError, match="cloth"):
+        simulate(Scene(deformables=(CLOTH,)), 1, "mujoco", matter="native")
+    with pytest.raises(UnknownNameError, match="orbit-matter"):
+        simulate(Scene(deformables=(CLOTH,)), 1, "mujoco", matter="orbit-mater")
+    bent = Mesh(CLOTH.rest_positions + np.outer(np.abs(CLOTH.rest_positions[:, 0]), (0, 0, 1)), CLOTH.mesh.faces)
+    with pytest.raises(ConfigurationError, match="not flat"):
+        simulate(Scene(deformables=(replace(CLOTH, mesh=bent),)), 1, "mujoco")
+    with pytest.raises(ConfigurationError, match="substep"):
+        simulate(Scene(deformables=(CLOTH,)), 1, "mujoco", matter_settings={"substep": 0.0})
+
+
+def _tetrahedron() -> Mesh:
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    return Mesh(vertices, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))
+
+
+def test_divergence_names_environment_and_deformable_and_the_others_go_on() -> None:
+    from orbit_core.interfaces import SimulationError
+
+    own = simulate(Scene(deformables=(CLOTH,)), 2, "mujoco")
+    body = own.deformables["cloth"]
+    fast = torch.zeros(1, 81, 3)
+    fast[..., 0] = 9.9e3
+    body.set_state(body.positions[1:].clone() + 9.9999e5, fast, torch.tensor([1]))
+    with pytest.raises(SimulationError, match="environments 1 diverged in 'cloth'"):
+        own.step(10)
+    assert body.positions[0].abs().max() < 1.0
+    own.reset(torch.tensor([1]))
+    own.step(1)
+    own.close()
