@@ -8,7 +8,7 @@ particle that holds does not creep.
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 # pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
-# pyright: reportReturnType=false
+# pyright: reportReturnType=false, reportInvalidTypeForm=false
 # ruff: noqa: UP018, RUF046 - float() and int() make variables that a kernel's loops may change.
 # Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
 
