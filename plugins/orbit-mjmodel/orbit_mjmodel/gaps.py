@@ -73,9 +73,11 @@ _TORSION = (
 
 _HANDS = (
     "allegro_left", "allegro_right", "dex3_left", "dex3_right", "shadow_hand",
-    "franka_panda_allegro", "ur10_shadow_hand",
+    "franka_panda_allegro", "ur10_shadow_hand", "unitree_g1_dex3",
 )  # fmt: skip
 _FINGERS = f"what soft motors press with 10 to 20 N creeps by 3 to 6 mm/s under 4 N: {CREEP}"
+_WALKERS = ("anymal_b", "anymal_c", "anymal_c_kinova_gen3", "unitree_go2")
+_FEET = f"soft legs that stand apart push their feet outwards all the time, and these creep: {CREEP}"
 
 CONTACT = (
     Gap("stick_and_slip", "creep", 0.012, CREEP),
@@ -103,5 +105,7 @@ CONTACT = (
     Gap("grasp", "limit", 0.08, f"{CREEP}; once it slips, {_HOP}"),
     Gap("stack", "penetration", 1.1e-3, _SOFT),
     Gap("robot_grasp", "slip", 0.017, _FINGERS, _HANDS),
+    Gap("robot_stand", "height", 0.16, _FEET, ("anymal_b", "anymal_c", "anymal_c_kinova_gen3")),
+    Gap("robot_stand", "joints", 0.07, _FEET, _WALKERS),
 )
 """Gaps of contact."""
