@@ -44,6 +44,13 @@ def test_the_readme_shows_every_backends_capabilities() -> None:
     assert GENERATOR["capability_table"]() in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
+def test_arms_at_their_tasks_are_shown_with_the_figures_kept() -> None:
+    """Else: python tools/robot_tasks.py."""
+    tool = runpy.run_path(str(ROOT / "tools" / "robot_tasks.py"))
+    text = tool["PAGE"].read_text(encoding="utf-8")
+    assert tool["page"](text, tool["kept"]()) == text
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_resolve(page: Path) -> None:
     for target, anchor in _LINK.findall(page.read_text(encoding="utf-8")):

@@ -17,7 +17,6 @@ from typing import Annotated, Any
 
 import tyro
 
-from orbit_core.assets.catalogue import robot_info
 from orbit_core.cli.runner import RunResult, run
 from orbit_core.cli.settings import RunSettings
 from orbit_core.rollout.estimates import proportion
@@ -84,9 +83,13 @@ def main(settings: TableSettings) -> None:
                     figure = measured(task, robot, backend, settings)
                     keep(figure)
                     print(task, robot, backend, told(figure), f"{figure['wall_seconds']:.0f} s", flush=True)
-    text = PAGE.read_text(encoding="utf-8")
-    before, after = text.split(START)[0], text.split(START)[1].split(END, 1)[1]
-    PAGE.write_text(before + START + tables(kept()) + END + after, encoding="utf-8")
+    PAGE.write_text(page(PAGE.read_text(encoding="utf-8"), kept()), encoding="utf-8")
+
+
+def page(text: str, figures: Mapping[Key, Mapping[str, Any]]) -> str:
+    """The page with its tables of these figures."""
+    before, rest = text.split(START)
+    return before + START + tables(figures) + END + rest.split(END, 1)[1]
 
 
 def measured(task: str, robot: str, backend: str, settings: TableSettings) -> dict[str, Any]:
@@ -142,11 +145,7 @@ def _table(
     yield "|---" * (len(backends) + 1) + "|"
     for robot in robots:
         found = [figures.get((robot, backend)) for backend in backends]
-        yield f"| {_called(robot)} | {' | '.join(told(figure, least) for figure in found)} |"
-
-
-def _called(robot: str) -> str:
-    return f"`{robot}`" if "+" in robot else f"`{robot}` ({robot_info(robot).description.split(': ')[-1]})"
+        yield f"| `{robot}` | {' | '.join(told(figure, least) for figure in found)} |"
 
 
 def told(figure: Mapping[str, Any] | None, least: float = 0.0) -> str:

@@ -90,8 +90,8 @@ _LIGHT = (
 )
 
 _ROBOTS = (
-    Gap("robot_tracking", "gain", 0.05, _LIGHT, ("tiago_pro_gripper",)),
-    Gap("robot_tracking", "lag", 0.018, _LIGHT, ("tiago_pro_gripper", "xarm7", "shadow_hand", "ur10_shadow_hand")),
+    Gap("robot_tracking", "gain", 0.04, _LIGHT, ("tiago_pro_gripper",)),
+    Gap("robot_tracking", "lag", 0.024, _LIGHT, ("tiago_pro_gripper", "xarm7", "shadow_hand", "ur10_shadow_hand")),
 )
 
 GAPS: tuple[Gap, ...] = (
