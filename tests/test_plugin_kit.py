@@ -14,6 +14,7 @@ from orbit_core.plugin_kit import contact_signs, velocity_at
 from orbit_core.plugin_kit.markers import AXIS_COLORS, marker_shapes
 from orbit_core.plugin_kit.massless import STAND_IN, stand_in_approximations, with_stand_in
 from orbit_core.plugin_kit.meshes import height_field_mesh
+from orbit_core.plugin_kit.mimics import on_leaders
 from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
 from orbit_core.plugin_kit.rotations import compose, multiply, rotate, rotate_inverse
 from orbit_core.plugin_kit.rows import block, host_rows, rows_of
@@ -28,8 +29,24 @@ from orbit_core.scene import (
     Link,
     MarkerShape,
     MarkerSpec,
+    Mimic,
     RobotSpec,
 )
+
+
+def test_a_leader_bears_what_its_followers_have_by_the_ratio_squared() -> None:
+    """Of a second robot too, whose joints come after those of the first."""
+    links = tuple(Link(name, 1.0) for name in ("base", "a", "b", "c"))
+    joints = (
+        Joint("follower", JointType.CONTINUOUS, "base", "a", mimic=Mimic("leader", -3.0)),
+        Joint("leader", JointType.CONTINUOUS, "base", "b"),
+        Joint("alone", JointType.CONTINUOUS, "base", "c"),
+    )
+    hands = (RobotSpec(name=name, articulation=Articulation(name, links, joints)) for name in ("left", "right"))
+    values = np.array([0.1, 1.0, 10.0, 0.2, 2.0, 20.0])
+    borne = on_leaders(SceneLayout.of(scene(*hands)), values)
+    assert borne == pytest.approx([0.0, 1.9, 10.0, 0.0, 3.8, 20.0])
+    assert values[0] == 0.1
 
 
 def test_velocities_at_another_point_are_those_of_a_turning_body() -> None:

@@ -10,8 +10,7 @@ import numpy.typing as npt
 from orbit_bullet.buffers import Buffers
 from orbit_bullet.drives import Wheels, write_wheels
 from orbit_bullet.stage import Stage
-from orbit_core.dynamics.kinematics import mimic_matrix
-from orbit_core.interfaces.layout import SceneLayout
+from orbit_core.plugin_kit.mimics import on_leaders
 from orbit_core.plugin_kit.springs import soft_springs
 
 FloatArray = npt.NDArray[np.float64]
@@ -31,7 +30,9 @@ class Actuation:
         self.stiffness = np.tile(np.where(own, parameters.drive_stiffness, 0.0), (stage.count, 1)).reshape(shape)
         self.damping = np.tile(np.where(own, parameters.drive_damping, 0.0), (stage.count, 1)).reshape(shape)
         self._limit = parameters.effort_limit
-        self._armature = _on_leaders(layout, parameters.armature)
+        # Light links of fingers, each between its gear and a wheel of its own, would be solved slowly, and the fingers
+        # be bent by what they hold: leaders bear it all.
+        self._armature = on_leaders(layout, parameters.armature)
         self._carried_over = self._armature - parameters.armature
         """What leaders (J,) bear of their followers' armature; a follower's own, negative."""
         soft = soft_springs(layout, self._dt)
@@ -40,7 +41,7 @@ class Actuation:
         self._sprung = np.where(soft, 0.0, parameters.spring_stiffness)
         """Stiffness (J,) of those too stiff for that, which the second wheel takes at the end of the step."""
         self._rest = parameters.spring_rest
-        damping = _on_leaders(layout, parameters.damping)
+        damping = on_leaders(layout, parameters.damping)
         self._slow = self._armature + self._dt * (damping + self._dt * self._sprung)
         """Inertia of the second wheel of each joint (J,)."""
         self._shared = ~np.isfinite(self._limit)
@@ -174,13 +175,3 @@ class Actuation:
         """Efforts (K, J) of the drives in the last step, with the velocities at its end."""
         efforts = self._push - (self.stiffness * self._dt + self.damping) * velocities
         return np.clip(efforts, -self._limit, self._limit)
-
-
-def _on_leaders(layout: SceneLayout, values: FloatArray) -> FloatArray:
-    """Inertias or dampings (J,) with those of joints that mimic others borne by the joints that they follow.
-
-    A gear passes them on by its ratio squared. Light links of fingers, each between its gear and a wheel of its own,
-    would be solved slowly, and a gripper's fingers bent by what they hold.
-    """
-    borne = [np.square(mimic_matrix(entity.spec.articulation)).T @ values[entity.joints] for entity in layout.entities]
-    return np.concatenate((*borne, values[:0]))
