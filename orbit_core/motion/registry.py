@@ -13,18 +13,22 @@ from orbit_core.motion.base_velocity import BaseVelocityConfig
 from orbit_core.motion.binary_gripper import BinaryGripperConfig
 from orbit_core.motion.cartesian_impedance import CartesianImpedanceConfig
 from orbit_core.motion.differential_ik import DifferentialIkConfig
+from orbit_core.motion.full_ik_term import FullIkTermConfig
 from orbit_core.motion.hybrid_force_motion import HybridForceMotionConfig
 from orbit_core.motion.joint_effort import JointEffortConfig
 from orbit_core.motion.joint_impedance import JointImpedanceConfig
 from orbit_core.motion.joint_position import JointPositionConfig
 from orbit_core.motion.joint_velocity import JointVelocityConfig
 from orbit_core.motion.operational_space import OperationalSpaceConfig
+from orbit_core.motion.prioritized_ik import PrioritizedIkConfig
 from orbit_core.motion.term import ActionTerm
 from orbit_core.registry import ClassRegistry
 
 GROUP = "orbit.motion"
 _OWN = (
     DifferentialIkConfig,
+    PrioritizedIkConfig,
+    FullIkTermConfig,
     JointPositionConfig,
     JointVelocityConfig,
     JointEffortConfig,
