@@ -22,6 +22,7 @@ from orbit_core.motion.operational_space import OperationalSpace, OperationalSpa
 from orbit_core.motion.presets import ACTION_PRESETS, ActionPreset, action_words, preset_terms
 from orbit_core.motion.prioritized_ik import PrioritizedIk, PrioritizedIkConfig, Priority
 from orbit_core.motion.registry import generator_descriptions, motion_generators
+from orbit_core.motion.rmpflow import RmpFlow, RmpFlowConfig
 from orbit_core.motion.term import ActionTerm, ActionTerms
 
 __all__ = [
@@ -31,7 +32,7 @@ __all__ = [
     "FullIkTermConfig", "GainCommand", "GainRange", "HybridForceMotion", "HybridForceMotionConfig", "IkMethod",
     "JointEffort", "JointEffortConfig", "JointImpedance", "JointImpedanceConfig", "JointPosition",
     "JointPositionConfig", "JointTarget", "JointVelocity", "JointVelocityConfig", "MotionGenerator",
-    "OperationalSpace", "OperationalSpaceConfig", "PrioritizedIk", "PrioritizedIkConfig", "Priority",
-    "action_words", "driven_joints", "end_effector_of", "generator_descriptions", "joint_commands", "joint_delta",
-    "motion_generators", "preset_terms", "with_drives_for",
+    "OperationalSpace", "OperationalSpaceConfig", "PrioritizedIk", "PrioritizedIkConfig", "Priority", "RmpFlow",
+    "RmpFlowConfig", "action_words", "driven_joints", "end_effector_of", "generator_descriptions", "joint_commands",
+    "joint_delta", "motion_generators", "preset_terms", "with_drives_for",
 ]  # fmt: skip

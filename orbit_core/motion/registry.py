@@ -21,6 +21,7 @@ from orbit_core.motion.joint_position import JointPositionConfig
 from orbit_core.motion.joint_velocity import JointVelocityConfig
 from orbit_core.motion.operational_space import OperationalSpaceConfig
 from orbit_core.motion.prioritized_ik import PrioritizedIkConfig
+from orbit_core.motion.rmpflow import RmpFlowConfig
 from orbit_core.motion.term import ActionTerm
 from orbit_core.registry import ClassRegistry
 
@@ -37,6 +38,7 @@ _OWN = (
     CartesianImpedanceConfig,
     HybridForceMotionConfig,
     AdmittanceConfig,
+    RmpFlowConfig,
     BinaryGripperConfig,
     BaseVelocityConfig,
 )

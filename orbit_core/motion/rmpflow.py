@@ -1,0 +1,215 @@
+"""A hand that goes to its goal around obstacles: Riemannian motion policies, combined in joint space.
+
+Ratliff et al., Riemannian Motion Policies, arXiv:1801.02854, 2018; Cheng et al., RMPflow: A Computational Graph for
+Automatic Motion Policy Generation, WAFR 2018. Each policy says in a space of its own which acceleration a it wants and,
+by a metric G, how much that counts. With J the Jacobian of the space, what the joints do minimises the sum of all:
+
+``a = (sum J^T G J)^-1 sum J^T G (a_i - J' v)``.
+
+The curvature terms of metrics that change with the state are left out, as is ``J' v`` of the distances' spaces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.linear import solve_spd
+from orbit_core.dynamics.transforms import pose_error, quat_rotate
+from orbit_core.dynamics.tree import joint_ancestry
+from orbit_core.interfaces import ConfigurationError, Robot, World
+from orbit_core.interfaces.layout import joint_limits
+from orbit_core.motion.base import JointTarget, MotionGenerator
+from orbit_core.motion.collision_spheres import collision_spheres
+from orbit_core.motion.differential_ik import PoseTermConfig
+from orbit_core.motion.modes import CommandMode, LastTargets
+from orbit_core.motion.obstacles import Obstacles
+
+
+@dataclass(frozen=True, kw_only=True)
+class RmpFlowConfig(PoseTermConfig):
+    """A command is a pose of the hand, or its change, to which the hand goes around obstacles.
+
+    Policies: the goal draws the hand's position and rotation; every ball that covers a moved link is pushed off every
+    obstacle within ``range``; joints are kept off their limits, drawn home, and damped. The motion is integrated from
+    the measured state of an episode's beginning, within ``max_lead`` of the measured positions, and told to the drives
+    as positions and velocities. It is a local method: it can be caught before an obstacle.
+    """
+
+    name: ClassVar[str] = "rmpflow"
+
+    mode: CommandMode = CommandMode.ABSOLUTE
+    position_scale: float = 0.5
+    rotation_scale: float = 3.141592653589793
+    obstacles: tuple[str, ...] | None = None
+    """Names of objects, and "terrain"; None takes the terrain and all objects whose base is fixed. What a ball of the
+    robot touches at home, such as the table that it stands on, is no obstacle to that ball."""
+    margin: float = 0.01
+    """m that is kept free around obstacles."""
+    range: float = 0.1
+    """m within which an obstacle pushes."""
+    goal_gain: float = 30.0
+    """1/s^2 near the goal."""
+    goal_reach: float = 0.1
+    """m or rad beyond which the goal draws no more strongly."""
+    obstacle_gain: float = 60.0
+    """m/s^2 by which an obstacle pushes what touches it."""
+    obstacle_weight: float = 30.0
+    """Metric of an obstacle that is touched, where the goal's is one."""
+    posture_gain: float = 1.0
+    """1/s^2 that draws joints home."""
+    posture_weight: float = 0.01
+    limit_weight: float = 0.1
+    """Metric of a joint's limit half a degree away."""
+    substeps: int = 4
+    """Steps of integration for one command."""
+    max_lead: float = 0.3
+    """rad or m by which targets may lead the measured positions."""
+
+    def build(self, name: str, robot: Robot) -> RmpFlow:
+        return RmpFlow(name, robot, self)
+
+
+class RmpFlow(MotionGenerator):
+    """Six commands, :class:`RmpFlowConfig`. Targets keep to the joints' limits of position and velocity."""
+
+    def __init__(self, name: str, robot: Robot, config: RmpFlowConfig) -> None:
+        joints = config.joint_indices(robot.spec, name)
+        super().__init__(name, robot, joints, 6, (JointTarget.POSITION, JointTarget.VELOCITY))
+        if config.range <= config.margin or config.substeps < 1 or config.goal_reach <= 0.0:
+            raise ConfigurationError(
+                f"action term '{name}': the range, {config.range:g} m, is more than the margin, {config.margin:g} m; "
+                "substeps are at least one, and goal_reach is above zero"
+            )
+        self.config = config
+        self.frame = config.frame_of(robot)
+        self._pose = config.pose_command(robot)
+        self._tree = KinematicTree(robot.spec.articulation, self.device)
+        self._home = robot.home_positions[joints]
+        speeds = joint_limits(robot.spec, "velocity_limit")[joints]
+        self._fastest = torch.as_tensor(speeds, dtype=torch.float32, device=self.device)
+        self._last = LastTargets(self.num_envs, (2, len(joints)), self.device)
+        self._prepare_balls()
+
+    def _prepare_balls(self) -> None:
+        articulation = self.robot.spec.articulation
+        balls = collision_spheres(articulation)
+        ancestry = joint_ancestry(articulation)[:, self.joints]
+        moved = ancestry[balls.links].any(1)
+        self._ball_links = torch.as_tensor(balls.links[moved], device=self.device)
+        self._centers = torch.as_tensor(balls.centers[moved], dtype=torch.float32, device=self.device)
+        self._radii = torch.as_tensor(balls.radii[moved], dtype=torch.float32, device=self.device)
+        self._moves = torch.as_tensor(ancestry[balls.links[moved]], dtype=torch.float32, device=self.device)
+
+    def enter(self, world: World, step_dt: float) -> None:
+        self._obstacles = Obstacles(world, self.config.obstacles)
+        self._dt = step_dt / self.config.substeps
+        home = self.robot.home_positions.expand(self.num_envs, -1)
+        links = self._tree.forward(self.robot.root_pose, home)
+        distances, _ = self._obstacles.distances(self._points(links))
+        # In all environments alike, for objects may stand elsewhere later.
+        touching = ((distances - self._radii[:, None]) < 0.0).all(0)
+        self._counts = torch.where(touching, 0.0, 1.0)
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        goal = self._pose.target(inputs["command"])
+        positions, velocities = self._last.read(torch.stack((self.positions, self.velocities), 1)).unbind(1)
+        full = self.robot.joint_positions.clone()
+        for _ in range(self.config.substeps):
+            full[:, self._columns] = positions
+            accelerations = self._accelerations(full, positions, velocities, goal)
+            velocities = torch.clamp(velocities + self._dt * accelerations, -self._fastest, self._fastest)
+            ahead = torch.clamp(positions + self._dt * velocities, self.lower_limits, self.upper_limits)
+            positions, velocities = ahead, (ahead - positions) / self._dt
+        measured = self.positions
+        led = torch.clamp(positions, measured - self.config.max_lead, measured + self.config.max_lead)
+        self._last.keep(torch.stack((led, velocities), 1))
+        return {JointTarget.POSITION.value: led, JointTarget.VELOCITY.value: velocities}
+
+    def clearance(self) -> Tensor:
+        """(N,) m from the robot's balls to the nearest obstacle now, negative where they overlap."""
+        distances, _ = self._obstacles.distances(self._points(self.robot.link_poses))
+        gaps = torch.where(self._counts > 0.0, distances - self._radii[:, None], torch.inf).flatten(1)
+        return gaps.amin(1) if gaps.shape[1] else gaps.new_full((self.num_envs,), torch.inf)
+
+    def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
+        return self._pose.encode(pose)
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        self._pose.reset(env_ids)
+        self._last.reset(env_ids)
+
+    def memory(self) -> Mapping[str, Tensor]:
+        pose = {f"pose_{key}": value for key, value in self._pose.memory().items()}
+        return {**pose, **self._last.memory()}
+
+    def _accelerations(self, full: Tensor, positions: Tensor, velocities: Tensor, goal: Tensor) -> Tensor:
+        links = self._tree.forward(self.robot.root_pose, full)
+        parts = (
+            self._towards_goal(links, velocities, goal),
+            self._off_obstacles(links, velocities),
+            self._off_limits(positions, velocities),
+        )
+        metric, force = (torch.stack(both).sum(0) for both in zip(*parts, strict=True))
+        return solve_spd(metric, force.unsqueeze(-1)).squeeze(-1)
+
+    def _towards_goal(self, links: Tensor, velocities: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
+        """Metric (N, k, k) and force (N, k) of the goal."""
+        jacobian = self._tree.jacobian(links, self.frame)[:, :, self._columns]
+        error = pose_error(self._tree.frame_pose(links, self.frame), goal)
+        twist = torch.bmm(jacobian, velocities.unsqueeze(-1)).squeeze(-1)
+        parts = error.unflatten(1, (2, 3))
+        far = torch.linalg.vector_norm(parts, dim=-1, keepdim=True)
+        bounded = (parts * (self.config.goal_reach / far.clamp_min(self.config.goal_reach))).flatten(1)
+        wanted = self.config.goal_gain * bounded - 2.0 * self.config.goal_gain**0.5 * twist
+        # Position leads: rotation counts a quarter.
+        weights = torch.tensor([1.0] * 3 + [0.25] * 3, device=self.device)
+        weighted = jacobian.mT * weights
+        return torch.bmm(weighted, jacobian), torch.bmm(weighted, wanted.unsqueeze(-1)).squeeze(-1)
+
+    def _off_obstacles(self, links: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
+        """Metric (N, k, k) and force (N, k) of all pairs of a ball and an obstacle."""
+        points = self._points(links)
+        distances, away = self._obstacles.distances(points)
+        gaps = distances - self._radii[:, None] - self.config.margin
+        jacobian = torch.einsum("nsod,nskd->nsok", away, self._point_jacobians(links, points)).flatten(1, 2)
+        speed = torch.bmm(jacobian, velocities.unsqueeze(-1)).squeeze(-1)
+        nearness = (1.0 - gaps.flatten(1) / (self.config.range - self.config.margin)).clamp(0.0, 2.0)
+        weight = self.config.obstacle_weight * nearness.square() * self._counts.flatten()
+        # What goes away is let go; what comes nearer is braked the harder the nearer it is.
+        weight = weight * torch.sigmoid(20.0 * (0.05 - speed))
+        wanted = self.config.obstacle_gain * (nearness - 0.7).clamp_min(0.0).square() - 20.0 * nearness * speed
+        weighted = jacobian * weight.unsqueeze(-1)
+        return torch.bmm(weighted.mT, jacobian), torch.bmm(weighted.mT, wanted.unsqueeze(-1)).squeeze(-1)
+
+    def _off_limits(self, positions: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
+        """Metric (N, k, k) and force (N, k) of limits, home and damping."""
+        config = self.config
+        home = config.posture_gain * (self._home - positions) - 2.0 * config.posture_gain**0.5 * velocities
+        below, above = positions - self.lower_limits, self.upper_limits - positions
+        near = torch.minimum(below, above)
+        inward = torch.where(below < above, 1.0, -1.0)
+        weight = config.limit_weight * (0.1 / near.clamp_min(0.01)).square()
+        wanted = inward * 2.0 * (0.1 / near.clamp_min(0.01)).clamp_max(10.0) - 20.0 * velocities
+        # A joint that leaves its limit is let go.
+        weight = torch.where(near < 0.2, weight * torch.sigmoid(-20.0 * inward * velocities), 0.0)
+        metric = config.posture_weight + weight
+        return torch.diag_embed(metric), config.posture_weight * home + weight * wanted
+
+    def _points(self, links: Tensor) -> Tensor:
+        """(N, S, 3) centres of the balls."""
+        poses = links.index_select(1, self._ball_links)
+        return poses[..., :3] + quat_rotate(poses[..., 3:], self._centers)
+
+    def _point_jacobians(self, links: Tensor, points: Tensor) -> Tensor:
+        """(N, S, k, 3) velocity of each centre per unit of each joint's."""
+        origin = links[:, 0, :3]
+        twists = self._tree.motion_subspaces(links, origin)[:, self._columns].unsqueeze(1)
+        arms = (points - origin.unsqueeze(1)).unsqueeze(2)
+        linear = twists[..., :3] + torch.linalg.cross(twists[..., 3:], arms)
+        return linear * self._moves.unsqueeze(-1)

@@ -1,0 +1,104 @@
+"""The hand goes around obstacles; distances to obstacles, and the balls that stand for a robot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from orbit_core.assets.catalogue import robot as catalogue_robot
+from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.motion import RmpFlow, RmpFlowConfig
+from orbit_core.motion.collision_spheres import _surface, collision_spheres
+from orbit_core.motion.full_ik import FullIk
+from orbit_core.motion.obstacles import Obstacles
+from orbit_core.scene import Box, Capsule, Cylinder, ObjectSpec, Pose, Scene, Shape, Sphere, single_link
+from orbit_core.scene.shapes import Geometry
+from orbit_core.world import simulate
+from tests.motion.servo_world import BACKENDS, held
+
+GEOMETRIES: tuple[Geometry, ...] = (Sphere(0.08), Box((0.05, 0.05, 0.15)), Capsule(0.05, 0.1), Cylinder(0.06, 0.1))
+
+
+def obstacle(index: int, geometry: Geometry) -> ObjectSpec:
+    body = single_link(f"obstacle{index}", Shape(geometry), 1.0, np.eye(3))
+    pose = Pose((0.6, 0.2 * index - 0.3, 0.4), (0.8, 0.0, 0.6, 0.0))
+    return ObjectSpec(name=f"obstacle{index}", articulation=body, fixed_base=True, pose=pose)
+
+
+OBSTACLES = tuple(obstacle(index, geometry) for index, geometry in enumerate(GEOMETRIES))
+
+
+def test_distances_and_directions_are_those_of_the_shapes() -> None:
+    world = simulate(Scene(objects=OBSTACLES), 2, BACKENDS[0])
+    obstacles = Obstacles(world, None)
+    assert obstacles.count == 5  # with the ground
+    points = torch.tensor([0.6, 0.0, 0.4]) + 0.3 * torch.randn(2, 50, 3, generator=torch.Generator().manual_seed(0))
+    distances, away = obstacles.distances(points)
+    # Going a distance back along the direction, one stands on the surface, from both sides of it.
+    surface = points.unsqueeze(2) - distances.unsqueeze(-1) * away
+    for column in range(5):
+        again, _ = obstacles.distances(surface[:, :, column])
+        assert again[:, :, column].abs().max() < 1e-5
+    torch.testing.assert_close(away.norm(dim=-1), torch.ones(2, 50, 5), atol=1e-5, rtol=0.0)
+    ground = (away[..., 2] == 1.0).all(0).all(0).nonzero().flatten()
+    torch.testing.assert_close(distances[:, :, ground[-1]], points[..., 2])
+    with pytest.raises(UnknownNameError, match=r"obstacle9.*did you mean 'obstacle"):
+        Obstacles(world, ("obstacle9",))
+    world.close()
+
+
+def test_balls_cover_the_robots_shapes() -> None:
+    articulation = catalogue_robot("franka_panda").articulation
+    balls = collision_spheres(articulation)
+    for index, link in enumerate(articulation.links):
+        for shape in link.collisions:
+            points = _surface(shape) @ shape.pose.rotation_matrix().T + np.asarray(shape.pose.position)
+            own = balls.links == index
+            gaps = np.linalg.norm(points[:, None] - balls.centers[own], axis=-1) - balls.radii[own]
+            assert gaps.min(1).max() < 1e-6
+    assert balls.radii.max() < 0.13
+    assert len(balls.radii) < 60
+
+
+@pytest.mark.parametrize(("backend", "count"), [(BACKENDS[0], 32), (BACKENDS[-1], 12)])
+def test_the_hand_arrives_and_touches_nothing(backend: str, count: int) -> None:
+    arm = held(RmpFlowConfig(), backend, num_envs=count, physics_dt=0.005, objects=OBSTACLES[:3])
+    generator, robot = arm.generator, arm.robot
+    assert isinstance(generator, RmpFlow)
+    random = torch.Generator().manual_seed(0)
+
+    def anywhere(low: tuple[float, ...], high: tuple[float, ...], rotation: tuple[float, ...]) -> torch.Tensor:
+        share = torch.rand(count, 3, generator=random)
+        positions = torch.tensor(low) + share * (torch.tensor(high) - torch.tensor(low))
+        return torch.cat((positions, torch.tensor(rotation).expand(count, 4)), 1)
+
+    for thing in arm.world.objects.values():
+        thing.set_root_pose(anywhere((0.35, -0.45, 0.15), (0.7, 0.45, 0.6), (1.0, 0.0, 0.0, 0.0)))
+    goal = anywhere((0.35, -0.35, 0.2), (0.65, 0.35, 0.55), (0.0, 1.0, 0.0, 0.0))
+    possible = generator.clearance() > 0.03
+    start = robot.joint_positions.clone()
+    tree = KinematicTree(robot.spec.articulation)
+    solver = FullIk(tree, generator.frame, generator.joints, robot.position_limits, robot.home_positions)
+    there = start.clone()
+    there[:, generator.joints] = solver.solve(goal, start).positions
+    robot.set_joint_state(there)
+    possible &= generator.clearance() > 0.03
+    robot.set_joint_state(start)
+    command, least = generator.encode(goal, torch.ones(count, dtype=torch.bool)), torch.full((count,), torch.inf)
+    for _ in range(200):
+        arm.run(command, 4)
+        least = torch.minimum(least, generator.clearance())
+    missing = (arm.hand()[:, :3] - goal[:, :3]).norm(dim=1)
+    assert possible.sum() >= 4
+    assert (least[possible] > 0.0).all()
+    assert (missing[possible] < 0.02).float().mean() >= 0.8
+    arm.world.close()
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"the range, 0.01 m, is more than the margin"):
+        held(RmpFlowConfig(range=0.01), BACKENDS[0])
+    with pytest.raises(UnknownNameError, match="cube"):
+        held(RmpFlowConfig(obstacles=("cube",)), BACKENDS[0])
