@@ -6,11 +6,13 @@ from orbit_core.motion.base import JointTarget, MotionGenerator
 from orbit_core.motion.base_velocity import BaseVelocity, BaseVelocityConfig
 from orbit_core.motion.binary_gripper import BinaryGripper, BinaryGripperConfig
 from orbit_core.motion.cartesian_impedance import CartesianImpedance, CartesianImpedanceConfig
+from orbit_core.motion.differential_drive import DifferentialDrive, DifferentialDriveConfig
 from orbit_core.motion.differential_ik import DifferentialIk, DifferentialIkConfig
 from orbit_core.motion.drives import with_drives_for
 from orbit_core.motion.embodiment import driven_joints, end_effector_of, joint_commands
 from orbit_core.motion.full_ik_term import FullIkTerm, FullIkTermConfig
 from orbit_core.motion.gains import GainCommand, GainRange
+from orbit_core.motion.grasp_synergies import GraspSynergies, GraspSynergiesConfig
 from orbit_core.motion.hybrid_force_motion import HybridForceMotion, HybridForceMotionConfig
 from orbit_core.motion.ik import IkMethod, joint_delta
 from orbit_core.motion.joint_effort import JointEffort, JointEffortConfig
@@ -24,15 +26,18 @@ from orbit_core.motion.prioritized_ik import PrioritizedIk, PrioritizedIkConfig,
 from orbit_core.motion.registry import generator_descriptions, motion_generators
 from orbit_core.motion.rmpflow import RmpFlow, RmpFlowConfig
 from orbit_core.motion.term import ActionTerm, ActionTerms
+from orbit_core.motion.whole_body_ik import WholeBodyIk, WholeBodyIkConfig
 
 __all__ = [
     "ACTION_PRESETS", "ActionPreset", "ActionTerm", "ActionTerms", "Actuate", "Admittance", "AdmittanceConfig",
     "BaseVelocity", "BaseVelocityConfig", "BinaryGripper", "BinaryGripperConfig", "CartesianImpedance",
-    "CartesianImpedanceConfig", "CommandMode", "DifferentialIk", "DifferentialIkConfig", "FullIkTerm",
-    "FullIkTermConfig", "GainCommand", "GainRange", "HybridForceMotion", "HybridForceMotionConfig", "IkMethod",
-    "JointEffort", "JointEffortConfig", "JointImpedance", "JointImpedanceConfig", "JointPosition",
-    "JointPositionConfig", "JointTarget", "JointVelocity", "JointVelocityConfig", "MotionGenerator",
-    "OperationalSpace", "OperationalSpaceConfig", "PrioritizedIk", "PrioritizedIkConfig", "Priority", "RmpFlow",
-    "RmpFlowConfig", "action_words", "driven_joints", "end_effector_of", "generator_descriptions", "joint_commands",
-    "joint_delta", "motion_generators", "preset_terms", "with_drives_for",
+    "CartesianImpedanceConfig", "CommandMode", "DifferentialDrive", "DifferentialDriveConfig", "DifferentialIk",
+    "DifferentialIkConfig", "FullIkTerm", "FullIkTermConfig", "GainCommand", "GainRange", "GraspSynergies",
+    "GraspSynergiesConfig", "HybridForceMotion", "HybridForceMotionConfig", "IkMethod", "JointEffort",
+    "JointEffortConfig", "JointImpedance", "JointImpedanceConfig", "JointPosition", "JointPositionConfig",
+    "JointTarget", "JointVelocity", "JointVelocityConfig", "MotionGenerator", "OperationalSpace",
+    "OperationalSpaceConfig", "PrioritizedIk", "PrioritizedIkConfig", "Priority", "RmpFlow", "RmpFlowConfig",
+    "WholeBodyIk", "WholeBodyIkConfig", "action_words", "driven_joints", "end_effector_of",
+    "generator_descriptions", "joint_commands", "joint_delta", "motion_generators", "preset_terms",
+    "with_drives_for",
 ]  # fmt: skip

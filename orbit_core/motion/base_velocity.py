@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError, Robot
+from orbit_core.interfaces.layout import joint_limits
 from orbit_core.motion.base import JointTarget, MotionGenerator
 from orbit_core.motion.ik import towards_pose
 from orbit_core.motion.term import ActionTerm
@@ -67,6 +68,8 @@ class BaseVelocity(MotionGenerator):
         super().__init__(name, robot, joints, 3, (JointTarget.POSITION, JointTarget.VELOCITY))
         self.config = config
         self._limits = torch.tensor([config.max_speed, config.max_speed, config.max_yaw_rate], device=self.device)
+        fastest = joint_limits(robot.spec, "velocity_limit")[joints]
+        self._fastest = torch.as_tensor(fastest, dtype=torch.float32, device=self.device)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         command = inputs["command"]
@@ -74,6 +77,8 @@ class BaseVelocity(MotionGenerator):
         planar, turn = command[:, :2] / excess, command[:, 2:]
         positions = self.positions
         velocities = torch.cat((_turned(planar, positions[:, 2]), turn), dim=1) * self._limits
+        # A base that a joint's limit holds back keeps its curve.
+        velocities = velocities / (velocities.abs() / self._fastest).amax(1, keepdim=True).clamp_min(1.0)
         return {JointTarget.POSITION.value: positions, JointTarget.VELOCITY.value: velocities}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:

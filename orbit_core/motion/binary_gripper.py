@@ -66,7 +66,7 @@ class BinaryGripper(MotionGenerator):
             opened = gripper.open_position if opened is None else opened
             closed = gripper.closed_position if closed is None else closed
         patterns = config.default_joints(robot.spec) if config.joints is None else config.joints
-        ends = [_positions(value, patterns, joints, robot.spec, name) for value in (opened, closed)]
+        ends = [gripper_positions(value, patterns, joints, robot.spec, name) for value in (opened, closed)]
         self._open, self._closed = torch.tensor(ends, device=self.device).unbind()
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
@@ -76,10 +76,14 @@ class BinaryGripper(MotionGenerator):
         return (2.0 * gripper_open.to(torch.float32) - 1.0).unsqueeze(-1)
 
 
-def _positions(
+def gripper_positions(
     value: float | tuple[float, ...], patterns: Sequence[str], joints: Sequence[int], spec: RobotSpec, term: str
 ) -> list[float]:
-    """A position for each of the joints, given by index."""
+    """A position for each of the joints, given by index.
+
+    Raises:
+        ConfigurationError: there are other than one position, or one for each pattern.
+    """
     if not isinstance(value, tuple):
         return [value] * len(joints)
     if len(value) != len(patterns):

@@ -25,17 +25,25 @@ def joint_commands(spec: RobotSpec) -> JointCommands:
 
     A robot that is there for its end effector is moved by the first one's arm, 2 rad from home either way and no faster
     than its joints may turn, as its own controller would see to. Another moves all driven joints but those of its
-    planar base: a walker by 0.5 rad, others, such as hands without an arm, over the joints' limits.
+    base: a walker by 0.5 rad, others, such as hands without an arm, over the joints' limits.
     """
     if spec.joint_commands is not None:
         return spec.joint_commands
     if spec.has_arm and not spec.feet:
         return JointCommands(joints=spec.end_effector.arm_joints, position_scale=_ARM_SCALE, limit_speed=True)
-    base = spec.planar_base
-    carrying = (base.x, base.y, base.yaw) if base else ()
+    carrying = base_joints(spec)
     names = [spec.articulation.joint_names[joint] for joint in driven_joints(spec)]
     joints = tuple(re.escape(name) for name in names if name not in carrying)
     return JointCommands(joints=joints, position_scale=_LEG_SCALE if spec.feet else None)
+
+
+def base_joints(spec: RobotSpec) -> tuple[str, ...]:
+    """The joints that carry the robot: x, y and yaw of a planar base, left and right wheel of a differential one."""
+    if spec.planar_base is not None:
+        return (spec.planar_base.x, spec.planar_base.y, spec.planar_base.yaw)
+    if spec.differential_base is not None:
+        return (spec.differential_base.left, spec.differential_base.right)
+    return ()
 
 
 def arm_joints_of(spec: RobotSpec, frame: str | None = None) -> tuple[str, ...]:

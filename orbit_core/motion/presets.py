@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.motion.base_velocity import BaseVelocityConfig
 from orbit_core.motion.binary_gripper import BinaryGripperConfig
+from orbit_core.motion.differential_drive import DifferentialDriveConfig
 from orbit_core.motion.differential_ik import DifferentialIkConfig
 from orbit_core.motion.embodiment import joint_commands
 from orbit_core.motion.joint_effort import JointEffortConfig
@@ -52,6 +53,8 @@ def preset_terms(spec: RobotSpec, name: str, prefix: str = "") -> dict[str, Acti
         more["gripper"] = BinaryGripperConfig()
     if spec.planar_base:
         more["base"] = BaseVelocityConfig()
+    elif spec.differential_base:
+        more["base"] = DifferentialDriveConfig()
     terms |= {key: term for key, term in more.items() if moved.isdisjoint(term.joint_indices(spec, key))}
     return {prefix + key: replace(term, robot=spec.name) for key, term in terms.items()}
 

@@ -79,6 +79,8 @@ class PrioritizedIk(MotionGenerator):
         speeds = joint_limits(robot.spec, "velocity_limit")[self.joints]
         self._fastest = config.speed * torch.as_tensor(speeds, dtype=torch.float32, device=self.device)
         self._step_limit = self._fastest
+        self._costs = torch.ones(len(self.joints), device=self.device)
+        """(k,) what moving counts, where the hand leaves a choice."""
         orders = {Priority.NONE: [range(6)], Priority.POSITION: [range(3), range(3, 6)]}
         self._levels = [list(rows) for rows in orders.get(config.priority, [range(3, 6), range(3)])]
 
@@ -91,29 +93,46 @@ class PrioritizedIk(MotionGenerator):
 
     def solve(self, error: Tensor) -> Tensor:
         """(N, k) displacements of the joints for one (N, 6) of the frame, m and rad, world axes."""
-        jacobian = self.robot.jacobian(self.frame, self.joints)
+        jacobian = self.jacobian()
+        low, high = self.bounds()
+        identity = torch.eye(jacobian.shape[2], device=self.device).expand(self.num_envs, -1, -1)
+        damping = self.config.damping**2 * torch.diag_embed(self._costs).expand_as(identity)
+        rows, lower, upper = identity, low, high
+        delta = torch.zeros_like(low)
+        for level in self._levels:
+            weighted = jacobian[:, level] * self._weights[level].unsqueeze(-1)
+            wanted = error[:, level] * self._weights[level]
+            linear = -torch.bmm(weighted.mT, wanted.unsqueeze(-1)).squeeze(-1)
+            delta = solve_qp(weighted.mT @ weighted + damping, linear, rows, lower, upper)
+            kept = torch.bmm(jacobian[:, level], delta.unsqueeze(-1)).squeeze(-1)
+            rows = torch.cat((rows, jacobian[:, level]), 1)
+            lower, upper = torch.cat((lower, kept), 1), torch.cat((upper, kept), 1)
+        posture = self.posture(jacobian)
+        if posture is not None:
+            costs = torch.diag_embed(self._costs).expand_as(identity)
+            delta = solve_qp(costs, -self._costs * posture, rows, lower, upper)
+        return torch.clamp(delta, low, high)
+
+    def jacobian(self) -> Tensor:
+        """(N, 6, k) of the frame."""
+        return self.robot.jacobian(self.frame, self.joints)
+
+    def bounds(self) -> tuple[Tensor, Tensor]:
+        """(N, k) the least and the greatest displacement in one step."""
         positions = self.positions
         below, above = (_LIMIT_SHARE * (limits - positions) for limits in (self.lower_limits, self.upper_limits))
         # A joint outside its limits may stay where it is, so that there always is a solution.
         low = torch.maximum(below, -self._step_limit).clamp_max(0.0)
-        high = torch.minimum(above, self._step_limit).clamp_min(0.0)
-        identity = torch.eye(len(self.joints), device=self.device).expand(self.num_envs, -1, -1)
-        rows, lower, upper = identity, low, high
-        delta = torch.zeros_like(positions)
-        for level in self._levels:
-            weighted = jacobian[:, level] * self._weights[level].unsqueeze(-1)
-            wanted = error[:, level] * self._weights[level]
-            quadratic = weighted.mT @ weighted + self.config.damping**2 * identity
-            linear = -torch.bmm(weighted.mT, wanted.unsqueeze(-1)).squeeze(-1)
-            delta = solve_qp(quadratic, linear, rows, lower, upper)
-            kept = torch.bmm(jacobian[:, level], delta.unsqueeze(-1)).squeeze(-1)
-            rows, lower, upper = (
-                torch.cat(pair, 1) for pair in ((rows, jacobian[:, level]), (lower, kept), (upper, kept))
-            )
-        posture = self._posture(jacobian)
-        if posture is not None:
-            delta = solve_qp(identity, -posture, rows, lower, upper)
-        return torch.clamp(delta, low, high)
+        return low, torch.minimum(above, self._step_limit).clamp_min(0.0)
+
+    def posture(self, jacobian: Tensor) -> Tensor | None:
+        """(N, k) displacements that the joints want for themselves, or None."""
+        if not self.config.posture_gain and not self.config.manipulability_gain:
+            return None
+        home = self.config.posture_gain * (self._home - self.positions)
+        if not self.config.manipulability_gain:
+            return home
+        return home + self.config.manipulability_gain * manipulability_gradient(jacobian)
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return self._pose.encode(pose)
@@ -123,12 +142,3 @@ class PrioritizedIk(MotionGenerator):
 
     def memory(self) -> Mapping[str, Tensor]:
         return self._pose.memory()
-
-    def _posture(self, jacobian: Tensor) -> Tensor | None:
-        """(N, k) displacements that the joints want for themselves, or None."""
-        if not self.config.posture_gain and not self.config.manipulability_gain:
-            return None
-        home = self.config.posture_gain * (self._home - self.positions)
-        if not self.config.manipulability_gain:
-            return home
-        return home + self.config.manipulability_gain * manipulability_gradient(jacobian)

@@ -12,8 +12,10 @@ from orbit_core.motion.admittance import AdmittanceConfig
 from orbit_core.motion.base_velocity import BaseVelocityConfig
 from orbit_core.motion.binary_gripper import BinaryGripperConfig
 from orbit_core.motion.cartesian_impedance import CartesianImpedanceConfig
+from orbit_core.motion.differential_drive import DifferentialDriveConfig
 from orbit_core.motion.differential_ik import DifferentialIkConfig
 from orbit_core.motion.full_ik_term import FullIkTermConfig
+from orbit_core.motion.grasp_synergies import GraspSynergiesConfig
 from orbit_core.motion.hybrid_force_motion import HybridForceMotionConfig
 from orbit_core.motion.joint_effort import JointEffortConfig
 from orbit_core.motion.joint_impedance import JointImpedanceConfig
@@ -23,6 +25,7 @@ from orbit_core.motion.operational_space import OperationalSpaceConfig
 from orbit_core.motion.prioritized_ik import PrioritizedIkConfig
 from orbit_core.motion.rmpflow import RmpFlowConfig
 from orbit_core.motion.term import ActionTerm
+from orbit_core.motion.whole_body_ik import WholeBodyIkConfig
 from orbit_core.registry import ClassRegistry
 
 GROUP = "orbit.motion"
@@ -30,6 +33,7 @@ _OWN = (
     DifferentialIkConfig,
     PrioritizedIkConfig,
     FullIkTermConfig,
+    WholeBodyIkConfig,
     JointPositionConfig,
     JointVelocityConfig,
     JointEffortConfig,
@@ -40,7 +44,9 @@ _OWN = (
     AdmittanceConfig,
     RmpFlowConfig,
     BinaryGripperConfig,
+    GraspSynergiesConfig,
     BaseVelocityConfig,
+    DifferentialDriveConfig,
 )
 
 

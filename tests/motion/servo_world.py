@@ -11,7 +11,7 @@ from orbit_core.assets.catalogue import robot as catalogue_robot
 from orbit_core.backends import backend_names
 from orbit_core.interfaces import Robot, World
 from orbit_core.motion import ActionTerm, Actuate, MotionGenerator, with_drives_for
-from orbit_core.scene import ObjectSpec, Scene, SensorSpec
+from orbit_core.scene import ObjectSpec, Scene, SensorSpec, Shape
 from orbit_core.world import simulate
 
 BACKENDS = [name for name in ("mujoco", "bullet") if name in backend_names()]
@@ -45,14 +45,17 @@ def held(
     name: str = "franka_panda",
     num_envs: int = 2,
     physics_dt: float = 0.002,
-    gravity_compensation: bool = True,
+    gravity_compensation: bool | None = None,
     objects: tuple[ObjectSpec, ...] = (),
     sensors: tuple[SensorSpec, ...] = (),
+    terrain: tuple[Shape, ...] = (),
 ) -> Held:
-    """A robot of the catalogue without anything to touch but ``objects``; close its world."""
-    spec = replace(catalogue_robot(name), name="robot", gravity_compensation=gravity_compensation)
+    """A robot of the catalogue without anything to touch but ``objects`` and ``terrain``; close its world."""
+    spec = replace(catalogue_robot(name), name="robot")
+    if gravity_compensation is not None:
+        spec = replace(spec, gravity_compensation=gravity_compensation)
     spec = with_drives_for(spec, {"it": term})
-    scene = Scene(robots=(spec,), objects=objects, sensors=sensors, terrain=(), physics_dt=physics_dt)
+    scene = Scene(robots=(spec,), objects=objects, sensors=sensors, terrain=terrain, physics_dt=physics_dt)
     world = simulate(scene, num_envs, backend)
     robot = world.robots["robot"]
     generator = term.build("it", robot)
