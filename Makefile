@@ -13,7 +13,7 @@ PLUGINS := mjmodel warpkit $(BACKENDS) newton matter
 SOURCES := pyproject.toml constraints.txt $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
 CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples
 
-.PHONY: demo view test lint types unit conformance example mutants clean
+.PHONY: demo view test lint types unit coverage conformance example mutants clean
 
 demo: $(VENV)/.ready
 	@mkdir -p out
@@ -29,18 +29,24 @@ lint: $(VENV)/.ready-dev
 	$(BIN)/ruff format --check $(CODE)
 
 types: $(VENV)/.ready-dev
-	$(BIN)/basedpyright
+	$(BIN)/basedpyright --threads
 
 # Test processes share the cores, and torch's threads would only wait for each other.
-unit example mutants: export OMP_NUM_THREADS = 1
+unit coverage example mutants: export OMP_NUM_THREADS = 1
 
 unit: $(VENV)/.ready-dev
+	$(BIN)/pytest -n auto --dist worksteal --ignore tests/conformance/test_scenarios.py
+
+# The same, a third slower, with the share of lines that it runs.
+coverage: $(VENV)/.ready-dev
 	$(BIN)/pytest -n auto --dist worksteal --ignore tests/conformance/test_scenarios.py --cov --cov-report=term:skip-covered --cov-fail-under=90
 
 # Every scenario (what tests/conformance/test_scenarios.py collects for those who write them), task and kept policy on
-# every backend, quickly. Throughput is for idle machines: the committed report and benchmarks/ have it.
+# every backend, quickly, and the whole catalogue of robots on two engines. Throughput is for idle machines: the committed
+# report and benchmarks/ have it.
 conformance: $(VENV)/.ready-dev
 	$(BIN)/orbit conformance --quick --part scenarios tasks transfers --output out/conformance
+	$(BIN)/orbit conformance --part robots --backend mujoco sapien --output out/conformance-robots
 
 # The backend that docs/write-a-backend.md builds, installed beside the environment so that nothing else sees it, and a
 # tenth of its mutants.

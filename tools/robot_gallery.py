@@ -44,8 +44,8 @@ SIZE = (360, 300)
 COLORS, LARGEST = 128, 40_000
 """Colours of a picture's palette, halved until the file is no larger than so many bytes."""
 COMPOSED = (
-    "base_omni+franka_panda", "anymal_c+kinova_gen3", "franka_panda+allegro_right", "ur10+shadow_hand",
-    "ur10+robotiq_2f85", "ur5+robotiq_2f85", "kuka_iiwa7+robotiq_2f85", "xarm7+robotiq_2f85", "ur5+wsg50",
+    "base_omni+franka_panda+allegro_right", "kinova_gen3+panda_hand", "kuka_iiwa7+wsg50", "tiago_base+ur5",
+    "ur5+robotiq_2f85", "xarm7+robotiq_2f85",
 )  # fmt: skip
 """Compositions that are shown beside the catalogue's own, where their parts are there."""
 _FIELD_OF_VIEW = 0.8
