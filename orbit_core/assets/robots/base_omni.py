@@ -25,7 +25,7 @@ WHEELS = tuple(f"wheel_{end}_{side}_link" for end in ("front", "rear") for side 
 def articulation() -> Articulation:
     """The base on virtual joints ``base_x``, ``base_y`` and ``base_yaw``; an arm's frame is ``mount``."""
     source = installed_urdf(SOURCE, "robots/tiago_pro_description/robots/tiago_pro.urdf")
-    body = without(source, "torso_base_link")
+    body = without(without(source, "torso_base_link"), "torso_fixed_column_link")
     # Its rollers are not in the model: wheels that slid sideways would scrape, so they neither turn nor collide.
     fixed = (replace(joint, type=JointType.FIXED) if joint.child in WHEELS else joint for joint in body.joints)
     links = (replace(link, collisions=()) if link.name in WHEELS else link for link in body.links)
