@@ -171,7 +171,7 @@ def test_a_link_named_world_that_has_mass_is_told_its_new_name(tmp_path: Path, f
         self_collisions=True,
     )
     said = write_mjcf(asked, tmp_path / "a.xml", fixed_base=fixed_base)
-    assert "MJCF keeps the name 'world' for the world: that link becomes 'world_2'" in said
+    assert "MJCF keeps the name 'world' for the world: what has it becomes 'world_2'" in said
     got = read_mjcf(tmp_path / "a.xml")
     assert got.link_names == ("world_2", "world_1")
     assert got.root.mass == asked.root.mass

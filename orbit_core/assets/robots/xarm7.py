@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from orbit_core.assets.cache import Model
-from orbit_core.assets.compose import add_frames, simplify_collisions
+from orbit_core.assets.compose import add_frames, simplify_collisions, subtree
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
@@ -17,7 +17,7 @@ SOURCE = "example-robot-data"
 
 def articulation() -> Articulation:
     """The arm up to the frame ``flange``, which is ``link_eef`` turned: z out of it, y across at home."""
-    source = installed_urdf(SOURCE, "robots/xarm_description/urdf/xarm7.urdf", "xarm7")
+    source = subtree(installed_urdf(SOURCE, "robots/xarm_description/urdf/xarm7.urdf"), "link_base", "xarm7")
     arm = with_armature(simplify_collisions(merge_fixed_links(source)))
     return add_frames(arm, Frame("flange", "link_eef", Pose.from_euler(0.0, 0.0, -math.pi / 2)))
 
