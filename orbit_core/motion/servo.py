@@ -70,13 +70,14 @@ class Servo(MotionGenerator):
         self.physics_dt = world.physics_dt
         self.dynamics = ArmDynamics(self.robot, self.joints, world.physics_dt, world.scene.gravity)
         self.check_stable()
-        world.add_servo(self._turn)
+        world.add_servo(self.turn)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         self.aim(inputs["command"])
         return {}
 
-    def _turn(self) -> None:
+    def turn(self) -> None:
+        """Set the efforts for the next physics step; the world calls it."""
         state = self.dynamics.state()
         efforts = state.efforts(self._within_limits(state, self.accelerations(state)))
         self.robot.set_effort_targets(torch.clamp(efforts, -self._strongest, self._strongest), self.joints)
