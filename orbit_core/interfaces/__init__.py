@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         ConfigurationError,
         NonFiniteError,
         OrbitError,
+        PlanningError,
         ShapeError,
         SimulationError,
         StorageError,
@@ -70,8 +71,8 @@ _MODULES = {
     "entities": ("Deformable", "Marker", "Object", "Robot"),
     "errors": (
         "ArgumentError", "AssetError", "BackendNotInstalledError", "BuildError", "ClosedError", "ConfigurationError",
-        "NonFiniteError", "OrbitError", "ShapeError", "SimulationError", "StorageError", "UnknownNameError",
-        "UnsupportedCapabilityError",
+        "NonFiniteError", "OrbitError", "PlanningError", "ShapeError", "SimulationError", "StorageError",
+        "UnknownNameError", "UnsupportedCapabilityError",
     ),
     "gaps": ("Gap",),
     "layout": ("BACKGROUND", "TERRAIN", "ContactQuery", "EntityLayout", "JointParameters", "SceneLayout"),
@@ -88,14 +89,14 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 
 __all__ = [
     "BACKGROUND", "EXACT", "IMAGES", "MATTER", "MAX_DISTANCE", "MAX_SPEED", "TERRAIN", "Approximation",
-    "ArgumentError", "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel", "Capabilities",
-    "Capability", "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable",
+    "ArgumentError", "AssetError", "Backend", "BackendNotInstalledError", "BuildError", "BuiltModel",
+    "Capabilities", "Capability", "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable",
     "DriveIntegration", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "Level", "Marker", "Matter",
-    "MatterSolver", "NamedThings", "Node", "NonFiniteError", "Object", "OrbitError", "Port", "RayHits", "Renderer",
-    "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError", "Support", "UnknownNameError",
-    "UnsupportedCapabilityError", "World", "WorldClock", "WorldMasking", "WorldRandom", "albedo_table", "approximate",
-    "diverged", "divergence_error", "drawn_shapes", "find_name", "first_few", "match_names", "match_values",
-    "required_capabilities", "unsupported",
+    "MatterSolver", "NamedThings", "Node", "NonFiniteError", "Object", "OrbitError", "PlanningError", "Port",
+    "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError",
+    "Support", "UnknownNameError", "UnsupportedCapabilityError", "World", "WorldClock", "WorldMasking",
+    "WorldRandom", "albedo_table", "approximate", "diverged", "divergence_error", "drawn_shapes", "find_name",
+    "first_few", "match_names", "match_values", "required_capabilities", "unsupported",
 ]  # fmt: skip
 
 

@@ -64,5 +64,9 @@ class ClosedError(OrbitError):
     """What was closed is used again."""
 
 
+class PlanningError(OrbitError):
+    """A motion that cannot be planned: says which constraint stands against it."""
+
+
 class SimulationError(OrbitError):
     """The engine failed or diverged while stepping."""

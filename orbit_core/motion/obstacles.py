@@ -58,16 +58,24 @@ class Obstacles:
         self._kinds = {kind: self._gathered(kind, shapes) for kind in (Box, Sphere, Capsule, Cylinder, Plane)}
         self.count = sum(len(kind.owners) for kind in self._kinds.values())
         """O, the number of shapes."""
+        owners = [owner for kind in self._kinds.values() for owner in kind.owners]
+        self.names = tuple(TERRAIN if owner is None else owner[0] for owner in owners)
+        """Whose each shape is."""
 
-    def distances(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """(N, S, O) m from points (N, S, 3) to each shape, negative inside; and the unit vectors (N, S, O, 3) away."""
-        found = [self._of_kind(kind, parts, points) for kind, parts in self._kinds.items() if parts.owners]
+    def distances(self, points: Tensor, env: int | None = None) -> tuple[Tensor, Tensor]:
+        """(N, S, O) m from points (N, S, 3) to each shape, negative inside; and the unit vectors (N, S, O, 3) away.
+
+        With ``env`` the shapes are where they are in that environment, and N is any number.
+        """
+        found = [self._of_kind(kind, parts, points, env) for kind, parts in self._kinds.items() if parts.owners]
         if not found:
             return points.new_full((*points.shape[:2], 0), _FAR), points.new_zeros((*points.shape[:2], 0, 3))
         return torch.cat([distance for distance, _ in found], 2), torch.cat([away for _, away in found], 2)
 
-    def _of_kind(self, kind: type, parts: _Kind, points: Tensor) -> tuple[Tensor, Tensor]:
+    def _of_kind(self, kind: type, parts: _Kind, points: Tensor, env: int | None) -> tuple[Tensor, Tensor]:
         poses = self._poses(parts).unsqueeze(1)
+        if env is not None:
+            poses = poses[env : env + 1]
         local = quat_rotate_inverse(poses[..., 3:], points.unsqueeze(2) - poses[..., :3])
         distance, away = _LAWS[kind](local, parts.sizes)
         return distance, quat_rotate(poses[..., 3:], away)

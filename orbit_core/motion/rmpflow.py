@@ -20,12 +20,11 @@ from torch import Tensor
 
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.linear import solve_spd
-from orbit_core.dynamics.transforms import pose_error, quat_rotate
-from orbit_core.dynamics.tree import joint_ancestry
+from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.motion.base import JointTarget, MotionGenerator
-from orbit_core.motion.collision_spheres import collision_spheres
+from orbit_core.motion.clearance import Clearance
 from orbit_core.motion.differential_ik import PoseTermConfig
 from orbit_core.motion.modes import CommandMode, LastTargets
 from orbit_core.motion.obstacles import Obstacles
@@ -94,27 +93,11 @@ class RmpFlow(MotionGenerator):
         speeds = joint_limits(robot.spec, "velocity_limit")[joints]
         self._fastest = torch.as_tensor(speeds, dtype=torch.float32, device=self.device)
         self._last = LastTargets(self.num_envs, (2, len(joints)), self.device)
-        self._prepare_balls()
-
-    def _prepare_balls(self) -> None:
-        articulation = self.robot.spec.articulation
-        balls = collision_spheres(articulation)
-        ancestry = joint_ancestry(articulation)[:, self.joints]
-        moved = ancestry[balls.links].any(1)
-        self._ball_links = torch.as_tensor(balls.links[moved], device=self.device)
-        self._centers = torch.as_tensor(balls.centers[moved], dtype=torch.float32, device=self.device)
-        self._radii = torch.as_tensor(balls.radii[moved], dtype=torch.float32, device=self.device)
-        self._moves = torch.as_tensor(ancestry[balls.links[moved]], dtype=torch.float32, device=self.device)
 
     def enter(self, world: World, step_dt: float) -> None:
-        self._obstacles = Obstacles(world, self.config.obstacles)
+        obstacles = Obstacles(world, self.config.obstacles)
+        self._clearance = Clearance(self.robot, self.joints, self._tree, obstacles)
         self._dt = step_dt / self.config.substeps
-        home = self.robot.home_positions.expand(self.num_envs, -1)
-        links = self._tree.forward(self.robot.root_pose, home)
-        distances, _ = self._obstacles.distances(self._points(links))
-        # In all environments alike, for objects may stand elsewhere later.
-        touching = ((distances - self._radii[:, None]) < 0.0).all(0)
-        self._counts = torch.where(touching, 0.0, 1.0)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         goal = self._pose.target(inputs["command"])
@@ -133,8 +116,7 @@ class RmpFlow(MotionGenerator):
 
     def clearance(self) -> Tensor:
         """(N,) m from the robot's balls to the nearest obstacle now, negative where they overlap."""
-        distances, _ = self._obstacles.distances(self._points(self.robot.link_poses))
-        gaps = torch.where(self._counts > 0.0, distances - self._radii[:, None], torch.inf).flatten(1)
+        gaps = self._clearance.gaps(self.robot.link_poses).flatten(1)
         return gaps.amin(1) if gaps.shape[1] else gaps.new_full((self.num_envs,), torch.inf)
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
@@ -174,13 +156,14 @@ class RmpFlow(MotionGenerator):
 
     def _off_obstacles(self, links: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
         """Metric (N, k, k) and force (N, k) of all pairs of a ball and an obstacle."""
-        points = self._points(links)
-        distances, away = self._obstacles.distances(points)
-        gaps = distances - self._radii[:, None] - self.config.margin
+        clearance = self._clearance
+        points = clearance.points(links)
+        distances, away = clearance.obstacles.distances(points)
+        gaps = distances - clearance.radii[:, None] - self.config.margin
         jacobian = torch.einsum("nsod,nskd->nsok", away, self._point_jacobians(links, points)).flatten(1, 2)
         speed = torch.bmm(jacobian, velocities.unsqueeze(-1)).squeeze(-1)
         nearness = (1.0 - gaps.flatten(1) / (self.config.range - self.config.margin)).clamp(0.0, 2.0)
-        weight = self.config.obstacle_weight * nearness.square() * self._counts.flatten()
+        weight = self.config.obstacle_weight * nearness.square() * clearance.counts.flatten()
         # What goes away is let go; what comes nearer is braked the harder the nearer it is.
         weight = weight * torch.sigmoid(20.0 * (0.05 - speed))
         wanted = self.config.obstacle_gain * (nearness - 0.7).clamp_min(0.0).square() - 20.0 * nearness * speed
@@ -201,15 +184,10 @@ class RmpFlow(MotionGenerator):
         metric = config.posture_weight + weight
         return torch.diag_embed(metric), config.posture_weight * home + weight * wanted
 
-    def _points(self, links: Tensor) -> Tensor:
-        """(N, S, 3) centres of the balls."""
-        poses = links.index_select(1, self._ball_links)
-        return poses[..., :3] + quat_rotate(poses[..., 3:], self._centers)
-
     def _point_jacobians(self, links: Tensor, points: Tensor) -> Tensor:
         """(N, S, k, 3) velocity of each centre per unit of each joint's."""
         origin = links[:, 0, :3]
         twists = self._tree.motion_subspaces(links, origin)[:, self._columns].unsqueeze(1)
         arms = (points - origin.unsqueeze(1)).unsqueeze(2)
         linear = twists[..., :3] + torch.linalg.cross(twists[..., 3:], arms)
-        return linear * self._moves.unsqueeze(-1)
+        return linear * self._clearance.moves.unsqueeze(-1)

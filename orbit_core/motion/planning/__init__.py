@@ -1,0 +1,7 @@
+"""Plans: paths around obstacles, their timing within limits, and a node that follows them."""
+
+from orbit_core.motion.planning.follower import TrajectoryFollower
+from orbit_core.motion.planning.joint_planner import JointPlanner, PlannerConfig
+from orbit_core.motion.planning.trajectory import JointTrajectory, jerk_limited, time_optimal
+
+__all__ = ["JointPlanner", "JointTrajectory", "PlannerConfig", "TrajectoryFollower", "jerk_limited", "time_optimal"]
