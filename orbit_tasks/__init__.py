@@ -29,3 +29,6 @@ def register(registry: TaskRegistry) -> None:
     registry.add(
         "Rope-Reshaping", "Bend a rope into a corner of a sampled angle", "orbit_tasks.rope_reshaping:RopeReshaping"
     )
+    registry.add(
+        "Cloth-Dropping", "Drop a cloth into a container beside its tray", "orbit_tasks.cloth_dropping:ClothDropping"
+    )

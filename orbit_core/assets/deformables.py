@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from orbit_core.scene import KeyPoint, Mesh
+from orbit_core.scene import Articulation, Box, KeyPoint, Link, Mesh, ObjectSpec, PhysicsMaterial, Pose, Shape
+from orbit_core.scene.pose import Vector3
 
 
 def sheet(size: tuple[float, float], counts: tuple[int, int]) -> Mesh:
@@ -41,3 +42,23 @@ def line(length: float, count: int) -> np.ndarray:
     points = np.zeros((count, 3))
     points[:, 0] = np.linspace(-0.5 * length, 0.5 * length, count)
     return points
+
+
+def open_box(
+    name: str, inner: Vector3, pose: Pose, *, wall: float = 0.01, material: PhysicsMaterial | None = None
+) -> ObjectSpec:
+    """A fixed container, open above: ``inner`` (x, y, z) metres within its walls; its frame on the floor inside."""
+    x, y, z = (0.5 * extent for extent in inner)
+    half, surface, color = 0.5 * wall, material or PhysicsMaterial(), (0.35, 0.5, 0.7, 1.0)
+    parts = {
+        "floor": ((x + wall, y + wall, half), (0.0, 0.0, -half)),
+        "left": ((x + wall, half, z), (0.0, y + half, z)),
+        "right": ((x + wall, half, z), (0.0, -y - half, z)),
+        "front": ((half, y, z), (x + half, 0.0, z)),
+        "back": ((half, y, z), (-x - half, 0.0, z)),
+    }
+    shapes = tuple(Shape(Box(size), Pose(at), surface, color, part) for part, (size, at) in parts.items())
+    link = Link(name, 1.0, (0.0, 0.0, 0.0), 0.01 * np.eye(3), shapes, shapes)
+    return ObjectSpec(
+        name=name, articulation=Articulation(name, (link,)), fixed_base=True, pose=pose, semantic_label=name
+    )
