@@ -222,4 +222,5 @@ class ClothDropping(Task):
                 Phase(over_container, gripper_open=False, position_tolerance=0.02, dwell=0.5, timeout=2.0),
                 Phase(over_container),
             ),
+            position_lead=0.05,
         )

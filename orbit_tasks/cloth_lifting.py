@@ -201,4 +201,5 @@ class ClothLifting(Task):
                 Phase(closing, gripper_open=False, dwell=0.7, timeout=0.7),
                 Phase(at_goal, gripper_open=False),
             ),
+            position_lead=0.05,
         )

@@ -18,7 +18,7 @@ from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, SceneL
 from orbit_core.interfaces.matter import PARAMETERS, Matter
 from orbit_core.plugin_kit.rows import take_rows, write_columns, write_rows
 from orbit_core.scene import Attachment
-from orbit_matter import contact, kernels, substeps
+from orbit_matter import contact, kernels, self_contact, substeps
 from orbit_matter.colliders import Colliders
 from orbit_matter.config import MatterConfig
 from orbit_matter.model import Constraints, build
@@ -26,6 +26,8 @@ from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.start import start
 
 _FREE, _WORLD = -2, -1
+_MARGIN = 0.004
+"""Metres that two particles may come nearer in a physics step and still be found."""
 
 
 @dataclass(frozen=True)
@@ -119,10 +121,28 @@ class ParticleMatter(Matter):
             edges.ranges = wp.array(np.array(model.edges.ranges, np.int32).reshape(-1, 2), dtype=int, ndim=2)
             edges.upper = wp.zeros((n, len(model.edges.particles)), dtype=float)
             edges.value = wp.zeros((n, len(model.edges.particles)), dtype=float)
+            self._neighbours = self._make_neighbours() if self._meets else None
             self._constraints = (
                 (model.triangles, _struct(kernels.Triangles(), model.triangles), kernels.solve_triangles),
                 (model.bends, _struct(kernels.Bends(), model.bends), kernels.solve_bends),
             )
+
+    @property
+    def _meets(self) -> bool:
+        """Whether any two particles may touch."""
+        return bool(self._model.touches.any()) or len(self._model.slices) > 1
+
+    def _make_neighbours(self) -> Any:
+        n, p, model = self._num_envs, len(self._model.rest), self._model
+        made = self_contact.Neighbours()
+        made.head = wp.zeros((n, 1 << (2 * p - 1).bit_length()), dtype=int)
+        made.following = wp.zeros((n, p), dtype=int)
+        made.found = wp.full((n, p, int(self_contact.NEIGHBOURS)), -1, dtype=int)
+        made.rest, made.radius = wp.array(model.rest, dtype=wp.vec3), wp.array(model.own_radii)
+        made.touches = wp.array(model.touches, dtype=int)
+        made.moves = wp.zeros((n, p), dtype=wp.vec3)
+        made.cell = 2.0 * float(model.own_radii.max()) + _MARGIN
+        return made
 
     # Time ------------------------------------------------------------------------------------------------------------
 
@@ -145,8 +165,16 @@ class ParticleMatter(Matter):
         wp.launch(contact.find_near, (n, p), inputs=near)
         wp.launch(kernels.place_links, (n, links + 1), inputs=[self._links, links, 0.0])
         wp.launch(kernels.place_shapes, (n, s), inputs=[self._links, self._colliders.shapes, 1])
+        if self._neighbours is not None:
+            self._launch_search(self._neighbours)
         for number in range(self._substeps):
             self._launch_substep((number + 1) / self._substeps)
+
+    def _launch_search(self, near: Any) -> None:
+        n, p = self._num_envs, len(self._model.rest)
+        wp.launch(self_contact.clear, near.head.shape, inputs=[near])
+        wp.launch(self_contact.insert, (n, p), inputs=[self._particles, near])
+        wp.launch(self_contact.find, (n, p), inputs=[self._particles, near, _MARGIN])
 
     def _launch_substep(self, share: float) -> None:
         n, p, links, h = self._num_envs, len(self._model.rest), self._start.shape[1], self._h
@@ -159,6 +187,9 @@ class ParticleMatter(Matter):
                 wp.launch(solve, (n, stop - first), inputs=[self._particles, struct, first, h])
         if ropes := len(self._model.edges.ranges):  # last, so that nothing makes them longer again
             wp.launch(kernels.solve_edges, (n, ropes), inputs=[self._particles, self._edges, h])
+        if self._neighbours is not None:
+            wp.launch(self_contact.separate, (n, p), inputs=[self._particles, self._neighbours])
+            wp.launch(self_contact.move, (n, p), inputs=[self._particles, self._neighbours])
         contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]
         numbers = [self._config.contact_stiffness, h, 1.0 / self._substeps]
         wp.launch(contact.finish, (n, p), inputs=[*contacts, *numbers])

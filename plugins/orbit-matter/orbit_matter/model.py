@@ -13,6 +13,8 @@ from orbit_core.scene import Cloth, Rope, Scene
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int32]
+_LAYER = 0.38
+"""Radius of cloth's particles against each other, in edges: above 0.35, half a square's diagonal from its middle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,11 @@ class Model:
     """(P,) kg"""
     radii: FloatArray
     """(P,) m"""
+    own_radii: FloatArray
+    """(P,) m that particles keep from each other: of cloth, so much that its layers do not pass between each other's
+    particles."""
+    touches: IntArray
+    """(P,) 1 for particles of what collides with itself."""
     owners: IntArray
     """(P,) index of the deformable."""
     damping: FloatArray
@@ -70,6 +77,8 @@ def build(scene: Scene) -> Model:
         np.concatenate([part.rest for part in parts]),
         np.concatenate([part.masses for part in parts]),
         np.concatenate([part.radii for part in parts]),
+        np.concatenate([part.own_radii for part in parts]),
+        np.concatenate([part.touches for part in parts]),
         np.concatenate([part.owners for part in parts]),
         np.concatenate([part.damping for part in parts]),
         *(
@@ -118,7 +127,12 @@ def _constraints(particles: npt.ArrayLike, weights: npt.ArrayLike, owner: int, c
 
 
 def _part(
-    spec: Cloth | Rope, owner: int, masses: npt.NDArray[np.float64], radius: float, **kinds: Constraints
+    spec: Cloth | Rope,
+    owner: int,
+    masses: npt.NDArray[np.float64],
+    radius: float,
+    own_radius: float,
+    **kinds: Constraints,
 ) -> Model:
     rest = spec.pose.transform(spec.rest_positions).astype(np.float32)
     empty = {"triangles": (3, 6), "edges": (2, 2), "bends": (4, 5)}
@@ -129,6 +143,8 @@ def _part(
         rest,
         masses.astype(np.float32),
         np.full(count, radius, np.float32),
+        np.full(count, own_radius, np.float32),
+        np.full(count, int(spec.self_collisions), np.int32),
         np.full(count, owner, np.int32),
         np.full(count, spec.damping, np.float32),
         **made,
@@ -151,7 +167,9 @@ def _cloth(spec: Cloth, owner: int) -> Model:
     weights = np.column_stack((np.linalg.inv(edges).reshape(-1, 4), compliance, ratio))
     triangles = _constraints(faces, weights, owner, 3, 6)
     bends = _constraints(*_hinges(flat, faces, spec.bending_stiffness), owner, 4, 5)
-    return _part(spec, owner, masses, 0.5 * spec.thickness, triangles=triangles, bends=bends)
+    sides = np.linalg.norm(flat[faces] - flat[np.roll(faces, 1, axis=1)], axis=-1)
+    own = max(0.5 * spec.thickness, _LAYER * float(sides.min(axis=1).mean()))
+    return _part(spec, owner, masses, 0.5 * spec.thickness, own, triangles=triangles, bends=bends)
 
 
 def _flattened(spec: Cloth) -> npt.NDArray[np.float64]:
@@ -222,4 +240,4 @@ def _rope(spec: Rope, owner: int) -> Model:
         compliance = 1.0 / (spec.bending_stiffness * span)
         triples = np.column_stack((numbers[:-2], numbers[1:-1], numbers[2:], numbers[:-2]))
         bends = _constraints(triples, np.column_stack((curvature, compliance)), owner, 4, 5)
-    return _part(spec, owner, masses, spec.radius, edges=edges, bends=bends)
+    return _part(spec, owner, masses, spec.radius, spec.radius, edges=edges, bends=bends)

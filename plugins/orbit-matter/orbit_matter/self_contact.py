@@ -1,0 +1,136 @@
+"""Particles of matter against each other: cloth on itself, on other cloth, and ropes.
+
+Before a physics step a hash of cells finds the pairs that may come near. In each substep two particles nearer than the
+sum of their radii are moved apart, in shares that keep their momentum, and rub by Coulomb's law. A particle gathers
+the moves of all its pairs, at half of their length, so that the order of pairs does not matter and several at a time do
+not overshoot.
+"""
+
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportInvalidTypeForm=false
+# ruff: noqa: UP018, RUF046 - float() and int() make variables that a kernel's loops may change.
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
+
+from __future__ import annotations
+
+import warp as wp
+
+from orbit_matter.kernels import FREE, Particles, at, mass_of
+
+NEIGHBOURS = wp.constant(16)
+"""Most others that a particle is held against in a physics step; the lowest numbers count."""
+RELAXED = wp.constant(0.5)
+"""Part of the way out that a pair goes in one substep."""
+
+
+@wp.struct
+class Neighbours:
+    """Cells of each environment as linked lists, and the pairs found in them."""
+
+    head: wp.array2d[int]
+    """(N, B) first particle of each bucket; -1 for none."""
+    following: wp.array2d[int]
+    """(N, P) the next in the bucket."""
+    found: wp.array3d[int]
+    """(N, P, NEIGHBOURS)"""
+    rest: wp.array[wp.vec3]
+    """(P,) where particles are when nothing is bent."""
+    radius: wp.array[float]
+    """(P,) m"""
+    touches: wp.array[int]
+    """(P,) 1 for particles of what collides with itself."""
+    moves: wp.array2d[wp.vec3]
+    """(N, P) of this substep."""
+    cell: float
+    """Metres."""
+
+
+@wp.func
+def bucket_of(x: int, y: int, z: int, count: int) -> int:
+    """Teschner et al., "Optimized spatial hashing for collision detection of deformable objects" (2003)."""
+    key = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
+    return (key % count + count) % count
+
+
+@wp.func
+def cell_of(x: wp.vec3, cell: float) -> wp.vec3i:
+    return wp.vec3i(int(wp.floor(x[0] / cell)), int(wp.floor(x[1] / cell)), int(wp.floor(x[2] / cell)))
+
+
+@wp.kernel(enable_backward=False)
+def clear(n: Neighbours):
+    env, bucket = wp.tid()
+    n.head[env, bucket] = -1
+
+
+@wp.kernel(enable_backward=False)
+def insert(p: Particles, n: Neighbours):
+    env, i = wp.tid()
+    c = cell_of(p.x[env, i], n.cell)
+    bucket = bucket_of(c[0], c[1], c[2], n.head.shape[1])
+    n.following[env, i] = wp.atomic_exch(n.head, env, bucket, i)
+
+
+@wp.kernel(enable_backward=False)
+def find(p: Particles, n: Neighbours, margin: float):
+    """Who may be met in this physics step: all within the sum of radii and a margin that were further apart at rest."""
+    env, i = wp.tid()
+    count, x = int(0), p.x[env, i]
+    c = cell_of(x, n.cell)
+    for dx in range(-1, 2):
+        for dy in range(-1, 2):
+            for dz in range(-1, 2):
+                bucket = bucket_of(c[0] + dx, c[1] + dy, c[2] + dz, n.head.shape[1])
+                j = n.head[env, bucket]
+                while j >= 0:
+                    apart = n.radius[i] + n.radius[j]
+                    together = p.owner[i] == p.owner[j]
+                    near = wp.length(p.x[env, j] - x) < apart + margin and j != i
+                    if together:
+                        near = near and n.touches[i] == 1 and wp.length(n.rest[i] - n.rest[j]) > 1.01 * apart
+                    if near and count < NEIGHBOURS:
+                        known = bool(False)
+                        for k in range(count):  # two cells may share a bucket
+                            known = known or n.found[env, i, k] == j
+                        if not known:
+                            n.found[env, i, count] = j
+                            count += 1
+                    j = n.following[env, j]
+    for k in range(count, NEIGHBOURS):
+        n.found[env, i, k] = -1
+
+
+@wp.kernel(enable_backward=False)
+def separate(p: Particles, n: Neighbours):
+    """The move of each particle that its pairs ask for."""
+    env, i = wp.tid()
+    total = wp.vec3()
+    x = at(p, env, i)
+    for k in range(NEIGHBOURS):
+        j = n.found[env, i, k]
+        if j >= 0:
+            arm = x - at(p, env, j)
+            away = wp.length(arm)
+            depth = n.radius[i] + n.radius[j] - away
+            if depth > 0.0 and away > 1.0e-9:
+                normal = arm / away
+                share = mass_of(p, env, j) / (mass_of(p, env, i) + mass_of(p, env, j))
+                if p.anchor[env, j] != FREE:
+                    share = float(1.0)
+                slid = p.d[env, i] - p.d[env, j]
+                slid = slid - normal * wp.dot(normal, slid)
+                friction = wp.max(p.parameters[env, p.owner[i], 3], p.parameters[env, p.owner[j], 3])
+                way = wp.length(slid)
+                if way > friction * depth:
+                    slid = slid * (friction * depth / way)
+                total += (normal * depth - slid) * share
+    if p.anchor[env, i] != FREE:
+        total = wp.vec3()
+    n.moves[env, i] = total * RELAXED
+
+
+@wp.kernel(enable_backward=False)
+def move(p: Particles, n: Neighbours):
+    env, i = wp.tid()
+    p.d[env, i] = p.d[env, i] + n.moves[env, i]

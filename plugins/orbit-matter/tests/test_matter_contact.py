@@ -1,0 +1,104 @@
+"""What matter lies on, whatever its shape, and matter on matter."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from orbit_core.assets.deformables import line, sheet
+from orbit_core.scene import (
+    Attachment,
+    Box,
+    Capsule,
+    Cloth,
+    Cylinder,
+    Geometry,
+    HeightField,
+    Mesh,
+    MeshCollision,
+    ObjectSpec,
+    Plane,
+    Pose,
+    Rope,
+    Scene,
+    Shape,
+    Sphere,
+    single_link,
+)
+from orbit_core.world import simulate
+
+CORNERS = np.array([[x, y, z] for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (-0.05, 0.05)])
+FACES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+     [1, 5, 7], [1, 7, 3]]
+)  # fmt: skip
+HILL = HeightField(0.05 - 0.02 * np.hypot(*np.meshgrid(np.linspace(-1, 1, 21), np.linspace(-1, 1, 21))), (0.4, 0.4))
+SHAPES: dict[str, Geometry] = {
+    "box": Box((0.05, 0.05, 0.05)),
+    "sphere": Sphere(0.05),
+    "capsule": Capsule(0.03, 0.02),
+    "cylinder": Cylinder(0.05, 0.05),
+    "convex mesh": Mesh(CORNERS, FACES),
+    "triangle mesh": Mesh(CORNERS, FACES, MeshCollision.TRIANGLES),
+}
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_cloth_comes_to_rest_on_a_solid_of_every_shape(kind: str) -> None:
+    """Its middle lies half a thickness above the solid's top, at z = 0.1."""
+    body = single_link("solid", Shape(SHAPES[kind]), 1.0, np.eye(3) * 0.01)
+    solid = ObjectSpec(name="solid", articulation=body, fixed_base=True, pose=Pose((0.0, 0.0, 0.05)))
+    assert _height(Scene(objects=(solid,))) == pytest.approx(0.102, abs=1e-3)
+
+
+@pytest.mark.parametrize("geometry", [Plane(), HILL])
+def test_cloth_comes_to_rest_on_terrain(geometry: Geometry) -> None:
+    top = 0.05 if isinstance(geometry, HeightField) else 0.0
+    shape = Shape(geometry, Pose((0.0, 0.0, 0.1 - top)))
+    assert _height(Scene(terrain=(shape,))) == pytest.approx(0.102, abs=1.5e-3)
+
+
+def _height(scene: Scene) -> float:
+    """Metres to which the middle of a patch of cloth falls, from 2 cm above."""
+    from dataclasses import replace
+
+    patch = Cloth("patch", sheet((0.06, 0.06), (7, 7)), 0.2, Pose((0.0, 0.0, 0.12)), damping=1.0)
+    world = simulate(replace(scene, deformables=(patch,)), 1, "mujoco")
+    world.step(100)
+    height = world.deformables["patch"].positions[0, 24, 2].item()
+    world.close()
+    return height
+
+
+def test_a_folded_cloth_keeps_its_layers_in_order() -> None:
+    cloth = Cloth("cloth", sheet((0.2, 0.2), (15, 15)), 0.2, Pose((0.0, 0.0, 0.003)), damping=1.0)
+    world = simulate(Scene(deformables=(cloth,)), 1, "mujoco")
+    points = world.deformables["cloth"].positions.clone()
+    over = points[..., 0] > 0.0
+    points[..., 2] = torch.where(over, 0.03, points[..., 2])
+    points[..., 0] = torch.where(over, -points[..., 0], points[..., 0])
+    world.deformables["cloth"].set_state(points)
+    world.step(150)
+    after = world.deformables["cloth"].positions[0]
+    lower, upper = after[~over[0]], after[over[0] & (after[:, 0] < -0.03)]
+    nearest = torch.cdist(upper[:, :2], lower[:, :2]).argmin(1)
+    gap = upper[:, 2] - lower[nearest, 2]
+    world.close()
+    assert gap.min() > 0.0, "no particle of the upper layer is under the lower one"
+    assert 0.002 < gap.mean() < 0.025
+
+
+def test_a_rope_lies_across_another() -> None:
+    count = 21
+    held = (Attachment((0, count - 1)),)
+    lower = Rope("lower", line(0.2, count), 0.1, Pose((0.0, 0.0, 0.1)), axial_stiffness=1e4, attachments=held)
+    turned = Pose.from_euler(0.0, 0.0, 0.5 * math.pi, (0.0, 0.0, 0.13))
+    upper = Rope("upper", line(0.2, count), 0.1, turned, bending_stiffness=1e-2)
+    world = simulate(Scene(deformables=(lower, upper), terrain=()), 1, "mujoco")
+    world.step(60)
+    gap = world.deformables["upper"].positions[0, 10, 2] - world.deformables["lower"].positions[0, 10, 2]
+    world.close()
+    assert gap.item() == pytest.approx(0.01, abs=1.5e-3)
