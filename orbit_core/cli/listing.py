@@ -15,8 +15,8 @@ from orbit_core.interfaces.errors import OrbitError, UnknownNameError
 
 @dataclass(frozen=True)
 class ListSettings:
-    """Names of all tasks, robots, objects, sensors, backends, renderers, kept policies, learning libraries, action
-    spaces or motion generators."""
+    """Names of all tasks, robots, objects, sensors, backends, renderers, matter solvers, kept policies, learning
+    libraries, action spaces or motion generators."""
 
     kind: Annotated[Positional[str], arg(metavar="KIND")]
     """What to list."""
@@ -77,6 +77,17 @@ def _renderers() -> list[tuple[str, str]]:
     return [(name, _state(name)) for name in renderer_names()]
 
 
+def _matter() -> list[tuple[str, str]]:
+    from orbit_core.backends import matter_names, matter_solver
+    from orbit_core.interfaces import MATTER
+
+    rows: list[tuple[str, str]] = []
+    for name in matter_names():
+        does = [each.value for each in MATTER if matter_solver(name).capabilities().has(each)]
+        rows.append((name, f"simulates {', '.join(does)} with any backend"))
+    return rows
+
+
 def _policies() -> list[tuple[str, str]]:
     from orbit_core.pretrained import pretrained_policies
 
@@ -118,6 +129,7 @@ _LISTS = {
     "sensors": _sensors,
     "backends": _backends,
     "renderers": _renderers,
+    "matter": _matter,
     "libraries": _libraries,
     "policies": _policies,
     "actions": _actions,

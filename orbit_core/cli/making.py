@@ -46,5 +46,7 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environmen
     looks = {**settings.renderer_settings, **assignments(settings.renderer_setting, owners[2], "setting")}
     chosen = {"robot": settings.robot, "action": settings.action}
     fields.update({key: value for key, value in chosen.items() if value is not None})
+    own_matter = assignments(settings.matter_setting, "the matter solver", "setting")
+    matter = {"matter": settings.matter, "matter_settings": {**settings.matter_settings, **own_matter}}
     common = (settings.seed, settings.renderer, own, looks, settings.compile, settings.check_finite)
-    return make(entry.name, num_envs, name, device, *common, **fields)
+    return make(entry.name, num_envs, name, device, *common, **matter, **fields)

@@ -20,8 +20,8 @@ from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 _Settings = TypeVar("_Settings", bound=EnvironmentSettings)
 _Parsed = TypeVar("_Parsed")
 
-# In a file, tables ([fields], [settings], [renderer_settings]) stand for these, and a file names no other file.
-_COMMAND_LINE_ONLY = ("set", "setting", "renderer_setting", "config")
+# In a file, tables ([fields], [settings] ...) stand for these, and a file names no other file.
+_COMMAND_LINE_ONLY = ("set", "setting", "renderer_setting", "matter_setting", "config")
 
 
 def parse_settings(settings_type: type[_Settings], words: Sequence[str], program: str) -> _Settings:

@@ -28,6 +28,9 @@ class EnvironmentSettings:
     """Action space in the place of the task's own."""
     renderer: Name = None
     """Renderer ('orbit list renderers') or backend that draws; the physics backend if left out."""
+    matter: Name = None
+    """Matter solver of cloth and rope ('orbit list matter'), or 'native' for the backend's own; the first installed one
+    that does what the task needs if left out."""
     device: Annotated[str, arg(metavar="NAME")] = "cpu"
     """Torch device that holds all state, such as 'cpu' or 'cuda:0'."""
     compile: bool = False
@@ -42,15 +45,19 @@ class EnvironmentSettings:
     """A setting of the physics backend, such as iterations=50 ('orbit info BACKEND')."""
     renderer_setting: KeyValues = ()
     """A setting of what draws, such as samples_per_pixel=4 ('orbit info RENDERER')."""
+    matter_setting: KeyValues = ()
+    """A setting of the matter solver, such as substep=0.0005."""
     config: File = None
-    """TOML file with the same keys as these options, and the tables [fields], [settings] and [renderer_settings];
-    options win over it."""
+    """TOML file with the same keys as these options, and the tables [fields], [settings], [renderer_settings] and
+    [matter_settings]; options win over it."""
     fields: Suppress[Mapping[str, Any]] = field(default_factory=dict)
     """The task's fields from the file; ``set`` wins over them."""
     settings: Suppress[Mapping[str, Any]] = field(default_factory=dict)
     """The physics backend's settings from the file; ``setting`` wins over them."""
     renderer_settings: Suppress[Mapping[str, Any]] = field(default_factory=dict)
     """The renderer's settings from the file; ``renderer_setting`` wins over them."""
+    matter_settings: Suppress[Mapping[str, Any]] = field(default_factory=dict)
+    """The matter solver's settings from the file; ``matter_setting`` wins over them."""
 
 
 @dataclass(frozen=True, kw_only=True)

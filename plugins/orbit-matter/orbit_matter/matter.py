@@ -188,7 +188,7 @@ class ParticleMatter(Matter):
         if ropes := len(self._model.edges.ranges):  # last, so that nothing makes them longer again
             wp.launch(kernels.solve_edges, (n, ropes), inputs=[self._particles, self._edges, h])
         if self._neighbours is not None:
-            wp.launch(self_contact.separate, (n, p), inputs=[self._particles, self._neighbours])
+            wp.launch(self_contact.separate, (n, p), inputs=[self._particles, self._neighbours, h])
             wp.launch(self_contact.move, (n, p), inputs=[self._particles, self._neighbours])
         contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]
         numbers = [self._config.contact_stiffness, h, 1.0 / self._substeps]

@@ -20,6 +20,8 @@ from orbit_matter.kernels import FREE, Particles, at, mass_of
 
 NEIGHBOURS = wp.constant(16)
 """Most others that a particle is held against in a physics step; the lowest numbers count."""
+FASTEST = wp.constant(0.25)
+"""m/s at most with which two particles that were pressed together move apart."""
 RELAXED = wp.constant(0.5)
 """Part of the way out that a pair goes in one substep."""
 
@@ -102,7 +104,7 @@ def find(p: Particles, n: Neighbours, margin: float):
 
 
 @wp.kernel(enable_backward=False)
-def separate(p: Particles, n: Neighbours):
+def separate(p: Particles, n: Neighbours, step: float):
     """The move of each particle that its pairs ask for."""
     env, i = wp.tid()
     total = wp.vec3()
@@ -124,7 +126,7 @@ def separate(p: Particles, n: Neighbours):
                 way = wp.length(slid)
                 if way > friction * depth:
                     slid = slid * (friction * depth / way)
-                total += (normal * depth - slid) * share
+                total += (normal * wp.min(depth, FASTEST * step) - slid) * share
     if p.anchor[env, i] != FREE:
         total = wp.vec3()
     n.moves[env, i] = total * RELAXED
