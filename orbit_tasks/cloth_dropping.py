@@ -20,7 +20,7 @@ from orbit_core.scene import Cloth, PhysicsMaterial, Pose, Region, Scene, look_a
 CLOTH, CONTAINER = "cloth", "container"
 TRAY = 0.02
 """Height in metres of the smooth tray, on which the cloth lies."""
-PRESSED = 0.005
+PRESSED = 0.003
 """Metres from the tray to the frame between the finger pads, which reach 9 mm beyond it: they press on the cloth."""
 INNER = (0.18, 0.18, 0.12)
 """Metres within the container."""

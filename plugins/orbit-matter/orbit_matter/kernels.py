@@ -26,6 +26,10 @@ FREE = wp.constant(-2)
 WORLD = wp.constant(-1)
 
 
+BUCKLED = wp.constant(50.0)
+"""Times as soft as in tension that cloth is along its axes in compression, where it buckles between particles."""
+
+
 @wp.struct
 class Particles:
     """State of (N, P) particles, and what does not differ between environments."""
@@ -219,8 +223,8 @@ def solve_triangles(p: Particles, t: Triangles, first: int, h: float):
     l0, l1, x = wp.dot(s.f0, s.f0), wp.dot(s.f1, s.f1), wp.dot(s.f0, s.f1)
     soft = t.weights[c, 4] / (h * h * p.parameters[env, t.owner[c], 1])
     nu = t.weights[c, 5]
-    k00 = m00 * l0 + soft
-    k11 = m11 * l1 + soft
+    k00 = m00 * l0 + soft * wp.where(l0 < 1.0, BUCKLED, 1.0)
+    k11 = m11 * l1 + soft * wp.where(l1 < 1.0, BUCKLED, 1.0)
     k22 = m00 * l1 + 2.0 * m01 * x + m11 * l0 + 2.0 * (1.0 + nu) * soft
     k01 = m01 * x - nu * soft
     k02 = m00 * x + m01 * l0
