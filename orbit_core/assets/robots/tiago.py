@@ -51,7 +51,7 @@ def arm() -> Articulation:
     """The arm from its seat on the torso to the frame ``arm_flange``, z out of it."""
     sideways = Pose.from_euler(0.0, 0.0, -math.pi / 2)
     source = branch(installed_urdf(SOURCE, FILE), "arm_1_joint", "torso_arm_link", "tiago_arm", sideways)
-    limb = merge_fixed_links(without(source, "hand_palm_link"))
+    limb = merge_fixed_links(without(without(source, "hand_palm_link"), "hand_safety_box"))
     flange = Frame("arm_flange", "arm_7_link", Pose((0.0, 0.0, 0.067)))
     return with_armature(simplify_collisions(add_frames(limb, flange)))
 
