@@ -245,6 +245,35 @@ class Engine(Watched, ABC):
     def load_state(self, state: Any) -> None:
         """Return to a saved state; stepping on repeats what followed it."""
 
+    def copy_state(self, origin: Engine, source: int, env_ids: Tensor | None = None) -> None:
+        """Put one environment's state into some of this engine's, by index.
+
+        Poses, velocities, joint states and commands are copied, as this does for every engine. What else the
+        continuation depends on (contacts that a solver starts from) is begun anew, unless an engine copies it too.
+
+        Args:
+            origin: the engine that ``source`` is of, of the same scene; it may be this one.
+            source: index of the environment.
+            env_ids: (n,) int64; all environments if None.
+        """
+        count = self.num_envs if env_ids is None else len(env_ids)
+
+        def repeated(whole: Tensor) -> Tensor:
+            return whole[source].clone().to(self.device).expand(count, *whole.shape[1:])
+
+        poses, velocities = repeated(origin.link_poses), repeated(origin.link_velocities)
+        positions, rates = repeated(origin.joint_positions), repeated(origin.joint_velocities)
+        commands = {name: repeated(getattr(origin, name)) for name in _COMMANDS}
+        for entity in self.layout.entities:
+            root = entity.root_link
+            velocity = None if entity.spec.fixed_base else velocities[:, root].contiguous()
+            self.write_root_state(entity.index, poses[:, root].contiguous(), velocity, env_ids)
+        joints = torch.arange(len(self.layout.joints), device=self.device)
+        if len(joints):
+            self.write_joint_state(joints, positions.contiguous(), rates.contiguous(), env_ids)
+        for name, values in commands.items():
+            getattr(self, name)[slice(None) if env_ids is None else env_ids] = values
+
     def saved_commands(self) -> dict[str, Tensor]:
         """A copy of the commands, for :meth:`save_state`."""
         return {name: getattr(self, name).clone() for name in _COMMANDS}

@@ -128,6 +128,16 @@ class SceneLayout:
         """Every movable joint of the scene."""
         return tuple(joint for entity in self.entities for joint in entity.spec.articulation.movable_joints)
 
+    @property
+    def links_by_name(self) -> tuple[tuple[str, str], ...]:
+        """Entity and name of every link of the scene."""
+        return tuple((e.name, link.name) for e in self.entities for link in e.spec.articulation.links)
+
+    @property
+    def joints_by_name(self) -> tuple[tuple[str, str], ...]:
+        """Entity and name of every movable joint of the scene."""
+        return tuple((e.name, joint) for e in self.entities for joint in e.spec.articulation.joint_names)
+
     @cached_property
     def entity_of_link(self) -> npt.NDArray[np.int64]:
         """Entity index of each link (L,)."""

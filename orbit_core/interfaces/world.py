@@ -136,6 +136,25 @@ class World(ABC):
         """Return to a saved state."""
         raise self._unsupported("snapshots")
 
+    def copy_state(self, source: int, targets: Tensor | None = None, origin: World | None = None) -> None:
+        """Put the state of one environment into others: what a model predicts begins there.
+
+        Poses, velocities, joint states and commands are copied on every engine. What a solver starts from besides is
+        copied where the plugin does more than :meth:`Engine.copy_state`, and the continuation then repeats; elsewhere
+        it begins anew, and differs a little where things touch. Sensors and delayed commands of the targets begin anew.
+        Parameters (masses, gains, friction) stay the targets' own.
+
+        Args:
+            source: index of the environment.
+            targets: indices (n,) int64 or a mask (N,) bool; all environments if None.
+            origin: the world that ``source`` is of, of the same scene; this one if None.
+
+        Raises:
+            ArgumentError: there is no such environment, or ``origin`` is a world of another scene.
+            UnsupportedCapabilityError: the scene has deformables, or the world has no states to write.
+        """
+        raise self._unsupported("states to copy")
+
     # The whole scene at a glance, for who draws it
 
     @property

@@ -40,6 +40,7 @@ from orbit_core.interfaces import (
     OrbitError,
     Renderer,
     SceneLayout,
+    UnsupportedCapabilityError,
     World,
 )
 from orbit_core.interfaces.fields import settings_table
@@ -341,6 +342,27 @@ class SimulatedWorld(World):
         self.random.load_state(state.random)
         self._marker_poses.copy_(state.markers)
         self.clock.steps = state.steps
+        self.clock.touch()
+
+    def copy_state(self, source: int, targets: Tensor | None = None, origin: World | None = None) -> None:
+        origin = self if origin is None else origin
+        whole_number(source, "source", 0, origin.num_envs - 1)
+        if (origin.layout.links_by_name, origin.layout.joints_by_name) != (
+            self.layout.links_by_name,
+            self.layout.joints_by_name,
+        ):
+            raise ArgumentError("states are copied between worlds of one scene: the names of links and joints differ")
+        if self.scene.deformables:
+            raise UnsupportedCapabilityError("states of deformables are not copied: leave them out of the scene")
+        rows = self.masking.choose(targets).rows
+        self._engine.copy_state(origin.engine, source, rows)
+        self.actuators.reset(rows)
+        if isinstance(origin, SimulatedWorld) and self.actuators.explicit:
+            write_rows(self.actuators.effort_targets, origin.actuators.effort_targets[source].clone(), rows)
+        if self.scene.markers:
+            write_rows(self._marker_poses, origin.marker_poses[source].clone(), rows)
+        for sensor in self._timed.values():
+            sensor.reset(rows)
         self.clock.touch()
 
     def close(self) -> None:

@@ -17,6 +17,7 @@ from torch import Tensor
 from orbit_core.interfaces import (
     Approximation,
     BuiltModel,
+    Engine,
     RayHits,
     SceneLayout,
     SimulationError,
@@ -221,6 +222,17 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         for own, saved in zip((*self._commands, *self._measurements), state.tensors, strict=True):
             own.copy_(saved)
         self._state.mark_written(slice(None))
+
+    def copy_state(self, origin: Engine, source: int, env_ids: Tensor | None = None) -> None:
+        super().copy_state(origin, source, env_ids)
+        alike = isinstance(origin, MujocoEngine) and len(self._kinds) == len(origin._kinds) == 1
+        if not alike or origin._batch.state.shape[1:] != self._batch.state.shape[1:]:
+            return  # what the solver starts from is laid out otherwise there
+        rows = self._rows(env_ids)
+        self._batch.state[rows] = origin._batch.state[source].copy()
+        for own, other in zip(self._measurements, origin._measurements, strict=True):
+            own[rows] = other[source].clone()
+        self._state.mark_written(rows)
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:

@@ -1,0 +1,137 @@
+"""A state is copied between worlds, and a policy that tries actions out in copies swings a pole up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from orbit_core.assets.catalogue import robot as catalogue_robot
+from orbit_core.backends import backend_names
+from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, RewardTerm, Task, make
+from orbit_core.envs.mppi import Mppi, MppiConfig
+from orbit_core.interfaces import ArgumentError, ConfigurationError, Node, World
+from orbit_core.motion import ActionTerms, JointEffortConfig
+from orbit_core.scene import Scene
+
+BACKENDS = [name for name in ("mujoco", "bullet") if name in backend_names()]
+
+
+def joints(world: World, task: Task) -> Tensor:
+    """(N, 4)"""
+    cartpole = world.robots["robot"]
+    return torch.cat((cartpole.joint_positions, cartpole.joint_velocities), 1)
+
+
+def upright(world: World, task: Task) -> Tensor:
+    """(N,) 2 where the pole stands, less what the cart is away from the middle and what the pole turns."""
+    cart, angle, _, rate = joints(world, task).unbind(1)
+    return 1.0 + angle.cos() - 0.2 * cart.square() - 0.01 * rate.square()
+
+
+@dataclass
+class Seen(ObservationGroup):
+    """The joints."""
+
+    joints: ObservationTerm | None = ObservationTerm(joints)
+
+
+@dataclass
+class Observations:
+    """The policy's."""
+
+    policy: Seen = field(default_factory=Seen)
+
+
+@dataclass
+class Rewards:
+    """The pole stands."""
+
+    upright: RewardTerm | None = RewardTerm(upright, 1.0)
+
+
+@dataclass
+class Nothing:
+    """Neither terminations nor events."""
+
+
+@dataclass(kw_only=True)
+class SwingUp(Task):
+    """A pole hangs from a cart that pushes with 20 N."""
+
+    robot: str = "cartpole"
+    action: str = "composed"
+    decimation: int = 8
+    episode_length: float = 10.0
+    actions: object = field(default_factory=lambda: ActionTerms(cart=JointEffortConfig(joints=("slider",), scale=20.0)))
+    observations: Observations = field(default_factory=Observations)
+    rewards: Rewards = field(default_factory=Rewards)
+    terminations: Nothing = field(default_factory=Nothing)
+    events: Nothing = field(default_factory=Nothing)
+
+    def scene(self) -> Scene:
+        cartpole = replace(catalogue_robot("cartpole"), name="robot", home={"hinge": 3.14159})
+        return Scene(robots=(cartpole,), physics_dt=self.physics_dt, terrain=())
+
+    def success(self, world: World) -> Tensor:
+        return joints(world, self)[:, 1].cos() > 0.95
+
+    def metrics(self, world: World) -> dict[str, Tensor]:
+        return {}
+
+    def expert(self, world: World) -> Node:
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_pole_is_swung_up_and_held(backend: str) -> None:
+    environment, model = Environment(SwingUp(), 1, backend), Environment(SwingUp(), 64, BACKENDS[0])
+    environment.reset(seed=0)
+    policy = Mppi(environment, model, MppiConfig(horizon=30, noise=0.6))
+    heights = []
+    for _ in range(60):
+        environment.step(policy.compute({})["action"])
+        heights.append(float(joints(environment.world, environment.task)[0, 1].cos()))
+    assert heights[0] < -0.95
+    assert min(heights[-15:]) > 0.85
+    environment.close()
+    model.close()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_what_follows_a_copied_state_is_what_follows_the_state(backend: str) -> None:
+    first, second = make("Lift", num_envs=2, backend=backend), make("Lift", num_envs=4, backend=backend)
+    first.reset(seed=1)
+    second.reset(seed=2)
+    random = torch.Generator().manual_seed(0)
+    for _ in range(10):
+        first.step(2.0 * torch.rand(2, first.action_size, generator=random) - 1.0)
+    second.world.copy_state(1, torch.tensor([0, 3]), first.world)
+    states = [[*world.robots.values(), *world.objects.values()] for world in (first.world, second.world)]
+    for _ in range(2):
+        for here, there in zip(*states, strict=True):
+            for name in ("link_poses", "link_velocities", "joint_positions", "joint_velocities"):
+                expected = getattr(here, name)[1].expand(2, *getattr(here, name).shape[1:])
+                torch.testing.assert_close(getattr(there, name)[[0, 3]], expected, atol=2e-3, rtol=1e-3)
+        first.world.step(20)
+        second.world.step(20)
+    second.world.copy_state(0, torch.tensor([1]))  # within one world
+    torch.testing.assert_close(second.world.robots["robot"].link_poses[1], second.world.robots["robot"].link_poses[0])
+    first.close()
+    second.close()
+
+
+def test_what_is_no_copy_or_no_model_is_refused() -> None:
+    environment, other = Environment(SwingUp(), 2, BACKENDS[0]), make("Reach", num_envs=4, backend=BACKENDS[0])
+    with pytest.raises(ArgumentError, match="worlds of one scene: the names of links and joints differ"):
+        environment.world.copy_state(0, None, other.world)
+    with pytest.raises(ArgumentError, match="source"):
+        environment.world.copy_state(2)
+    with pytest.raises(ConfigurationError, match="the model is of task Reach with 8 components of action"):
+        Mppi(environment, other)
+    with pytest.raises(ConfigurationError, match="a model of 2 environments gives 2 no equal number of samples"):
+        Mppi(environment, Environment(SwingUp(), 2, BACKENDS[0]))
+    environment.close()
+    other.close()
