@@ -25,11 +25,12 @@ DOCS = Path(__file__).parents[1] / "docs"
 PAGE, FIGURES = DOCS / "robots-tasks.md", DOCS / "figures" / "robots_tasks.jsonl"
 START, END = "<!-- robot tasks -->\n", "<!-- end -->"
 ARMS = (
-    "ur5", "ur10", "jaco2", "franka_panda", "kinova_gen3", "xarm7", "kuka_iiwa7", "baxter_arm", "tiago_pro_arm",
+    "ur5", "ur10", "jaco2", "franka_panda", "kinova_gen3", "xarm7", "kuka_iiwa7", "baxter_arm", "tiago_arm",
+    "tiago_pro_arm",
 )  # fmt: skip
 USUAL = (
     "ur5+robotiq_2f85", "ur10+robotiq_2f85", "jaco2", "franka_panda", "kinova_gen3", "xarm7+robotiq_2f85",
-    "kuka_iiwa7+robotiq_2f85", "baxter_arm", "tiago_pro_arm",
+    "kuka_iiwa7+robotiq_2f85", "baxter_arm", "tiago_arm", "tiago_pro_arm",
 )  # fmt: skip
 """Every arm with its usual gripper, its own where it has one."""
 PAIRS = (

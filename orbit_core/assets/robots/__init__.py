@@ -55,8 +55,8 @@ _PARTS = (
         "Apache-2.0 (meshes after Shadow Robot's sr_common)",
         "shadow_hand:PART",
     ),
-    ("tiago_arm", "TIAGo's arm: 7-joint arm", "example-robot-data", "Apache-2.0", "tiago:ARM"),
-    ("tiago_base", "TIAGo's base, torso and head: two driven wheels", "example-robot-data", "Apache-2.0", "tiago:BASE"),
+    ("tiago_arm", "TIAGo's arm: 7-joint arm", "example-robot-data", "Apache-2.0", "tiago_arm:PART"),
+    ("tiago_base", "TIAGo's base, torso and head: two driven wheels", "example-robot-data", "Apache-2.0", "tiago:PART"),
     ("tiago_pro_arm", "TIAGo Pro's left arm: 7-joint arm", "example-robot-data", "Apache-2.0", "tiago_pro:PART"),
     (
         "tiago_pro_gripper",

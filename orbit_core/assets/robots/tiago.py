@@ -1,12 +1,11 @@
-"""PAL Robotics' TIAGo: a base on two driven wheels with torso and head, and its arm of seven joints."""
+"""PAL Robotics' TIAGo: a base on two driven wheels with torso and head."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 from orbit_core.assets.cache import Model
-from orbit_core.assets.compose import add_frames, branch, edit_links, simplify_collisions, without
+from orbit_core.assets.compose import add_frames, edit_links, simplify_collisions, without
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
@@ -21,13 +20,11 @@ from orbit_core.scene import (
     Pose,
     Shape,
     Sphere,
-    Workspace,
 )
 
 SOURCE = "example-robot-data"
 LICENCE = "Apache-2.0"
 FILE = "robots/tiago_description/robots/tiago.urdf"
-ARM_JOINTS = ("arm_[1-7]_joint",)
 CASTERS = "TIAGo's casters, fixed in the URDF, swivel and roll; 1 mm less in radius leaves its weight to the wheels"
 WHEELS = "TIAGo's driven wheels collide 1 cm wide, as crowned treads: as flat ones of 4 cm they would scrub in turns"
 
@@ -47,16 +44,7 @@ def base() -> Articulation:
     return with_armature(add_frames(body, Frame("mount", "torso_lift_link", Pose((0.155, 0.014, -0.151)))))
 
 
-def arm() -> Articulation:
-    """The arm from its seat on the torso to the frame ``arm_flange``, z out of it."""
-    sideways = Pose.from_euler(0.0, 0.0, -math.pi / 2)
-    source = branch(installed_urdf(SOURCE, FILE), "arm_1_joint", "torso_arm_link", "tiago_arm", sideways)
-    limb = merge_fixed_links(without(without(source, "hand_palm_link"), "hand_safety_box"))
-    flange = Frame("arm_flange", "arm_7_link", Pose((0.0, 0.0, 0.067)))
-    return with_armature(simplify_collisions(add_frames(limb, flange)))
-
-
-BASE = RobotPart(
+PART = RobotPart(
     name="tiago_base",
     kind=PartKind.BASE,
     model=Model("tiago_base", base, (SOURCE,), LICENCE, parts=(with_armature,)),
@@ -67,24 +55,4 @@ BASE = RobotPart(
     wheels=("wheel_left_link", "wheel_right_link"),
     differential_base=DifferentialBase("wheel_left_joint", "wheel_right_joint", radius=0.0985, track=0.404),
     fixed_base=False,
-)
-ARM = RobotPart(
-    name="tiago_arm",
-    kind=PartKind.ARM,
-    model=Model("tiago_arm", arm, (SOURCE,), LICENCE, parts=(with_armature,)),
-    home={
-        "arm_1_joint": 1.088,
-        "arm_2_joint": 0.579,
-        "arm_3_joint": -0.81,
-        "arm_4_joint": 1.725,
-        "arm_5_joint": 0.641,
-        "arm_6_joint": -0.858,
-        "arm_7_joint": 0.759,
-    },
-    designs=(DriveDesign(joints=ARM_JOINTS),),
-    mount="arm_flange",
-    joints=ARM_JOINTS,
-    workspace=Workspace((0.45, -0.2, -0.4), (0.65, 0.2, -0.15)),
-    end_effector="robotiq_2f85",
-    pose=Pose((0.0, 0.0, 0.5)),
 )
