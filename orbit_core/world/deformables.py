@@ -39,12 +39,14 @@ class SimulatedDeformable(Deformable):
         self._masking = masking
         self._clock = clock
         self._shape = (len(spec.rest_positions), 3)
-        weights = torch.zeros(len(spec.key_points), self._shape[0])
+        most = max((len(point.particles) for point in spec.key_points), default=1)
+        numbers, weights = (torch.zeros(len(spec.key_points), most) for _ in range(2))
         for row, point in enumerate(spec.key_points):
-            for number, particle in enumerate(point.particles):
-                weights[row, particle] += point.weights[number] if point.weights else 1.0 / len(point.particles)
-        self._weights = weights.to(engine.device)
-        """(K, P) of particles in key points."""
+            count = len(point.particles)
+            numbers[row, :count] = torch.tensor(point.particles)
+            weights[row, :count] = torch.tensor(point.weights or (1.0 / count,) * count)
+        self._of_key_points, self._weights = numbers.long().to(engine.device), weights[..., None].to(engine.device)
+        """(K, m) particles of each key point, and (K, m, 1) their weights."""
 
     @property
     def positions(self) -> Tensor:
@@ -74,12 +76,12 @@ class SimulatedDeformable(Deformable):
 
     @property
     def key_points(self) -> Tensor:
-        return torch.matmul(self._weights, self.positions)
+        return (self.positions[:, self._of_key_points] * self._weights).sum(2)
 
     def key_point(self, name: str) -> Tensor:
         names = [point.name for point in self.spec.key_points]
         row = find_name(name, names, "key point", f"'{self.name}'")
-        return torch.matmul(self._weights[row], self.positions)
+        return (self.positions[:, self._of_key_points[row]] * self._weights[row]).sum(1)
 
     @property
     def covered_area(self) -> Tensor:
