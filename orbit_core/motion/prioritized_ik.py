@@ -81,8 +81,9 @@ class PrioritizedIk(MotionGenerator):
         self._step_limit = self._fastest
         self._costs = torch.ones(len(self.joints), device=self.device)
         """(k,) what moving counts, where the hand leaves a choice."""
-        orders = {Priority.NONE: [range(6)], Priority.POSITION: [range(3), range(3, 6)]}
-        self._levels = [list(rows) for rows in orders.get(config.priority, [range(3, 6), range(3)])]
+        position, rotation = slice(0, 3), slice(3, 6)
+        orders = {Priority.NONE: (slice(0, 6),), Priority.POSITION: (position, rotation)}
+        self._levels = orders.get(config.priority, (rotation, position))
 
     def enter(self, world: World, step_dt: float) -> None:
         self._step_limit = self._fastest * step_dt
