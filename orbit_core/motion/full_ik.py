@@ -67,7 +67,8 @@ class FullIk:
         config: FullIkConfig = FullIkConfig(),
     ) -> None:
         self.config = config
-        self._tree, self._frame, self._joints = tree, frame, list(joints)
+        self._tree, self._frame = tree, frame
+        self._joints = torch.tensor(list(joints), device=home.device)
         self._home = home[self._joints]
         low, high = limits[self._joints].unbind(1)
         finite = low.isfinite() & high.isfinite()

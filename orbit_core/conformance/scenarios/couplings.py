@@ -25,7 +25,8 @@ def _curved_mimic(trial: Trial) -> Mapping[str, float]:
     articulation = replace(robot.articulation, joints=(leader, replace(follower, mimic=_LAW)))
     world = trial.world(scene(replace(robot, articulation=articulation), gravity=WEIGHTLESS, terrain=()))
     thing, speed = world.robots["geared"], 1.0
-    thing.set_joint_state(torch.tensor([[-0.8]]), torch.tensor([[speed]]), joints=[0])
+    at = torch.tensor([[-0.8, speed]], device=world.device)
+    thing.set_joint_state(at[:, :1], at[:, 1:], joints=[0])
     start = _INERTIA * speed**2 * (1 + _LAW.slope(-0.8) ** 2) / 2
     coupling = energy = 0.0
     curve = []
