@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,10 +15,11 @@ from orbit_core.assets import sources
 from orbit_core.assets.cache import cached_articulation
 from orbit_core.assets.catalogue import robot, robot_info, robots
 from orbit_core.assets.parts import compose
+from orbit_core.assets.posture import link_poses
 from orbit_core.assets.validation import validate_entity
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.interfaces.errors import AssetError, ConfigurationError, UnknownNameError
-from orbit_core.scene import EndEffector, PlanarBase, RobotCategory, Scene
+from orbit_core.scene import EndEffector, PlanarBase, Pose, RobotCategory, Scene, Workspace
 from orbit_core.world import simulate
 
 ARMS = ("kinova_gen3", "kuka_iiwa7", "ur5", "ur10", "xarm7")
@@ -85,10 +87,35 @@ def test_names_that_two_parts_share_are_prefixed_through_drives_home_and_gripper
         ("unitree_go2", (RobotCategory.LEGGED,)),
         ("unitree_go2+ur5", (RobotCategory.ARM, RobotCategory.LEGGED)),
         ("cartpole", ()),
+        ("ant", (RobotCategory.LEGGED,)),
+        ("humanoid", (RobotCategory.ARM, RobotCategory.LEGGED, RobotCategory.HUMANOID)),
+        ("unitree_g1_dex3", (RobotCategory.ARM, RobotCategory.HAND, RobotCategory.LEGGED, RobotCategory.HUMANOID)),
+        ("tiago", (RobotCategory.ARM, RobotCategory.GRIPPER, RobotCategory.MOBILE)),
+        ("base_omni+franka_panda+allegro_right", (RobotCategory.ARM, RobotCategory.HAND, RobotCategory.MOBILE)),
     ],
 )
 def test_a_robot_is_of_the_categories_of_what_it_has(name: str, categories: tuple[RobotCategory, ...]):
     assert robot(name).categories == categories
+
+
+def test_a_workspace_goes_with_the_base_at_home():
+    arm, whole = robot("tiago_arm"), robot("tiago")
+    seat = link_poses(whole.articulation, {"torso_lift_joint": 0.15})["torso_lift_link"] @ Pose((0.155, 0.014, -0.151))
+    assert whole.end_effector.workspace == arm.end_effector.workspace.placed(seat)
+
+
+def test_a_workspace_turned_by_a_quarter_is_a_box_again():
+    box = Workspace((0.4, -0.2, 0.1), (0.6, 0.3, 0.5)).placed(Pose.from_euler(0.0, 0.0, math.pi / 2, (0.0, 0.0, 1.0)))
+    assert box.low == pytest.approx((-0.3, 0.4, 1.1))
+    assert box.high == pytest.approx((0.2, 0.6, 1.5))
+
+
+def test_an_omnidirectional_base_is_no_faster_than_its_wheels():
+    limits = {joint.name: joint.velocity_limit for joint in robot("base_omni").articulation.movable_joints}
+    radius, wheel, lever = 0.0762, 13.123, 0.244 + 0.223
+    assert limits == pytest.approx(
+        {"base_x": wheel * radius, "base_y": wheel * radius, "base_yaw": wheel * radius / lever}
+    )
 
 
 def test_what_a_base_brings_goes_with_it():
