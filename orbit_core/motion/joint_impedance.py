@@ -34,7 +34,7 @@ class JointImpedanceConfig(ActionTerm):
     name: ClassVar[str] = "joint_impedance"
     unwanted_gains: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
 
-    scale: float = 0.5
+    scale: float = 2.0
     """rad or m from home (absolute), or for one command (otherwise)."""
     mode: CommandMode = CommandMode.ABSOLUTE
     stiffness: float = 150.0

@@ -13,7 +13,7 @@ from torch import Tensor
 from orbit_core.dynamics.qp import solve_qp
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
-from orbit_core.motion.base import JointTarget, MotionGenerator
+from orbit_core.motion.base import JointTarget, MotionGenerator, speed_limited_lead
 from orbit_core.motion.differential_ik import PoseTermConfig, bounded_targets
 from orbit_core.motion.manipulability import manipulability_gradient
 
@@ -35,9 +35,10 @@ class PrioritizedIkConfig(PoseTermConfig):
     """A command is a pose of the hand, or its change, which the joints follow within all limits.
 
     Each step solves, in order of priority, ``min |W (J d - e)|^2 + lambda^2 |d|^2`` for the joints' displacement d,
-    where ``|d_i|`` is at most ``v_max dt`` and half the distance to a position limit, and what comes before is kept
-    (Kanoun, Lamiraux and Wieber, Kinematic Control of Redundant Manipulators: Generalizing the Task-Priority Framework
-    to Inequality Task, IEEE Transactions on Robotics 27(4), 2011). Last comes the posture: home, and where
+    where ``|d_i|`` is at most the lead at which the joint's drive keeps to its velocity limit
+    (:func:`orbit_core.motion.base.speed_limited_lead`) and half the distance to a position limit, and what comes before
+    is kept (Kanoun, Lamiraux and Wieber, Kinematic Control of Redundant Manipulators: Generalizing the Task-Priority
+    Framework to Inequality Task, IEEE Transactions on Robotics 27(4), 2011). Last comes the posture: home, and where
     ``manipulability_gain`` is above zero away from singular poses, up the gradient of Yoshikawa's manipulability.
     """
 
@@ -77,8 +78,8 @@ class PrioritizedIk(MotionGenerator):
         self._weights = torch.tensor(config.weights, device=self.device)
         self._home = robot.home_positions[self.joints]
         speeds = joint_limits(robot.spec, "velocity_limit")[self.joints]
-        self._fastest = config.speed * torch.as_tensor(speeds, dtype=torch.float32, device=self.device)
-        self._step_limit = self._fastest
+        self._fastest = torch.as_tensor(speeds, dtype=torch.float32, device=self.device)
+        self._step_limit = config.speed * speed_limited_lead(robot, self.joints)
         self._costs = torch.ones(len(self.joints), device=self.device)
         """(k,) what moving counts, where the hand leaves a choice."""
         position, rotation = slice(0, 3), slice(3, 6)
@@ -86,7 +87,9 @@ class PrioritizedIk(MotionGenerator):
         self._levels = orders.get(config.priority, (rotation, position))
 
     def enter(self, world: World, step_dt: float) -> None:
-        self._step_limit = self._fastest * step_dt
+        # A joint without stiffness is told a velocity.
+        steps = self.config.speed * self._fastest * step_dt
+        self._step_limit = torch.where(self._step_limit.isfinite(), self._step_limit, steps)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         delta = self.solve(self._pose.displacement(inputs["command"]))

@@ -14,6 +14,7 @@ from orbit_core.dynamics.qp import solve_qp
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.motion import Actuate, CommandMode, FullIkTermConfig, MotionGenerator, PrioritizedIkConfig, Priority
+from orbit_core.motion.base import speed_limited_lead
 from orbit_core.motion.manipulability import manipulability, manipulability_gradient
 from tests.motion.servo_world import BACKENDS, held
 
@@ -110,12 +111,14 @@ def test_targets_keep_to_limits_of_position_and_speed(backend: str) -> None:
     arm = held(PrioritizedIkConfig(position_scale=0.5, rotation_scale=1.0, speed=0.5), backend)
     generator = arm.generator
     fastest = torch.tensor([joint.velocity_limit for joint in arm.robot.joints[:7]])
+    lead = 0.5 * speed_limited_lead(arm.robot, generator.joints)
     command = torch.tensor([[0.6, 1.0, -0.4, 0.5, 0.2, -1.0], [-1.0, 0.2, 0.3, -0.5, 0.9, 1.0]])
     for _ in range(150):
         targets = generator.compute({"command": command})["position_targets"]
-        assert ((targets - generator.positions).abs() <= 0.5 * fastest * 0.008 + 1e-5).all()
+        assert ((targets - generator.positions).abs() <= lead + 1e-5).all()
         assert ((targets >= generator.lower_limits) & (targets <= generator.upper_limits)).all()
         arm.run(command, 4)
+        assert (generator.velocities.abs() < 0.55 * fastest).all()
     arm.world.close()
 
 
