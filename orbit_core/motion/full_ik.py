@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error
 
 _LARGEST_STEP = 0.5
@@ -75,7 +76,7 @@ class FullIk:
         self._low = torch.where(finite, low, self._home - torch.pi)
         self._high = torch.where(finite, high, self._home + torch.pi)
         generator = torch.Generator().manual_seed(0)
-        drawn = torch.rand(max(config.seeds - 2, 0), len(self._joints), generator=generator).to(self._low.device)
+        drawn = torch.rand(max(config.seeds - 2, 0), len(self._home), generator=generator).to(self._low.device)
         self._drawn = self._low + drawn * (self._high - self._low)
 
     def solve(self, pose: Tensor, positions: Tensor) -> IkSolution:
@@ -128,4 +129,4 @@ class FullIk:
 
 def _damped_step(jacobian: Tensor, error: Tensor, damping: Tensor) -> Tensor:
     square = jacobian @ jacobian.mT + damping * torch.eye(6, device=jacobian.device, dtype=jacobian.dtype)
-    return (jacobian.mT @ torch.linalg.solve(square, error[..., None]))[..., 0]
+    return (jacobian.mT @ solve_spd(square, error[..., None]))[..., 0]

@@ -54,7 +54,9 @@ class Obstacles:
         for name, thing in self._objects.items():
             links = enumerate(thing.spec.articulation.links)
             shapes += [(shape, (name, index)) for index, link in links for shape in link.collisions]
-        self._num_envs, self._device = world.num_envs, world.device
+        self._device = world.device
+        identity = torch.tensor([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], device=world.device)
+        self._world_pose = identity.expand(world.num_envs, 7)
         self._kinds = {kind: self._gathered(kind, shapes) for kind in (Box, Sphere, Capsule, Cylinder, Plane)}
         self.count = sum(len(kind.owners) for kind in self._kinds.values())
         """O, the number of shapes."""
@@ -82,9 +84,9 @@ class Obstacles:
 
     def _poses(self, parts: _Kind) -> Tensor:
         """(N, O, 7)"""
-        identity = torch.tensor([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], device=self._device).expand(self._num_envs, 7)
         links = [
-            identity if owner is None else self._objects[owner[0]].link_poses[:, owner[1]] for owner in parts.owners
+            self._world_pose if owner is None else self._objects[owner[0]].link_poses[:, owner[1]]
+            for owner in parts.owners
         ]
         return pose_multiply(torch.stack(links, 1), parts.poses)
 

@@ -50,12 +50,14 @@ class RmpFlowConfig(PoseTermConfig):
     robot touches at home, such as the table that it stands on, is no obstacle to that ball."""
     margin: float = 0.01
     """m that is kept free around obstacles."""
-    range: float = 0.1
+    range: float = 0.05
     """m within which an obstacle pushes."""
-    goal_gain: float = 30.0
+    goal_gain: float = 50.0
     """1/s^2 near the goal."""
-    goal_reach: float = 0.1
-    """m or rad beyond which the goal draws no more strongly."""
+    goal_reach: float = 0.15
+    """m beyond which the goal draws no more strongly."""
+    goal_turn: float = 0.6
+    """rad beyond which it turns no more strongly."""
     obstacle_gain: float = 60.0
     """m/s^2 by which an obstacle pushes what touches it."""
     obstacle_weight: float = 30.0
@@ -80,16 +82,19 @@ class RmpFlow(MotionGenerator):
     def __init__(self, name: str, robot: Robot, config: RmpFlowConfig) -> None:
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, 6, (JointTarget.POSITION, JointTarget.VELOCITY))
-        if config.range <= config.margin or config.substeps < 1 or config.goal_reach <= 0.0:
+        if config.range <= config.margin or config.substeps < 1 or min(config.goal_reach, config.goal_turn) <= 0.0:
             raise ConfigurationError(
                 f"action term '{name}': the range, {config.range:g} m, is more than the margin, {config.margin:g} m; "
-                "substeps are at least one, and goal_reach is above zero"
+                "substeps are at least one, and goal_reach and goal_turn are above zero"
             )
         self.config = config
         self.frame = config.frame_of(robot)
         self._pose = config.pose_command(robot)
         self._tree = KinematicTree(robot.spec.articulation, self.device)
         self._home = robot.home_positions[joints]
+        # Position leads: rotation counts a quarter.
+        self._weights = torch.tensor([1.0] * 3 + [0.25] * 3, device=self.device)
+        self._reaches = torch.tensor([[config.goal_reach], [config.goal_turn]], device=self.device)
         speeds = joint_limits(robot.spec, "velocity_limit")[joints]
         self._fastest = torch.as_tensor(speeds, dtype=torch.float32, device=self.device)
         self._last = LastTargets(self.num_envs, (2, len(joints)), self.device)
@@ -147,11 +152,9 @@ class RmpFlow(MotionGenerator):
         twist = torch.bmm(jacobian, velocities.unsqueeze(-1)).squeeze(-1)
         parts = error.unflatten(1, (2, 3))
         far = torch.linalg.vector_norm(parts, dim=-1, keepdim=True)
-        bounded = (parts * (self.config.goal_reach / far.clamp_min(self.config.goal_reach))).flatten(1)
+        bounded = (parts * (self._reaches / far.clamp_min(1e-9)).clamp_max(1.0)).flatten(1)
         wanted = self.config.goal_gain * bounded - 2.0 * self.config.goal_gain**0.5 * twist
-        # Position leads: rotation counts a quarter.
-        weights = torch.tensor([1.0] * 3 + [0.25] * 3, device=self.device)
-        weighted = jacobian.mT * weights
+        weighted = jacobian.mT * self._weights
         return torch.bmm(weighted, jacobian), torch.bmm(weighted, wanted.unsqueeze(-1)).squeeze(-1)
 
     def _off_obstacles(self, links: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:

@@ -62,7 +62,7 @@ def test_the_hand_pushes_with_20_n_while_it_draws_a_circle(backend: str, axes: s
     arm.run(torch.tensor([0.0, 0.0, push, 0.0, 0.0, 0.0]), 400)
     center, radius, turns = arm.hand()[0, :2], 0.03, 200
     forces, misses = [], []
-    for step in range(2 * turns):
+    for step in range(turns + turns // 4):
         angle = 2.0 * math.pi * step / turns
         dx, dy = (radius * 2.0 * math.pi / turns / 0.01 * part for part in (-math.sin(angle), math.cos(angle)))
         across = torch.tensor([dx, dy if axes is None else -dy])  # the hand's own y points back
@@ -76,8 +76,7 @@ def test_the_hand_pushes_with_20_n_while_it_draws_a_circle(backend: str, axes: s
     arm.world.close()
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("engine_compensates", [True, False])
+@pytest.mark.parametrize(("backend", "engine_compensates"), [(BACKENDS[0], True), (BACKENDS[-1], False)])
 def test_a_position_driven_arm_yields_by_force_over_stiffness(backend: str, engine_compensates: bool) -> None:
     wrist = ForceTorqueSpec(name="wrist", entity="robot", link="panda_link7")
     config = AdmittanceConfig(sensor="wrist", stiffness=400.0, rotational_stiffness=1e3, inertia=10.0)
