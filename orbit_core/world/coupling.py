@@ -51,6 +51,9 @@ def coupled(
     return CoupledEngine(layout, engine, matter)
 
 
+_MASKED = {"write_particles", "anchor_particles", "release_particles", "set_particle_parameter"}
+
+
 @dataclass(frozen=True)
 class CoupledState:
     """A snapshot of both."""
@@ -65,7 +68,7 @@ class CoupledCapture(CaptureFacet):
 
     def __init__(self, inner: CaptureFacet) -> None:
         self._inner = inner
-        self.takes_masks = inner.takes_masks | {"write_particles"}  # pyright: ignore[reportAttributeAccessIssue]
+        self.takes_masks = inner.takes_masks | _MASKED  # pyright: ignore[reportAttributeAccessIssue]
         self.record = inner.record
         self.expression = inner.expression
         self.settle = inner.settle
