@@ -149,7 +149,7 @@ def choose_matter(backend: Backend, scene: Scene, name: str | None) -> MatterSol
         _check_matter(named, needs)
         return named
     solvers = [matter_solver(each) for each in matter_names()]
-    return next((s for s in solvers if all(s.capabilities().has(need) for need in needs)), None)
+    return next((solver for solver in solvers if _simulates(solver, needs)), None)
 
 
 def _check_matter(solver: MatterSolver, needs: Mapping[Capability, str]) -> None:
@@ -201,6 +201,10 @@ def _check(kind: str, plugin: Backend, needs: Mapping[Capability, str], others: 
     ]
     able = _able(others, missing)
     remedy = f"choose {kind} {' or '.join(repr(name) for name in able)}" if able else f"no installed {kind} does"
+    if solvers := [name for name in matter_names() if _simulates(matter_solver(name), missing)]:
+        remedy += f", and with matter={' or '.join(map(repr, solvers))} any backend does"
+    elif not matter_names() and set(missing) <= {*MATTER}:
+        remedy += ', and with a matter solver any may: pip install "orbit-core[matter]"'
     raise UnsupportedCapabilityError(f"{kind} '{plugin.name}' does not do {', nor '.join(complaints)}: {remedy}")
 
 
@@ -208,6 +212,10 @@ def matter_config(solver: MatterSolver, values: Mapping[str, Any] | None = None)
     """The typed settings of a matter solver, as :func:`backend_config` makes a backend's."""
     owner = f"matter solver '{solver.name}'"
     return configured(solver.config_type(), settings_table(values, owner), owner, "setting")
+
+
+def _simulates(solver: MatterSolver, needs: Iterable[Capability]) -> bool:
+    return all(solver.capabilities().has(need) for need in needs)
 
 
 def backend_config(backend: Backend, values: Mapping[str, Any] | None = None) -> Any:

@@ -11,6 +11,7 @@ from orbit_core.assets.compound_joints import BALL, compound
 from orbit_core.conformance.bodies import pendulum, scene, slider
 from orbit_core.interfaces import TERRAIN, ConfigurationError, ContactQuery, SceneLayout
 from orbit_core.plugin_kit import contact_signs, velocity_at
+from orbit_core.plugin_kit.deformable_surface import DeformableSurface
 from orbit_core.plugin_kit.markers import AXIS_COLORS, marker_shapes
 from orbit_core.plugin_kit.massless import STAND_IN, stand_in_approximations, with_stand_in
 from orbit_core.plugin_kit.meshes import height_field_mesh
@@ -23,6 +24,7 @@ from orbit_core.scene import (
     Articulation,
     CameraSpec,
     Channel,
+    Fluid,
     HeightField,
     Joint,
     JointType,
@@ -31,6 +33,7 @@ from orbit_core.scene import (
     MarkerSpec,
     Mimic,
     RobotSpec,
+    Rope,
 )
 
 
@@ -199,3 +202,20 @@ def test_the_triangles_of_a_height_field_face_up_and_cover_it() -> None:
     assert len(faces) == 2 * 3 * 5
     assert (normals[:, 2] > 0).all()
     assert 0.5 * normals[:, 2].sum() == pytest.approx(3.0 * 2.0)
+
+
+def test_a_rope_is_drawn_as_a_tube_around_its_particles() -> None:
+    points = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0.05]])
+    surface = DeformableSurface(Rope("rope", points, 0.1, radius=0.01))
+    vertices = surface.vertices(torch.as_tensor(points, dtype=torch.float32)[None])[0].numpy()
+    assert surface.faces.max() == len(vertices) - 1
+    nearest = np.linalg.norm(vertices[:, None] - points, axis=-1).min(axis=1)
+    assert nearest == pytest.approx(0.01, rel=1e-4)
+
+
+def test_a_fluid_is_drawn_as_a_solid_for_each_particle() -> None:
+    fluid = Fluid("water", (0.01, 0.01, 0.02), spacing=0.01)
+    surface = DeformableSurface(fluid)
+    vertices = surface.vertices(torch.as_tensor(fluid.rest_positions, dtype=torch.float32)[None])
+    assert vertices.shape == (1, 6 * 16, 3)
+    assert surface.faces.max() == 6 * 16 - 1
