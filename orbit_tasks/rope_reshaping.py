@@ -175,7 +175,7 @@ class RopeReshaping(Task):
     particles: int = 41
     grip_force: float = 10.0
     """Newtons at most that the gripper closes with."""
-    tolerance: float = 0.025
+    tolerance: float = 0.03
     """Metres."""
     observations: RopeReshapingObservations = field(default_factory=RopeReshapingObservations)
     rewards: RopeReshapingRewards = field(default_factory=RopeReshapingRewards)
