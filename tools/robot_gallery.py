@@ -55,10 +55,10 @@ _AROUND, _ABOVE = math.radians(35.0), math.radians(30.0)
 _MARGIN = 1.15
 _MARKS = {Status.PASS: "✓", Status.GAP: "≈", Status.UNSUPPORTED: "–", Status.FAIL: "✗", Status.STALE: "!"}
 _GROUPS = (
+    ("Legged robots and humanoids", ("legged", "humanoid")),
+    ("Mobile robots", ("mobile",)),
     ("Arms", ("arm",)),
     ("Grippers and hands", ("gripper", "hand")),
-    ("Legged robots and humanoids", ("legged", "humanoid")),
-    ("Mobile bases", ("mobile",)),
     ("Others", ()),
 )
 _COMPUTED = ("stiffness/damping for the inertia", "armature where the model has none")
@@ -238,9 +238,9 @@ def drives(report: RobotReport) -> str:
 
 
 def simplifications(notes: Iterable[str]) -> list[str]:
-    """Notes of the description in short: those that list numbers joint by joint are left to `orbit info`."""
+    """Notes of the description in short: numbers joint by joint and tags that nothing reads are left to `orbit info`."""
     told = (re.split(r": (?=\w+ )", note)[0] if len(note) > 160 else note for note in notes
-            if not note.startswith(_COMPUTED))  # fmt: skip
+            if not note.startswith((*_COMPUTED, "<")))  # fmt: skip
     computed = ["armature from the motors' limits"] if any(note.startswith(_COMPUTED[1]) for note in notes) else []
     return [*dict.fromkeys(told), *computed]
 
