@@ -238,7 +238,7 @@ def drives(report: RobotReport) -> str:
 
 
 def simplifications(notes: Iterable[str]) -> list[str]:
-    """Notes of the description in short: numbers joint by joint and tags that nothing reads are left to `orbit info`."""
+    """Notes of the description in short: numbers joint by joint and unread tags are left to `orbit info`."""
     told = (re.split(r": (?=\w+ )", note)[0] if len(note) > 160 else note for note in notes
             if not note.startswith((*_COMPUTED, "<")))  # fmt: skip
     computed = ["armature from the motors' limits"] if any(note.startswith(_COMPUTED[1]) for note in notes) else []
