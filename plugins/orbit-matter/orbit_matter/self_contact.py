@@ -21,7 +21,7 @@ from orbit_matter.kernels import FREE, Particles, at, mass_of
 NEIGHBOURS = wp.constant(16)
 """Most others that a particle is held against in a physics step; the lowest numbers count."""
 FASTEST = wp.constant(0.25)
-"""m/s at most with which two particles that were pressed together move apart."""
+"""m/s at most with which two particles that were pressed together move apart, beside what stops them."""
 RELAXED = wp.constant(0.5)
 """Part of the way out that a pair goes in one substep."""
 
@@ -121,12 +121,13 @@ def separate(p: Particles, n: Neighbours, step: float):
                 if p.anchor[env, j] != FREE:
                     share = float(1.0)
                 slid = p.d[env, i] - p.d[env, j]
+                met = wp.max(-wp.dot(normal, slid), 0.0)  # how far they came together in this substep
                 slid = slid - normal * wp.dot(normal, slid)
                 friction = wp.max(p.parameters[env, p.owner[i], 3], p.parameters[env, p.owner[j], 3])
                 way = wp.length(slid)
                 if way > friction * depth:
                     slid = slid * (friction * depth / way)
-                total += (normal * wp.min(depth, FASTEST * step) - slid) * share
+                total += (normal * wp.min(depth, met + FASTEST * step) - slid) * share
     if p.anchor[env, i] != FREE:
         total = wp.vec3()
     n.moves[env, i] = total * RELAXED
