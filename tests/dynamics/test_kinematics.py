@@ -81,6 +81,26 @@ def _two_slides() -> Articulation:
     return Articulation("hand", tuple(Link(name, 1.0) for name in ("hand", "finger0", "finger1")), joints)
 
 
+@given(seed=seeds)
+@settings(max_examples=20, deadline=None)
+def test_a_frames_drift_is_the_jacobians_rate_times_the_velocity(
+    random_tree: Callable[[int], Articulation], seed: int
+) -> None:
+    articulation = random_tree(seed)
+    tree, count = KinematicTree(articulation, dtype=torch.float64), len(articulation.joint_names)
+    random = torch.Generator().manual_seed(seed)
+    positions, velocities = torch.randn(2, 1, count, generator=random, dtype=torch.float64).unbind()
+    root = torch.tensor([[0.1, 0.2, 0.3, 0.5, 0.5, -0.5, 0.5]], dtype=torch.float64)
+    frame, step = articulation.link_names[-1], 1e-5
+
+    def twist(at: torch.Tensor) -> torch.Tensor:
+        return (tree.jacobian(tree.forward(root, at), frame) @ velocities[..., None])[..., 0]
+
+    expected = (twist(positions + step * velocities) - twist(positions - step * velocities)) / (2.0 * step)
+    drift = tree.frame_drift(tree.forward(root, positions), velocities, frame)
+    torch.testing.assert_close(drift, expected, atol=1e-6, rtol=1e-6)
+
+
 def test_columns_are_chosen_and_others_do_not_move_the_point() -> None:
     articulation = _two_slides()
     poses = KinematicTree(articulation).forward(torch.tensor([[0.0, 0, 0, 1, 0, 0, 0]]), torch.tensor([[0.01, 0.02]]))

@@ -75,6 +75,8 @@ def test_what_a_recording_cannot_do_says_so() -> None:
         (world.save_state, "snapshots"),
         (lambda: world.create_renderer(()), "renderer"),
         (lambda: world.set_gravity(torch.zeros(1, 3)), "gravity to set"),
+        (lambda: world.add_servo(lambda: None), "servos at the physics rate"),
+        (lambda: world.copy_state(0), "states to copy"),
     ):
         with pytest.raises(UnsupportedCapabilityError, match=f"this world has no {what}: PlaybackWorld"):
             use()
