@@ -204,12 +204,13 @@ def _show_plugin(console: Console, title: str, plugin: Backend, shown: Sequence[
 def _show_gaps(console: Console, plugin: Backend) -> None:
     if not plugin.gaps():
         return
+    from orbit_core.conformance.robots.checks import CHECKS
     from orbit_core.conformance.scenarios import SCENARIOS
 
-    units = {(scenario.name, metric.name): metric.unit for scenario in SCENARIOS for metric in scenario.metrics}
-    table = new_table("conformance scenario", "metric", "error up to", "why", title="Declared gaps")
+    units = {(asked.name, metric.name): metric.unit for asked in (*SCENARIOS, *CHECKS) for metric in asked.metrics}
+    table = new_table("scenario or check", "metric", "error up to", "why", title="Declared gaps")
     for gap in plugin.gaps():
         limit = f"{gap.limit:g} {units.get((gap.scenario, gap.metric), '')}"
-        where = f"{gap.scenario} ({', '.join(gap.robots)})" if gap.robots else gap.scenario
-        table.add_row(where, gap.metric, limit.strip(), gap.reason)
+        reason = f"{', '.join(gap.robots)}: {gap.reason}" if gap.robots else gap.reason
+        table.add_row(gap.scenario, gap.metric, limit.strip(), reason)
     console.print(table)

@@ -40,7 +40,6 @@ from orbit_core.interfaces import (
     OrbitError,
     Renderer,
     SceneLayout,
-    UnsupportedCapabilityError,
     World,
 )
 from orbit_core.interfaces.fields import settings_table
@@ -50,6 +49,7 @@ from orbit_core.world.build_check import check_build
 from orbit_core.world.capacity import check_capacity
 from orbit_core.world.clock import Clock
 from orbit_core.world.closing import close_for_good, leave_to_parent
+from orbit_core.world.copies import check_copy
 from orbit_core.world.coupling import coupled, rigid_part
 from orbit_core.world.deformables import SimulatedDeformable
 from orbit_core.world.entities import SimulatedObject
@@ -346,14 +346,7 @@ class SimulatedWorld(World):
 
     def copy_state(self, source: int, targets: Tensor | None = None, origin: World | None = None) -> None:
         origin = self if origin is None else origin
-        whole_number(source, "source", 0, origin.num_envs - 1)
-        if (origin.layout.links_by_name, origin.layout.joints_by_name) != (
-            self.layout.links_by_name,
-            self.layout.joints_by_name,
-        ):
-            raise ArgumentError("states are copied between worlds of one scene: the names of links and joints differ")
-        if self.scene.deformables:
-            raise UnsupportedCapabilityError("states of deformables are not copied: leave them out of the scene")
+        check_copy(self, origin, source)
         rows = self.masking.choose(targets).rows
         self._engine.copy_state(origin.engine, source, rows)
         self.actuators.reset(rows)

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from orbit_core.backends import backend, default_backend
+from orbit_core.conformance.robots.checks import CHECKS
 from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.envs import task_entries
 from orbit_core.interfaces import Capability
@@ -110,7 +111,7 @@ def test_info_of_a_backend_shows_every_declared_gap_with_its_limit_unit_and_reas
     text = " ".join(printed("info", BACKEND).split())
     gaps = backend(BACKEND).gaps()
     assert gaps
-    units = {(scenario.name, metric.name): metric.unit for scenario in SCENARIOS for metric in scenario.metrics}
+    units = {(asked.name, metric.name): metric.unit for asked in (*SCENARIOS, *CHECKS) for metric in asked.metrics}
     for gap in gaps:
         limit = f"{gap.limit:g} {units[gap.scenario, gap.metric]}".strip()
         assert f"{gap.scenario} {gap.metric} {limit} " in text

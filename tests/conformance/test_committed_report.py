@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from orbit_core.assets.catalogue import robot_names
 from orbit_core.conformance.jobs import Kind
 from orbit_core.conformance.results import load
 from orbit_core.conformance.tolerances import loose_tolerances
 
+ROBOTS = [name for name in robot_names() if not name.startswith("maniskill_")]
 FOLDER = Path(__file__).parents[2] / "docs" / "conformance"
 
 
@@ -21,9 +23,18 @@ def test_every_engine_is_in_the_report_and_its_videos_are_there() -> None:
     assert not result.objections
 
 
-def test_it_is_whole_and_no_tolerance_is_loose_without_a_reason() -> None:
-    result = load(FOLDER)
-    assert not result.header.settings.quick
-    assert not result.header.settings.backend_settings
-    assert {record.job.kind for record in result.records} == {*Kind}
-    assert [str(loose) for loose in loose_tolerances(result)] == []
+def test_robots_have_a_report_of_their_own_with_every_engine() -> None:
+    result = load(FOLDER / "robots")
+    assert {*result.header.settings.backends} == {"bullet", "mujoco", "sapien", "warp"}
+    jobs = {(record.job.name, record.job.backend) for record in result.of(Kind.ROBOT)}
+    assert jobs == {(name, engine) for name in ROBOTS for engine in result.header.settings.backends}
+    assert not result.objections
+
+
+def test_both_are_whole_and_no_tolerance_is_loose_without_a_reason() -> None:
+    results = [load(FOLDER), load(FOLDER / "robots")]
+    for result in results:
+        assert not result.header.settings.quick
+        assert not result.header.settings.backend_settings
+    assert {record.job.kind for result in results for record in result.records} == {*Kind}
+    assert [str(loose) for loose in loose_tolerances(results[0])] == []
