@@ -141,7 +141,7 @@ SCENARIOS = (
                 unit="m",
                 tolerance=5e-5,
                 meaning="largest way sideways within 0.5 s",
-                looser_because="the best is at rounding error; where an iterative solver stops turns on the processor's "
+                looser_because="the best is at rounding error; where an iterative solver stops turns on a processor's "
                 "rounding: with one engine 1.1e-5 m on one machine is 3.3e-5 m on another",
             ),
         ),
