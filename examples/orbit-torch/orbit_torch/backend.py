@@ -30,7 +30,6 @@ _EXACT = (
     Capability.RANDOMIZE_MASS, Capability.RANDOMIZE_CENTER_OF_MASS, Capability.RANDOMIZE_FRICTION,
     Capability.RANDOMIZE_GAINS, Capability.RANDOMIZE_GRAVITY, Capability.SNAPSHOTS,
 )  # fmt: skip
-_HELD = "efforts are held over a step, so that they come half a step late, and the integrator damps nothing itself"
 _FIRST_ORDER = "drives are integrated by implicit Euler, whose error is in proportion to the time step"
 _MIDPOINT = (
     "the midpoint rule keeps the angular momentum and not the energy; a turn of 1.5 rad in a step is too much for it"
@@ -67,7 +66,6 @@ class TorchBackend(Backend):
 
     def gaps(self) -> tuple[Gap, ...]:
         return (
-            Gap("explicit_drive", "final", 0.015, _HELD),
             Gap("implicit_drive", "under", 0.06, _FIRST_ORDER),
             Gap("implicit_drive", "damped", 0.03, _FIRST_ORDER),
             Gap("implicit_drive", "final", 0.015, _FIRST_ORDER),

@@ -111,7 +111,8 @@ class TorchEngine(Engine):
         speeds = speeds + (inverse @ kicks[..., None])[..., 0]
         self._applied = (push - slope * speeds[:, :joints]).float()
         involved = kicks != 0.0
-        involved[:, :joints] |= (slope + self._damping + self._spring) != 0.0
+        # Efforts that answer to the state are stable with velocities taken before positions, as the core reckons them.
+        involved[:, :joints] |= (slope + self._damping + self._spring + self.efforts.abs()) != 0.0
         for entity, columns in zip(self.layout.entities, self._system.columns, strict=True):
             alone = ~involved[:, columns].any(1, keepdim=True)
             self._move(entity, bodies[entity.links], speeds[:, columns], alone)
