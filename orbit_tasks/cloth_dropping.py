@@ -69,36 +69,32 @@ def place_container(world: World, task: ClothDropping, env_ids: Tensor) -> None:
     thing.set_root_pose(pose, env_ids)
 
 
-def _facing(position: Tensor) -> Tensor:
-    return torch.cat((position, common.facing_down(torch.zeros_like(position[:, 0]))), dim=1)
-
-
 def at_cloth(world: World, task: ClothDropping, height: float) -> Tensor:
     """(N, 7) the hand over the cloth's middle, its frame at a height above the tray."""
     position = middle(world, task).clone()
     position[:, 2] = TRAY + height
-    return _facing(position)
+    return common.pointing_down(position)
 
 
 def closing(world: World, task: ClothDropping) -> Tensor:
     """(N, 7) the hand where it is, pressed on the tray: the cloth comes to it as it closes."""
     position = common.hand_pose(world, task)[:, :3].clone()
     position[:, 2] = TRAY + PRESSED
-    return _facing(position)
+    return common.pointing_down(position)
 
 
 def raised(world: World, task: ClothDropping) -> Tensor:
     """(N, 7) the hand where it is, as high as it carries the cloth."""
     position = common.hand_pose(world, task)[:, :3].clone()
     position[:, 2] = 0.3
-    return _facing(position)
+    return common.pointing_down(position)
 
 
 def over_container(world: World, task: ClothDropping) -> Tensor:
     """(N, 7) the hand above the container, the cloth hanging into it."""
     position = container(world, task).clone()
     position[:, 2] = 0.3
-    return _facing(position)
+    return common.pointing_down(position)
 
 
 @dataclass

@@ -59,27 +59,23 @@ def sample_goal(world: World, task: ClothLifting, env_ids: Tensor) -> None:
     world.markers["goal"].set_pose(torch.cat((task.goal[env_ids], upright), dim=1), env_ids)
 
 
-def _facing(position: Tensor) -> Tensor:
-    return torch.cat((position, common.facing_down(torch.zeros_like(position[:, 0]))), dim=1)
-
-
 def at_cloth(world: World, task: ClothLifting, height: float) -> Tensor:
     """(N, 7) the hand over the cloth's middle, its frame at a height above the tray."""
     position = middle(world, task).clone()
     position[:, 2] = TRAY + height
-    return _facing(position)
+    return common.pointing_down(position)
 
 
 def closing(world: World, task: ClothLifting) -> Tensor:
     """(N, 7) the hand where it is, pressed on the tray: the cloth comes to it as it closes."""
     position = common.hand_pose(world, task)[:, :3].clone()
     position[:, 2] = TRAY + PRESSED
-    return _facing(position)
+    return common.pointing_down(position)
 
 
 def at_goal(world: World, task: ClothLifting) -> Tensor:
     """(N, 7) the hand where the cloth's middle comes to the goal, as it hangs in the hand now."""
-    return _facing(task.goal + common.hand_pose(world, task)[:, :3] - middle(world, task))
+    return common.pointing_down(task.goal + common.hand_pose(world, task)[:, :3] - middle(world, task))
 
 
 @dataclass

@@ -122,8 +122,7 @@ def above_cube(world: World, task: Lift) -> Tensor:
 def at_goal(world: World, task: Lift) -> Tensor:
     """(N, 7) the hand where the cube's centre comes to the goal, as the cube sits in the hand now."""
     hand = common.hand_pose(world, task)
-    position = task.goal + hand[:, :3] - cube_pose(world, task)[:, :3]
-    return torch.cat((position, common.facing_down(torch.zeros_like(task.goal[:, 0]))), dim=1)
+    return common.pointing_down(task.goal + hand[:, :3] - cube_pose(world, task)[:, :3])
 
 
 @dataclass

@@ -166,6 +166,11 @@ def facing_down(yaw: Tensor) -> Tensor:
     return torch.stack((zero, half.cos(), half.sin(), zero), dim=1)
 
 
+def pointing_down(position: Tensor) -> Tensor:
+    """(N, 7) the hand at a position (N, 3), pointing down and not turned."""
+    return torch.cat((position, facing_down(torch.zeros_like(position[:, 0]))), dim=1)
+
+
 def randomize_robot_start(spread: float, agent: str = ROBOT):
     """Event: joint positions around the home pose, uniform within ``spread`` (rad or m), inside the limits."""
 
