@@ -192,25 +192,38 @@ class KinematicTree:
         return torch.cat((_base_columns(point - link_poses[:, 0, :3]), joints), -1) if floating_base else joints
 
     def frame_drift(self, link_poses: Tensor, joint_velocities: Tensor, frame: str) -> Tensor:
-        """(N, 6) acceleration of a link or named frame while no joint accelerates, ``dJ/dt v``; the root is at rest.
-
-        Linear of the frame's origin, then angular, world axes. Featherstone, Rigid Body Dynamics Algorithms, 2008,
-        section 2.10: velocity products, and what a moving point has besides its body's spatial acceleration.
+        """(N, 6) :meth:`point_drifts` of the origin of a link or named frame.
 
         Raises:
             UnknownNameError: no link or frame has that name.
         """
+        link = torch.full((1,), self._frame(frame)[0], dtype=torch.int64, device=self.device)
+        points = self.frame_pose(link_poses, frame)[:, None, :3]
+        return self.point_drifts(link_poses, joint_velocities, link, points).squeeze(1)
+
+    def point_drifts(self, link_poses: Tensor, joint_velocities: Tensor, links: Tensor, points: Tensor) -> Tensor:
+        """(N, S, 6) acceleration of points of links while no joint accelerates, ``dJ/dt v``; the root is at rest.
+
+        Linear of the point, then angular of its link, world axes. Featherstone, Rigid Body Dynamics Algorithms, 2008,
+        section 2.10: velocity products, and what a moving point has besides its body's spatial acceleration.
+
+        Args:
+            link_poses: (N, L, 7).
+            joint_velocities: (N, J).
+            links: (S,) int64 that carry the points.
+            points: (N, S, 3) world.
+        """
         origin = link_poses[:, 0, :3]
         joint_twists = self.motion_subspaces(link_poses, origin) * joint_velocities[..., None]
-        link, moves = self._frame(frame)[0], self._moves
-        carried = (moves @ joint_twists)[:, self._children]
-        spatial = moves[link] @ cross_motion(carried, joint_twists)
-        twist = moves[link] @ joint_twists
-        arm = self.frame_pose(link_poses, frame)[:, :3] - origin
-        angular = twist[:, 3:]
-        velocity = twist[:, :3] + torch.linalg.cross(angular, arm)
-        linear = spatial[:, :3] + torch.linalg.cross(spatial[:, 3:], arm) + torch.linalg.cross(angular, velocity)
-        return torch.cat((linear, spatial[:, 3:]), -1)
+        carried = (self._moves @ joint_twists)[:, self._children]
+        moves = self._moves[links]
+        spatial = moves @ cross_motion(carried, joint_twists)
+        twist = moves @ joint_twists
+        arms = points - origin[:, None]
+        angular = twist[..., 3:]
+        velocity = twist[..., :3] + torch.linalg.cross(angular, arms)
+        linear = spatial[..., :3] + torch.linalg.cross(spatial[..., 3:], arms) + torch.linalg.cross(angular, velocity)
+        return torch.cat((linear, spatial[..., 3:]), -1)
 
     def _frame(self, name: str) -> tuple[int, Tensor]:
         if name not in self._frames:

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.scene import Articulation, Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from orbit_core.scene import Articulation, Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere
 
 _Array = npt.NDArray[np.float64]
 _MOST = 6
 """Balls for one shape."""
+_SMALL = 0.03
+"""m: boxes within this are fingertips, which go closer to things than their slices' balls would let them."""
 _RING = 8
 """Points around a round shape."""
 
@@ -45,6 +47,8 @@ def collision_spheres(articulation: Articulation) -> CollisionSpheres:
 def _balls(shape: Shape) -> list[tuple[_Array, float]]:
     if isinstance(shape.geometry, Sphere):
         return [(np.asarray(shape.pose.position), shape.geometry.radius)]
+    if isinstance(shape.geometry, Box) and 2.0 * max(shape.geometry.half_extents) < _SMALL:
+        return _eighths(shape.geometry, shape.pose)
     points = _surface(shape)
     if not len(points):
         return []
@@ -62,6 +66,18 @@ def _balls(shape: Shape) -> list[tuple[_Array, float]]:
         for low, high in itertools.pairwise(edges)
         if ((along >= low - slack) & (along <= high + slack)).any()
     ]
+
+
+def _eighths(box: Box, pose: Pose) -> list[tuple[_Array, float]]:
+    """Around each part of a box that is halved in every direction, but in those in which it is thin."""
+    half = np.asarray(box.half_extents)
+    cells = np.where(half < 0.5 * half.max(), 1, 2)
+    part = half / cells
+    offsets = itertools.product(
+        *[(np.arange(count) * 2 + 1 - count) * size for count, size in zip(cells, part, strict=True)]
+    )
+    turned = np.array(list(offsets)) @ pose.rotation_matrix().T + np.asarray(pose.position)
+    return [(center, float(np.linalg.norm(part))) for center in turned]
 
 
 def _ball(points: _Array) -> tuple[_Array, float]:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import pose_multiply, quat_rotate, quat_rotate_inverse
+from orbit_core.dynamics.tree import joint_ancestry
 from orbit_core.interfaces import Object, UnknownNameError, World
 from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, Plane, Pose, Shape, Sphere
 
@@ -35,13 +36,15 @@ class Obstacles:
 
     Args:
         world: that they are in.
-        names: of objects, and :data:`TERRAIN`; None takes the terrain and all objects whose base is fixed.
+        names: of objects, and :data:`TERRAIN`; None takes what stands still: the terrain, and of all objects whose
+            base is fixed the links that no joint of theirs moves.
 
     Raises:
         UnknownNameError: the world has no such object.
     """
 
     def __init__(self, world: World, names: Sequence[str] | None) -> None:
+        still = names is None
         if names is None:
             names = (TERRAIN, *(name for name, thing in world.objects.items() if thing.spec.fixed_base))
         for name in names:
@@ -52,7 +55,8 @@ class Obstacles:
         if TERRAIN in names:
             shapes += [(shape, None) for shape in world.scene.terrain]
         for name, thing in self._objects.items():
-            links = enumerate(thing.spec.articulation.links)
+            moved = joint_ancestry(thing.spec.articulation).any(1)
+            links = [pair for pair in enumerate(thing.spec.articulation.links) if not (still and moved[pair[0]])]
             shapes += [(shape, (name, index)) for index, link in links for shape in link.collisions]
         self._device = world.device
         identity = torch.tensor([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], device=world.device)

@@ -23,6 +23,7 @@ from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
+from orbit_core.motion.barrier import Barrier
 from orbit_core.motion.base import JointTarget, MotionGenerator
 from orbit_core.motion.clearance import Clearance
 from orbit_core.motion.differential_ik import PoseTermConfig
@@ -48,25 +49,27 @@ class RmpFlowConfig(PoseTermConfig):
     obstacles: tuple[str, ...] | None = None
     """Names of objects, and "terrain"; None takes the terrain and all objects whose base is fixed. What a ball of the
     robot touches at home, such as the table that it stands on, is no obstacle to that ball."""
-    margin: float = 0.01
-    """m that is kept free around obstacles."""
+    margin: float = 0.0035
+    """m from an obstacle within which it pushes, which keeps still what the goal would press on it."""
     range: float = 0.05
-    """m within which an obstacle pushes."""
+    """m within which an obstacle slows down what comes nearer."""
     goal_gain: float = 50.0
     """1/s^2 near the goal."""
     goal_reach: float = 0.15
     """m beyond which the goal draws no more strongly."""
     goal_turn: float = 0.6
     """rad beyond which it turns no more strongly."""
-    obstacle_gain: float = 60.0
-    """m/s^2 by which an obstacle pushes what touches it."""
-    obstacle_weight: float = 30.0
-    """Metric of an obstacle that is touched, where the goal's is one."""
+    obstacle_weight: float = 1.0
+    """Metric of an obstacle at 0.7 of the range, at a speed of ``obstacle_speed``, where the goal's is one."""
+    obstacle_speed: float = 0.1
+    """m/s"""
+    obstacle_push: float = 0.1
+    """N, as the goal's metric is a kilogram: by which it pushes at half the margin."""
     posture_gain: float = 1.0
     """1/s^2 that draws joints home."""
     posture_weight: float = 0.01
-    limit_weight: float = 0.1
-    """Metric of a joint's limit half a degree away."""
+    limit_weight: float = 0.01
+    """As ``obstacle_weight``, of the last 0.2 rad or m before a joint's limit, at 1 rad/s or m/s."""
     substeps: int = 4
     """Steps of integration for one command."""
     max_lead: float = 0.3
@@ -82,7 +85,11 @@ class RmpFlow(MotionGenerator):
     def __init__(self, name: str, robot: Robot, config: RmpFlowConfig) -> None:
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, 6, (JointTarget.POSITION, JointTarget.VELOCITY))
-        if config.range <= config.margin or config.substeps < 1 or min(config.goal_reach, config.goal_turn) <= 0.0:
+        if (
+            not 0.0 < config.margin < config.range
+            or config.substeps < 1
+            or min(config.goal_reach, config.goal_turn) <= 0.0
+        ):
             raise ConfigurationError(
                 f"action term '{name}': the range, {config.range:g} m, is more than the margin, {config.margin:g} m; "
                 "substeps are at least one, and goal_reach and goal_turn are above zero"
@@ -98,6 +105,10 @@ class RmpFlow(MotionGenerator):
         speeds = joint_limits(robot.spec, "velocity_limit")[joints]
         self._fastest = torch.as_tensor(speeds, dtype=torch.float32, device=self.device)
         self._last = LastTargets(self.num_envs, (2, len(joints)), self.device)
+        self._obstacle = Barrier(
+            config.obstacle_weight, config.range, config.obstacle_speed, config.margin, config.obstacle_push
+        )
+        self._limit = Barrier(config.limit_weight, 0.2, 1.0, 0.02, 0.02)
 
     def enter(self, world: World, step_dt: float) -> None:
         obstacles = Obstacles(world, self.config.obstacles)
@@ -111,7 +122,9 @@ class RmpFlow(MotionGenerator):
         for _ in range(self.config.substeps):
             full[:, self._columns] = positions
             accelerations = self._accelerations(full, positions, velocities, goal)
-            velocities = torch.clamp(velocities + self._dt * accelerations, -self._fastest, self._fastest)
+            velocities = velocities + self._dt * accelerations
+            # All joints slowed down alike: the motion keeps the direction that keeps off obstacles.
+            velocities = velocities * (self._fastest / velocities.abs().clamp_min(1e-9)).amin(1, True).clamp_max(1.0)
             ahead = torch.clamp(positions + self._dt * velocities, self.lower_limits, self.upper_limits)
             positions, velocities = ahead, (ahead - positions) / self._dt
         measured = self.positions
@@ -137,15 +150,17 @@ class RmpFlow(MotionGenerator):
 
     def _accelerations(self, full: Tensor, positions: Tensor, velocities: Tensor, goal: Tensor) -> Tensor:
         links = self._tree.forward(self.robot.root_pose, full)
+        moving = torch.zeros_like(full)
+        moving[:, self._columns] = velocities
         parts = (
-            self._towards_goal(links, velocities, goal),
-            self._off_obstacles(links, velocities),
+            self._towards_goal(links, velocities, goal, self._tree.frame_drift(links, moving, self.frame)),
+            self._off_obstacles(links, velocities, moving),
             self._off_limits(positions, velocities),
         )
         metric, force = (torch.stack(both).sum(0) for both in zip(*parts, strict=True))
         return solve_spd(metric, force.unsqueeze(-1)).squeeze(-1)
 
-    def _towards_goal(self, links: Tensor, velocities: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
+    def _towards_goal(self, links: Tensor, velocities: Tensor, goal: Tensor, drift: Tensor) -> tuple[Tensor, Tensor]:
         """Metric (N, k, k) and force (N, k) of the goal."""
         jacobian = self._tree.jacobian(links, self.frame)[:, :, self._columns]
         error = pose_error(self._tree.frame_pose(links, self.frame), goal)
@@ -153,39 +168,33 @@ class RmpFlow(MotionGenerator):
         parts = error.unflatten(1, (2, 3))
         far = torch.linalg.vector_norm(parts, dim=-1, keepdim=True)
         bounded = (parts * (self._reaches / far.clamp_min(1e-9)).clamp_max(1.0)).flatten(1)
-        wanted = self.config.goal_gain * bounded - 2.0 * self.config.goal_gain**0.5 * twist
+        wanted = self.config.goal_gain * bounded - 2.0 * self.config.goal_gain**0.5 * twist - drift
         weighted = jacobian.mT * self._weights
         return torch.bmm(weighted, jacobian), torch.bmm(weighted, wanted.unsqueeze(-1)).squeeze(-1)
 
-    def _off_obstacles(self, links: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
+    def _off_obstacles(self, links: Tensor, velocities: Tensor, moving: Tensor) -> tuple[Tensor, Tensor]:
         """Metric (N, k, k) and force (N, k) of all pairs of a ball and an obstacle."""
         clearance = self._clearance
         points = clearance.points(links)
         distances, away = clearance.obstacles.distances(points)
-        gaps = distances - clearance.radii[:, None] - self.config.margin
+        gaps = (distances - clearance.radii[:, None]).flatten(1)
         jacobian = torch.einsum("nsod,nskd->nsok", away, self._point_jacobians(links, points)).flatten(1, 2)
         speed = torch.bmm(jacobian, velocities.unsqueeze(-1)).squeeze(-1)
-        nearness = (1.0 - gaps.flatten(1) / (self.config.range - self.config.margin)).clamp(0.0, 2.0)
-        weight = self.config.obstacle_weight * nearness.square() * clearance.counts.flatten()
-        # What goes away is let go; what comes nearer is braked the harder the nearer it is.
-        weight = weight * torch.sigmoid(20.0 * (0.05 - speed))
-        wanted = self.config.obstacle_gain * (nearness - 0.7).clamp_min(0.0).square() - 20.0 * nearness * speed
-        weighted = jacobian * weight.unsqueeze(-1)
-        return torch.bmm(weighted.mT, jacobian), torch.bmm(weighted.mT, wanted.unsqueeze(-1)).squeeze(-1)
+        inertia, force = self._obstacle(gaps, speed)
+        counts = clearance.counts.flatten()
+        drifts = self._tree.point_drifts(links, moving, clearance.links, points)[..., :3]
+        carried = torch.einsum("nsod,nsd->nso", away, drifts).flatten(1)
+        inertia, force = counts * inertia, counts * (force - inertia * carried)
+        metric = torch.bmm(jacobian.mT, jacobian * inertia.unsqueeze(-1))
+        return metric, torch.bmm(jacobian.mT, force.unsqueeze(-1)).squeeze(-1)
 
     def _off_limits(self, positions: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
         """Metric (N, k, k) and force (N, k) of limits, home and damping."""
-        config = self.config
-        home = config.posture_gain * (self._home - positions) - 2.0 * config.posture_gain**0.5 * velocities
-        below, above = positions - self.lower_limits, self.upper_limits - positions
-        near = torch.minimum(below, above)
-        inward = torch.where(below < above, 1.0, -1.0)
-        weight = config.limit_weight * (0.1 / near.clamp_min(0.01)).square()
-        wanted = inward * 2.0 * (0.1 / near.clamp_min(0.01)).clamp_max(10.0) - 20.0 * velocities
-        # A joint that leaves its limit is let go.
-        weight = torch.where(near < 0.2, weight * torch.sigmoid(-20.0 * inward * velocities), 0.0)
-        metric = config.posture_weight + weight
-        return torch.diag_embed(metric), config.posture_weight * home + weight * wanted
+        gain, weight = self.config.posture_gain, self.config.posture_weight
+        home = gain * (self._home - positions) - 2.0 * gain**0.5 * velocities
+        low, push_up = self._limit(positions - self.lower_limits, velocities)
+        high, push_down = self._limit(self.upper_limits - positions, -velocities)
+        return torch.diag_embed(weight + low + high), weight * home + push_up - push_down
 
     def _point_jacobians(self, links: Tensor, points: Tensor) -> Tensor:
         """(N, S, k, 3) velocity of each centre per unit of each joint's."""
