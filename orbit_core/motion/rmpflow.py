@@ -4,9 +4,10 @@ Ratliff et al., Riemannian Motion Policies, arXiv:1801.02854, 2018; Cheng et al.
 Automatic Motion Policy Generation, WAFR 2018. Each policy says in a space of its own which acceleration a it wants and,
 by a metric G, how much that counts. With J the Jacobian of the space, what the joints do minimises the sum of all:
 
-``a = (sum J^T G J)^-1 sum J^T G (a_i - J' v)``.
+``a = (sum J^T M J)^-1 sum J^T (f - M J' v)``, M the metric with its curvature, f the force that is wanted.
 
-The curvature terms of metrics that change with the state are left out, as is ``J' v`` of the distances' spaces.
+Metrics that change with the state are :class:`~orbit_core.motion.barrier.Barrier` spaces, with all their curvature
+terms. Of ``J' v`` the shapes' own curvature is left out, which takes away from a convex shape and never towards it.
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ from orbit_core.motion.obstacles import Obstacles
 class RmpFlowConfig(PoseTermConfig):
     """A command is a pose of the hand, or its change, to which the hand goes around obstacles.
 
-    Policies: the goal draws the hand's position and rotation; every ball that covers a moved link is pushed off every
-    obstacle within ``range``; joints are kept off their limits, drawn home, and damped. The motion is integrated from
-    the measured state of an episode's beginning, within ``max_lead`` of the measured positions, and told to the drives
-    as positions and velocities. It is a local method: it can be caught before an obstacle.
+    Policies: the goal draws the hand's position and rotation; every ball that covers a moved link is slowed down before
+    every obstacle within ``range``, and joints before their limits; they are drawn home and damped. The motion is
+    integrated from the measured state of an episode's beginning, within ``max_lead`` of the measured positions, and told
+    to the drives as positions and velocities. It is a local method: it can be caught before an obstacle.
     """
 
     name: ClassVar[str] = "rmpflow"
@@ -47,8 +48,9 @@ class RmpFlowConfig(PoseTermConfig):
     position_scale: float = 0.5
     rotation_scale: float = 3.141592653589793
     obstacles: tuple[str, ...] | None = None
-    """Names of objects, and "terrain"; None takes the terrain and all objects whose base is fixed. What a ball of the
-    robot touches at home, such as the table that it stands on, is no obstacle to that ball."""
+    """Names of objects, and "terrain"; None takes what stands still: the terrain, and of all objects whose base
+    is fixed the links that no joint moves, so not drawers or doors. What a ball of the robot touches at home, such as
+    the table that it stands on, is no obstacle to that ball."""
     margin: float = 0.0035
     """m from an obstacle within which it pushes, which keeps still what the goal would press on it."""
     range: float = 0.05
@@ -59,7 +61,7 @@ class RmpFlowConfig(PoseTermConfig):
     """m beyond which the goal draws no more strongly."""
     goal_turn: float = 0.6
     """rad beyond which it turns no more strongly."""
-    obstacle_weight: float = 1.0
+    obstacle_weight: float = 0.3
     """Metric of an obstacle at 0.7 of the range, at a speed of ``obstacle_speed``, where the goal's is one."""
     obstacle_speed: float = 0.1
     """m/s"""
@@ -91,8 +93,8 @@ class RmpFlow(MotionGenerator):
             or min(config.goal_reach, config.goal_turn) <= 0.0
         ):
             raise ConfigurationError(
-                f"action term '{name}': the range, {config.range:g} m, is more than the margin, {config.margin:g} m; "
-                "substeps are at least one, and goal_reach and goal_turn are above zero"
+                f"action term '{name}': the range, {config.range:g} m, is more than the margin, {config.margin:g} m, "
+                "which is above zero; substeps are at least one, and goal_reach and goal_turn are above zero"
             )
         self.config = config
         self.frame = config.frame_of(robot)

@@ -7,9 +7,11 @@ import pytest
 import torch
 
 from orbit_core.assets.catalogue import robot as catalogue_robot
+from orbit_core.assets.objects import cabinet
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.motion import RmpFlow, RmpFlowConfig
+from orbit_core.motion.barrier import Barrier
 from orbit_core.motion.collision_spheres import _surface, collision_spheres
 from orbit_core.motion.full_ik import FullIk
 from orbit_core.motion.obstacles import Obstacles
@@ -59,7 +61,32 @@ def test_balls_cover_the_robots_shapes() -> None:
             gaps = np.linalg.norm(points[:, None] - balls.centers[own], axis=-1) - balls.radii[own]
             assert gaps.min(1).max() < 1e-6
     assert balls.radii.max() < 0.13
-    assert len(balls.radii) < 60
+    assert len(balls.radii) < 80
+
+
+def test_what_comes_nearer_slows_down_with_the_distance_and_keeps_its_energy() -> None:
+    barrier = Barrier(weight=0.3, range=0.05, speed=0.1, margin=0.0035, push=0.1)
+    distance, speed = torch.tensor([0.04, 0.04, 0.04]).double(), torch.tensor([-0.5, -0.1, 0.1]).double()
+    energies, dt = [], 1e-5
+    for _ in range(30000):
+        inertia, force = barrier(distance, speed)
+        # Of G = weight w u, of which M is twice, and w x'^4 is what a geodesic conserves.
+        energies.append((inertia * speed.square())[:2])
+        speed = speed + dt * torch.where(inertia > 0.0, force / inertia.clamp_min(1e-12), 0.0)
+        distance = distance + dt * speed
+    assert distance[0] < 0.01
+    assert (distance[:2] > 0.0035).all()  # so far no potential has pushed
+    torch.testing.assert_close(energies[-1], energies[0], rtol=5e-3, atol=0.0)
+    assert speed[2] == pytest.approx(0.1)  # what leaves feels nothing
+    inertia, force = barrier(torch.tensor([0.00175, 0.06]), torch.zeros(2))
+    torch.testing.assert_close(force, torch.tensor([0.1, 0.0]))
+    assert (inertia == 0.0).all()  # at rest
+
+
+def test_drawers_are_no_obstacles_unless_named() -> None:
+    world = simulate(Scene(objects=(cabinet(pose=Pose((1.0, 0.0, 0.5))),)), 1, BACKENDS[0])
+    assert 1 < Obstacles(world, None).count < Obstacles(world, ("cabinet", "terrain")).count
+    world.close()
 
 
 @pytest.mark.parametrize(("backend", "count"), [(BACKENDS[0], 24), (BACKENDS[-1], 12)])
@@ -98,7 +125,7 @@ def test_the_hand_arrives_and_touches_nothing(backend: str, count: int) -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"the range, 0.01 m, is more than the margin"):
-        held(RmpFlowConfig(range=0.01), BACKENDS[0])
+    with pytest.raises(ConfigurationError, match=r"the range, 0.003 m, is more than the margin"):
+        held(RmpFlowConfig(range=0.003), BACKENDS[0])
     with pytest.raises(UnknownNameError, match="cube"):
         held(RmpFlowConfig(obstacles=("cube",)), BACKENDS[0])
