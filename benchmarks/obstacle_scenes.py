@@ -24,6 +24,7 @@ from orbit_core.motion import Actuate, RmpFlow, RmpFlowConfig, with_drives_for
 from orbit_core.motion.full_ik import FullIk
 from orbit_core.motion.planning import JointPlanner, time_optimal
 from orbit_core.scene import Box, Capsule, ContactSensorSpec, ObjectSpec, Pose, Scene, Shape, Sphere, single_link
+from orbit_core.sensors import ContactSensor
 from orbit_core.world import simulate
 
 SHAPES = (Sphere(0.08), Box((0.05, 0.05, 0.15)), Capsule(0.05, 0.1))
@@ -85,7 +86,9 @@ class Scenes:
 
     def touching(self) -> Tensor:
         """(N,) whether anything touches the robot."""
-        return self.world.sensors["touch"].forces.norm(dim=-1).sum(1) > 0.0
+        sensor = self.world.sensors["touch"]
+        assert isinstance(sensor, ContactSensor)
+        return sensor.forces.norm(dim=-1).sum(1) > 0.0
 
 
 def reactive(scenes: Scenes, seconds: float) -> str:

@@ -55,9 +55,14 @@ class Obstacles:
         if TERRAIN in names:
             shapes += [(shape, None) for shape in world.scene.terrain]
         for name, thing in self._objects.items():
-            moved = joint_ancestry(thing.spec.articulation).any(1)
-            links = [pair for pair in enumerate(thing.spec.articulation.links) if not (still and moved[pair[0]])]
-            shapes += [(shape, (name, index)) for index, link in links for shape in link.collisions]
+            moved = still & joint_ancestry(thing.spec.articulation).astype(bool).any(axis=1, keepdims=True)
+            links = zip(thing.spec.articulation.links, moved[:, 0], strict=True)
+            shapes += [
+                (shape, (name, index))
+                for index, (link, left_out) in enumerate(links)
+                for shape in link.collisions
+                if not left_out
+            ]
         self._device = world.device
         identity = torch.tensor([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], device=world.device)
         self._world_pose = identity.expand(world.num_envs, 7)

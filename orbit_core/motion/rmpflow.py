@@ -38,8 +38,8 @@ class RmpFlowConfig(PoseTermConfig):
 
     Policies: the goal draws the hand's position and rotation; every ball that covers a moved link is slowed down before
     every obstacle within ``range``, and joints before their limits; they are drawn home and damped. The motion is
-    integrated from the measured state of an episode's beginning, within ``max_lead`` of the measured positions, and told
-    to the drives as positions and velocities. It is a local method: it can be caught before an obstacle.
+    integrated from the measured state of an episode's beginning, within ``max_lead`` of the measured positions, and
+    told to the drives as positions and velocities. It is a local method: it can be caught before an obstacle.
     """
 
     name: ClassVar[str] = "rmpflow"
