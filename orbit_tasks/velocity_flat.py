@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.envs import (
     CurriculumTerm,
     EventTerm,
@@ -30,6 +29,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
 from orbit_core.sensors import ContactSensor
+from orbit_tasks import walking
 from orbit_tasks.trot import TrotGenerator
 
 CONTACTS = "contacts"
@@ -38,21 +38,19 @@ CONTACTS = "contacts"
 @once_per_state
 def linear_velocity(world: World, task: VelocityFlat) -> Tensor:
     """(N, 3) of the trunk, in its own axes."""
-    trunk = common.robot_of(world)
-    return quat_rotate_inverse(trunk.root_pose[:, 3:], trunk.root_velocity[:, :3])
+    return walking.linear_velocity(common.robot_of(world))
 
 
 @once_per_state
 def angular_velocity(world: World, task: VelocityFlat) -> Tensor:
     """(N, 3) of the trunk, in its own axes."""
-    trunk = common.robot_of(world)
-    return quat_rotate_inverse(trunk.root_pose[:, 3:], trunk.root_velocity[:, 3:])
+    return walking.angular_velocity(common.robot_of(world))
 
 
 @once_per_state
 def projected_gravity(world: World, task: VelocityFlat) -> Tensor:
     """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
-    return quat_rotate_inverse(common.robot_of(world).root_pose[:, 3:], task.down)
+    return walking.projected_gravity(common.robot_of(world))
 
 
 def command(world: World, task: VelocityFlat) -> Tensor:
@@ -142,7 +140,7 @@ class VelocityState(ObservationGroup):
     projected_gravity: ObservationTerm | None = ObservationTerm(projected_gravity)
     command: ObservationTerm | None = ObservationTerm(command)
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
-    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities, scale=0.05)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities, scale=walking.JOINT_SPEED_SCALE)
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 
@@ -227,8 +225,6 @@ class VelocityFlat(Task):
     curriculum: VelocityCurriculum = field(default_factory=VelocityCurriculum)
     command: Tensor = field(init=False)
     """(N, 3)"""
-    down: Tensor = field(init=False)
-    """(3,) in the world's axes."""
     speed_limits: Tensor = field(init=False)
     """(joints,) rad/s."""
     errors: Tensor = field(init=False)
@@ -246,7 +242,6 @@ class VelocityFlat(Task):
         super().start(world)
         self.command = torch.zeros(world.num_envs, 3, device=world.device)
         self.errors = torch.zeros(world.num_envs, 2, device=world.device)
-        self.down = torch.tensor([0.0, 0.0, -1.0], device=world.device)
         limits = joint_limits(common.robot_of(world).spec, "velocity_limit")
         self.speed_limits = torch.as_tensor(limits, dtype=torch.float32, device=world.device)
 

@@ -55,13 +55,13 @@ class Obstacles:
         if TERRAIN in names:
             shapes += [(shape, None) for shape in world.scene.terrain]
         for name, thing in self._objects.items():
-            moved = still & joint_ancestry(thing.spec.articulation).astype(bool).any(axis=1, keepdims=True)
-            links = zip(thing.spec.articulation.links, moved[:, 0], strict=True)
+            moved = np.any(joint_ancestry(thing.spec.articulation), axis=1).tolist()
+            links = zip(thing.spec.articulation.links, moved, strict=True)
             shapes += [
                 (shape, (name, index))
-                for index, (link, left_out) in enumerate(links)
+                for index, (link, by_joint) in enumerate(links)
                 for shape in link.collisions
-                if not left_out
+                if not (still and by_joint)
             ]
         self._device = world.device
         identity = torch.tensor([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], device=world.device)
