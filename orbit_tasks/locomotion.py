@@ -25,7 +25,7 @@ _PURSUIT_RATE = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class LocomotionConfig(ActionTerm):
-    """A command is a velocity of a walking robot's trunk in its own axes, (forward, left, turn); a policy moves the legs.
+    """A command is a velocity of a walking robot's trunk, (forward, left, turn) in its own axes; a policy walks at it.
 
     The policy is one learned by a walking task, Velocity-Flat as a rule, for a robot with the same joints: it sees the
     robot and the velocity, and gives the commands of the action space that it was learned with. It is asked at the rate
