@@ -21,6 +21,8 @@ class MatterConfig:
     1.25 ms."""
     contact_stiffness: float = 1000.0
     """N/m with which one particle resists being pressed into a surface."""
+    threads: int = 0
+    """Of a CPU, each with some of the environments; 0 takes every core."""
     capture: bool = True
     """Whether launches are recorded once and replayed as a graph."""
 
@@ -29,3 +31,5 @@ class MatterConfig:
             value = getattr(self, name)
             if value is not None and not value > 0.0:
                 raise ConfigurationError(f"setting '{name}' of orbit-matter is {value}: give more than 0")
+        if self.threads < 0:
+            raise ConfigurationError(f"setting 'threads' of orbit-matter is {self.threads}: give 0 (every core) or more")

@@ -53,15 +53,18 @@ def find_near(p: Particles, links: Links, shapes: Shapes, felt: Felt, step: floa
     x, count = p.x[env, i], int(0)
     moved = wp.length(p.v[env, i]) * step + p.radius[i] + MARGIN
     for s in range(shapes.kind.shape[1]):
-        before, after = links.shape_before[env, s], links.shape[env, s]
-        way = wp.length(wp.transform_get_translation(after) - wp.transform_get_translation(before))
+        kept = shapes.kind[kind, s]
+        after = links.shape[env, s]
+        middle = wp.transform_get_translation(after)
+        way = wp.length(middle - wp.transform_get_translation(links.shape_before[env, s]))
         reach = shapes.reach[kind, s] + moved + way
-        local = wp.transform_point(wp.transform_inverse(after), x)
-        close = wp.length(local) < reach
-        if close and shapes.kind[kind, s] < PLANE:
-            close = distance(shapes, kind, s, local, reach)[3] < moved + way
-        if shapes.kind[kind, s] == PLANE:
-            close = local[2] < moved
+        close = wp.length(x - middle) < reach
+        if close and kept <= PLANE:
+            local = wp.transform_point(wp.transform_inverse(after), x)
+            if kept == PLANE:
+                close = local[2] < moved
+            else:
+                close = distance(shapes, kind, s, local, reach)[3] < moved + way
         if close and count < NEAREST:
             felt.near[env, i, count] = s
             count += 1
@@ -91,9 +94,9 @@ def finish(
 ):
     """The end of a substep: what is held goes back, contacts are solved, displacements become velocities."""
     env, i = wp.tid()
-    inertia = mass_of(p, env, i) / (h * h)
     link = p.anchor[env, i]
     if link != FREE:
+        inertia = mass_of(p, env, i) / (h * h)
         goal = target(p, links, env, i)
         pulled = p.x[env, i] + p.d[env, i] - goal
         if link >= 0:
@@ -101,47 +104,81 @@ def finish(
             feel(felt, links, shapes, env, p.owner[i], link, goal, force)
         p.d[env, i] = goal - p.x[env, i]
     elif felt.near[env, i, 0] >= 0:
-        solve_contacts(p, links, shapes, felt, env, i, inertia, stiffness, share, h)
+        meet(p, links, shapes, felt, env, i, stiffness, share, h)
     p.v[env, i] = p.d[env, i] / h
     p.x[env, i] = p.x[env, i] + p.d[env, i]
 
 
 @wp.func
-def solve_contacts(
-    p: Particles,
-    links: Links,
-    shapes: Shapes,
-    felt: Felt,
-    env: int,
-    i: int,
-    inertia: float,
-    stiffness: float,
-    share: float,
-    step: float,
+def meet(
+    p: Particles, links: Links, shapes: Shapes, felt: Felt, env: int, i: int, stiffness: float, share: float, h: float
 ):
+    """Push a particle out of what it is in: most are in one surface at most."""
     kind = env % shapes.kind.shape[0]
-    x = p.x[env, i] + p.d[env, i]
-    normals, depths = Normals(), Depths()
+    x, inertia = p.x[env, i] + p.d[env, i], 1.0 / (p.w[env, i] * h * h)
+    normals, depths, in_one, count, k = Normals(), Depths(), int(0), int(0), int(0)
+    while k < NEAREST:
+        s = felt.near[env, i, k]
+        if s < 0:
+            k = NEAREST
+        else:
+            pose = links.shape[env, s]
+            local = wp.transform_point(wp.transform_inverse(pose), x)
+            found = distance(shapes, kind, s, local, 10.0 * p.radius[i] + MARGIN)
+            depth = p.radius[i] - found[3]
+            if depth > 0.0:
+                n = wp.transform_vector(pose, wp.vec3(found[0], found[1], found[2]))
+                depths[k] = depth
+                normals[k, 0] = n[0]
+                normals[k, 1] = n[1]
+                normals[k, 2] = n[2]
+                in_one = k
+                count += 1
+            k += 1
+    if count == 1:
+        n = normal_of(normals, in_one)
+        press(p, links, shapes, felt, env, i, felt.near[env, i, in_one], n, depths[in_one], inertia, stiffness, share)
+    if count > 1:
+        press_all(p, links, shapes, felt, env, i, normals, depths, inertia, stiffness, share, h)
+
+
+@wp.func
+def press(
+    p: Particles, links: Links, shapes: Shapes, felt: Felt, env: int, i: int, shape: int, n: wp.vec3, depth: float,
+    inertia: float, stiffness: float, share: float,
+):  # fmt: skip
+    """Contact with one surface, in closed form."""
+    normal = stiffness * depth * inertia / (inertia + stiffness)
+    d = p.d[env, i] + n * (normal / inertia)
+    here = p.x[env, i] + d
+    slid = d - carried(links, env, shape, here)
+    slid = slid - n * wp.dot(n, slid)
+    hold = wp.max(p.parameters[env, p.owner[i], 3], felt.friction[env, shape]) * normal / inertia
+    length = wp.length(slid)
+    if length > hold:
+        slid = slid * (hold / length)
+    p.d[env, i] = d - slid
+    force = (slid * inertia - n * normal) * share
+    feel(felt, links, shapes, env, p.owner[i], shapes.link[env % shapes.kind.shape[0], shape], here, force)
+
+
+@wp.func
+def press_all(
+    p: Particles, links: Links, shapes: Shapes, felt: Felt, env: int, i: int, normals: Normals, depths: Depths,
+    inertia: float, stiffness: float, share: float, step: float,
+):  # fmt: skip
+    """Contact with several surfaces at once; ``depths`` are positive for those that the particle is in."""
+    kind = env % shapes.kind.shape[0]
     # Twice: the first pass finds surfaces at the place without contact, the second those that then still push.
     moved = wp.vec3()
-    for attempt in range(2):
+    for _attempt in range(2):
         matrix = wp.identity(n=3, dtype=float) * inertia
         pushes = wp.vec3()
         for k in range(NEAREST):
-            s = felt.near[env, i, k]
-            if s >= 0:
-                if attempt == 0:
-                    pose = links.shape[env, s]
-                    local = wp.transform_point(wp.transform_inverse(pose), x)
-                    found = distance(shapes, kind, s, local, 10.0 * p.radius[i] + MARGIN)
-                    n = wp.transform_vector(pose, wp.vec3(found[0], found[1], found[2]))
-                    depths[k] = p.radius[i] - found[3]
-                    for axis in range(3):
-                        normals[k, axis] = n[axis]
-                n = normal_of(normals, k)
-                if depths[k] > 0.0 and depths[k] - wp.dot(n, moved) > 0.0:
-                    matrix += wp.outer(n, n) * stiffness
-                    pushes += n * (stiffness * depths[k])
+            n = normal_of(normals, k)
+            if depths[k] > 0.0 and depths[k] - wp.dot(n, moved) > 0.0:
+                matrix += wp.outer(n, n) * stiffness
+                pushes += n * (stiffness * depths[k])
         moved = wp.inverse(matrix) * pushes
     d = p.d[env, i] + moved
     here = p.x[env, i] + d

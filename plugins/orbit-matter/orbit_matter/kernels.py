@@ -43,8 +43,11 @@ class Particles:
     place: wp.array2d[wp.vec3]
     """Where it is held, in the link's frame."""
     mass: wp.array[float]
+    w: wp.array2d[float]
+    """(N, P) inverse masses as constraints take them, of this physics step."""
     radius: wp.array[float]
-    damping: wp.array[float]
+    kept: wp.array[float]
+    """Part of its velocity that the air leaves it in a substep."""
     owner: wp.array[int]
     parameters: wp.array3d[float]
     """(N, D, 4) scales of mass, stiffness and bending stiffness, and friction."""
@@ -70,13 +73,14 @@ def mass_of(p: Particles, env: int, i: int) -> float:
     return p.mass[i] * p.parameters[env, p.owner[i], 0]
 
 
-@wp.func
-def inverse_mass(p: Particles, env: int, i: int) -> float:
-    """As constraints take it."""
+@wp.kernel(enable_backward=False)
+def weigh(p: Particles):
+    """Inverse masses for the physics step to come."""
+    env, i = wp.tid()
     w = 1.0 / mass_of(p, env, i)
     if p.anchor[env, i] != FREE:
         w = w / HELD
-    return w
+    p.w[env, i] = w
 
 
 @wp.func
@@ -118,7 +122,7 @@ def predict(p: Particles, links: Links, gravity: wp.array[wp.vec3], h: float):
     env, i = wp.tid()
     link = p.anchor[env, i]
     if link == FREE:
-        v = (p.v[env, i] + gravity[env] * h) * wp.exp(-p.damping[i] * h)
+        v = (p.v[env, i] + gravity[env] * h) * p.kept[i]
         p.d[env, i] = v * h
     else:
         p.d[env, i] = target(p, links, env, i) - p.x[env, i]
@@ -203,9 +207,9 @@ def pull_triangle(p: Particles, t: Triangles, env: int, c: int, s: Stretch, chan
     g1 = s.f0 * (s.a0 * change[0] + s.a1 * change[2]) + s.f1 * (s.a1 * change[1] + s.a0 * change[2])
     g2 = s.f0 * (s.b0 * change[0] + s.b1 * change[2]) + s.f1 * (s.b1 * change[1] + s.b0 * change[2])
     i, j, k = t.particles[c, 0], t.particles[c, 1], t.particles[c, 2]
-    push(p, env, i, -(g1 + g2) * inverse_mass(p, env, i))
-    push(p, env, j, g1 * inverse_mass(p, env, j))
-    push(p, env, k, g2 * inverse_mass(p, env, k))
+    push(p, env, i, -(g1 + g2) * p.w[env, i])
+    push(p, env, j, g1 * p.w[env, j])
+    push(p, env, k, g2 * p.w[env, k])
 
 
 @wp.kernel(enable_backward=False)
@@ -213,9 +217,9 @@ def solve_triangles(p: Particles, t: Triangles, first: int, h: float):
     env, number = wp.tid()
     c = first + number
     s = stretch_of(p, t, env, c)
-    w0 = inverse_mass(p, env, t.particles[c, 0])
-    w1 = inverse_mass(p, env, t.particles[c, 1])
-    w2 = inverse_mass(p, env, t.particles[c, 2])
+    w0 = p.w[env, t.particles[c, 0]]
+    w1 = p.w[env, t.particles[c, 1]]
+    w2 = p.w[env, t.particles[c, 2]]
     # f0 and f1 move by M times a force on them, where M = A W A^T; J W J^T follows from it.
     m00 = w0 * (s.a0 + s.b0) * (s.a0 + s.b0) + w1 * s.a0 * s.a0 + w2 * s.b0 * s.b0
     m01 = w0 * (s.a0 + s.b0) * (s.a1 + s.b1) + w1 * s.a0 * s.a1 + w2 * s.b0 * s.b1
@@ -266,8 +270,8 @@ def solve_edges(p: Particles, e: Edges, h: float):
         arm = direction(p, e, env, c)
         length = wp.length(arm)
         n = arm / length
-        w0 = inverse_mass(p, env, e.particles[c, 0])
-        w1 = inverse_mass(p, env, e.particles[c, 1])
+        w0 = p.w[env, e.particles[c, 0]]
+        w1 = p.w[env, e.particles[c, 1]]
         soft = e.weights[c, 1] / (h * h * p.parameters[env, e.owner[c], 1])
         pivot, value = w0 + w1 + soft, e.weights[c, 0] - length
         if c > first:
@@ -289,10 +293,10 @@ def solve_edges(p: Particles, e: Edges, h: float):
     behind, i = wp.vec3(), int(e.particles[first, 0])
     for c in range(first, stop):
         ahead = wp.normalize(direction(p, e, env, c)) * e.value[env, c]
-        push(p, env, i, (behind - ahead) * inverse_mass(p, env, i))
+        push(p, env, i, (behind - ahead) * p.w[env, i])
         behind = ahead
         i = int(e.particles[c, 1])
-    push(p, env, i, behind * inverse_mass(p, env, i))
+    push(p, env, i, behind * p.w[env, i])
 
 
 # Bending -------------------------------------------------------------------------------------------------------------
@@ -312,7 +316,7 @@ def pull_bend(p: Particles, b: Bends, env: int, c: int, change: wp.vec3):
     for k in range(4):
         i = b.particles[c, k]
         if b.weights[c, k] != 0.0:
-            push(p, env, i, change * (b.weights[c, k] * inverse_mass(p, env, i)))
+            push(p, env, i, change * (b.weights[c, k] * p.w[env, i]))
 
 
 @wp.kernel(enable_backward=False)
@@ -324,6 +328,6 @@ def solve_bends(p: Particles, b: Bends, first: int, h: float):
         i = b.particles[c, k]
         weight = b.weights[c, k]
         curvature += at(p, env, i) * weight
-        w += inverse_mass(p, env, i) * weight * weight
+        w += p.w[env, i] * weight * weight
     soft = b.weights[c, 4] / (h * h * p.parameters[env, b.owner[c], 2])
     pull_bend(p, b, env, c, -curvature / (w + soft))

@@ -6,10 +6,10 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
 
-import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
@@ -18,16 +18,17 @@ from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, SceneL
 from orbit_core.interfaces.matter import PARAMETERS, Matter
 from orbit_core.plugin_kit.rows import take_rows, write_columns, write_rows
 from orbit_core.scene import Attachment
-from orbit_matter import contact, kernels, self_contact, substeps
+from orbit_matter import substeps
 from orbit_matter.colliders import Colliders
 from orbit_matter.config import MatterConfig
-from orbit_matter.model import Constraints, build
+from orbit_matter.model import build
+from orbit_matter.part import Part, Stepping
 from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.start import start
 
 _FREE, _WORLD = -2, -1
-_MARGIN = 0.004
-"""Metres that two particles may come nearer in a physics step and still be found."""
+_NOWHERE = 1e9
+"""Metres; where particles of which no pairs were searched are taken to have been."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +46,14 @@ class ParticleMatter(Matter):
         self._layout, self._num_envs, self._device, self._config = layout, num_envs, device, config
         self._model = build(layout.scene)
         longest = substeps.chosen(layout.scene) if config.substep is None else config.substep
-        self._substeps = max(1, math.ceil(layout.scene.physics_dt / longest - 1e-6))
-        self._h = layout.scene.physics_dt / self._substeps
+        count = max(1, math.ceil(layout.scene.physics_dt / longest - 1e-6))
+        self._stepping = Stepping(layout.scene.physics_dt, count, config.contact_stiffness)
         self._graphs = Graphs(device, config.capture)
         self._colliders = Colliders(layout, self._graphs.device)
         self._tensors: dict[str, Tensor] = {}
         """State and parameters; snapshots hold them."""
         self._make_state()
-        self._make_structs()
+        self._parts = self._make_parts(config.threads)
 
     # Memory ----------------------------------------------------------------------------------------------------------
 
@@ -72,6 +73,7 @@ class ParticleMatter(Matter):
             "anchor": torch.full((n, p), _FREE, dtype=torch.int32, device=self._device),
             "place": torch.zeros(n, p, 3, **make),
             "parameters": parameters,
+            "searched": torch.full((n, p, 3), _NOWHERE, **make),
             "gravity": torch.tensor(scene.gravity, **make).repeat(n, 1),
             "friction": torch.as_tensor(self._colliders.friction, **make)[kinds].contiguous(),
             "forces": torch.zeros(n, len(scene.deformables), links, 3, **make),
@@ -94,55 +96,16 @@ class ParticleMatter(Matter):
         first = self._model.slices[deformable].start
         self._tensors["anchor"][:, [first + particle for particle in attachment.particles]] = link
 
-    def _make_structs(self) -> None:
-        model, t = self._model, self._tensors
-        n, p, s = self._num_envs, len(model.rest), self._colliders.count
-        links = self._start.shape[1]
+    def _make_parts(self, threads: int) -> tuple[Part, ...]:
+        """Environments in as many parts as a CPU has threads, each with whole rounds of the kinds of environments."""
+        rounds = math.ceil(self._num_envs / self._colliders.kinds)
+        count = 1 if self._device.type != "cpu" else min(threads or len(os.sched_getaffinity(0)), rounds)
+        bounds = [min(round(rounds * k / count) * self._colliders.kinds, self._num_envs) for k in range(count + 1)]
+        memory = {**self._tensors, "start": self._start, "end": self._end}
         with wp.ScopedDevice(self._graphs.device):
-            particles = self._particles = kernels.Particles()
-            particles.x, particles.v = wp.from_torch(t["x"], wp.vec3), wp.from_torch(t["v"], wp.vec3)
-            particles.d = wp.zeros((n, p), dtype=wp.vec3)
-            particles.anchor, particles.place = wp.from_torch(t["anchor"]), wp.from_torch(t["place"], wp.vec3)
-            particles.mass, particles.radius = wp.array(model.masses), wp.array(model.radii)
-            particles.damping, particles.owner = wp.array(model.damping), wp.array(model.owners, dtype=int)
-            particles.parameters = wp.from_torch(t["parameters"])
-            self._gravity = wp.from_torch(t["gravity"], wp.vec3)
-            moved = self._links = kernels.Links()
-            moved.start, moved.end = wp.from_torch(self._start), wp.from_torch(self._end)
-            moved.link = wp.zeros((n, links + 1), dtype=wp.transform)
-            moved.shape = wp.zeros((n, s), dtype=wp.transform)
-            moved.shape_before = wp.zeros((n, s), dtype=wp.transform)
-            felt = self._felt = contact.Felt()
-            felt.forces = wp.from_torch(t["forces"], wp.vec3)
-            felt.torques = wp.from_torch(t["torques"], wp.vec3)
-            felt.friction = wp.from_torch(t["friction"])
-            felt.near = wp.full((n, p, int(contact.NEAREST)), -1, dtype=int)
-            edges = self._edges = _struct(kernels.Edges(), model.edges)
-            edges.ranges = wp.array(np.array(model.edges.ranges, np.int32).reshape(-1, 2), dtype=int, ndim=2)
-            edges.upper = wp.zeros((n, len(model.edges.particles)), dtype=float)
-            edges.value = wp.zeros((n, len(model.edges.particles)), dtype=float)
-            self._neighbours = self._make_neighbours() if self._meets else None
-            self._constraints = (
-                (model.triangles, _struct(kernels.Triangles(), model.triangles), kernels.solve_triangles),
-                (model.bends, _struct(kernels.Bends(), model.bends), kernels.solve_bends),
+            return tuple(
+                Part(slice(a, b), memory, self._model, self._colliders, self._stepping) for a, b in pairwise(bounds)
             )
-
-    @property
-    def _meets(self) -> bool:
-        """Whether any two particles may touch."""
-        return bool(self._model.touches.any()) or len(self._model.slices) > 1
-
-    def _make_neighbours(self) -> Any:
-        n, p, model = self._num_envs, len(self._model.rest), self._model
-        made = self_contact.Neighbours()
-        made.head = wp.zeros((n, 1 << (2 * p - 1).bit_length()), dtype=int)
-        made.following = wp.zeros((n, p), dtype=int)
-        made.found = wp.full((n, p, int(self_contact.NEIGHBOURS)), -1, dtype=int)
-        made.rest, made.radius = wp.array(model.rest, dtype=wp.vec3), wp.array(model.own_radii)
-        made.touches = wp.array(model.touches, dtype=int)
-        made.moves = wp.zeros((n, p), dtype=wp.vec3)
-        made.cell = 2.0 * float(model.own_radii.max()) + _MARGIN
-        return made
 
     # Time ------------------------------------------------------------------------------------------------------------
 
@@ -150,49 +113,9 @@ class ParticleMatter(Matter):
         links = before.shape[1]
         self._start[:, :links].copy_(before)
         self._end[:, :links].copy_(after)
-        self._graphs.run("step", self._launch_step)
+        self._graphs.run_side_by_side({("step", n): part.launch_step for n, part in enumerate(self._parts)})
         self._wrenches[..., :3] = self._tensors["forces"].sum(1)
         self._wrenches[..., 3:] = self._tensors["torques"]
-
-    def _launch_step(self) -> None:
-        self._felt.forces.zero_()
-        self._felt.torques.zero_()
-        n, s, links, p = self._num_envs, self._colliders.count, self._start.shape[1], len(self._model.rest)
-        for share, first in ((0.0, 1), (1.0, 0)):
-            wp.launch(kernels.place_links, (n, links + 1), inputs=[self._links, links, share])
-            wp.launch(kernels.place_shapes, (n, s), inputs=[self._links, self._colliders.shapes, first])
-        near = [self._particles, self._links, self._colliders.shapes, self._felt, self._layout.scene.physics_dt]
-        wp.launch(contact.find_near, (n, p), inputs=near)
-        wp.launch(kernels.place_links, (n, links + 1), inputs=[self._links, links, 0.0])
-        wp.launch(kernels.place_shapes, (n, s), inputs=[self._links, self._colliders.shapes, 1])
-        if self._neighbours is not None:
-            self._launch_search(self._neighbours)
-        for number in range(self._substeps):
-            self._launch_substep((number + 1) / self._substeps)
-
-    def _launch_search(self, near: Any) -> None:
-        n, p = self._num_envs, len(self._model.rest)
-        wp.launch(self_contact.clear, near.head.shape, inputs=[near])
-        wp.launch(self_contact.insert, (n, p), inputs=[self._particles, near])
-        wp.launch(self_contact.find, (n, p), inputs=[self._particles, near, _MARGIN])
-
-    def _launch_substep(self, share: float) -> None:
-        n, p, links, h = self._num_envs, len(self._model.rest), self._start.shape[1], self._h
-        wp.launch(kernels.place_links, (n, links + 1), inputs=[self._links, links, share])
-        shapes = [self._links, self._colliders.shapes, 0]
-        wp.launch(kernels.place_shapes, (n, self._colliders.count), inputs=shapes)
-        wp.launch(kernels.predict, (n, p), inputs=[self._particles, self._links, self._gravity, h])
-        for constraints, struct, solve in self._constraints:
-            for first, stop in constraints.ranges:
-                wp.launch(solve, (n, stop - first), inputs=[self._particles, struct, first, h])
-        if ropes := len(self._model.edges.ranges):  # last, so that nothing makes them longer again
-            wp.launch(kernels.solve_edges, (n, ropes), inputs=[self._particles, self._edges, h])
-        if self._neighbours is not None:
-            wp.launch(self_contact.separate, (n, p), inputs=[self._particles, self._neighbours, h])
-            wp.launch(self_contact.move, (n, p), inputs=[self._particles, self._neighbours])
-        contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]
-        numbers = [self._config.contact_stiffness, h, 1.0 / self._substeps]
-        wp.launch(contact.finish, (n, p), inputs=[*contacts, *numbers])
 
     # State -----------------------------------------------------------------------------------------------------------
 
@@ -206,6 +129,7 @@ class ParticleMatter(Matter):
         columns = self._model.slices[deformable]
         write_rows(self._tensors["x"][:, columns], positions, env_ids)
         write_rows(self._tensors["v"][:, columns], velocities, env_ids)
+        write_rows(self._tensors["searched"], _NOWHERE, env_ids)
 
     def anchor(
         self, deformable: int, particles: Tensor, link: int | None, link_poses: Tensor, env_ids: Tensor | None = None
@@ -227,14 +151,15 @@ class ParticleMatter(Matter):
         chosen = torch.zeros(self._num_envs, dtype=torch.bool, device=self._device)
         write_rows(chosen, True, env_ids)
         self._end[:, : link_poses.shape[1]].copy_(link_poses)
-        shape = (self._num_envs, len(self._model.rest))
         with self._graphs.stream():
-            wp.launch(kernels.hold, shape, inputs=[self._particles, self._links, wp.from_torch(chosen)])
+            for part in self._parts:
+                part.hold(chosen)
 
     def reset(self, link_poses: Tensor, env_ids: Tensor | None = None) -> None:
         rest = self._rest.expand(self._num_envs, -1, -1)
         write_rows(self._tensors["x"], take_rows(rest, env_ids), env_ids)
         write_rows(self._tensors["v"], torch.zeros_like(take_rows(rest, env_ids)), env_ids)
+        write_rows(self._tensors["searched"], _NOWHERE, env_ids)
         self._hold(link_poses, env_ids)
         for name in ("forces", "torques"):
             write_rows(self._tensors[name], torch.zeros_like(take_rows(self._tensors[name], env_ids)), env_ids)
@@ -260,7 +185,7 @@ class ParticleMatter(Matter):
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:
-        return substeps.report(self._layout.scene, self._h)
+        return substeps.report(self._layout.scene, self._stepping.h)
 
     @property
     def wrenches(self) -> Tensor:
@@ -285,10 +210,7 @@ class ParticleMatter(Matter):
         for name, tensor in self._tensors.items():
             tensor.copy_(state.tensors[name])
         self._wrenches.copy_(state.tensors["wrenches"])
+        with self._graphs.stream():
+            for part in self._parts:
+                part.search_again()
 
-
-def _struct(made: Any, constraints: Constraints) -> Any:
-    made.particles = wp.array(constraints.particles, dtype=int, ndim=2)
-    made.weights = wp.array(constraints.weights, dtype=float, ndim=2)
-    made.owner = wp.array(constraints.owners, dtype=int)
-    return made

@@ -62,6 +62,11 @@ class Model:
     bends: Constraints
     """Of four particles, or three of a rope. Weights: four coefficients of the curvature; 1 / stiffness."""
 
+    @property
+    def meets(self) -> bool:
+        """Whether any two particles may touch."""
+        return bool(self.touches.any()) or len(self.slices) > 1
+
 
 def build(scene: Scene) -> Model:
     """Assemble what a scene's cloths and ropes are made of.

@@ -1,6 +1,7 @@
 """Particles of matter against each other: cloth on itself, on other cloth, and ropes.
 
-Before a physics step a hash of cells finds the pairs that may come near. In each substep two particles nearer than the
+A hash of cells finds the pairs that may come near, anew whenever a particle may have left the margin in which the last
+search holds (the lists of Verlet, "Computer 'experiments' on classical fluids", 1967). In each substep two particles nearer than the
 sum of their radii are moved apart, in shares that keep their momentum, and rub by Coulomb's law. A particle gathers
 the moves of all its pairs, at half of their length, so that the order of pairs does not matter and several at a time do
 not overshoot.
@@ -19,7 +20,7 @@ import warp as wp
 from orbit_matter.kernels import FREE, Particles, at, mass_of
 
 NEIGHBOURS = wp.constant(16)
-"""Most others that a particle is held against in a physics step; the lowest numbers count."""
+"""Most others that a particle is held against at a time; those met first count."""
 FASTEST = wp.constant(0.25)
 """m/s at most with which two particles that were pressed together move apart, beside what stops them."""
 RELAXED = wp.constant(0.5)
@@ -35,7 +36,11 @@ class Neighbours:
     following: wp.array2d[int]
     """(N, P) the next in the bucket."""
     found: wp.array3d[int]
-    """(N, P, NEIGHBOURS)"""
+    """(N, P, NEIGHBOURS); -1 behind the last."""
+    searched: wp.array2d[wp.vec3]
+    """(N, P) where particles were at the last search."""
+    stale: wp.array[int]
+    """(N,) 1 where a search is due."""
     rest: wp.array[wp.vec3]
     """(P,) where particles are when nothing is bent."""
     radius: wp.array[float]
@@ -50,9 +55,9 @@ class Neighbours:
 
 @wp.func
 def bucket_of(x: int, y: int, z: int, count: int) -> int:
-    """Teschner et al., "Optimized spatial hashing for collision detection of deformable objects" (2003)."""
-    key = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
-    return (key % count + count) % count
+    """Of ``count``, a power of two. Teschner et al., "Optimized spatial hashing for collision detection of deformable
+    objects" (2003)."""
+    return ((x * 73856093) ^ (y * 19349663) ^ (z * 83492791)) & (count - 1)
 
 
 @wp.func
@@ -61,46 +66,71 @@ def cell_of(x: wp.vec3, cell: float) -> wp.vec3i:
 
 
 @wp.kernel(enable_backward=False)
-def clear(n: Neighbours):
-    env, bucket = wp.tid()
-    n.head[env, bucket] = -1
+def doubt(p: Particles, n: Neighbours, margin: float, step: float):
+    """Search again where a particle may go further than half the margin from where it was, until the step's end."""
+    env, i = wp.tid()
+    if wp.length(p.x[env, i] - n.searched[env, i]) + wp.length(p.v[env, i]) * step > 0.5 * margin:
+        n.stale[env] = 1
 
 
 @wp.kernel(enable_backward=False)
-def insert(p: Particles, n: Neighbours):
+def clear(n: Neighbours):
+    env, bucket = wp.tid()
+    if n.stale[env] == 1:
+        n.head[env, bucket] = -1
+
+
+@wp.kernel(enable_backward=False)
+def insert(p: Particles, n: Neighbours, renewed: int):
+    """Into cells, by where particles are or, if not ``renewed``, by where they were at the last search."""
     env, i = wp.tid()
-    c = cell_of(p.x[env, i], n.cell)
+    if n.stale[env] == 0:
+        return
+    if renewed == 1:
+        n.searched[env, i] = p.x[env, i]
+    c = cell_of(n.searched[env, i], n.cell)
     bucket = bucket_of(c[0], c[1], c[2], n.head.shape[1])
     n.following[env, i] = wp.atomic_exch(n.head, env, bucket, i)
 
 
+@wp.func
+def noted(p: Particles, n: Neighbours, env: int, i: int, j: int, count: int) -> int:
+    """How many others are found with this one, which is not of the own body's near ones and was not found before."""
+    if count == NEIGHBOURS:
+        return count
+    if p.owner[i] == p.owner[j]:
+        apart = 1.01 * (n.radius[i] + n.radius[j])
+        if n.touches[i] == 0 or wp.length_sq(n.rest[i] - n.rest[j]) <= apart * apart:
+            return count
+    for k in range(count):  # two cells may share a bucket
+        if n.found[env, i, k] == j:
+            return count
+    n.found[env, i, count] = j
+    return count + 1
+
+
 @wp.kernel(enable_backward=False)
 def find(p: Particles, n: Neighbours, margin: float):
-    """Who may be met in this physics step: all within the sum of radii and a margin that were further apart at rest."""
+    """Who may be met: all within the sum of radii and a margin that were further apart at rest."""
     env, i = wp.tid()
-    count, x = int(0), p.x[env, i]
+    if n.stale[env] == 0:
+        return
+    count, x = int(0), n.searched[env, i]
     c = cell_of(x, n.cell)
-    for dx in range(-1, 2):
-        for dy in range(-1, 2):
-            for dz in range(-1, 2):
-                bucket = bucket_of(c[0] + dx, c[1] + dy, c[2] + dz, n.head.shape[1])
-                j = n.head[env, bucket]
-                while j >= 0:
-                    apart = n.radius[i] + n.radius[j]
-                    together = p.owner[i] == p.owner[j]
-                    near = wp.length(p.x[env, j] - x) < apart + margin and j != i
-                    if together:
-                        near = near and n.touches[i] == 1 and wp.length(n.rest[i] - n.rest[j]) > 1.01 * apart
-                    if near and count < NEIGHBOURS:
-                        known = bool(False)
-                        for k in range(count):  # two cells may share a bucket
-                            known = known or n.found[env, i, k] == j
-                        if not known:
-                            n.found[env, i, count] = j
-                            count += 1
-                    j = n.following[env, j]
-    for k in range(count, NEIGHBOURS):
-        n.found[env, i, k] = -1
+    buckets = n.head.shape[1]
+    cell = int(0)
+    while cell < 27:  # no unrolled loop: its body would be there 27 times
+        dx, dy, dz = cell % 3 - 1, (cell // 3) % 3 - 1, cell // 9 - 1
+        j = n.head[env, bucket_of(c[0] + dx, c[1] + dy, c[2] + dz, buckets)]
+        while j >= 0:
+            if j != i:
+                reach = n.radius[i] + n.radius[j] + margin
+                if wp.length_sq(n.searched[env, j] - x) < reach * reach:
+                    count = noted(p, n, env, i, j, count)
+            j = n.following[env, j]
+        cell += 1
+    if count < NEIGHBOURS:
+        n.found[env, i, count] = -1
 
 
 @wp.kernel(enable_backward=False)
@@ -109,9 +139,12 @@ def separate(p: Particles, n: Neighbours, step: float):
     env, i = wp.tid()
     total = wp.vec3()
     x = at(p, env, i)
-    for k in range(NEIGHBOURS):
+    k = int(0)
+    while k < NEIGHBOURS:
         j = n.found[env, i, k]
-        if j >= 0:
+        if j < 0:
+            k = NEIGHBOURS
+        else:
             arm = x - at(p, env, j)
             away = wp.length(arm)
             depth = n.radius[i] + n.radius[j] - away
@@ -128,6 +161,7 @@ def separate(p: Particles, n: Neighbours, step: float):
                 if way > friction * depth:
                     slid = slid * (friction * depth / way)
                 total += (normal * wp.min(depth, met + FASTEST * step) - slid) * share
+        k += 1
     if p.anchor[env, i] != FREE:
         total = wp.vec3()
     n.moves[env, i] = total * RELAXED

@@ -1,0 +1,172 @@
+"""Some environments of a world's matter: their memory as kernels take it, and the launches of one physics step."""
+
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# Warp's arrays and structs carry their types at run time.
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from torch import Tensor
+
+from orbit_matter import contact, kernels, self_contact
+from orbit_matter.colliders import Colliders
+from orbit_matter.model import Constraints, Model
+
+MARGIN = 0.004
+"""Metres that two particles may come nearer before pairs are searched again."""
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """How a physics step is divided."""
+
+    physics_dt: float
+    """Seconds."""
+    substeps: int
+    contact_stiffness: float
+    """N/m of one particle."""
+
+    @property
+    def h(self) -> float:
+        """Seconds of a substep."""
+        return self.physics_dt / self.substeps
+
+
+class Part:
+    """Environments in a row, whose launches touch no others.
+
+    Args:
+        rows: of the tensors in ``memory``, by name, which are theirs.
+        memory: of all environments, viewed and not copied.
+        model: of every environment.
+        colliders: what they meet; ``rows`` begin with the first kind of environment.
+        stepping: how long a substep is.
+    """
+
+    def __init__(
+        self, rows: slice, memory: Mapping[str, Tensor], model: Model, colliders: Colliders, stepping: Stepping
+    ) -> None:
+        self._rows, memory = rows, {name: tensor[rows] for name, tensor in memory.items()}
+        self._model, self._colliders, self._stepping = model, colliders, stepping
+        self._n, self._p = len(memory["x"]), len(model.rest)
+        self._count = memory["start"].shape[1]
+        self._particles = self._make_particles(memory)
+        self._gravity = wp.from_torch(memory["gravity"], wp.vec3)
+        self._links = self._make_links(memory)
+        felt = self._felt = contact.Felt()
+        felt.forces, felt.torques = wp.from_torch(memory["forces"], wp.vec3), wp.from_torch(memory["torques"], wp.vec3)
+        felt.friction = wp.from_torch(memory["friction"])
+        felt.near = wp.full((self._n, self._p, int(contact.NEAREST)), -1, dtype=int)
+        self._edges = self._make_edges()
+        self._neighbours = self._make_neighbours(memory) if model.meets else None
+        self._constraints = (
+            (model.triangles, _struct(kernels.Triangles(), model.triangles), kernels.solve_triangles),
+            (model.bends, _struct(kernels.Bends(), model.bends), kernels.solve_bends),
+        )
+
+    def _make_particles(self, memory: Mapping[str, Tensor]) -> Any:
+        made, model, shape = kernels.Particles(), self._model, (self._n, self._p)
+        made.x, made.v = wp.from_torch(memory["x"], wp.vec3), wp.from_torch(memory["v"], wp.vec3)
+        made.d, made.w = wp.zeros(shape, dtype=wp.vec3), wp.zeros(shape, dtype=float)
+        made.anchor, made.place = wp.from_torch(memory["anchor"]), wp.from_torch(memory["place"], wp.vec3)
+        made.mass, made.radius = wp.array(model.masses), wp.array(model.radii)
+        made.kept = wp.array(np.exp(-self._stepping.h * model.damping))
+        made.owner = wp.array(model.owners, dtype=int)
+        made.parameters = wp.from_torch(memory["parameters"])
+        return made
+
+    def _make_links(self, memory: Mapping[str, Tensor]) -> Any:
+        made, shapes = kernels.Links(), (self._n, self._colliders.count)
+        made.start, made.end = wp.from_torch(memory["start"]), wp.from_torch(memory["end"])
+        made.link = wp.zeros((self._n, self._count + 1), dtype=wp.transform)
+        made.shape, made.shape_before = wp.zeros(shapes, dtype=wp.transform), wp.zeros(shapes, dtype=wp.transform)
+        return made
+
+    def _make_edges(self) -> Any:
+        made, edges = _struct(kernels.Edges(), self._model.edges), self._model.edges
+        made.ranges = wp.array(np.array(edges.ranges, np.int32).reshape(-1, 2), dtype=int, ndim=2)
+        made.upper = wp.zeros((self._n, len(edges.particles)), dtype=float)
+        made.value = wp.zeros((self._n, len(edges.particles)), dtype=float)
+        return made
+
+    def _make_neighbours(self, memory: Mapping[str, Tensor]) -> Any:
+        n, p, model = self._n, self._p, self._model
+        made = self_contact.Neighbours()
+        made.head = wp.zeros((n, 1 << (2 * p - 1).bit_length()), dtype=int)
+        made.following = wp.zeros((n, p), dtype=int)
+        made.found = wp.full((n, p, int(self_contact.NEIGHBOURS)), -1, dtype=int)
+        made.searched, made.stale = wp.from_torch(memory["searched"], wp.vec3), wp.zeros(n, dtype=int)
+        made.rest, made.radius = wp.array(model.rest, dtype=wp.vec3), wp.array(model.own_radii)
+        made.touches = wp.array(model.touches, dtype=int)
+        made.moves = wp.zeros((n, p), dtype=wp.vec3)
+        made.cell = 2.0 * float(model.own_radii.max()) + MARGIN
+        return made
+
+    def hold(self, chosen: Tensor) -> None:
+        """What is held in chosen environments, of all (N,) bool, is from now on held where it is."""
+        mine = wp.from_torch(chosen[self._rows])
+        wp.launch(kernels.hold, (self._n, self._p), inputs=[self._particles, self._links, mine])
+
+    def search_again(self) -> None:
+        """Find the pairs that the last search found, from where particles then were."""
+        if self._neighbours is not None:
+            self._neighbours.stale.fill_(1)
+            self._launch_search(renewed=0)
+
+    def launch_step(self) -> None:
+        """Advance by one physics step."""
+        self._felt.forces.zero_()
+        self._felt.torques.zero_()
+        wp.launch(kernels.weigh, (self._n, self._p), inputs=[self._particles])
+        self._place(0.0, 1)
+        self._place(1.0, 0)
+        near = [self._particles, self._links, self._colliders.shapes, self._felt, self._stepping.physics_dt]
+        wp.launch(contact.find_near, (self._n, self._p), inputs=near)
+        self._place(0.0, 1)
+        if self._neighbours is not None:
+            self._neighbours.stale.zero_()
+            doubted = [self._particles, self._neighbours, MARGIN, self._stepping.physics_dt]
+            wp.launch(self_contact.doubt, (self._n, self._p), inputs=doubted)
+            self._launch_search(renewed=1)
+        for number in range(self._stepping.substeps):
+            self._launch_substep((number + 1) / self._stepping.substeps)
+
+    def _place(self, share: float, first: int) -> None:
+        """Put links and shapes where they are after a share of the step, the first time or again."""
+        wp.launch(kernels.place_links, (self._n, self._count + 1), inputs=[self._links, self._count, share])
+        shapes = [self._links, self._colliders.shapes, first]
+        wp.launch(kernels.place_shapes, (self._n, self._colliders.count), inputs=shapes)
+
+    def _launch_search(self, renewed: int) -> None:
+        near, shape = self._neighbours, (self._n, self._p)
+        wp.launch(self_contact.clear, near.head.shape, inputs=[near])
+        wp.launch(self_contact.insert, shape, inputs=[self._particles, near, renewed])
+        wp.launch(self_contact.find, shape, inputs=[self._particles, near, MARGIN])
+
+    def _launch_substep(self, share: float) -> None:
+        n, shape, h = self._n, (self._n, self._p), self._stepping.h
+        self._place(share, 0)
+        wp.launch(kernels.predict, shape, inputs=[self._particles, self._links, self._gravity, h])
+        for constraints, struct, solve in self._constraints:
+            for first, stop in constraints.ranges:
+                wp.launch(solve, (n, stop - first), inputs=[self._particles, struct, first, h])
+        if ropes := len(self._model.edges.ranges):  # last, so that nothing makes them longer again
+            wp.launch(kernels.solve_edges, (n, ropes), inputs=[self._particles, self._edges, h])
+        if self._neighbours is not None:
+            wp.launch(self_contact.separate, shape, inputs=[self._particles, self._neighbours, h])
+            wp.launch(self_contact.move, shape, inputs=[self._particles, self._neighbours])
+        contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]
+        numbers = [self._stepping.contact_stiffness, h, 1.0 / self._stepping.substeps]
+        wp.launch(contact.finish, shape, inputs=[*contacts, *numbers])
+
+
+def _struct(made: Any, constraints: Constraints) -> Any:
+    made.particles = wp.array(constraints.particles, dtype=int, ndim=2)
+    made.weights = wp.array(constraints.weights, dtype=float, ndim=2)
+    made.owner = wp.array(constraints.owners, dtype=int)
+    return made
