@@ -32,4 +32,6 @@ class MatterConfig:
             if value is not None and not value > 0.0:
                 raise ConfigurationError(f"setting '{name}' of orbit-matter is {value}: give more than 0")
         if self.threads < 0:
-            raise ConfigurationError(f"setting 'threads' of orbit-matter is {self.threads}: give 0 (every core) or more")
+            raise ConfigurationError(
+                f"setting 'threads' of orbit-matter is {self.threads}: give 0 (every core) or more"
+            )

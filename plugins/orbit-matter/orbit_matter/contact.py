@@ -46,25 +46,29 @@ class Felt:
 
 
 @wp.kernel(enable_backward=False)
+def bound(links: Links, shapes: Shapes):
+    """How far each shape reaches. ``links.shape`` are at the step's end, ``shape_before`` at its beginning."""
+    env, s = wp.tid()
+    way = wp.transform_get_translation(links.shape[env, s]) - wp.transform_get_translation(links.shape_before[env, s])
+    links.reach[env, s] = shapes.reach[env % shapes.kind.shape[0], s] + wp.length(way)
+
+
+@wp.kernel(enable_backward=False)
 def find_near(p: Particles, links: Links, shapes: Shapes, felt: Felt, step: float):
-    """Which shapes each particle may meet. ``links.shape`` are at the step's end, ``shape_before`` at its beginning."""
+    """Which shapes each particle may meet, with ``links.shape`` at the step's end."""
     env, i = wp.tid()
     kind = env % shapes.kind.shape[0]
     x, count = p.x[env, i], int(0)
     moved = wp.length(p.v[env, i]) * step + p.radius[i] + MARGIN
     for s in range(shapes.kind.shape[1]):
-        kept = shapes.kind[kind, s]
-        after = links.shape[env, s]
-        middle = wp.transform_get_translation(after)
-        way = wp.length(middle - wp.transform_get_translation(links.shape_before[env, s]))
-        reach = shapes.reach[kind, s] + moved + way
-        close = wp.length(x - middle) < reach
-        if close and kept <= PLANE:
+        after, reach = links.shape[env, s], links.reach[env, s] + moved
+        close = reach > 0.0 and wp.length_sq(x - wp.transform_get_translation(after)) < reach * reach
+        if close:
             local = wp.transform_point(wp.transform_inverse(after), x)
-            if kept == PLANE:
+            if shapes.kind[kind, s] == PLANE:
                 close = local[2] < moved
-            else:
-                close = distance(shapes, kind, s, local, reach)[3] < moved + way
+            elif shapes.kind[kind, s] < PLANE:
+                close = distance(shapes, kind, s, local, reach)[3] < reach - shapes.reach[kind, s]
         if close and count < NEAREST:
             felt.near[env, i, count] = s
             count += 1

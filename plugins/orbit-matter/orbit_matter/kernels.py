@@ -1,7 +1,8 @@
 """One substep of extended position-based dynamics, as launches over environments and particles or constraints.
 
 Macklin et al., "XPBD: position-based simulation of compliant constrained dynamics" (2016) and "Small steps in physics
-simulation" (2019): one sweep over all constraints in each of many substeps, whose multipliers start from zero.
+simulation" (2019): one sweep over all constraints in each of many substeps, and some more over those of membranes;
+multipliers start from zero in each substep.
 Positions stand still during a substep and displacements gather beside them, so that velocities keep their digits
 wherever in the world a particle is.
 """
@@ -65,6 +66,8 @@ class Links:
     shape: wp.array2d[wp.transform]
     """(N, S)"""
     shape_before: wp.array2d[wp.transform]
+    reach: wp.array2d[float]
+    """(N, S) metres from a shape's origin within which it is or comes in this physics step."""
 
 
 @wp.func
@@ -172,6 +175,8 @@ class Triangles:
     particles: wp.array2d[int]
     weights: wp.array2d[float]
     owner: wp.array[int]
+    multiplier: wp.array2d[wp.vec3]
+    """(N, C) of this substep's sweeps so far."""
 
 
 @wp.struct
@@ -212,8 +217,17 @@ def pull_triangle(p: Particles, t: Triangles, env: int, c: int, s: Stretch, chan
     push(p, env, k, g2 * p.w[env, k])
 
 
+@wp.func
+def solve_symmetric(a: float, b: float, c: float, d: float, e: float, f: float, r: wp.vec3) -> wp.vec3:
+    """Of the matrix with rows (a, b, c), (b, d, e), (c, e, f), by its cofactors."""
+    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
+    bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
+    x = wp.vec3(aa * r[0] + ab * r[1] + ac * r[2], ab * r[0] + bb * r[1] + bc * r[2], ac * r[0] + bc * r[1] + cc * r[2])
+    return x / (a * aa + b * ab + c * ac)
+
+
 @wp.kernel(enable_backward=False)
-def solve_triangles(p: Particles, t: Triangles, first: int, h: float):
+def solve_triangles(p: Particles, t: Triangles, first: int, h: float, sweep: int, sweeps: int):
     env, number = wp.tid()
     c = first + number
     s = stretch_of(p, t, env, c)
@@ -227,15 +241,21 @@ def solve_triangles(p: Particles, t: Triangles, first: int, h: float):
     l0, l1, x = wp.dot(s.f0, s.f0), wp.dot(s.f1, s.f1), wp.dot(s.f0, s.f1)
     soft = t.weights[c, 4] / (h * h * p.parameters[env, t.owner[c], 1])
     nu = t.weights[c, 5]
-    k00 = m00 * l0 + soft * wp.where(l0 < 1.0, BUCKLED, 1.0)
-    k11 = m11 * l1 + soft * wp.where(l1 < 1.0, BUCKLED, 1.0)
-    k22 = m00 * l1 + 2.0 * m01 * x + m11 * l0 + 2.0 * (1.0 + nu) * soft
-    k01 = m01 * x - nu * soft
-    k02 = m00 * x + m01 * l0
-    k12 = m01 * l1 + m11 * x
-    strain = wp.vec3(0.5 * (l0 - 1.0), 0.5 * (l1 - 1.0), x)
-    change = -(wp.inverse(wp.mat33(k00, k01, k02, k01, k11, k12, k02, k12, k22)) * strain)
+    # Compliance matrix of plane stress, the multipliers' share of the strain.
+    c00, c11 = soft * wp.where(l0 < 1.0, BUCKLED, 1.0), soft * wp.where(l1 < 1.0, BUCKLED, 1.0)
+    c01, c22 = -nu * soft, 2.0 * (1.0 + nu) * soft
+    k00, k11, k22 = m00 * l0 + c00, m11 * l1 + c11, m00 * l1 + 2.0 * m01 * x + m11 * l0 + c22
+    k01, k02, k12 = m01 * x + c01, m00 * x + m01 * l0, m01 * l1 + m11 * x
+    residual = wp.vec3(0.5 * (l0 - 1.0), 0.5 * (l1 - 1.0), x)
+    if sweep > 0:
+        a = t.multiplier[env, c]
+        residual += wp.vec3(c00 * a[0] + c01 * a[1], c01 * a[0] + c11 * a[1], c22 * a[2])
+    change = -solve_symmetric(k00, k01, k02, k11, k12, k22, residual)
     pull_triangle(p, t, env, c, s, change)
+    if sweep == 0 and sweeps > 1:
+        t.multiplier[env, c] = change
+    elif sweep + 1 < sweeps:
+        t.multiplier[env, c] = t.multiplier[env, c] + change
 
 
 # Edges of ropes ------------------------------------------------------------------------------------------------------

@@ -45,9 +45,9 @@ class ParticleMatter(Matter):
         start()
         self._layout, self._num_envs, self._device, self._config = layout, num_envs, device, config
         self._model = build(layout.scene)
-        longest = substeps.chosen(layout.scene) if config.substep is None else config.substep
+        longest, sweeps = substeps.chosen(layout.scene, config.substep)
         count = max(1, math.ceil(layout.scene.physics_dt / longest - 1e-6))
-        self._stepping = Stepping(layout.scene.physics_dt, count, config.contact_stiffness)
+        self._stepping = Stepping(layout.scene.physics_dt, count, sweeps, config.contact_stiffness)
         self._graphs = Graphs(device, config.capture)
         self._colliders = Colliders(layout, self._graphs.device)
         self._tensors: dict[str, Tensor] = {}
@@ -185,7 +185,7 @@ class ParticleMatter(Matter):
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:
-        return substeps.report(self._layout.scene, self._stepping.h)
+        return substeps.report(self._layout.scene, self._stepping.h, self._stepping.sweeps)
 
     @property
     def wrenches(self) -> Tensor:
@@ -213,4 +213,3 @@ class ParticleMatter(Matter):
         with self._graphs.stream():
             for part in self._parts:
                 part.search_again()
-

@@ -28,6 +28,8 @@ class Stepping:
     physics_dt: float
     """Seconds."""
     substeps: int
+    sweeps: int
+    """Over the triangles of cloth in each."""
     contact_stiffness: float
     """N/m of one particle."""
 
@@ -64,10 +66,9 @@ class Part:
         felt.near = wp.full((self._n, self._p, int(contact.NEAREST)), -1, dtype=int)
         self._edges = self._make_edges()
         self._neighbours = self._make_neighbours(memory) if model.meets else None
-        self._constraints = (
-            (model.triangles, _struct(kernels.Triangles(), model.triangles), kernels.solve_triangles),
-            (model.bends, _struct(kernels.Bends(), model.bends), kernels.solve_bends),
-        )
+        self._triangles = _struct(kernels.Triangles(), model.triangles)
+        self._triangles.multiplier = wp.zeros((self._n, len(model.triangles.particles)), dtype=wp.vec3)
+        self._bends = _struct(kernels.Bends(), model.bends)
 
     def _make_particles(self, memory: Mapping[str, Tensor]) -> Any:
         made, model, shape = kernels.Particles(), self._model, (self._n, self._p)
@@ -85,6 +86,7 @@ class Part:
         made.start, made.end = wp.from_torch(memory["start"]), wp.from_torch(memory["end"])
         made.link = wp.zeros((self._n, self._count + 1), dtype=wp.transform)
         made.shape, made.shape_before = wp.zeros(shapes, dtype=wp.transform), wp.zeros(shapes, dtype=wp.transform)
+        made.reach = wp.zeros(shapes, dtype=float)
         return made
 
     def _make_edges(self) -> Any:
@@ -116,7 +118,7 @@ class Part:
         """Find the pairs that the last search found, from where particles then were."""
         if self._neighbours is not None:
             self._neighbours.stale.fill_(1)
-            self._launch_search(renewed=0)
+            self._launch_search(self._neighbours, renewed=0)
 
     def launch_step(self) -> None:
         """Advance by one physics step."""
@@ -125,6 +127,7 @@ class Part:
         wp.launch(kernels.weigh, (self._n, self._p), inputs=[self._particles])
         self._place(0.0, 1)
         self._place(1.0, 0)
+        wp.launch(contact.bound, (self._n, self._colliders.count), inputs=[self._links, self._colliders.shapes])
         near = [self._particles, self._links, self._colliders.shapes, self._felt, self._stepping.physics_dt]
         wp.launch(contact.find_near, (self._n, self._p), inputs=near)
         self._place(0.0, 1)
@@ -132,7 +135,7 @@ class Part:
             self._neighbours.stale.zero_()
             doubted = [self._particles, self._neighbours, MARGIN, self._stepping.physics_dt]
             wp.launch(self_contact.doubt, (self._n, self._p), inputs=doubted)
-            self._launch_search(renewed=1)
+            self._launch_search(self._neighbours, renewed=1)
         for number in range(self._stepping.substeps):
             self._launch_substep((number + 1) / self._stepping.substeps)
 
@@ -142,8 +145,8 @@ class Part:
         shapes = [self._links, self._colliders.shapes, first]
         wp.launch(kernels.place_shapes, (self._n, self._colliders.count), inputs=shapes)
 
-    def _launch_search(self, renewed: int) -> None:
-        near, shape = self._neighbours, (self._n, self._p)
+    def _launch_search(self, near: Any, renewed: int) -> None:
+        shape = (self._n, self._p)
         wp.launch(self_contact.clear, near.head.shape, inputs=[near])
         wp.launch(self_contact.insert, shape, inputs=[self._particles, near, renewed])
         wp.launch(self_contact.find, shape, inputs=[self._particles, near, MARGIN])
@@ -152,9 +155,9 @@ class Part:
         n, shape, h = self._n, (self._n, self._p), self._stepping.h
         self._place(share, 0)
         wp.launch(kernels.predict, shape, inputs=[self._particles, self._links, self._gravity, h])
-        for constraints, struct, solve in self._constraints:
-            for first, stop in constraints.ranges:
-                wp.launch(solve, (n, stop - first), inputs=[self._particles, struct, first, h])
+        self._launch_membranes()
+        for first, stop in self._model.bends.ranges:
+            wp.launch(kernels.solve_bends, (n, stop - first), inputs=[self._particles, self._bends, first, h])
         if ropes := len(self._model.edges.ranges):  # last, so that nothing makes them longer again
             wp.launch(kernels.solve_edges, (n, ropes), inputs=[self._particles, self._edges, h])
         if self._neighbours is not None:
@@ -163,6 +166,13 @@ class Part:
         contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]
         numbers = [self._stepping.contact_stiffness, h, 1.0 / self._stepping.substeps]
         wp.launch(contact.finish, shape, inputs=[*contacts, *numbers])
+
+    def _launch_membranes(self) -> None:
+        h, sweeps = self._stepping.h, self._stepping.sweeps
+        for sweep in range(sweeps):
+            for first, stop in self._model.triangles.ranges:
+                inputs = [self._particles, self._triangles, first, h, sweep, sweeps]
+                wp.launch(kernels.solve_triangles, (self._n, stop - first), inputs=inputs)
 
 
 def _struct(made: Any, constraints: Constraints) -> Any:

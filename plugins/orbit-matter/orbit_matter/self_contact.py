@@ -1,10 +1,10 @@
 """Particles of matter against each other: cloth on itself, on other cloth, and ropes.
 
 A hash of cells finds the pairs that may come near, anew whenever a particle may have left the margin in which the last
-search holds (the lists of Verlet, "Computer 'experiments' on classical fluids", 1967). In each substep two particles nearer than the
-sum of their radii are moved apart, in shares that keep their momentum, and rub by Coulomb's law. A particle gathers
-the moves of all its pairs, at half of their length, so that the order of pairs does not matter and several at a time do
-not overshoot.
+search holds (the lists of Verlet, "Computer 'experiments' on classical fluids", 1967). In each substep two particles
+nearer than the sum of their radii are moved apart, in shares that keep their momentum, and rub by Coulomb's law. A
+particle gathers the moves of all its pairs, at half of their length, so that the order of pairs does not matter and
+several at a time do not overshoot.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false

@@ -1,8 +1,9 @@
 """How long a substep may be for what a scene's matter is made of.
 
 One sweep of a substep carries forces over one edge or so, which makes what hangs too long and what bends too soft: by
-``0.42 g h^2 L / l^2`` of the length for cloth of extent L and edges l (measured at 9 to 33 rows; ropes are solved
-whole), and noticeably where ``h (pi / l)^2 sqrt(D / rho)``, the phase of the shortest bending wave, is above 3.
+``0.42 g h^2 L / (n l^2)`` of the length for cloth of extent L and edges l in n sweeps over its membrane (measured at 9
+to 33 rows and 1 to 3 sweeps; ropes are solved whole), and noticeably where ``h (pi / l)^2 sqrt(D / rho)``, the phase of
+the shortest bending wave, is above 3.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from orbit_core.scene import Cloth, Rope, Scene
 
 LONGEST, SHORTEST = 1.25e-3, 0.25e-3
 """Seconds."""
+MOST_SWEEPS = 3
+"""Over membranes in a substep: they cost less than more substeps do, and as many more of them make up for it."""
 _GRAVITY = 9.81
 _STRETCH = 0.008
 """Of its length that a hanging thing may be too long."""
@@ -23,40 +26,54 @@ _SLACK = 0.42
 _PHASE = 3.0
 
 
-def needed(scene: Scene) -> float:
-    """The longest substep in seconds with which all of the scene's cloths and ropes are what they should be."""
-    return min((min(bound) for bound in map(_bounds, scene.deformables) if bound), default=LONGEST)
+def chosen(scene: Scene, longest: float | None = None) -> tuple[float, int]:
+    """Seconds of a substep, and sweeps over membranes in it, with which all cloths and ropes are what they should be.
+
+    Args:
+        scene: whose deformables are meant.
+        longest: seconds of a substep that is given, and not chosen.
+    """
+    hanging = min((_hanging(spec) for spec in scene.deformables), default=math.inf)
+    bending = min((_bending(spec) for spec in scene.deformables), default=math.inf)
+    begin = longest or max(SHORTEST, min(LONGEST, bending))
+    sweeps = max(1, min(MOST_SWEEPS, math.ceil((begin / hanging) ** 2 - 1e-6)))
+    return longest or max(SHORTEST, min(begin, hanging * math.sqrt(sweeps))), sweeps
 
 
-def chosen(scene: Scene) -> float:
-    """:func:`needed`, within what is sensible."""
-    return min(LONGEST, max(SHORTEST, needed(scene)))
-
-
-def report(scene: Scene, substep: float) -> tuple[Approximation, ...]:
+def report(scene: Scene, substep: float, sweeps: int) -> tuple[Approximation, ...]:
     """What is too long or too soft at a substep, in seconds."""
     found: list[Approximation] = []
     for spec in scene.deformables:
-        for bound, asked in zip(_bounds(spec), ("its length", "its bending stiffness"), strict=False):
+        bounds = {"its length": _hanging(spec) * math.sqrt(sweeps), "its bending stiffness": _bending(spec)}
+        for asked, bound in bounds.items():
             if bound < 0.99 * substep:
                 why = f"a substep of {bound * 1e3:.2g} ms would do, and {substep * 1e3:.2g} ms is used"
                 found.append(Approximation(f"'{spec.name}'", asked, "more than it gives way", why))
     return tuple(found)
 
 
-def _bounds(spec: object) -> tuple[float, ...]:
-    """Seconds that stretch and bending allow."""
-    if isinstance(spec, Rope):
-        edge = float(np.linalg.norm(np.diff(spec.rest_positions, axis=0), axis=1).mean())
-        return (math.inf, _bending(edge, spec.bending_stiffness, spec.linear_density))
+def _hanging(spec: object) -> float:
+    """Seconds that stretch allows with one sweep."""
+    if not isinstance(spec, Cloth):
+        return math.inf
+    extent = float(np.ptp(spec.rest_positions, axis=0).max())
+    return _edge(spec) * math.sqrt(_STRETCH / (_SLACK * _GRAVITY * extent))
+
+
+def _bending(spec: object) -> float:
+    """Seconds that bending allows."""
     if isinstance(spec, Cloth):
-        corners = spec.rest_positions[np.asarray(spec.mesh.faces)]
-        edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).min(axis=1).mean())
-        extent = float(np.ptp(spec.rest_positions, axis=0).max())
-        hanging = edge * math.sqrt(_STRETCH / (_SLACK * _GRAVITY * extent))
-        return (hanging, _bending(edge, spec.bending_stiffness, spec.area_density))
-    return ()
+        density = spec.area_density
+    elif isinstance(spec, Rope):
+        density = spec.linear_density
+    else:
+        return math.inf
+    return _PHASE * (_edge(spec) / math.pi) ** 2 * math.sqrt(density / max(spec.bending_stiffness, 1e-30))
 
 
-def _bending(edge: float, stiffness: float, density: float) -> float:
-    return _PHASE * (edge / math.pi) ** 2 * math.sqrt(density / max(stiffness, 1e-30))
+def _edge(spec: Cloth | Rope) -> float:
+    """Metres: of a rope the mean edge, of cloth the mean of its triangles' shortest."""
+    if isinstance(spec, Rope):
+        return float(np.linalg.norm(np.diff(spec.rest_positions, axis=0), axis=1).mean())
+    corners = spec.rest_positions[np.asarray(spec.mesh.faces)]
+    return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).min(axis=1).mean())
