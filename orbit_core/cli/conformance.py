@@ -45,6 +45,8 @@ class RunSettings:
     """Robots, or compositions of their parts such as ur10+robotiq_2f85; all of the catalogue if left out."""
     task: Names = ()
     """Tasks; all if left out."""
+    matter: Names = ()
+    """Matter solvers of the scenarios of matter, or 'native' for the engines' own; all if left out."""
     quick: bool = False
     """Nominal time steps only, few episodes, few numbers of environments."""
     output: Annotated[Path, arg(metavar="DIR")] = Path("out/conformance")
@@ -102,6 +104,7 @@ def _run(words: Sequence[str]) -> int:
         tasks=settings.task,
         robots=settings.robot,
         parts=settings.part,
+        matters=settings.matter,
         quick=settings.quick,
         device=settings.device,
         seed=settings.seed,

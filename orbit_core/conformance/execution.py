@@ -27,6 +27,7 @@ from orbit_core.conformance.transfer import learned, transfer
 from orbit_core.conformance.verdict import Status, run_scenario
 from orbit_core.conformance.videos import film
 from orbit_core.interfaces import StorageError, UnsupportedCapabilityError
+from orbit_core.interfaces.matter import NATIVE
 
 RECORDING = "recording.npz"
 TRACES = "traces.json"
@@ -83,8 +84,9 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
 
 def _scenario(record: Record, settings: Settings, folder: Path) -> Record:
     job, described = record.job, scenario(record.job.name)
-    nominal = job.time_step == described.time_step
-    trial = Trial(job.backend, job.time_step, record.device, settings.settings_of(job.backend), settings.seed)
+    nominal = job.time_step == described.time_step and not job.substep
+    own, matter = settings.settings_of(job.backend), job.matter or NATIVE
+    trial = Trial(job.backend, job.time_step, record.device, own, settings.seed, matter, job.substep)
     verdict = run_scenario(described, find_backend(job.backend), trial)
     if nominal and trial.traces:
         _write_traces(trial, folder / TRACES)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
+from orbit_core.backends import backend as find_backend
+from orbit_core.backends import matter_solver
+from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.settings import Part, Settings, scenario
 from orbit_core.conformance.transfer import learned
+from orbit_core.conformance.verdict import lacking
+from orbit_core.interfaces.matter import NATIVE
 
 
 class Kind(Enum):
@@ -38,13 +43,19 @@ class Job:
     """The renderer that draws for a learned policy; the backend if empty."""
     num_envs: int = 0
     """Number of environments of a measurement of throughput."""
+    matter: str = ""
+    """What simulates the deformables of a scenario that has some: a matter solver's name, or ``"native"``."""
+    substep: float = 0.0
+    """Seconds of the matter solver's steps; its own choice if zero."""
 
     @property
     def key(self) -> str:
         """Unique in a run, and the folder of the job's files."""
         step = f"{self.time_step:g}" if self.time_step else ""
         count = str(self.num_envs) if self.num_envs else ""
-        parts = (self.kind.value, self.name, self.backend, step, self.source, self.renderer, count)
+        substep = f"substep-{self.substep:g}" if self.substep else ""
+        own = (self.source, self.renderer, count, self.matter, substep)
+        parts = (self.kind.value, self.name, self.backend, step, *own)
         return "/".join(part for part in parts if part)
 
 
@@ -79,11 +90,24 @@ def plan(settings: Settings) -> list[Phase]:
 
 
 def _scenarios(settings: Settings, backend: str) -> Iterable[Job]:
-    for name in settings.scenarios:
-        nominal = scenario(name).time_step
-        steps = {nominal} if settings.quick else {nominal, *scenario(name).time_steps}
-        for step in sorted(steps, reverse=True):
-            yield Job(Kind.SCENARIO, name, backend, step)
+    for described in map(scenario, settings.scenarios):
+        for matter in settings.matters if described.of_matter else ("",):
+            job = Job(Kind.SCENARIO, described.name, backend, described.time_step, matter=matter)
+            yield from (job,) if settings.quick else _sweep(job, described)
+
+
+def _sweep(job: Job, described: Scenario) -> Iterable[Job]:
+    """A scenario's job at the nominal time step, and at those that show accuracy against cost."""
+    if job.matter == NATIVE and lacking(find_backend(job.backend), described):
+        yield job
+    elif job.matter in ("", NATIVE):
+        for step in sorted({described.time_step, *described.time_steps}, reverse=True):
+            yield replace(job, time_step=step)
+    else:
+        yield job
+        for substep in described.substeps:
+            if matter_solver(job.matter).settings_at(substep):
+                yield replace(job, substep=substep)
 
 
 def _tasks(settings: Settings, backend: str) -> Iterable[Job]:

@@ -25,6 +25,7 @@ from orbit_core.conformance.transfer import TransferResult, learned
 from orbit_core.conformance.verdict import Status
 from orbit_core.files import written_whole
 from orbit_core.interfaces import AssetError, Gap
+from orbit_core.interfaces.matter import NATIVE
 from orbit_core.pretrained import TransferGap, pretrained_policy
 
 SCHEMA = 1
@@ -133,7 +134,7 @@ class ScenarioInfo:
 
 @dataclass(frozen=True)
 class BackendInfo:
-    """A backend as it declared itself when the run began."""
+    """A backend, or a matter solver, as it declared itself when the run began."""
 
     name: str
     versions: dict[str, str]
@@ -174,6 +175,8 @@ class Header:
     """Time in UTC (ISO 8601)."""
     scenarios: tuple[ScenarioInfo, ...]
     backends: tuple[BackendInfo, ...]
+    matters: tuple[BackendInfo, ...] = ()
+    """The matter solvers."""
     policies: tuple[PolicyInfo, ...] = ()
     sources: dict[str, str] = field(default_factory=dict)
     """Digests of the code that the records come from, as :func:`sources.source_digests` names it."""
@@ -204,21 +207,31 @@ class Result:
         """The records of one kind."""
         return [record for record in self.records if record.job.kind is kind]
 
-    def scenario_records(self, name: str, backend: str) -> list[Record]:
-        """The records of one scenario on one backend, the longest time step first."""
-        found = [r for r in self.of(Kind.SCENARIO) if r.job.name == name and r.job.backend == backend]
-        return sorted(found, key=lambda record: -record.job.time_step)
+    def matters(self, name: str) -> list[str]:
+        """Who simulated the deformables of one scenario, the engine's own last; a single empty name without any."""
+        found = dict.fromkeys(record.job.matter for record in self.of(Kind.SCENARIO) if record.job.name == name)
+        return sorted(found, key=lambda matter: (matter == NATIVE, matter)) or [""]
 
-    def nominal(self, scenario: ScenarioInfo, backend: str) -> Record | None:
-        """The record on which a backend is judged; None if it was not run."""
-        records = self.scenario_records(scenario.name, backend)
-        return next((record for record in records if record.job.time_step == scenario.time_step), None)
+    def scenario_records(self, name: str, backend: str, matter: str = "") -> list[Record]:
+        """The records of one scenario on one backend, the longest time step first."""
+        wanted = (name, backend, matter)
+        found = [r for r in self.of(Kind.SCENARIO) if (r.job.name, r.job.backend, r.job.matter) == wanted]
+        return sorted(found, key=lambda record: (-record.job.time_step, -record.job.substep))
+
+    def nominal(self, scenario: ScenarioInfo, backend: str, matter: str = "") -> Record | None:
+        """The record on which a backend, or the matter on it, is judged; None if it was not run."""
+        records = self.scenario_records(scenario.name, backend, matter)
+        return next((r for r in records if r.job.time_step == scenario.time_step and not r.job.substep), None)
 
     @property
     def judged(self) -> list[Record]:
         """The records that backends are judged by: scenarios at nominal time steps, and all of tasks and policies."""
         nominal = {info.name: info.time_step for info in self.header.scenarios}
-        return [r for r in self.records if r.job.kind is not Kind.SCENARIO or r.job.time_step == nominal[r.job.name]]
+
+        def is_nominal(job: Job) -> bool:
+            return job.time_step == nominal[job.name] and not job.substep
+
+        return [record for record in self.records if record.job.kind is not Kind.SCENARIO or is_nominal(record.job)]
 
     @property
     def objections(self) -> list[Record]:

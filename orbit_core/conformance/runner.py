@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from orbit_core.backends import backend as find_backend
+from orbit_core.backends import matter_solver
 from orbit_core.conformance.execution import RECORDING, Outcome
 from orbit_core.conformance.hardware import Hardware, versions
 from orbit_core.conformance.jobs import Job, Kind, plan
@@ -25,6 +26,8 @@ from orbit_core.conformance.results import (
 from orbit_core.conformance.settings import Settings, scenario
 from orbit_core.conformance.sources import source_digests
 from orbit_core.conformance.tasks import compare_recordings
+from orbit_core.interfaces import Backend
+from orbit_core.interfaces.matter import NATIVE, MatterSolver
 
 Progress = Callable[[Record | None, int, int], None]
 """A callback that takes the record that has arrived, if one has, the number of records so far and the total."""
@@ -93,14 +96,15 @@ def header_of(settings: Settings) -> Header:
         hardware=Hardware.here(),
         started=now(),
         scenarios=tuple(ScenarioInfo.of(scenario(name)) for name in settings.scenarios),
-        backends=tuple(_backend_info(name) for name in settings.backends),
+        backends=tuple(_info(find_backend(name)) for name in settings.backends),
+        matters=tuple(_info(matter_solver(name)) for name in settings.matters if name != NATIVE),
         policies=tuple(PolicyInfo.of(name) for name in settings.policies),
         sources=source_digests(settings),
     )
 
 
-def _backend_info(name: str) -> BackendInfo:
-    return BackendInfo(name, find_backend(name).versions(), find_backend(name).gaps())
+def _info(plugin: Backend | MatterSolver) -> BackendInfo:
+    return BackendInfo(plugin.name, plugin.versions(), plugin.gaps())
 
 
 def _work(job: Job, settings: Settings, journal: Journal) -> Work | None:

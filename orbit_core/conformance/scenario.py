@@ -10,7 +10,10 @@ from typing import Any
 
 import torch
 
+from orbit_core.backends import matter_solver
 from orbit_core.interfaces import Capability, World
+from orbit_core.interfaces.matter import NATIVE, MatterSolver
+from orbit_core.interfaces.requirements import MATTER
 from orbit_core.scene import Scene
 from orbit_core.world import simulate
 
@@ -62,8 +65,16 @@ class Scenario:
     """Nominal time step in seconds, at which the tolerances hold."""
     time_steps: tuple[float, ...] = (0.01, 0.005, 0.0025, 0.00125)
     """Time steps in seconds of the sweep that shows accuracy against speed; empty where the step plays no part."""
+    substeps: tuple[float, ...] = (0.0025, 0.00125, 0.000625, 0.0003125)
+    """Steps in seconds of the matter solver within the nominal time step: the sweep of a scenario of matter that a
+    solver simulates, in the place of ``time_steps``."""
     slow: bool = False
     """Whether some engine takes minutes: quick runs and the tests leave it out."""
+
+    @property
+    def of_matter(self) -> bool:
+        """Whether something in it bends or flows, so that it is run with every matter solver."""
+        return any(need in MATTER for need in self.needs)
 
     def metric(self, name: str) -> Metric:
         """The metric of that name."""
@@ -92,6 +103,10 @@ class Trial:
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Settings of the backend by field name."""
     seed: int = 0
+    matter: str = NATIVE
+    """What simulates deformables: the name of a matter solver, or ``"native"`` for the engine's own."""
+    substep: float = 0.0
+    """Seconds of the solver's steps; the solver's choice if zero."""
     traces: list[Trace] = field(default_factory=list)
     simulated_seconds: float = 0.0
     """Simulated time, summed over all environments."""
@@ -100,10 +115,17 @@ class Trial:
     _worlds: list[World] = field(default_factory=list)
     _stepped: list[World] = field(default_factory=list)
 
+    @property
+    def solver(self) -> MatterSolver | None:
+        """The matter solver; None where the engine itself simulates deformables."""
+        return None if self.matter == NATIVE else matter_solver(self.matter)
+
     def world(self, scene: Scene, num_envs: int = 1) -> World:
         """A world of the scene, at this trial's time step; closed with the trial."""
         scene = dataclasses.replace(scene, physics_dt=self.time_step)
-        world = simulate(scene, num_envs, self.backend, self.settings, self.device, self.seed)
+        own = self.solver.settings_at(self.substep) if self.solver and self.substep else None
+        common = (num_envs, self.backend, self.settings, self.device, self.seed)
+        world = simulate(scene, *common, matter=self.matter, matter_settings=own)
         self._worlds.append(world)
         world.reset()
         return world

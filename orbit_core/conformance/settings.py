@@ -10,13 +10,14 @@ from typing import Any
 from orbit_core.assets.catalogue import robot_info, robot_names
 from orbit_core.assets.sources import installed_version
 from orbit_core.backends import backend as find_backend
-from orbit_core.backends import backend_config, backend_names, renderer, renderer_names
+from orbit_core.backends import backend_config, backend_names, matter_names, matter_solver, renderer, renderer_names
 from orbit_core.conformance.declarations import check_declarations
 from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.conformance.transfer import learned
 from orbit_core.envs.registry import task_entries
 from orbit_core.interfaces import EXACT, Capability, ConfigurationError, UnknownNameError
+from orbit_core.interfaces.matter import NATIVE
 from orbit_core.pretrained import pretrained_policies
 
 
@@ -76,6 +77,8 @@ class Settings:
     """Of the part ``TRANSFERS``: those that are kept for the tasks."""
     renderers: tuple[str, ...] = ()
     """Of the part ``TRANSFERS``: those that draw for policies that see pictures, beside the backends' own."""
+    matters: tuple[str, ...] = (NATIVE,)
+    """Who simulates what bends or flows in scenarios that have some: matter solvers, and the engines themselves."""
     quick: bool = False
     """The nominal time steps of the quick scenarios and of those that are named; few episodes, few environments."""
     device: str = "cpu"
@@ -105,6 +108,7 @@ def choose(
     tasks: Sequence[str] = (),
     robots: Sequence[str] = (),
     parts: Sequence[str] = (),
+    matters: Sequence[str] = (),
     quick: bool = False,
     device: str = "cpu",
     seed: int = 0,
@@ -113,7 +117,7 @@ def choose(
     """Settings from names; none given means all of that kind.
 
     Without ``parts``, naming scenarios, robots or tasks leaves the parts of the others out. A robot may be named by its
-    parts, as ``"ur10+robotiq_2f85"``.
+    parts, as ``"ur10+robotiq_2f85"``. Of ``matters``, ``"native"`` stands for the engines' own.
 
     Raises:
         UnknownNameError: nothing bears a name, or what a declared gap names; tells the nearest.
@@ -133,6 +137,10 @@ def choose(
     backends = _known("backend", backends, installed)
     for name in backends:
         check_declarations(find_backend(name))
+    matters = _known("matter solver", matters, (*matter_names(), NATIVE))
+    for name in matters:
+        if name != NATIVE:
+            check_declarations(matter_solver(name))
     for name, values in (backend_settings or {}).items():
         backend_config(find_backend(*_known("backend", (name,), backends)), values)
     policies = _policies(tasks, QUICK if quick else FULL) if Part.TRANSFERS in chosen else ()
@@ -143,6 +151,7 @@ def choose(
         parts=chosen,
         robots=_robots(robots, quick) if Part.ROBOTS in chosen else (),
         policies=policies,
+        matters=matters,
         renderers=_renderers() if any(learned(name).sees_pictures for name in policies) else (),
         quick=quick,
         device=device,

@@ -15,7 +15,7 @@ import importlib_metadata
 
 from orbit_core.assets.catalogue import robot_info
 from orbit_core.assets.sources import installed_version
-from orbit_core.backends import GROUP, RENDERERS, renderer_names
+from orbit_core.backends import GROUP, MATTER_SOLVERS, RENDERERS, matter_solver, renderer_names
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import renderer as find_renderer
 from orbit_core.conformance.jobs import Job, Kind, plan
@@ -23,6 +23,7 @@ from orbit_core.conformance.settings import Settings
 from orbit_core.conformance.transfer import learned
 from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces import Backend
+from orbit_core.interfaces.matter import NATIVE, MatterSolver
 from orbit_core.pretrained import pretrained_policy
 
 CORE = "orbit_core"
@@ -42,6 +43,9 @@ def source_digests(settings: Settings) -> dict[str, str]:
         found[_backend(name)] = _plugin_digest(find_backend(name), backend_packages(name))
     for name in {job.renderer for phase in plan(settings) for job in phase.jobs} - {""}:
         found[_renderer(name)] = _plugin_digest(find_renderer(name), renderer_packages(name))
+    for name in {*settings.matters} - {NATIVE}:
+        solver = matter_solver(name)
+        found[_matter(name)] = _plugin_digest(solver, _packages(solver, MATTER_SOLVERS))
     for name in settings.robots:
         packages = robot_info(name).source.split(", ")
         found[_robot(name)] = _digest((), *(f"{package} {installed_version(package)}" for package in packages))
@@ -59,6 +63,8 @@ def sources_of(job: Job) -> set[str]:
         found.add(_backend(job.source))
     if job.renderer:
         found.add(_renderer(job.renderer))
+    if job.matter not in ("", NATIVE):
+        found.add(_matter(job.matter))
     match job.kind:
         case Kind.SCENARIO:
             found.add(_SCENARIOS_WORDS)
@@ -85,7 +91,7 @@ def renderer_packages(name: str) -> tuple[str, ...]:
     return _packages(find_renderer(name), RENDERERS if name in renderer_names() else GROUP)
 
 
-def _packages(plugin: Backend, group: str) -> tuple[str, ...]:
+def _packages(plugin: Backend | MatterSolver, group: str) -> tuple[str, ...]:
     own = type(plugin).__module__.partition(".")[0]
     (entry_point,) = importlib_metadata.entry_points(group=group, name=plugin.name)
     required = _required_by(entry_point.dist.name) if entry_point.dist else set[str]()
@@ -102,7 +108,7 @@ def _required_by(distribution: str) -> set[str]:
     return {re.split(r"[^\w.-]", requirement)[0].lower() for requirement in requirements}
 
 
-def _plugin_digest(plugin: Backend, packages: tuple[str, ...]) -> str:
+def _plugin_digest(plugin: Backend | MatterSolver, packages: tuple[str, ...]) -> str:
     files = (file for package in packages for file in _files(package))
     return _digest(files, *map(str, sorted(plugin.versions().items())))
 
@@ -113,6 +119,10 @@ def _renderer(name: str) -> str:
 
 def _backend(name: str) -> str:
     return f"backend '{name}'"
+
+
+def _matter(name: str) -> str:
+    return f"matter solver '{name}'"
 
 
 def _robot(name: str) -> str:

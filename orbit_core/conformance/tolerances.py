@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from orbit_core.conformance.results import Result
+from orbit_core.conformance.results import Result, ScenarioInfo
 
 FACTOR = 3.0
 """Largest ratio of a tolerance to the best engine's error that needs no reason."""
@@ -35,7 +35,7 @@ def loose_tolerances(result: Result) -> list[LooseTolerance]:
     found: list[LooseTolerance] = []
     for info in result.header.scenarios:
         for metric in info.metrics:
-            errors = _errors(result, info.name, info.time_step, metric.name)
+            errors = _errors(result, info, metric.name)
             if not errors or metric.looser_because:
                 continue
             best, backend = min(errors)
@@ -44,12 +44,13 @@ def loose_tolerances(result: Result) -> list[LooseTolerance]:
     return found
 
 
-def _errors(result: Result, scenario: str, time_step: float, metric: str) -> list[tuple[float, str]]:
+def _errors(result: Result, info: ScenarioInfo, metric: str) -> list[tuple[float, str]]:
     """Finite errors at the nominal time step with their backends."""
     found: list[tuple[float, str]] = []
     for backend in result.header.settings.backends:
-        for record in result.scenario_records(scenario, backend):
-            error = record.scenario.errors.get(metric, math.nan) if record.scenario else math.nan
-            if record.job.time_step == time_step and math.isfinite(error):
-                found.append((error, backend))
+        for matter in result.matters(info.name):
+            record = result.nominal(info, backend, matter)
+            error = record.scenario.errors.get(metric, math.nan) if record and record.scenario else math.nan
+            if math.isfinite(error):
+                found.append((error, f"{matter} on {backend}" if matter else backend))
     return found

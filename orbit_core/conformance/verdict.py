@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from orbit_core.conformance.scenario import Metric, Scenario, Trace, Trial
-from orbit_core.interfaces import Backend, Capability, Gap, SimulationError, UnsupportedCapabilityError
+from orbit_core.interfaces import Backend, Gap, SimulationError, UnsupportedCapabilityError
+from orbit_core.interfaces.matter import MatterSolver
+from orbit_core.interfaces.requirements import MATTER
 
 
 class Status(Enum):
@@ -40,15 +42,23 @@ class Verdict:
     errors: Mapping[str, float] = field(default_factory=dict)
 
 
-def lacking(backend: Backend, scenario: Scenario) -> str:
-    """Which needs of the scenario the backend declares unsupported, and why; empty if none."""
-    missing: list[Capability] = [need for need in scenario.needs if not backend.capabilities().has(need)]
-    return "; ".join(f"no {need.value}: {backend.capabilities()[need].reason}" for need in missing)
+def lacking(backend: Backend, scenario: Scenario, solver: MatterSolver | None = None) -> str:
+    """Which needs of the scenario are declared unsupported, and why; empty if none.
+
+    Args:
+        backend: what simulates.
+        scenario: what is asked for.
+        solver: what simulates deformables; the backend if None.
+    """
+    owners = {need: solver if solver and need in MATTER else backend for need in scenario.needs}
+    supports = {need: owner.capabilities() for need, owner in owners.items()}
+    missing = {need: of[need].reason for need, of in supports.items() if not of.has(need)}
+    return "; ".join(f"no {need.value}: {reason}" for need, reason in missing.items())
 
 
-def judge(backend: Backend, scenario: Scenario, errors: Mapping[str, float]) -> Verdict:
-    """Hold the errors at the nominal time step against tolerances and declared gaps."""
-    gaps = {gap.metric: gap for gap in backend.gaps() if gap.scenario == scenario.name}
+def judge(owner: Backend | MatterSolver, scenario: Scenario, errors: Mapping[str, float]) -> Verdict:
+    """Hold the errors at the nominal time step against tolerances and the owner's declared gaps."""
+    gaps = {gap.metric: gap for gap in owner.gaps() if gap.scenario == scenario.name}
     return judge_metrics(scenario.metrics, errors, gaps)
 
 
@@ -96,16 +106,20 @@ def _size(difference: float) -> float:
     return math.inf if math.isnan(difference) else abs(difference)
 
 
-def _diverged(backend: Backend, scenario: Scenario, error: SimulationError) -> Verdict:
+def _diverged(owner: Backend | MatterSolver, scenario: Scenario, error: SimulationError) -> Verdict:
     """The verdict where an engine reports that it diverged: no metric has a finite error."""
-    verdict = judge(backend, scenario, {metric.name: math.inf for metric in scenario.metrics})
+    verdict = judge(owner, scenario, {metric.name: math.inf for metric in scenario.metrics})
     return replace(verdict, reason=f"{error}; {verdict.reason}")
 
 
 def run_scenario(scenario: Scenario, backend: Backend, trial: Trial) -> Verdict:
-    """Run a scenario at the trial's time step and judge it; the trial is closed after."""
-    reason = lacking(backend, scenario)
-    if reason:
+    """Run a scenario at the trial's time step and judge it; the trial is closed after.
+
+    A scenario of matter that a solver simulates is held to the solver's declared gaps, every other to the backend's.
+    """
+    solver = trial.solver if scenario.of_matter else None
+    owner = solver or backend
+    if reason := lacking(backend, scenario, solver):
         return Verdict(Status.UNSUPPORTED, reason)
     with trial:
         try:
@@ -113,8 +127,8 @@ def run_scenario(scenario: Scenario, backend: Backend, trial: Trial) -> Verdict:
         except UnsupportedCapabilityError as error:
             return Verdict(Status.UNSUPPORTED, str(error))
         except SimulationError as error:
-            return _diverged(backend, scenario, error)
-    verdict = judge(backend, scenario, errors)
+            return _diverged(owner, scenario, error)
+    verdict = judge(owner, scenario, errors)
     if verdict.status is Status.FAIL and (where := farthest(trial.traces)):
         return replace(verdict, reason=f"{verdict.reason}; {where}")
     return verdict

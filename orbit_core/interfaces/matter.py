@@ -7,11 +7,12 @@ The core couples one with a physics engine at every physics step: poses of links
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from orbit_core.interfaces.capabilities import Capabilities
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
+from orbit_core.interfaces.gaps import Gap
 
 if TYPE_CHECKING:
     import torch
@@ -139,6 +140,17 @@ class MatterSolver(ABC):
     @abstractmethod
     def capabilities(self) -> Capabilities:
         """What of :data:`~orbit_core.interfaces.requirements.MATTER` it can do, with reasons."""
+
+    def gaps(self) -> tuple[Gap, ...]:
+        """Metrics of the conformance scenarios of matter that it is known to miss, on every engine."""
+        return ()
+
+    def settings_at(self, substep: float) -> Mapping[str, Any]:
+        """Its settings that make it compute in steps of at most ``substep`` seconds; empty where it has no such steps.
+
+        The conformance suite shows by them what accuracy costs.
+        """
+        return {}
 
     def versions(self) -> dict[str, str]:
         """Installed distributions that results depend on, with their versions."""

@@ -7,10 +7,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from orbit_core.backends import backend
-from orbit_core.conformance.results import Result, load
+from orbit_core.conformance.results import Result, ScenarioInfo, load
 from orbit_core.conformance.scenario import Metric, Scenario
 from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.interfaces import Backend, Capability, Gap, Level
+from orbit_core.interfaces.matter import NATIVE
 
 _LEVELS = {Level.APPROXIMATE: "approximate", Level.UNSUPPORTED: "**no**"}
 
@@ -54,8 +55,7 @@ def _apart(plugin: Backend, result: Result) -> Iterator[str]:
 
 def _measured(result: Result, name: str, scenario: Scenario, metric: Metric) -> float | None:
     """The error at the nominal time step; None if it is not in the report."""
-    records = result.scenario_records(scenario.name, name)
-    nominal = next((record for record in records if record.job.time_step == scenario.time_step), None)
+    nominal = result.nominal(ScenarioInfo.of(scenario), name, NATIVE if scenario.of_matter else "")
     return nominal.scenario.errors.get(metric.name) if nominal and nominal.scenario else None
 
 

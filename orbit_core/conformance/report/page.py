@@ -19,6 +19,7 @@ from orbit_core.conformance.results import PolicyInfo, Record, Result, ScenarioI
 from orbit_core.conformance.tolerances import loose_tolerances
 from orbit_core.conformance.verdict import Status
 from orbit_core.files import written_whole
+from orbit_core.interfaces.matter import NATIVE
 from orbit_core.rollout.estimates import Estimate
 
 REPORT = "report.html"
@@ -196,7 +197,10 @@ def page_of(result: Result, folder: Path) -> Page:
 def _matrix(result: Result) -> Iterator[tuple[str, tuple[Line, ...]]]:
     for group in dict.fromkeys(info.group for info in result.header.scenarios):
         infos = (info for info in result.header.scenarios if info.group == group)
-        yield group, tuple(_scenario_line(result, info) for info in infos)
+        yield (
+            group,
+            tuple(_scenario_line(result, info, matter) for info in infos for matter in result.matters(info.name)),
+        )
     settings = result.header.settings
     tasks, policies = settings.tasks, settings.policies
     for kind, group, names, question in (
@@ -209,10 +213,10 @@ def _matrix(result: Result) -> Iterator[tuple[str, tuple[Line, ...]]]:
             yield group, tuple(_line(result, kind, name, question) for name in names)
 
 
-def _scenario_line(result: Result, info: ScenarioInfo) -> Line:
+def _scenario_line(result: Result, info: ScenarioInfo, matter: str) -> Line:
     backends = result.header.settings.backends
-    cells = tuple(_scenario_cell(info, result.nominal(info, backend)) for backend in backends)
-    return Line(info.name, info.name, info.question, cells)
+    cells = tuple(_scenario_cell(info, result.nominal(info, backend, matter)) for backend in backends)
+    return Line(f"{info.name}, {matter}" if matter else info.name, info.name, info.question, cells)
 
 
 def _scenario_cell(info: ScenarioInfo, record: Record | None) -> Cell:
@@ -339,16 +343,22 @@ def _rates(result: Result) -> Iterator[tuple[str, ...]]:
 
 def _gaps(result: Result) -> Iterator[GapLine]:
     infos = {info.name: info for info in result.header.scenarios}
-    for backend in result.header.backends:
-        for gap in backend.gaps:
-            if gap.scenario not in infos:
-                continue
-            info = infos[gap.scenario]
-            metric = next(metric for metric in info.metrics if metric.name == gap.metric)
-            record = result.nominal(info, backend.name)
-            error = record.scenario.errors.get(gap.metric, math.nan) if record and record.scenario else math.nan
-            tolerance, limit, measured = (_number(value, metric.unit) for value in (metric.tolerance, gap.limit, error))
-            yield GapLine(backend.name, gap.scenario, gap.metric, tolerance, limit, measured, gap.reason)
+    owners = (*result.header.backends, *result.header.matters)
+    for owner, gap in ((owner, gap) for owner in owners for gap in owner.gaps if gap.scenario in infos):
+        info = infos[gap.scenario]
+        metric = next(metric for metric in info.metrics if metric.name == gap.metric)
+        measured = _number(_worst(result, info, owner.name, gap.metric), metric.unit)
+        tolerance, limit = (_number(value, metric.unit) for value in (metric.tolerance, gap.limit))
+        yield GapLine(owner.name, gap.scenario, gap.metric, tolerance, limit, measured, gap.reason)
+
+
+def _worst(result: Result, info: ScenarioInfo, owner: str, metric: str) -> float:
+    """The error of a backend, or the largest of a matter solver on any; NaN where none was measured."""
+    backends = result.header.settings.backends
+    matters = [matter for matter in result.matters(info.name) if matter in ("", NATIVE)]
+    pairs = [(owner, matter) for matter in matters] if owner in backends else [(each, owner) for each in backends]
+    records = (result.nominal(info, backend, matter) for backend, matter in pairs)
+    return max((r.scenario.errors[metric] for r in records if r and r.scenario and r.scenario.errors), default=math.nan)
 
 
 def _number(value: float, unit: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,10 @@ from typing import Any
 from orbit_core.conformance.execution import TRACES
 from orbit_core.conformance.jobs import Kind
 from orbit_core.conformance.report.svg import COLORS, color_of, plotting
-from orbit_core.conformance.results import Result, ScenarioInfo, decode
+from orbit_core.conformance.results import Record, Result, ScenarioInfo, decode
 from orbit_core.conformance.scenario import Metric, Trace
 from orbit_core.conformance.throughput import Throughput
+from orbit_core.interfaces.matter import NATIVE
 
 _MARGIN = 10**0.5
 _LEAST = 1e-9
@@ -24,21 +26,15 @@ def accuracy(result: Result, info: ScenarioInfo) -> str:
     drawn = False
     with plotting([_title(metric) for metric in info.metrics]) as plot:
         for metric, panel in zip(info.metrics, plot.panels.values(), strict=True):
-            for backend in backends:
-                points = [
-                    (r.scenario.speed, max(r.scenario.errors[metric.name], _LEAST), r.job.time_step == info.time_step)
-                    for r in result.scenario_records(info.name, backend)
-                    if r.scenario and math.isfinite(r.scenario.errors.get(metric.name, math.nan))
-                ]
-                points = [point for point in points if math.isfinite(point[0])]
+            for backend, matter in itertools.product(backends, result.matters(info.name)):
+                points = _points(result.scenario_records(info.name, backend, matter), metric)
+                nominal = _points([r for r in (result.nominal(info, backend, matter),) if r], metric)
                 if not points:
                     continue
                 drawn = True
-                color = color_of(backend, backends)
-                speeds, errors, _ = zip(*points, strict=True)
-                panel.plot(speeds, errors, "-", color=color, marker=".", label=backend)
-                nominal = [point for point in points if point[2]]
-                panel.plot(*zip(*[point[:2] for point in nominal], strict=True), "o", color=color)
+                style = {"color": color_of(backend, backends), "label": _label(backend, matter)}
+                panel.plot(*zip(*points, strict=True), _dash(matter), marker=".", **style)
+                panel.plot(*zip(*nominal, strict=True), "o", color=style["color"])
             panel.axhline(max(metric.tolerance, _LEAST), color="#777", dashes=(3, 2), linewidth=0.9, label="tolerance")
             if panel.lines[:-1]:
                 _logarithmic(panel)
@@ -46,24 +42,41 @@ def accuracy(result: Result, info: ScenarioInfo) -> str:
         return plot.svg(f"accuracy-{info.name}") if drawn else ""
 
 
+def _points(records: list[Record], metric: Metric) -> list[tuple[float, float]]:
+    """Speeds and errors of the records that have finite ones, those of a matter solver's choice apart from its sweep."""
+    swept = [record for record in records if record.job.substep] or records
+    results = [record.scenario for record in swept if record.scenario]
+    pairs = [(found.speed, found.errors.get(metric.name, math.nan)) for found in results]
+    return [(speed, max(error, _LEAST)) for speed, error in pairs if math.isfinite(speed) and math.isfinite(error)]
+
+
+def _label(backend: str, matter: str) -> str:
+    return f"{backend}, {matter}" if matter else backend
+
+
+def _dash(matter: str) -> str:
+    return "--" if matter == NATIVE else "-"
+
+
 def traces(result: Result, info: ScenarioInfo, folder: Path) -> str:
     """Measured curves beside the truth; empty if the scenario keeps none, or their files are not there."""
     backends = result.header.settings.backends
-    curves: dict[str, list[tuple[str, Trace]]] = {}
-    for backend in backends:
-        record = result.nominal(info, backend)
+    curves: dict[str, list[tuple[str, str, Trace]]] = {}
+    for backend, matter in itertools.product(backends, result.matters(info.name)):
+        record = result.nominal(info, backend, matter)
         path = folder / record.job.key / TRACES if record else None
         if path is not None and path.exists():
             for trace in decode(path.read_bytes(), list[Trace]):
-                curves.setdefault(_title(trace), []).append((backend, trace))
+                curves.setdefault(_title(trace), []).append((backend, matter, trace))
     if not curves:
         return ""
     with plotting(list(curves)) as plot:
         for title, panel in plot.panels.items():
-            truth = curves[title][0][1]
+            truth = curves[title][0][2]
             panel.plot(truth.times, truth.truth, color="#bbb", linewidth=3.5, label="truth")
-            for backend, trace in curves[title]:
-                panel.plot(trace.times, trace.measured, color=color_of(backend, backends), linewidth=1, label=backend)
+            for backend, matter, trace in curves[title]:
+                style = {"color": color_of(backend, backends), "linewidth": 1, "label": _label(backend, matter)}
+                panel.plot(trace.times, trace.measured, _dash(matter), **style)
             panel.set_xlabel("s")
         return plot.svg(f"traces-{info.name}")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.scenarios import (
     as_described,
+    cloths,
     compound,
     contact_forces,
     couplings,
@@ -20,12 +21,14 @@ from orbit_core.conformance.scenarios import (
     joints,
     lighting,
     linkages,
+    matter_contact,
     parameters,
     pendula,
     rays,
     repeatability,
     resting,
     rolling,
+    ropes,
     sensing,
     springs,
     stacks,
@@ -61,4 +64,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     *image_boxes.SCENARIOS,
     *parameters.SCENARIOS,
     *repeatability.SCENARIOS,
+    *ropes.SCENARIOS,
+    *cloths.SCENARIOS,
+    *matter_contact.SCENARIOS,
 )

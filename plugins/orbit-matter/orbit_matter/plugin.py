@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib.metadata import version
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from orbit_core.interfaces.capabilities import EXACT, Capabilities, Capability, approximate, unsupported
 from orbit_core.interfaces.matter import Matter, MatterPainter, MatterSolver
@@ -35,6 +36,9 @@ class OrbitMatter(MatterSolver):
 
     def capabilities(self) -> Capabilities:
         return Capabilities(_DECLARED)
+
+    def settings_at(self, substep: float) -> Mapping[str, Any]:
+        return {"substep": substep}
 
     def versions(self) -> dict[str, str]:
         return {"warp-lang": version("warp-lang")}

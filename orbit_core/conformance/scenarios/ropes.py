@@ -1,0 +1,234 @@
+"""Ropes that hang, swing and pull."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from orbit_core.assets.deformables import line
+from orbit_core.conformance.bodies import G, WEIGHTLESS, body
+from orbit_core.conformance.scenario import Metric, Scenario, Trial
+from orbit_core.conformance.slender import catenary, chain_period, loaded_chain_period
+from orbit_core.interfaces import Capability, World
+from orbit_core.scene import Articulation, Attachment, ObjectSpec, Pose, Rope, Scene
+
+GROUP = "Matter"
+TIME_STEPS = (0.005, 0.0025, 0.00125)
+HANGING = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
+"""Turns x down."""
+SMALL = 0.01
+"""Metres, or radians times metres, of swings that are small."""
+
+
+def hanging_rope(
+    length: float, count: int, density: float = 0.1, held: Sequence[Attachment] = (Attachment((0,)),), **data: float
+) -> Rope:
+    """A rope straight down from 1 m above the origin, without damping and, unless given, bending stiffness."""
+    points = line(length, count) + np.array([0.5 * length, 0.0, 0.0])
+    data = {"bending_stiffness": 0.0, "damping": 0.0, **data}
+    return Rope("rope", points, density, Pose((0.0, 0.0, 1.0), HANGING), attachments=tuple(held), **data)
+
+
+def bob(mass: float, position: tuple[float, float, float], fixed: bool = False) -> ObjectSpec:
+    """A body without shapes."""
+    link = body("bob", mass, inertia=0.01 * mass)
+    return ObjectSpec(name="bob", articulation=Articulation("bob", (link,)), pose=Pose(position), fixed_base=fixed)
+
+
+def period_of(times: Sequence[float], positions: Sequence[float]) -> float:
+    """Seconds of a swing about zero, from its first to its last crossing; infinite without two."""
+    signs = np.sign(positions)
+    before = np.flatnonzero(signs[:-1] != signs[1:])
+    if len(before) < 2:
+        return math.inf
+    moments = [_crossing(times[k : k + 2], positions[k : k + 2]) for k in (before[0], before[-1])]
+    return 2.0 * (moments[1] - moments[0]) / (len(before) - 1)
+
+
+def _crossing(times: Sequence[float], positions: Sequence[float]) -> float:
+    share = positions[0] / (positions[0] - positions[1])
+    return times[0] + share * (times[1] - times[0])
+
+
+def particle_masses(rope: Rope) -> Tensor:
+    """(P,) kg: each edge's mass at its two ends."""
+    edges = np.linalg.norm(np.diff(rope.rest_positions, axis=0), axis=1) * rope.linear_density
+    return torch.as_tensor(0.5 * (np.append(edges, 0.0) + np.append(0.0, edges)), dtype=torch.float32)
+
+
+# The scenarios ---------------------------------------------------------------------------------------------------------
+
+
+def _catenary(trial: Trial) -> Mapping[str, float]:
+    length, span, count = 0.6, 0.4, 51
+    along = np.linspace(0.0, length, count)
+    fall = np.minimum(along, length - along) * math.sqrt(1.0 - (span / length) ** 2)
+    points = np.stack((along * span / length - 0.5 * span, 0.0 * along, -fall), axis=-1)
+    held = (Attachment((0, count - 1)),)
+    stiffness = {"axial_stiffness": 5000.0, "bending_stiffness": 1e-6}
+    rope = Rope("rope", points, 0.1, Pose((0.0, 0.0, 1.0)), **stiffness, damping=3.0, attachments=held)
+    world = trial.world(Scene(deformables=(rope,), terrain=()))
+    trial.step(world, trial.steps(4.0))
+    x, _, z = (world.deformables["rope"].positions[0] - torch.tensor([0.0, 0.0, 1.0])).double().numpy().T
+    a = catenary(length, span)
+    truth = a * (np.cosh(x / a) - math.cosh(span / (2 * a)))
+    return {"shape": float(np.abs(z - truth).max())}
+
+
+def _swing(trial: Trial) -> Mapping[str, float]:
+    length, count = 0.5, 41
+    world = trial.world(Scene(deformables=(hanging_rope(length, count),), terrain=()))
+    rope = world.deformables["rope"]
+    depths = torch.linspace(1.0, 0.0, count, dtype=torch.float64)
+    start = rope.positions.clone()
+    start[0, :, 1] += SMALL * torch.special.bessel_j0(2.404825557695773 * depths.sqrt()).float()
+    rope.set_state(start)
+    times, tips = _watched(trial, world, 3.0, lambda: rope.positions[0, -1, 1])
+    truth = chain_period(length, G)
+    trial.trace("tip", "m", times, tips, [SMALL * math.cos(2 * math.pi * time / truth) for time in times])
+    return {"period": abs(period_of(times, tips) / truth - 1.0), "amplitude": _drift(tips, SMALL)}
+
+
+def _watched(trial: Trial, world: World, seconds: float, watch) -> tuple[list[float], list[float]]:
+    pairs = [(time, float(watch())) for time in trial.advance(world, seconds)]
+    times, values = zip(*pairs, strict=True)
+    return list(times), list(values)
+
+
+def _drift(positions: Sequence[float], amplitude: float) -> float:
+    """By what part of it the last third's greatest deflection differs from the amplitude."""
+    last = np.abs(positions[-len(positions) // 3 :])
+    return abs(float(last.max()) / amplitude - 1.0)
+
+
+def _loaded(trial: Trial) -> Mapping[str, float]:
+    length, load = 0.5, 0.2
+    held = (Attachment((0,)), Attachment((20,), "bob", "bob"))
+    rope = hanging_rope(length, 21, held=held)
+    weight = bob(load, (0.0, 0.0, 1.0 - length))
+    world = trial.world(Scene(objects=(weight,), deformables=(rope,), terrain=()))
+    truth = loaded_chain_period(length, rope.mass, load, G)
+    speed = SMALL * 2 * math.pi / truth
+    world.objects["bob"].set_root_velocity(torch.tensor([[0.0, speed, 0.0, 0.0, 0.0, 0.0]]))
+    times, places = _watched(trial, world, 4.0, lambda: world.objects["bob"].root_pose[0, 1])
+    trial.trace("load", "m", times, places, [SMALL * math.sin(2 * math.pi * time / truth) for time in times])
+    third = len(places) // 3
+    first = float(np.abs(places[:third]).max())
+    return {"period": abs(period_of(times, places) / truth - 1.0), "amplitude": _drift(places, first)}
+
+
+def _pulls(trial: Trial) -> Mapping[str, float]:
+    rope = hanging_rope(0.2, 11, 0.5, (Attachment((0,), "bob", "bob"),), damping=1.0, bending_stiffness=1e-4)
+    world = trial.world(Scene(objects=(bob(0.5, (0.0, 0.0, 1.0), fixed=True),), deformables=(rope,), terrain=()))
+    return {"force": weight_error(trial, world, "rope", [("bob", "bob")])}
+
+
+def weight_error(trial: Trial, world: World, name: str, links: Sequence[tuple[str, str]]) -> float:
+    """By what part of the matter's weight the force on what bears it differs from that, over half a second."""
+    matter = world.deformables[name]
+    trial.step(world, trial.steps(1.0))
+    felt = torch.zeros(3)
+    count = trial.steps(0.5)
+    for _ in range(count):
+        trial.step(world)
+        felt += sum(matter.contact_force(*link)[0] for link in links) / count
+    weight = torch.tensor([0.0, 0.0, -G * matter.spec.mass])  # pyright: ignore[reportAttributeAccessIssue]
+    return float((felt - weight).norm() / weight.norm())
+
+
+def _towed(trial: Trial) -> Mapping[str, float]:
+    points = line(0.2, 11) + np.array([0.1, 0.0, 0.0])
+    rope = Rope("rope", points, 1.0, attachments=(Attachment((0,), "bob", "bob"),), damping=0.0)
+    mass, kick = 0.5, -0.5
+    world = trial.world(
+        Scene(objects=(bob(mass, (0.0, 0.0, 0.0)),), deformables=(rope,), terrain=(), gravity=WEIGHTLESS)
+    )
+    world.objects["bob"].set_root_velocity(torch.tensor([[kick, 0.0, 0.0, 0.0, 0.0, 0.0]]))
+    weights = particle_masses(rope)
+
+    def momentum() -> float:
+        carried = weights @ world.deformables["rope"].velocities[0, :, 0]
+        return float(mass * world.objects["bob"].root_velocity[0, 0] + carried)
+
+    times, measured = _watched(trial, world, 0.5, momentum)
+    trial.trace("momentum", "kg m/s", times, measured, [mass * kick] * len(times))
+    settled = measured[len(measured) // 2 :]
+    return {"momentum": abs(float(np.mean(settled)) / (mass * kick) - 1.0)}
+
+
+SCENARIOS = (
+    Scenario(
+        name="rope_catenary",
+        group=GROUP,
+        question="Does a rope of 0.6 m between two points 0.4 m apart hang in a catenary?",
+        truth="z = a cosh(x / a), 2 a sinh(span / 2 a) = length",
+        source="Routh, A Treatise on Analytical Statics, vol. I, section 443",
+        needs=(Capability.ROPES,),
+        judges=(Capability.ROPES,),
+        time_steps=TIME_STEPS,
+        run=_catenary,
+        metrics=(Metric(name="shape", unit="m", tolerance=3e-4, meaning="largest distance of a particle from it"),),
+    ),
+    Scenario(
+        name="rope_swing",
+        group=GROUP,
+        question="Does a hanging rope swing in the period of a chain?",
+        truth="4 pi sqrt(L / g) / 2.405, the first mode, from J0(2.405 sqrt(z / L))",
+        source="Lamb, Dynamics, 1914, section 46; the zero of J0: Abramowitz and Stegun, table 9.5",
+        needs=(Capability.ROPES,),
+        judges=(Capability.ROPES,),
+        time_steps=TIME_STEPS,
+        run=_swing,
+        metrics=(
+            Metric(name="period", unit="", tolerance=0.01, meaning="relative error of the mean period over 3 s"),
+            Metric(name="amplitude", unit="", tolerance=0.05, meaning="relative change of the amplitude over 3 s"),
+        ),
+    ),
+    Scenario(
+        name="rope_pendulum",
+        group=GROUP,
+        question="Does a body at the end of a rope swing in the period of both?",
+        truth="the least w with A J0(u) + B Y0(u) = 0 above and g y' = -w^2 y at the body, u = 2 w sqrt((z + c) / g)",
+        source="Sujith and Hodges, Exact solution for the free vibration of a hanging cord with a tip mass, 1995",
+        needs=(Capability.ROPES,),
+        judges=(Capability.ROPES,),
+        time_steps=TIME_STEPS,
+        run=_loaded,
+        metrics=(
+            Metric(name="period", unit="", tolerance=0.01, meaning="relative error of the mean period over 4 s"),
+            Metric(name="amplitude", unit="", tolerance=0.05, meaning="relative change of the amplitude over 4 s"),
+        ),
+    ),
+    Scenario(
+        name="rope_weight",
+        group=GROUP,
+        question="Does a link feel the weight of a rope that hangs from it?",
+        truth="m g down, and nothing across",
+        source="equilibrium of forces",
+        needs=(Capability.ROPES,),
+        judges=(Capability.ROPES,),
+        time_steps=TIME_STEPS,
+        run=_pulls,
+        metrics=(Metric(name="force", unit="", tolerance=0.02, meaning="error of the mean force over the weight"),),
+    ),
+    Scenario(
+        name="rope_tow",
+        group=GROUP,
+        question="Does a body share its momentum with the rope that it pulls?",
+        truth="the momentum of both is constant where nothing else acts",
+        source="Goldstein, Poole and Safko, Classical Mechanics, 3rd ed., section 1.2",
+        needs=(Capability.ROPES,),
+        judges=(Capability.ROPES,),
+        time_steps=TIME_STEPS,
+        run=_towed,
+        metrics=(
+            Metric(
+                name="momentum", unit="", tolerance=0.02, meaning="relative error of the mean momentum, 0.25 to 0.5 s"
+            ),
+        ),
+    ),
+)
