@@ -82,9 +82,9 @@ def elastica_droop(length: float, weight: float, stiffness: float) -> float:
 class Edge:
     """A strip of length L on a level table that hangs down over a quarter-round edge, with friction all along.
 
-    The capstan equation with the strip's own weight and inertia (Euler; Meriam and Kraige, Statics, section 6/8): along
-    the arc ``dT/dtheta = mu (T - m v^2) + mu m g R cos(theta) - m g R sin(theta) + m a R`` where it moves, with m the mass
-    per length; on the table ``T = m (mu g + a) L1``, and below ``T = m (g - a) L2``.
+    The capstan equation with the strip's own weight and inertia (Euler; Meriam and Kraige, Statics, section 6/8), with
+    m the mass per length: along the arc ``dT/dtheta = mu (T - m v^2) + mu m g R cos(theta) - m g R sin(theta) + m a R``
+    where it moves, on the table ``T = m (mu g + a) L1``, and below ``T = m (g - a) L2``.
 
     Args:
         length: L in metres.
@@ -116,10 +116,10 @@ class Edge:
         resisting = self._gain * mu * g * table + self._weight - pressed
         return (g * below - resisting) / (self._gain * table + self._inertia + below)
 
-    def slid(self, below: float, times: list[float]) -> FloatArray:
-        """Metres (T,) that a strip has slid at ``times`` from rest with ``below`` metres hanging below the arc."""
+    def slid(self, below: float, times: list[float], speed: float = 0.0) -> FloatArray:
+        """Metres (T,) that a strip slides by ``times``, with ``below`` metres below the arc and a speed at first."""
 
         def slope(state: FloatArray) -> FloatArray:
             return np.array([state[1], self.acceleration(below + state[0], state[1])])
 
-        return trajectory(slope, np.zeros(2), times)[:, 0]
+        return trajectory(slope, np.array([0.0, speed]), times)[:, 0]

@@ -344,7 +344,7 @@ def _rates(result: Result) -> Iterator[tuple[str, ...]]:
 def _gaps(result: Result) -> Iterator[GapLine]:
     infos = {info.name: info for info in result.header.scenarios}
     owners = (*result.header.backends, *result.header.matters)
-    for owner, gap in ((owner, gap) for owner in owners for gap in owner.gaps if gap.scenario in infos):
+    for owner, gap in ((each, gap) for each in owners for gap in each.gaps if gap.scenario in infos):
         info = infos[gap.scenario]
         metric = next(metric for metric in info.metrics if metric.name == gap.metric)
         measured = _number(_worst(result, info, owner.name, gap.metric), metric.unit)

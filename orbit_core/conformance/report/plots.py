@@ -34,7 +34,8 @@ def accuracy(result: Result, info: ScenarioInfo) -> str:
                 drawn = True
                 style = {"color": color_of(backend, backends), "label": _label(backend, matter)}
                 panel.plot(*zip(*points, strict=True), _dash(matter), marker=".", **style)
-                panel.plot(*zip(*nominal, strict=True), "o", color=style["color"])
+                if nominal:
+                    panel.plot(*zip(*nominal, strict=True), "o", color=style["color"])
             panel.axhline(max(metric.tolerance, _LEAST), color="#777", dashes=(3, 2), linewidth=0.9, label="tolerance")
             if panel.lines[:-1]:
                 _logarithmic(panel)
@@ -43,7 +44,7 @@ def accuracy(result: Result, info: ScenarioInfo) -> str:
 
 
 def _points(records: list[Record], metric: Metric) -> list[tuple[float, float]]:
-    """Speeds and errors of the records that have finite ones, those of a matter solver's choice apart from its sweep."""
+    """Speeds and errors of the records that have finite ones; without a solver's own choice beside its sweep."""
     swept = [record for record in records if record.job.substep] or records
     results = [record.scenario for record in swept if record.scenario]
     pairs = [(found.speed, found.errors.get(metric.name, math.nan)) for found in results]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -10,7 +9,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.assets.deformables import sheet
-from orbit_core.conformance.bodies import G, WEIGHTLESS
+from orbit_core.conformance.bodies import WEIGHTLESS, G
 from orbit_core.conformance.scenario import SINGLE, Metric, Scenario, Trial
 from orbit_core.conformance.scenarios.ropes import GROUP, HANGING, TIME_STEPS
 from orbit_core.conformance.slender import elastica_droop
@@ -147,7 +146,7 @@ SCENARIOS = (
     Scenario(
         name="cloth_cantilever",
         question="Does a strip that is held level at one end droop as its bending stiffness says?",
-        truth="B theta'' = -w (L - s) cos(theta), theta(0) = 0, theta'(L) = 0; L = 0.1 m, Peirce's bending length 37 mm",
+        truth="B theta'' = -w (L - s) cos(theta), theta(0) = 0, theta'(L) = 0; Peirce's bending length is 37 mm",
         source="Peirce, The handle of cloth as a measurable quantity, 1930; Bickley, The heavy elastica, 1934",
         run=_cantilever,
         metrics=(Metric(name="droop", unit="", tolerance=0.1, meaning="relative error of how far the tip falls"),),

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from orbit_core.assets.deformables import line
-from orbit_core.conformance.bodies import G, WEIGHTLESS, body
+from orbit_core.conformance.bodies import WEIGHTLESS, G, body
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
-from orbit_core.conformance.slender import catenary, chain_period, loaded_chain_period
+from orbit_core.conformance.slender import BESSEL_ZERO, catenary, chain_period, loaded_chain_period
 from orbit_core.interfaces import Capability, World
 from orbit_core.scene import Articulation, Attachment, ObjectSpec, Pose, Rope, Scene
 
@@ -60,7 +60,7 @@ def particle_masses(rope: Rope) -> Tensor:
     return torch.as_tensor(0.5 * (np.append(edges, 0.0) + np.append(0.0, edges)), dtype=torch.float32)
 
 
-# The scenarios ---------------------------------------------------------------------------------------------------------
+# The scenarios -------------------------------------------------------------------------------------------------------
 
 
 def _catenary(trial: Trial) -> Mapping[str, float]:
@@ -85,7 +85,7 @@ def _swing(trial: Trial) -> Mapping[str, float]:
     rope = world.deformables["rope"]
     depths = torch.linspace(1.0, 0.0, count, dtype=torch.float64)
     start = rope.positions.clone()
-    start[0, :, 1] += SMALL * torch.special.bessel_j0(2.404825557695773 * depths.sqrt()).float()
+    start[0, :, 1] += SMALL * torch.special.bessel_j0(BESSEL_ZERO * depths.sqrt()).float()
     rope.set_state(start)
     times, tips = _watched(trial, world, 3.0, lambda: rope.positions[0, -1, 1])
     truth = chain_period(length, G)
@@ -93,7 +93,9 @@ def _swing(trial: Trial) -> Mapping[str, float]:
     return {"period": abs(period_of(times, tips) / truth - 1.0), "amplitude": _drift(tips, SMALL)}
 
 
-def _watched(trial: Trial, world: World, seconds: float, watch) -> tuple[list[float], list[float]]:
+def _watched(
+    trial: Trial, world: World, seconds: float, watch: Callable[[], Tensor | float]
+) -> tuple[list[float], list[float]]:
     pairs = [(time, float(watch())) for time in trial.advance(world, seconds)]
     times, values = zip(*pairs, strict=True)
     return list(times), list(values)
