@@ -16,8 +16,8 @@ from orbit_core.conformance.slender import elastica_droop
 from orbit_core.interfaces import Capability
 from orbit_core.scene import Attachment, Cloth, Pose, Scene
 
-MESHES = (7, 13, 21)
-"""Rows of the hanging cloth."""
+MESHES = {7: 1e-3, 13: 5e-3, 21: 8e-3}
+"""Rows of the hanging cloth, and by what part its length may be off."""
 
 
 def _hanging(trial: Trial) -> Mapping[str, float]:
@@ -57,10 +57,10 @@ def _cantilever(trial: Trial) -> Mapping[str, float]:
     length, density, stiffness, count = 0.1, 0.2, 1e-4, 11
     mesh = sheet((length * count / (count - 1), 0.03), (count + 1, 4))
     held = Attachment(tuple(row * (count + 1) + column for row in range(4) for column in (0, 1)))
-    stiffnesses = {"bending_stiffness": stiffness, "poissons_ratio": 0.0}
-    cloth = Cloth("strip", mesh, density, Pose((0.0, 0.0, 1.0)), **stiffnesses, damping=3.0, attachments=(held,))
+    pose, still = Pose((0.0, 0.0, 1.0)), 6.0
+    cloth = Cloth("strip", mesh, density, pose, 2000.0, 0.0, stiffness, still, attachments=(held,))
     world = trial.world(Scene(deformables=(cloth,), terrain=()))
-    trial.step(world, trial.steps(2.5))
+    trial.step(world, trial.steps(3.0))
     tip = world.deformables["strip"].positions[0].reshape(4, count + 1, 3)[1:3, -1, 2].mean()
     return {"droop": abs((1.0 - float(tip)) / elastica_droop(length, density * G, stiffness) - 1.0)}
 
@@ -116,10 +116,10 @@ SCENARIOS = (
             Metric(
                 name=f"length_{count}",
                 unit="",
-                tolerance=0.01,
+                tolerance=tolerance,
                 meaning=f"relative error of its length, {count} x {count} particles",
             )
-            for count in MESHES
+            for count, tolerance in MESHES.items()
         ),
         group=GROUP,
         needs=(Capability.CLOTH,),
@@ -133,9 +133,9 @@ SCENARIOS = (
         source="Timoshenko and Goodier, Theory of Elasticity, 3rd ed., section 96",
         run=_strip,
         metrics=(
-            Metric(name="stretch", unit="", tolerance=0.1, meaning="relative error of what it is longer by"),
+            Metric(name="stretch", unit="", tolerance=0.15, meaning="relative error of what it is longer by"),
             Metric(
-                name="contraction", unit="", tolerance=0.15, meaning="relative error of what its middle is narrower by"
+                name="contraction", unit="", tolerance=0.12, meaning="relative error of what its middle is narrower by"
             ),
         ),
         group=GROUP,
@@ -149,7 +149,15 @@ SCENARIOS = (
         truth="B theta'' = -w (L - s) cos(theta), theta(0) = 0, theta'(L) = 0; Peirce's bending length is 37 mm",
         source="Peirce, The handle of cloth as a measurable quantity, 1930; Bickley, The heavy elastica, 1934",
         run=_cantilever,
-        metrics=(Metric(name="droop", unit="", tolerance=0.1, meaning="relative error of how far the tip falls"),),
+        metrics=(
+            Metric(
+                name="droop",
+                unit="",
+                tolerance=0.1,
+                meaning="relative error of how far the tip falls",
+                looser_because="errors of mesh and solver cancel in the best; either alone is some 0.15",
+            ),
+        ),
         group=GROUP,
         needs=(Capability.CLOTH,),
         judges=(Capability.CLOTH,),
@@ -166,12 +174,12 @@ SCENARIOS = (
                 name="linear_momentum", unit="", tolerance=1e-5, meaning="relative change in 1 s", looser_because=SINGLE
             ),
             Metric(
-                name="angular_momentum", unit="", tolerance=0.01, meaning="relative change in 1 s, about its middle"
+                name="angular_momentum", unit="", tolerance=0.05, meaning="relative change in 1 s, about its middle"
             ),
             Metric(
                 name="energy",
                 unit="",
-                tolerance=0.02,
+                tolerance=0.015,
                 meaning="largest relative change in 1 s of one that turns as a whole",
             ),
         ),

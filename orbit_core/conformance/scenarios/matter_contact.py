@@ -11,7 +11,7 @@ from torch import Tensor
 
 from orbit_core.assets.deformables import line, sheet
 from orbit_core.conformance.bodies import G, cube, on_slope, slope
-from orbit_core.conformance.scenario import Metric, Scenario, Trial
+from orbit_core.conformance.scenario import SINGLE, Metric, Scenario, Trial
 from orbit_core.conformance.scenarios.grasp import HALF, gripper
 from orbit_core.conformance.scenarios.ropes import GROUP, HANGING, TIME_STEPS, weight_error
 from orbit_core.conformance.slender import Edge
@@ -186,25 +186,18 @@ def _cloth_weight(trial: Trial) -> Mapping[str, float]:
 
 
 _CAPSTAN = "Meriam and Kraige, Statics, section 6/8, with the strip's own weight and inertia on the arc"
-_EDGE = (
-    Metric(
-        name="limit",
-        unit="",
-        tolerance=0.05,
-        meaning="relative error of the hanging length at which it begins to slide, known to 0.05",
-        looser_because="the lengths tried lie 0.1 apart there",
-    ),
-    Metric(
-        name="slid",
-        unit="",
-        tolerance=0.1,
-        meaning="relative error of the way from 0.1 to 0.4 s, with 1.3 of that length",
-    ),
+_LIMIT = Metric(
+    name="limit",
+    unit="",
+    tolerance=0.05,
+    meaning="relative error of the hanging length at which it begins to slide, known to 0.05",
+    looser_because="the lengths tried lie 0.1 apart there",
 )
-_GRASP = (
-    Metric(name="force", unit="", tolerance=0.02, meaning="error of the mean force on both fingers over the weight"),
-    Metric(name="slip", unit="m", tolerance=1e-3, meaning="how far its middle moves in 1.5 s"),
+_WAY = "relative error of the way from 0.1 to 0.4 s, with 1.3 of that length"
+_FORCE = Metric(
+    name="force", unit="", tolerance=0.0025, meaning="error of the mean force on both fingers over the weight"
 )
+_SLIP = "how far its middle moves in 1.5 s"
 _WEIGHT = "m g down on both fingers together, and nothing across"
 
 SCENARIOS = (
@@ -219,12 +212,19 @@ SCENARIOS = (
         time_steps=TIME_STEPS,
         run=_slope,
         metrics=(
-            Metric(name="creep", unit="m/s", tolerance=1e-4, meaning="mean speed over 0.4 s on the lesser slope"),
+            Metric(
+                name="creep",
+                unit="m/s",
+                tolerance=1e-4,
+                meaning="mean speed over 0.4 s on the lesser slope",
+                looser_because=SINGLE,
+            ),
             Metric(
                 name="acceleration",
                 unit="",
-                tolerance=0.03,
+                tolerance=1e-3,
                 meaning="its relative error over 0.4 s on the steeper slope",
+                looser_because=SINGLE,
             ),
         ),
     ),
@@ -238,7 +238,7 @@ SCENARIOS = (
         judges=(Capability.CLOTH,),
         time_steps=TIME_STEPS,
         run=_cloth_edge,
-        metrics=_EDGE,
+        metrics=(_LIMIT, Metric(name="slid", unit="", tolerance=0.15, meaning=_WAY)),
     ),
     Scenario(
         name="rope_edge",
@@ -250,7 +250,16 @@ SCENARIOS = (
         judges=(Capability.ROPES,),
         time_steps=TIME_STEPS,
         run=_rope_edge,
-        metrics=_EDGE,
+        metrics=(
+            _LIMIT,
+            Metric(
+                name="slid",
+                unit="",
+                tolerance=0.02,
+                meaning=_WAY,
+                looser_because="errors cancel in the best; at other steps it is 0.01",
+            ),
+        ),
     ),
     Scenario(
         name="cloth_grasp",
@@ -262,7 +271,7 @@ SCENARIOS = (
         judges=(Capability.CLOTH,),
         time_steps=TIME_STEPS,
         run=_cloth_grasp,
-        metrics=_GRASP,
+        metrics=(_FORCE, Metric(name="slip", unit="m", tolerance=2e-4, meaning=_SLIP)),
     ),
     Scenario(
         name="rope_grasp",
@@ -274,7 +283,7 @@ SCENARIOS = (
         judges=(Capability.ROPES,),
         time_steps=TIME_STEPS,
         run=_rope_grasp,
-        metrics=_GRASP,
+        metrics=(_FORCE, Metric(name="slip", unit="m", tolerance=2e-4, meaning=_SLIP, looser_because=SINGLE)),
     ),
     Scenario(
         name="cloth_weight",
@@ -286,6 +295,6 @@ SCENARIOS = (
         judges=(Capability.CLOTH,),
         time_steps=TIME_STEPS,
         run=_cloth_weight,
-        metrics=(Metric(name="force", unit="", tolerance=0.02, meaning="error of the mean force over the weight"),),
+        metrics=(Metric(name="force", unit="", tolerance=7.5e-4, meaning="error of the mean force over the weight"),),
     ),
 )

@@ -25,12 +25,17 @@ SMALL = 0.01
 
 
 def hanging_rope(
-    length: float, count: int, density: float = 0.1, held: Sequence[Attachment] = (Attachment((0,)),), **data: float
+    length: float,
+    count: int,
+    held: tuple[Attachment, ...],
+    density: float = 0.1,
+    bending_stiffness: float = 0.0,
+    damping: float = 0.0,
 ) -> Rope:
-    """A rope straight down from 1 m above the origin, without damping and, unless given, bending stiffness."""
+    """A rope straight down from 1 m above the origin."""
     points = line(length, count) + np.array([0.5 * length, 0.0, 0.0])
-    data = {"bending_stiffness": 0.0, "damping": 0.0, **data}
-    return Rope("rope", points, density, Pose((0.0, 0.0, 1.0), HANGING), attachments=tuple(held), **data)
+    pose, stiffness = Pose((0.0, 0.0, 1.0), HANGING), bending_stiffness
+    return Rope("rope", points, density, pose, bending_stiffness=stiffness, damping=damping, attachments=held)
 
 
 def bob(mass: float, position: tuple[float, float, float], fixed: bool = False) -> ObjectSpec:
@@ -69,8 +74,8 @@ def _catenary(trial: Trial) -> Mapping[str, float]:
     fall = np.minimum(along, length - along) * math.sqrt(1.0 - (span / length) ** 2)
     points = np.stack((along * span / length - 0.5 * span, 0.0 * along, -fall), axis=-1)
     held = (Attachment((0, count - 1)),)
-    stiffness = {"axial_stiffness": 5000.0, "bending_stiffness": 1e-6}
-    rope = Rope("rope", points, 0.1, Pose((0.0, 0.0, 1.0)), **stiffness, damping=3.0, attachments=held)
+    axial, bending, still = 5000.0, 1e-6, 3.0
+    rope = Rope("rope", points, 0.1, Pose((0.0, 0.0, 1.0)), 0.005, axial, bending, still, attachments=held)
     world = trial.world(Scene(deformables=(rope,), terrain=()))
     trial.step(world, trial.steps(4.0))
     x, _, z = (world.deformables["rope"].positions[0] - torch.tensor([0.0, 0.0, 1.0])).double().numpy().T
@@ -81,7 +86,7 @@ def _catenary(trial: Trial) -> Mapping[str, float]:
 
 def _swing(trial: Trial) -> Mapping[str, float]:
     length, count = 0.5, 41
-    world = trial.world(Scene(deformables=(hanging_rope(length, count),), terrain=()))
+    world = trial.world(Scene(deformables=(hanging_rope(length, count, (Attachment((0,)),)),), terrain=()))
     rope = world.deformables["rope"]
     depths = torch.linspace(1.0, 0.0, count, dtype=torch.float64)
     start = rope.positions.clone()
@@ -110,7 +115,7 @@ def _drift(positions: Sequence[float], amplitude: float) -> float:
 def _loaded(trial: Trial) -> Mapping[str, float]:
     length, load = 0.5, 0.2
     held = (Attachment((0,)), Attachment((20,), "bob", "bob"))
-    rope = hanging_rope(length, 21, held=held)
+    rope = hanging_rope(length, 21, held)
     weight = bob(load, (0.0, 0.0, 1.0 - length))
     world = trial.world(Scene(objects=(weight,), deformables=(rope,), terrain=()))
     truth = loaded_chain_period(length, rope.mass, load, G)
@@ -124,7 +129,7 @@ def _loaded(trial: Trial) -> Mapping[str, float]:
 
 
 def _pulls(trial: Trial) -> Mapping[str, float]:
-    rope = hanging_rope(0.2, 11, 0.5, (Attachment((0,), "bob", "bob"),), damping=1.0, bending_stiffness=1e-4)
+    rope = hanging_rope(0.2, 11, (Attachment((0,), "bob", "bob"),), 0.5, 1e-4, 1.0)
     world = trial.world(Scene(objects=(bob(0.5, (0.0, 0.0, 1.0), fixed=True),), deformables=(rope,), terrain=()))
     return {"force": weight_error(trial, world, "rope", [("bob", "bob")])}
 
@@ -173,7 +178,7 @@ SCENARIOS = (
         judges=(Capability.ROPES,),
         time_steps=TIME_STEPS,
         run=_catenary,
-        metrics=(Metric(name="shape", unit="m", tolerance=3e-4, meaning="largest distance of a particle from it"),),
+        metrics=(Metric(name="shape", unit="m", tolerance=2.5e-4, meaning="largest distance of a particle from it"),),
     ),
     Scenario(
         name="rope_swing",
@@ -186,8 +191,8 @@ SCENARIOS = (
         time_steps=TIME_STEPS,
         run=_swing,
         metrics=(
-            Metric(name="period", unit="", tolerance=0.01, meaning="relative error of the mean period over 3 s"),
-            Metric(name="amplitude", unit="", tolerance=0.05, meaning="relative change of the amplitude over 3 s"),
+            Metric(name="period", unit="", tolerance=8e-4, meaning="relative error of the mean period over 3 s"),
+            Metric(name="amplitude", unit="", tolerance=0.1, meaning="relative change of the amplitude over 3 s"),
         ),
     ),
     Scenario(
@@ -201,8 +206,8 @@ SCENARIOS = (
         time_steps=TIME_STEPS,
         run=_loaded,
         metrics=(
-            Metric(name="period", unit="", tolerance=0.01, meaning="relative error of the mean period over 4 s"),
-            Metric(name="amplitude", unit="", tolerance=0.05, meaning="relative change of the amplitude over 4 s"),
+            Metric(name="period", unit="", tolerance=8e-3, meaning="relative error of the mean period over 4 s"),
+            Metric(name="amplitude", unit="", tolerance=0.08, meaning="relative change of the amplitude over 4 s"),
         ),
     ),
     Scenario(
@@ -215,7 +220,7 @@ SCENARIOS = (
         judges=(Capability.ROPES,),
         time_steps=TIME_STEPS,
         run=_pulls,
-        metrics=(Metric(name="force", unit="", tolerance=0.02, meaning="error of the mean force over the weight"),),
+        metrics=(Metric(name="force", unit="", tolerance=8e-3, meaning="error of the mean force over the weight"),),
     ),
     Scenario(
         name="rope_tow",
@@ -229,7 +234,7 @@ SCENARIOS = (
         run=_towed,
         metrics=(
             Metric(
-                name="momentum", unit="", tolerance=0.02, meaning="relative error of the mean momentum, 0.25 to 0.5 s"
+                name="momentum", unit="", tolerance=0.04, meaning="relative error of the mean momentum, 0.25 to 0.5 s"
             ),
         ),
     ),
