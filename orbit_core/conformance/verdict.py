@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from orbit_core.conformance.scenario import Metric, Scenario, Trace, Trial
-from orbit_core.interfaces import Backend, Gap, SimulationError, UnsupportedCapabilityError
+from orbit_core.interfaces import Backend, ConfigurationError, Gap, SimulationError, UnsupportedCapabilityError
 from orbit_core.interfaces.matter import MatterSolver
 from orbit_core.interfaces.requirements import MATTER
 
@@ -106,8 +106,8 @@ def _size(difference: float) -> float:
     return math.inf if math.isnan(difference) else abs(difference)
 
 
-def _diverged(owner: Backend | MatterSolver, scenario: Scenario, error: SimulationError) -> Verdict:
-    """The verdict where an engine reports that it diverged: no metric has a finite error."""
+def _refused(owner: Backend | MatterSolver, scenario: Scenario, error: Exception) -> Verdict:
+    """The verdict where an engine reports that it diverged, or would at this step: no metric has a finite error."""
     verdict = judge(owner, scenario, {metric.name: math.inf for metric in scenario.metrics})
     return replace(verdict, reason=f"{error}; {verdict.reason}")
 
@@ -126,8 +126,8 @@ def run_scenario(scenario: Scenario, backend: Backend, trial: Trial) -> Verdict:
             errors = scenario.run(trial)
         except UnsupportedCapabilityError as error:
             return Verdict(Status.UNSUPPORTED, str(error))
-        except SimulationError as error:
-            return _diverged(owner, scenario, error)
+        except (SimulationError, ConfigurationError) as error:
+            return _refused(owner, scenario, error)
     verdict = judge(owner, scenario, errors)
     if verdict.status is Status.FAIL and (where := farthest(trial.traces)):
         return replace(verdict, reason=f"{verdict.reason}; {where}")

@@ -18,7 +18,8 @@ class Gap:
     limit: float
     """The largest error that the backend admits to, in the metric's unit: what was measured, with a margin.
 
-    ``math.inf`` where the engine diverges and raises :class:`SimulationError`.
+    ``math.inf`` where the engine diverges and raises :class:`SimulationError`, or refuses the scene at its time step by
+    a :class:`ConfigurationError`.
     """
     reason: str
     """Why the engine cannot do better."""

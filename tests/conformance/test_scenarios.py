@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import pytest
 
+from orbit_core.backends import matter_names
 from orbit_core.conformance.scenario import Scenario, Trial
 from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.conformance.verdict import Status, run_scenario
 from orbit_core.interfaces import Backend
+from orbit_core.interfaces.matter import NATIVE
 
 
-@pytest.mark.parametrize("scenario", [s for s in SCENARIOS if not s.slow], ids=lambda scenario: scenario.name)
-def test_a_backend_is_as_it_declares(backend: Backend, scenario: Scenario, request: pytest.FixtureRequest) -> None:
+MATTERS = (*matter_names(), NATIVE)
+RUNS = [(s, matter) for s in SCENARIOS if not s.slow for matter in (MATTERS if s.of_matter else (NATIVE,))]
+
+
+@pytest.mark.parametrize(
+    ("scenario", "matter"), RUNS, ids=[f"{s.name}-{matter}" if s.of_matter else s.name for s, matter in RUNS]
+)
+def test_a_backend_is_as_it_declares(
+    backend: Backend, scenario: Scenario, matter: str, request: pytest.FixtureRequest
+) -> None:
     device = str(request.config.getoption("--device", "cpu"))
-    verdict = run_scenario(scenario, backend, Trial(backend.name, scenario.time_step, device))
+    verdict = run_scenario(scenario, backend, Trial(backend.name, scenario.time_step, device, matter=matter))
     if verdict.status is Status.UNSUPPORTED:
         pytest.skip(f"{backend.name}: {verdict.reason}")
     assert verdict.status.acceptable, f"{verdict.status.value}: {verdict.reason}"
