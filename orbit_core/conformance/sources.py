@@ -15,7 +15,7 @@ import importlib_metadata
 
 from orbit_core.assets.catalogue import robot_info
 from orbit_core.assets.sources import installed_version
-from orbit_core.backends import GROUP, MATTER_SOLVERS, RENDERERS, matter_solver, renderer_names
+from orbit_core.backends import GROUP, MATTER_SOLVERS, RENDERERS, matter_names, matter_solver, renderer_names
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import renderer as find_renderer
 from orbit_core.conformance.jobs import Job, Kind, plan
@@ -41,9 +41,10 @@ def source_digests(settings: Settings) -> dict[str, str]:
         found[_SCENARIOS_WORDS] = _digest(_files(_SCENARIOS))
     for name in settings.backends:
         found[_backend(name)] = _plugin_digest(find_backend(name), backend_packages(name))
-    for name in {job.renderer for phase in plan(settings) for job in phase.jobs} - {""}:
+    jobs = [job for phase in plan(settings) for job in phase.jobs]
+    for name in {job.renderer for job in jobs} - {""}:
         found[_renderer(name)] = _plugin_digest(find_renderer(name), renderer_packages(name))
-    for name in {*settings.matters} - {NATIVE}:
+    for name in {name for job in jobs for name in _solvers(job)}:
         solver = matter_solver(name)
         found[_matter(name)] = _plugin_digest(solver, _packages(solver, MATTER_SOLVERS))
     for name in settings.robots:
@@ -63,8 +64,7 @@ def sources_of(job: Job) -> set[str]:
         found.add(_backend(job.source))
     if job.renderer:
         found.add(_renderer(job.renderer))
-    if job.matter not in ("", NATIVE):
-        found.add(_matter(job.matter))
+    found |= {_matter(name) for name in _solvers(job)}
     match job.kind:
         case Kind.SCENARIO:
             found.add(_SCENARIOS_WORDS)
@@ -119,6 +119,13 @@ def _renderer(name: str) -> str:
 
 def _backend(name: str) -> str:
     return f"backend '{name}'"
+
+
+def _solvers(job: Job) -> set[str]:
+    """The matter solvers that a job may use: a scenario's own, and of tasks any that worlds choose by themselves."""
+    if job.kind in (Kind.SCENARIO, Kind.ROBOT):
+        return {job.matter} - {"", NATIVE}
+    return {*matter_names()}
 
 
 def _matter(name: str) -> str:

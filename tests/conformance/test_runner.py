@@ -17,6 +17,7 @@ from orbit_core.conformance.runner import run
 from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.conformance.settings import Part, choose
 from orbit_core.conformance.verdict import Status
+from orbit_core.interfaces import UnknownNameError
 
 PAIR = backend_names()[:2]
 
@@ -116,6 +117,30 @@ def test_a_full_run_sweeps_time_steps_and_a_quick_one_does_not() -> None:
 
     assert steps(quick=True) == [0.005]
     assert steps(quick=False) == [0.01, 0.005, 0.0025, 0.00125]
+
+
+def test_scenarios_of_matter_are_run_with_every_solver_and_natively() -> None:
+    """A solver is swept over its own steps; an engine without matter of its own is asked once, for its reason."""
+    (phase,) = plan(choose(backends=["sapien"], scenarios=["rope_tow"]))
+    runs = [(job.matter, job.time_step, job.substep) for job in phase.jobs]
+    swept = [("orbit-matter", 0.005, substep) for substep in (0.0, 0.0025, 0.00125, 0.000625, 0.0003125)]
+    assert runs == [*swept, ("native", 0.005, 0.0)]
+    (quick,) = plan(choose(backends=["sapien"], scenarios=["rope_tow"], matters=["orbit-matter"], quick=True))
+    assert [job.key for job in quick.jobs] == ["scenario/rope_tow/sapien/0.005/orbit-matter"]
+    with pytest.raises(UnknownNameError, match="did you mean 'orbit-matter'"):
+        choose(matters=["orbit-mater"])
+
+
+def test_the_page_shows_matter_by_solver_and_the_engines_own(tmp_path: Path) -> None:
+    settings = choose(backends=["mujoco", "sapien"], scenarios=["rope_tow"], quick=True)
+    result = run(settings, tmp_path, Here())
+    standing = {(r.job.backend, r.job.matter): r.status for r in result.records}
+    assert standing[("mujoco", "orbit-matter")] is standing[("sapien", "orbit-matter")] is Status.PASS
+    assert standing[("sapien", "native")] is Status.UNSUPPORTED
+    page = write_report(tmp_path).read_text()
+    assert "rope_tow, orbit-matter" in page
+    assert "rope_tow, native" in page
+    assert "mujoco, orbit-matter" in page
 
 
 def test_keys_are_unique() -> None:

@@ -11,7 +11,6 @@ from orbit_core.conformance.verdict import Status, run_scenario
 from orbit_core.interfaces import Backend
 from orbit_core.interfaces.matter import NATIVE
 
-
 MATTERS = (*matter_names(), NATIVE)
 RUNS = [(s, matter) for s in SCENARIOS if not s.slow for matter in (MATTERS if s.of_matter else (NATIVE,))]
 
