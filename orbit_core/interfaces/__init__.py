@@ -22,7 +22,14 @@ if TYPE_CHECKING:
         unsupported,
     )
     from orbit_core.interfaces.capture import CaptureFacet
-    from orbit_core.interfaces.divergence import MAX_DISTANCE, MAX_SPEED, diverged, divergence_error, first_few
+    from orbit_core.interfaces.divergence import (
+        MAX_DISTANCE,
+        MAX_SPEED,
+        diverged,
+        divergence_error,
+        first_few,
+        matter_divergence_error,
+    )
     from orbit_core.interfaces.engine import Approximation, Engine
     from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
     from orbit_core.interfaces.errors import (
@@ -66,7 +73,9 @@ _MODULES = {
         "EXACT", "Capabilities", "Capability", "DriveIntegration", "Level", "Support", "approximate", "unsupported",
     ),
     "capture": ("CaptureFacet",),
-    "divergence": ("MAX_DISTANCE", "MAX_SPEED", "diverged", "divergence_error", "first_few"),
+    "divergence": (
+        "MAX_DISTANCE", "MAX_SPEED", "diverged", "divergence_error", "first_few", "matter_divergence_error",
+    ),
     "engine": ("Approximation", "Engine"),
     "entities": ("Deformable", "Marker", "Object", "Robot"),
     "errors": (
@@ -96,7 +105,7 @@ __all__ = [
     "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError",
     "Support", "UnknownNameError", "UnsupportedCapabilityError", "World", "WorldClock", "WorldMasking",
     "WorldRandom", "albedo_table", "approximate", "diverged", "divergence_error", "drawn_shapes", "find_name",
-    "first_few", "match_names", "match_values", "required_capabilities", "unsupported",
+    "first_few", "match_names", "match_values", "matter_divergence_error", "required_capabilities", "unsupported",
 ]  # fmt: skip
 
 

@@ -6,7 +6,7 @@ falls for 17 minutes reaches neither.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from orbit_core.interfaces.errors import SimulationError
@@ -41,6 +41,14 @@ def divergence_error(environments: Sequence[int]) -> SimulationError:
         f"environments {first_few(environments)} diverged: something moved faster than {MAX_SPEED:g} m/s or rad/s, "
         f"went further than {MAX_DISTANCE:g} m or rad, or is not a number; reset them, and use a smaller physics_dt or "
         "softer drives"
+    )
+
+
+def matter_divergence_error(environments: Sequence[int], names: Iterable[str]) -> SimulationError:
+    """The error of a ``step`` in which the deformables of these names diverged, for environments, by index."""
+    return SimulationError(
+        f"environments {first_few(environments)} diverged in {', '.join(map(repr, sorted(names)))}: "
+        "reset them, and use a smaller physics_dt, softer material or gentler grasps"
     )
 
 

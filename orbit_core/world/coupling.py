@@ -26,7 +26,7 @@ from orbit_core.interfaces import (
     SceneLayout,
     SimulationError,
 )
-from orbit_core.interfaces.divergence import first_few
+from orbit_core.interfaces.divergence import matter_divergence_error
 from orbit_core.interfaces.matter import Matter, MatterSolver
 
 
@@ -137,11 +137,7 @@ class CoupledEngine(Engine):
         if wrong.any():
             rows, which = wrong.nonzero(as_tuple=True)
             found = {self.layout.scene.deformables[index].name for index in which.tolist()}
-            names = ", ".join(map(repr, sorted(found)))
-            raise SimulationError(
-                f"environments {first_few(sorted(set(rows.tolist())))} diverged in {names}: "
-                "reset them, and use a smaller physics_dt, softer material or gentler grasps"
-            )
+            raise matter_divergence_error(sorted(set(rows.tolist())), found)
 
     # State -----------------------------------------------------------------------------------------------------------
 

@@ -14,6 +14,8 @@ import numpy.typing as npt
 from orbit_core.interfaces import BACKGROUND, TERRAIN, SceneLayout
 
 Indices = npt.NDArray[np.int64]
+MATTER_BODY = "matter"
+"""Begins the names of bodies that are no links, but of cloth or rope."""
 
 
 def body_name(link: int) -> str:
@@ -60,6 +62,8 @@ class Addresses:
         first_joint = model.body_jntadr[roots]
         link_of_body = np.full(model.nbody, TERRAIN, dtype=np.int64)
         link_of_body[bodies] = np.arange(len(bodies))
+        matter = [body for body in range(model.nbody) if model.body(body).name.startswith(MATTER_BODY)]
+        link_of_body[matter] = BACKGROUND
         return Addresses(
             bodies=bodies,
             roots=model.body_rootid[bodies].astype(np.int64),

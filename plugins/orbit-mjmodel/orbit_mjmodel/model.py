@@ -25,6 +25,7 @@ from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
 from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, hold_drives, hold_springs
 from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
+from orbit_mjmodel.matter import MatterAddresses, add_matter, has_cloth, matter_addresses, set_matter_home
 from orbit_mjmodel.materials import contact_parameters, material_approximations
 from orbit_mjmodel.variants import ABSENT, Slot, slots
 from orbit_mjmodel.wrenches import add_wrench_sensors
@@ -51,6 +52,8 @@ class BuiltModel:
     report: tuple[Approximation, ...]
     absent: npt.NDArray[np.int64]
     """Geoms that only other kinds of environments have; here grains."""
+    matter: tuple[MatterAddresses, ...]
+    """Of the scene's cloths and ropes."""
 
 
 def build_models(
@@ -92,12 +95,14 @@ def _compiled(builder: _Builder) -> BuiltModel:
     except ValueError as error:
         raise AssetError(f"MuJoCo refuses the scene: {str(error).replace(chr(10), ' ').strip()}") from error
     addresses = Addresses.of(builder.layout, model)
+    matter = matter_addresses(model, builder.layout)
     _set_home(builder.layout, model, addresses)
+    set_matter_home(model, matter)
     report = (*builder.report, *hold_drives(model, addresses, builder.layout))
     report = (*report, *hold_springs(model, addresses, builder.layout))
     absent = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(ABSENT)]
     model.geom_rgba[absent, 3] = 0.0  # which rays take for not there
-    return BuiltModel(model, addresses, report, np.array(absent, dtype=np.int64))
+    return BuiltModel(model, addresses, report, np.array(absent, dtype=np.int64), matter)
 
 
 class _Builder:
@@ -122,6 +127,7 @@ class _Builder:
             self._add_entity(entity)
         for index in range(len(layout.joints)):
             self._add_drive(index)
+        self.report += add_matter(self.spec, layout)
         self.spec.add_key(name="home")
 
     def set_options(self, solver: str, disabled: int) -> None:
@@ -134,7 +140,7 @@ class _Builder:
         option = spec.option
         option.timestep = self.layout.scene.physics_dt
         option.gravity = self.layout.scene.gravity
-        option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{config.integrator.upper()}")
+        option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{self._integrator.upper()}")
         option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{solver.upper()}")
         option.cone = getattr(mujoco.mjtCone, f"mjCONE_{config.cone.upper()}")
         option.iterations = config.iterations
@@ -142,6 +148,16 @@ class _Builder:
         option.impratio = config.impratio
         # Which links may touch is written out pair by pair.
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT) | disabled
+
+    @property
+    def _integrator(self) -> str:
+        """The one that is asked for; with cloth the only one that takes its elasticity."""
+        asked, wanted = self.config.integrator, "discrete"
+        if not has_cloth(self.layout) or asked == wanted:
+            return asked
+        why = "MuJoCo integrates the elasticity of cloth in no other way"
+        self.report.append(Approximation("the integrator", asked, wanted, why))
+        return wanted
 
     # Bodies ----------------------------------------------------------------------------------------------------------
 

@@ -23,17 +23,21 @@ from orbit_core.interfaces import (
     SimulationError,
     divergence_error,
     first_few,
+    matter_divergence_error,
 )
 from orbit_core.plugin_kit.parts import PartedEngine
 from orbit_core.plugin_kit.rows import HostRows, block, host_rows
 from orbit_mjmodel.readback import read_back
 from orbit_mujoco.capture import MujocoCapture
 from orbit_mujoco.config import MujocoConfig
-from orbit_mujoco.measurements import ContactMeter, WrenchMeter
+from orbit_mujoco.matter import NativeMatter
+from orbit_mujoco.measurements import ContactMeter, MatterMeter, WrenchMeter
 from orbit_mujoco.model import build_models
 from orbit_mujoco.parameters import Parameters
 from orbit_mujoco.state import DERIVED_STAGE, State
 
+_NEAR_SINGULAR = mujoco.mjtWarning.mjWARN_INERTIA.value
+"""The warning that MuJoCo also gives, for no harm, where its solver meets cloth's bending at a residual of 1e-8."""
 _NO_STAGE = mujoco.mjtStage.mjSTAGE_NONE.value
 
 
@@ -65,9 +69,11 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         self._state = State(self._batch, built.addresses)
         self.capture = MujocoCapture(self._batch, built.addresses, self._state)
         self._parameters = Parameters(self._batch, built.addresses, [kind.model for kind in kinds])
+        self._matter = NativeMatter(self._batch, built.addresses, built.matter, self._parameters, self._state)
         self._sensordata = self._batch.bind("sensordata")
         self._contacts = ContactMeter(layout, self._sensordata)
         self._wrenches = WrenchMeter(layout, self._sensordata)
+        self._matter_forces = MatterMeter(layout, self._batch, built.addresses, built.matter)
         self._actuator_force = self._batch.bind("actuator_force")
         self._joint_efforts = torch.zeros(self._actuator_force.shape)
         self._efforts_read = self._joint_efforts.numpy()
@@ -90,24 +96,31 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         self._parameters.settle()
         self._write_commands()
         try:
-            if self._contacts.queries:
-                self._contacts.clear()
-                for _ in range(steps):
-                    self._batch.step(nstep=1, stage=DERIVED_STAGE)
-                    self._contacts.add()
-                self._contacts.average(steps)
-            else:
-                self._batch.step(nstep=steps, stage=DERIVED_STAGE)
+            self._advance(steps)
         except mujoco.batch.SimulationError as error:
             self._failed[error.ids] = True
             raise SimulationError(f"MuJoCo failed in environments {first_few(error.ids)}: {error}") from error
         np.copyto(self._efforts_read, self._actuator_force, casting="same_kind")
         self._wrenches.read()
         self._state.invalidate()
+        self._matter.measure(self._matter_forces)
         if self._batch.warning.any():
             self._raise_warnings()
         if not self._state.bounded:
-            raise divergence_error(self._state.diverged())
+            environments, names = self._matter.diverged()
+            raise matter_divergence_error(environments, names) if names else divergence_error(self._state.diverged())
+
+    def _advance(self, steps: int) -> None:
+        if not (self._contacts.queries or self._matter.damped):
+            self._batch.step(nstep=steps, stage=DERIVED_STAGE)
+            return
+        self._contacts.clear()
+        for _ in range(steps):
+            self._matter.damp()
+            self._batch.step(nstep=1, stage=DERIVED_STAGE)
+            self._state.invalidate()
+            self._contacts.add()
+        self._contacts.average(steps)
 
     @property
     def _commands(self) -> tuple[Tensor, ...]:
@@ -116,7 +129,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
     @property
     def _measurements(self) -> tuple[Tensor, ...]:
         """Measurements of the last step, which MuJoCo's own rows do not hold."""
-        return self._joint_efforts, self._contacts.forces, self._wrenches.wrenches
+        return self._joint_efforts, self._contacts.forces, self._wrenches.wrenches, self._matter_forces.forces
 
     def _write_commands(self) -> None:
         positions, velocities, efforts = self._targets
@@ -126,7 +139,11 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         np.add(self._spring_part, efforts, out=self._ctrl)
 
     def _raise_warnings(self) -> None:
-        counts = self._batch.warning[..., 1]
+        counts = self._batch.warning[..., 1].copy()
+        if self._matter.bends:
+            counts[:, _NEAR_SINGULAR] = 0
+        if not counts.any():
+            return
         warning = int(np.flatnonzero(counts.any(axis=0))[0])
         environments = np.flatnonzero(counts[:, warning])
         self._failed |= counts.any(axis=1)
@@ -154,6 +171,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         rows = self._rows(env_ids)
+        held = self._matter.held(rows)
         if self._failed[rows].any():
             self._clear_failures(rows)
         self._batch.state[rows] = self._initial
@@ -161,6 +179,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         for cleared in self._cleared:
             cleared[rows] = 0.0
         self._state.mark_written(rows)
+        self._matter.hold_again(held, rows)
 
     def _clear_failures(self, rows: HostRows) -> None:
         # Not for every reset: it clears all that MuJoCo derives as well, which costs a hundred times the state alone.
@@ -205,6 +224,34 @@ class MujocoEngine(PartedEngine[State, Parameters]):
 
     def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
         self._xfrc_applied[block(self._rows(env_ids), self._addresses.bodies[links.numpy()])] = wrenches.numpy()
+
+    # Deformables -----------------------------------------------------------------------------------------------------
+
+    def particle_positions(self, deformable: int) -> Tensor:
+        return self._matter.positions(deformable)
+
+    def particle_velocities(self, deformable: int) -> Tensor:
+        return self._matter.velocities(deformable)
+
+    def write_particles(
+        self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None = None
+    ) -> None:
+        values = (values.numpy().astype(np.float64) for values in (positions, velocities))
+        self._matter.write(deformable, *values, self._rows(env_ids))
+
+    def anchor_particles(
+        self, deformable: int, particles: Tensor, link: int | None, env_ids: Tensor | None = None
+    ) -> None:
+        self._matter.anchor(deformable, particles.numpy(), link, self._rows(env_ids))
+
+    def release_particles(self, deformable: int, particles: Tensor, env_ids: Tensor | None = None) -> None:
+        self._matter.release(deformable, particles.numpy(), self._rows(env_ids))
+
+    def set_particle_parameter(self, deformable: int, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
+        self._matter.set_parameter(deformable, name, values.numpy(), self._rows(env_ids))
+
+    def particle_forces(self, deformable: int) -> Tensor:
+        return self._matter_forces.forces[:, deformable]
 
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 

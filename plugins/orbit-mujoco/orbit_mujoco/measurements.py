@@ -5,13 +5,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 import numpy.typing as npt
 import torch
+from mujoco.batch import Batch
 
 from orbit_core.interfaces import TERRAIN, ContactQuery, SceneLayout
-from orbit_mjmodel.addresses import body_name
+from orbit_core.scene import Rope
+from orbit_mjmodel.addresses import Addresses, body_name
+from orbit_mjmodel.matter import MatterAddresses, matter_name
 
 _NET_FORCE = (2, 3, 1)
 """Data (bit 1: force), reduction (3: net force, world axes), slots."""
@@ -31,6 +36,34 @@ def add_contact_sensors(spec: mujoco.MjSpec, layout: SceneLayout) -> None:
             sensor.intprm[:3] = _NET_FORCE
             if target:
                 sensor.reftype, sensor.refname = target
+
+
+def add_matter_sensors(spec: mujoco.MjSpec, layout: SceneLayout) -> None:
+    """Sensors of :class:`MatterMeter`: of each deformable and link in contact, and of each piece of rope."""
+    for index, thing in enumerate(layout.scene.deformables):
+        for link in _touchable(layout):
+            _add_net_force(spec, f"matter{index}.{link}", body_name(link), matter_name(index))
+        for piece in range(len(thing.rest_positions) - 1 if isinstance(thing, Rope) else 0):
+            name = matter_name(index) + (f"_{piece}" if piece else "")
+            _add_net_force(spec, f"piece{index}.{piece}", name)
+    if layout.scene.deformables:  # forces on bodies are computed where a sensor wants them
+        spec.body(matter_name(0)).add_site(name="matter")
+        spec.add_sensor(
+            name="matter", type=mujoco.mjtSensor.mjSENS_FORCE, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="matter"
+        )
+
+
+def _touchable(layout: SceneLayout) -> list[int]:
+    return [number for number, link in enumerate(layout.links) if link.collisions]
+
+
+def _add_net_force(spec: mujoco.MjSpec, name: str, body: str, subtree: str | None = None) -> None:
+    sensor = spec.add_sensor(
+        name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_BODY, objname=body
+    )
+    sensor.intprm[:3] = _NET_FORCE
+    if subtree is not None:
+        sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_XBODY, subtree
 
 
 def contact_sensor_starts(layout: SceneLayout) -> npt.NDArray[np.int64]:
@@ -97,3 +130,57 @@ class WrenchMeter:
     def read(self) -> None:
         if self._flat.shape[1]:
             np.copyto(self._flat, self._sensordata, casting="same_kind")
+
+
+class MatterMeter:
+    """Forces of deformables on links at the last physics step: those of contacts, and of what links hold.
+
+    MuJoCo gives a cloth's particle the force that holds it alone, for contacts of flexes are no forces on bodies to it;
+    a piece of rope has that of all contacts and of the drag with it, which are taken off.
+    """
+
+    def __init__(
+        self, layout: SceneLayout, batch: Batch, addresses: Addresses, matter: Sequence[MatterAddresses]
+    ) -> None:
+        self._matter, self._link_of_body = matter, addresses.link_of_body
+        self._links = np.array(_touchable(layout), dtype=np.int64)
+        shape = (batch.nsim, len(matter), len(layout.links), 3)
+        self.forces = torch.zeros(shape)
+        """(N, D, L, 3) newtons, world axes."""
+        self._forces = self.forces.numpy()
+        if matter:
+            self._sensordata, self._cfrc = batch.bind("sensordata"), batch.bind("cfrc_ext")
+            self._xfrc, self._active = batch.bind("xfrc_applied"), batch.bind("eq_active")
+            self._start = 3 * int(contact_sensor_starts(layout)[-1])
+
+    def read(self, holders: npt.NDArray[np.int64]) -> None:
+        """Take the last physics step's forces; ``holders`` (N, E) are the bodies that constraints hold particles to."""
+        column = self._start
+        for index, one in enumerate(self._matter):
+            stop = column + 3 * len(self._links)
+            exerted = self._sensordata[:, column:stop].reshape(len(self._forces), -1, 3)
+            self._forces[:, index] = 0.0
+            self._forces[:, index, self._links] = -exerted
+            held = self._active[:, one.anchors] > 0.0
+            pull = self._cfrc[:, one.bodies, 3:]
+            if isinstance(one.spec, Rope):
+                column, stop = stop, stop + 3 * (one.bodies.stop - one.bodies.start)
+                touched = -self._sensordata[:, column:stop].reshape(len(self._forces), -1, 3)
+                pull = pull - touched - self._xfrc[:, one.bodies, :3]
+            column = stop
+            if held.any():
+                self._add_pull(index, one, held, pull, self._link_of_body[holders[:, one.anchors]])
+
+    def _add_pull(
+        self,
+        index: int,
+        one: MatterAddresses,
+        held: npt.NDArray[np.bool_],
+        pull: npt.NDArray[np.float64],
+        links: npt.NDArray[np.int64],
+    ) -> None:
+        if isinstance(one.spec, Rope):  # the last two particles share a piece: what holds the last counts for both
+            links = np.concatenate((links[:, :-2], np.where(held[:, -1:], links[:, -1:], links[:, -2:-1])), axis=1)
+            held = np.concatenate((held[:, :-2], held[:, -2:].any(1, keepdims=True)), axis=1)
+        rows, particles = np.nonzero(held & (links >= 0))
+        np.add.at(self._forces[:, index], (rows, links[rows, particles]), -pull[rows, particles])

@@ -10,7 +10,7 @@ import mujoco
 from orbit_core.interfaces import SceneLayout
 from orbit_mjmodel import model
 from orbit_mujoco.config import MujocoConfig
-from orbit_mujoco.measurements import add_contact_sensors
+from orbit_mujoco.measurements import add_contact_sensors, add_matter_sensors
 
 
 def build_models(layout: SceneLayout, config: MujocoConfig) -> tuple[model.BuiltModel, ...]:
@@ -22,9 +22,12 @@ def build_models(layout: SceneLayout, config: MujocoConfig) -> tuple[model.Built
     disabled = mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a diverged environment must be seen, not put back
     if len(layout.variants) > 1:
         disabled |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # trees of bounds would be one kind's for all
-    built = model.build_models(
-        layout, config, solver=config.solver, disabled=int(disabled), add_sensors=add_contact_sensors
-    )
+    built = model.build_models(layout, config, solver=config.solver, disabled=int(disabled), add_sensors=_add_sensors)
     for one in built:
         one.model.geom_contype[one.absent] = one.model.geom_conaffinity[one.absent] = 0
     return built
+
+
+def _add_sensors(spec: mujoco.MjSpec, layout: SceneLayout) -> None:
+    add_contact_sensors(spec, layout)
+    add_matter_sensors(spec, layout)

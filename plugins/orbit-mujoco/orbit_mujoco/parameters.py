@@ -54,18 +54,18 @@ class Parameters:
     def set_masses(self, links: Indices, masses: FloatArray, rows: HostRows) -> None:
         bodies = self._addresses.bodies[links]
         index = block(rows, bodies)
-        mass, inertia = self._field("body_mass"), self._field("body_inertia")
+        mass, inertia = self.field("body_mass"), self.field("body_inertia")
         scale = masses / self._nominal["body_mass"][index]
         mass[index] = masses
         inertia[index] = self._nominal["body_inertia"][index] * scale[..., None]
         self._constants_due[rows] = True
 
     def set_centers_of_mass(self, links: Indices, centers: FloatArray, rows: HostRows) -> None:
-        self._field("body_ipos")[block(rows, self._addresses.bodies[links])] = centers
+        self.field("body_ipos")[block(rows, self._addresses.bodies[links])] = centers
         self._constants_due[rows] = True
 
     def set_friction(self, links: Indices, coefficients: FloatArray, rows: HostRows) -> None:
-        friction = self._field("geom_friction")
+        friction = self.field("geom_friction")
         for column, link in enumerate(links):
             index = (*block(rows, self._addresses.geoms(int(link))), 0)
             friction[index] = coefficients[:, column, None]
@@ -73,13 +73,31 @@ class Parameters:
     def set_drive_gains(self, joints: Indices, stiffness: FloatArray, damping: FloatArray, rows: HostRows) -> None:
         driven = self._model.actuator_gainprm[joints, 0] > 0  # a mimic joint has no drive of its own
         index = block(rows, joints[driven])
-        bias = self._field("actuator_biasprm")
+        bias = self.field("actuator_biasprm")
         bias[(*index, STIFFNESS)] = -stiffness[:, driven]
         bias[(*index, DAMPING)] = bias[(*index, ASKED_DAMPING)] = -damping[:, driven]
         self._hold_drives()
 
     def set_gravity(self, gravity: FloatArray, rows: HostRows) -> None:
-        self._field("opt.gravity")[rows] = gravity
+        self.field("opt.gravity")[rows] = gravity
+
+    @property
+    def masses(self) -> FloatArray:
+        """(bodies,) or (N, bodies) kg."""
+        return self._fields.get("body_mass", self._model.body_mass)
+
+    def scale_masses(self, bodies: slice, scales: FloatArray, rows: HostRows) -> None:
+        """Give bodies the scene's masses and inertias times (n,)."""
+        for name in ("body_mass", "body_inertia"):
+            self.scale(name, np.arange(bodies.start, bodies.stop), scales, rows)
+        self._constants_due[rows] = True
+
+    def scale(self, name: str, columns: Indices, scales: FloatArray, rows: HostRows) -> None:
+        """Give columns of a field the scene's values times (n,)."""
+        field = self.field(name)
+        index = block(rows, columns)
+        nominal = self._nominal[name][index]
+        field[index] = nominal * scales.reshape(-1, *(1 for _ in nominal.shape[1:]))
 
     def save(self) -> dict[str, npt.NDArray]:
         """Copies of the fields that differ between environments."""
@@ -88,12 +106,13 @@ class Parameters:
     def load(self, saved: dict[str, npt.NDArray]) -> None:
         """Return to what :meth:`save` gave; fields that it lacks return to the scene's values."""
         for name in {*saved, *self._fields}:
-            self._field(name)[...] = saved.get(name, self._nominal.get(name))
+            self.field(name)[...] = saved.get(name, self._nominal.get(name))
         if {"body_mass", "body_ipos"} & self._fields.keys():
             self._constants_due.fill(True)
         self._read_gains()
 
-    def _field(self, name: str) -> npt.NDArray:
+    def field(self, name: str) -> npt.NDArray:
+        """(N, ...) of the model, with a row for each environment from now on."""
         if name not in self._fields:
             self._fields[name] = self._batch.expand(name)
             self._nominal[name] = self._fields[name].copy()
@@ -111,7 +130,7 @@ class Parameters:
     def _hold_drives(self) -> None:
         """Give drives the damping that they need with the present gains and masses."""
         if self._model.opt.integrator in VELOCITY_IMPLICIT:
-            bias = self._field("actuator_biasprm")
+            bias = self.field("actuator_biasprm")
             inverse_inertia = self._batch.expand("dof_invweight0")[:, self._addresses.joint_velocities]
             bias[..., DAMPING] = damping_bias(bias, inverse_inertia, self._model.opt.timestep)
         self._read_gains()

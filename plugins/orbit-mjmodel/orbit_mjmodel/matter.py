@@ -1,0 +1,273 @@
+"""Cloth and rope as parts of a MuJoCo model: cloth a flex of triangles, a rope a chain of capsules on ball joints.
+
+Cloth follows its membrane stiffness E t, Poisson's ratio nu and bending stiffness D. MuJoCo's two-dimensional flex of
+Young's modulus Y, ratio p and thickness h has, as stretched strips and cantilevers show, the membrane's ``E t = Y h
+(1 + 2 p) / (4 (1 + p))`` and ``nu = 2 p``, and a bending stiffness of ``Y h^3 / (12 (1 + p))`` over
+:data:`_BENDING`; these are solved for Y, p and h.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is an extension module without type information.
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
+from orbit_core.scene import Cloth, Rope
+from orbit_mjmodel.addresses import MATTER_BODY, body_name
+from orbit_mjmodel.chains import chain_positions
+from orbit_mjmodel.materials import OVERRIDING
+
+_BENDING = 1.75
+"""What MuJoCo's bending of flexes is too soft by: strips that droop by a quarter and by four fifths of their length
+then do so as elasticas within 7 % at 10 pieces, and 1 % at 20."""
+_STIFF = (0.99, 0.9999, 0.001, 0.5, 2.0)
+"""Impedance of contacts and of what is held: a particle is so light that a softer contact gives way by centimetres."""
+_FASTEST = 0.004
+"""Time constant of contacts in seconds, where two steps are not longer."""
+_SELF_CONTACT = int(mujoco.mjtFlexSelf.mjFLEXSELF_AUTO)
+_STRETCH_AND_BEND, _STRETCH = 3, 2
+"""Of MuJoCo's ``elastic2d``."""
+_CLEARANCE = 3.0
+"""Radii of rope along it, within which it does not touch itself: pieces of a bent rope overlap there."""
+
+
+@dataclass(frozen=True, eq=False)
+class MatterAddresses:
+    """Where one deformable stands in MuJoCo's arrays; each is a range, in the order of its particles or pieces."""
+
+    spec: Cloth | Rope
+    particles: slice
+    """Among the particles of all deformables."""
+    bodies: slice
+    """Of each particle of a cloth, or each piece of a rope."""
+    positions: slice
+    """Into ``qpos``: (P, 3) displacements of a cloth; a rope's first position, its orientation, and its ball joints'."""
+    velocities: slice
+    """Into ``qvel``."""
+    anchors: slice
+    """Of each particle: the equality constraints that hold them."""
+
+    def own_geoms(self, model: mujoco.MjModel) -> npt.NDArray[np.int64]:
+        """A rope's capsules; a cloth has none."""
+        owners = model.geom_bodyid
+        return np.flatnonzero((owners >= self.bodies.start) & (owners < self.bodies.stop))
+
+
+def matter_name(deformable: int) -> str:
+    """The body whose subtree is a deformable, and its flex."""
+    return f"{MATTER_BODY}{deformable}"
+
+
+def simulated(layout: SceneLayout) -> list[Cloth | Rope]:
+    """The scene's deformables, which are of these kinds: their needs were held against what the backend declares."""
+    return [spec for spec in layout.scene.deformables if isinstance(spec, Cloth | Rope)]
+
+
+def has_cloth(layout: SceneLayout) -> bool:
+    """Whether a scene's model has flexes."""
+    return any(isinstance(spec, Cloth) for spec in layout.scene.deformables)
+
+
+def add_matter(spec: mujoco.MjSpec, layout: SceneLayout) -> list[Approximation]:
+    """Add the scene's cloths and ropes, each particle with an inactive constraint that may hold it to any body.
+
+    Returns:
+        What MuJoCo does not take as it is.
+    """
+    report: list[Approximation] = []
+    for index, thing in enumerate(simulated(layout)):
+        solref = (max(_FASTEST, 2.0 * layout.scene.physics_dt), 1.0)
+        if isinstance(thing, Cloth):
+            _add_cloth(spec, index, thing, solref)
+        else:
+            report += _add_rope(spec, index, thing, solref, layout.scene.physics_dt)
+        _add_anchors(spec, index, thing, solref, layout)
+    return report
+
+
+# Cloth ---------------------------------------------------------------------------------------------------------------
+
+
+def _add_cloth(spec: mujoco.MjSpec, index: int, cloth: Cloth, solref: tuple[float, float]) -> None:
+    base = spec.worldbody.add_body(name=matter_name(index))
+    masses = particle_masses(cloth)
+    for number, (place, mass) in enumerate(zip(cloth.pose.transform(cloth.rest_positions), masses, strict=True)):
+        body = base.add_body(name=f"{matter_name(index)}_{number}", pos=place)
+        body.explicitinertial = True
+        body.mass, body.inertia = mass, np.full(3, 1e-4 * mass)  # which never turns
+        for axis in np.eye(3):
+            body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+    young, ratio, thickness = flex_material(cloth)
+    flex = spec.add_flex(name=matter_name(index), dim=2)
+    flex.vertbody = [f"{matter_name(index)}_{number}" for number in range(len(masses))]
+    flex.vert = np.zeros(3 * len(masses)).tolist()
+    flex.elem = np.asarray(cloth.mesh.faces).ravel().tolist()
+    flex.young, flex.poisson, flex.thickness = young, ratio, thickness
+    flex.elastic2d = _STRETCH_AND_BEND if cloth.bending_stiffness > 0.0 else _STRETCH
+    flex.radius = 0.5 * cloth.thickness
+    flex.friction = (cloth.friction, 0.0, 0.0)
+    flex.solref, flex.solimp, flex.solmix = solref, _STIFF, OVERRIDING
+    flex.selfcollide = _SELF_CONTACT if cloth.self_collisions else int(mujoco.mjtFlexSelf.mjFLEXSELF_NONE)
+
+
+def flex_material(cloth: Cloth) -> tuple[float, float, float]:
+    """Young's modulus in Pa, Poisson's ratio and thickness in m that MuJoCo wants for a cloth's stiffnesses."""
+    stretch, nu = cloth.membrane_stiffness, cloth.poissons_ratio
+    bending = cloth.bending_stiffness or 1e-6  # any: a membrane alone has a thickness too
+    thickness = math.sqrt(3.0 * _BENDING * bending * (1.0 + nu) / stretch)
+    return 4.0 * stretch * (1.0 + 0.5 * nu) / ((1.0 + nu) * thickness), 0.5 * nu, thickness
+
+
+def particle_masses(cloth: Cloth) -> npt.NDArray[np.float64]:
+    """(P,) kg: a third of each triangle's."""
+    points, faces = cloth.rest_positions, np.asarray(cloth.mesh.faces)
+    a, b, c = (points[faces[:, corner]] for corner in range(3))
+    shares = np.zeros(len(points))
+    np.add.at(shares, faces, (cloth.area_density * np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0)[:, None])
+    if not shares.min() > 0.0:
+        raise ConfigurationError(f"particle {int(shares.argmin())} of '{cloth.name}' is in no triangle: leave it out")
+    return shares
+
+
+# Rope ----------------------------------------------------------------------------------------------------------------
+
+
+def piece_lengths(rope: Rope) -> npt.NDArray[np.float64]:
+    """(P - 1,) metres."""
+    return np.linalg.norm(np.diff(rope.rest_positions, axis=0), axis=1)
+
+
+def _add_rope(
+    spec: mujoco.MjSpec, index: int, rope: Rope, solref: tuple[float, float], dt: float
+) -> list[Approximation]:
+    """A straight chain along x; the initial state bends it."""
+    lengths = piece_lengths(rope)
+    if not (len(lengths) and lengths.min() > 0.0):
+        raise ConfigurationError(f"rope '{rope.name}' needs two particles or more, each at a place of its own")
+    body = spec.worldbody
+    for number, length in enumerate(lengths):
+        root = number == 0
+        offset = rope.pose.position if root else (lengths[number - 1], 0.0, 0.0)
+        body = body.add_body(name=matter_name(index) + (f"_{number}" if number else ""), pos=offset)
+        if root:
+            body.add_freejoint()
+        else:
+            stiffness = rope.bending_stiffness / (0.5 * (lengths[number - 1] + length))
+            # With this damping, which is taken at the end of a step, so is the spring.
+            body.add_joint(
+                type=mujoco.mjtJoint.mjJNT_BALL, stiffness=[stiffness, 0.0, 0.0], damping=[dt * stiffness, 0.0, 0.0]
+            )
+        mass, radius = rope.linear_density * length, rope.radius
+        across = mass * (length**2 / 12.0 + radius**2 / 4.0)
+        body.explicitinertial = True
+        body.mass, body.ipos, body.inertia = mass, (0.5 * length, 0.0, 0.0), (0.5 * mass * radius**2, across, across)
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=(0.0, 0.0, 0.0, length, 0.0, 0.0),
+            size=(radius, 0.0, 0.0),
+            friction=(rope.friction, 0.0, 0.0),
+            condim=3,
+            solref=solref,
+            solimp=_STIFF,
+            solmix=OVERRIDING,
+            rgba=(0.0, 0.0, 0.0, 0.0),  # which rays take for not there
+        )
+    _exclude_neighbours(spec, index, rope, lengths)
+    why = "a chain of stiff pieces on ball joints, whose springs turn about every axis alike"
+    axial = Approximation(f"'{rope.name}'", f"axial stiffness {rope.axial_stiffness:g} N", "no stretch", why)
+    twist = Approximation(f"'{rope.name}'", "no resistance to twist", "that of bending", why)
+    return [axial, twist] if rope.bending_stiffness > 0.0 else [axial]
+
+
+def _exclude_neighbours(spec: mujoco.MjSpec, index: int, rope: Rope, lengths: npt.NDArray[np.float64]) -> None:
+    names = [matter_name(index) + (f"_{number}" if number else "") for number in range(len(lengths))]
+    starts = np.concatenate(((0.0,), np.cumsum(lengths)))
+    for first, second in combinations(range(len(lengths)), 2):
+        between = starts[second] - starts[first + 1]
+        if not rope.self_collisions or second == first + 1 or between < _CLEARANCE * rope.radius:
+            spec.add_exclude(bodyname1=names[first], bodyname2=names[second])
+
+
+# What holds particles ------------------------------------------------------------------------------------------------
+
+
+def _add_anchors(
+    spec: mujoco.MjSpec, index: int, thing: Cloth | Rope, solref: tuple[float, float], layout: SceneLayout
+) -> None:
+    to = {particle: "world" for particle in range(len(thing.rest_positions))}
+    held = {particle for attachment in thing.attachments for particle in attachment.particles}
+    for attachment in thing.attachments:
+        if attachment.entity is not None and attachment.link is not None:
+            entity = layout.entity(attachment.entity)
+            number = entity.links.start + entity.spec.articulation.link_names.index(attachment.link)
+            to.update(dict.fromkeys(attachment.particles, body_name(number)))
+    for particle, other in to.items():
+        spec.add_equality(
+            name=f"{matter_name(index)}_anchor{particle}",
+            type=mujoco.mjtEq.mjEQ_CONNECT,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=_carrier(index, thing, particle),
+            name2=other,
+            data=_own_place(thing, particle),
+            active=particle in held,
+            solref=solref,
+            solimp=_STIFF,
+        )
+
+
+def _own_place(thing: Cloth | Rope, particle: int) -> npt.NDArray[np.float64]:
+    """Of a particle in the body that carries it, as the constraint's data; the place in the other one is set later."""
+    data = np.zeros(mujoco.mjNEQDATA)
+    if isinstance(thing, Rope) and particle == len(thing.rest_positions) - 1:
+        data[0] = piece_lengths(thing)[-1]
+    return data
+
+
+def _carrier(index: int, thing: Cloth | Rope, particle: int) -> str:
+    """The body that a particle belongs to: of a rope's last one, the last piece."""
+    if isinstance(thing, Rope):
+        particle = min(particle, len(thing.rest_positions) - 2)
+        return matter_name(index) + (f"_{particle}" if particle else "")
+    return f"{matter_name(index)}_{particle}"
+
+
+def matter_addresses(model: mujoco.MjModel, layout: SceneLayout) -> tuple[MatterAddresses, ...]:
+    """The addresses of each of the scene's deformables in a compiled model."""
+    found: list[MatterAddresses] = []
+    start = 0
+    for index, thing in enumerate(simulated(layout)):
+        count = len(thing.rest_positions)
+        rope = isinstance(thing, Rope)
+        first = model.body(_carrier(index, thing, 0)).id
+        joint = model.body_jntadr[first]
+        q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        anchor = model.equality(f"{matter_name(index)}_anchor0").id
+        numbers = (7 + 4 * (count - 2), 6 + 3 * (count - 2)) if rope else (3 * count, 3 * count)
+        found.append(
+            MatterAddresses(
+                thing,
+                slice(start, start + count),
+                slice(first, first + count - rope),
+                slice(q, q + numbers[0]),
+                slice(v, v + numbers[1]),
+                slice(anchor, anchor + count),
+            )
+        )
+        start += count
+    return tuple(found)
+
+
+def set_matter_home(model: mujoco.MjModel, matter: tuple[MatterAddresses, ...]) -> None:
+    """Bend ropes in the model's keyframe as the scene has them at first."""
+    for one in matter:
+        if isinstance(one.spec, Rope):
+            points = one.spec.pose.transform(one.spec.rest_positions)
+            model.key_qpos[0][one.positions] = chain_positions(points[None])[0]
