@@ -25,8 +25,8 @@ from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
 from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, hold_drives, hold_springs
 from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
-from orbit_mjmodel.matter import MatterAddresses, add_matter, has_cloth, matter_addresses, set_matter_home
 from orbit_mjmodel.materials import contact_parameters, material_approximations
+from orbit_mjmodel.matter import MatterAddresses, add_matter, has_cloth, matter_addresses, set_matter_home
 from orbit_mjmodel.variants import ABSENT, Slot, slots
 from orbit_mjmodel.wrenches import add_wrench_sensors
 
