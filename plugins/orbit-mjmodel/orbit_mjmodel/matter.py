@@ -12,6 +12,7 @@ Young's modulus Y, ratio p and thickness h has, as stretched strips and cantilev
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -20,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
-from orbit_core.scene import Cloth, Rope
+from orbit_core.scene import Attachment, Cloth, Rope
 from orbit_mjmodel.addresses import MATTER_BODY, body_name
 from orbit_mjmodel.chains import chain_positions
 from orbit_mjmodel.materials import OVERRIDING
@@ -53,7 +54,7 @@ class MatterAddresses:
     bodies: slice
     """Of each particle of a cloth, or each piece of a rope."""
     positions: slice
-    """Into ``qpos``: displacements of a cloth's particles; a rope's first place, its orientation, and its ball joints'."""
+    """Into ``qpos``: displacements of a cloth's particles; a rope's first place and orientation, and its ball joints'."""
     velocities: slice
     """Into ``qvel``."""
     anchors: slice
@@ -93,6 +94,7 @@ def add_matter(spec: mujoco.MjSpec, layout: SceneLayout) -> list[Approximation]:
             _add_cloth(spec, index, thing, solref)
         else:
             report += _add_rope(spec, index, thing, solref, layout.scene.physics_dt)
+            report += _exclude_held(spec, index, thing, layout)
         _add_anchors(spec, index, thing, solref, layout)
     return report
 
@@ -201,6 +203,19 @@ def _exclude_neighbours(spec: mujoco.MjSpec, index: int, rope: Rope, lengths: np
             spec.add_exclude(bodyname1=names[first], bodyname2=names[second])
 
 
+def _exclude_held(spec: mujoco.MjSpec, index: int, rope: Rope, layout: SceneLayout) -> list[Approximation]:
+    """A rope that begins inside a link would be pushed out of what holds it."""
+    links = {body: attachment.link for attachment, body in _attached_links(rope, layout)}
+    for body in links:
+        for piece in range(len(rope.rest_positions) - 1):
+            spec.add_exclude(bodyname1=_carrier(index, rope, piece), bodyname2=body)
+    why = "the pieces that lie in the link would be pushed out of it"
+    return [
+        Approximation(f"'{rope.name}'", f"contact with link '{link}', which holds it", "none", why)
+        for link in links.values()
+    ]
+
+
 # What holds particles ------------------------------------------------------------------------------------------------
 
 
@@ -209,11 +224,8 @@ def _add_anchors(
 ) -> None:
     to = dict.fromkeys(range(len(thing.rest_positions)), "world")
     held = {particle for attachment in thing.attachments for particle in attachment.particles}
-    for attachment in thing.attachments:
-        if attachment.entity is not None and attachment.link is not None:
-            entity = layout.entity(attachment.entity)
-            number = entity.links.start + entity.spec.articulation.link_names.index(attachment.link)
-            to.update(dict.fromkeys(attachment.particles, body_name(number)))
+    for attachment, link in _attached_links(thing, layout):
+        to.update(dict.fromkeys(attachment.particles, link))
     for particle, other in to.items():
         spec.add_equality(
             name=f"{matter_name(index)}_anchor{particle}",
@@ -226,6 +238,15 @@ def _add_anchors(
             solref=solref,
             solimp=_STIFF,
         )
+
+
+def _attached_links(thing: Cloth | Rope, layout: SceneLayout) -> Iterator[tuple[Attachment, str]]:
+    """The attachments to links, with the link's body."""
+    for attachment in thing.attachments:
+        if attachment.entity is not None and attachment.link is not None:
+            entity = layout.entity(attachment.entity)
+            number = entity.links.start + entity.spec.articulation.link_names.index(attachment.link)
+            yield attachment, body_name(number)
 
 
 def _own_place(thing: Cloth | Rope, particle: int) -> npt.NDArray[np.float64]:
