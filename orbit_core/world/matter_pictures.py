@@ -1,4 +1,4 @@
-"""Pictures of any renderer with a matter solver's deformables in them."""
+"""Pictures of any renderer with deformables in them, whoever simulates these."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
+from orbit_core.backends import matter_names, matter_solver
 from orbit_core.dynamics.indexing import take_rows
-from orbit_core.interfaces import Engine, Image, Renderer, SceneLayout
-from orbit_core.interfaces.matter import MatterPainter
+from orbit_core.interfaces import Engine, Image, Renderer, SceneLayout, UnsupportedCapabilityError
+from orbit_core.interfaces.matter import MatterPainter, MatterSolver
 from orbit_core.plugin_kit.deformable_surface import DeformableSurface
 from orbit_core.scene import CameraSpec, Channel
 
@@ -16,6 +17,26 @@ _SERVED = {
     Channel.RGB: "rgb", Channel.DEPTH: "depth", Channel.NORMALS: "normals", Channel.ALBEDO: "albedo",
     Channel.INSTANCE: "links", Channel.SEMANTIC: "links",
 }  # fmt: skip
+
+
+def with_matter(renderer: Renderer, solver: MatterSolver | None, engine: Engine, layout: SceneLayout) -> Renderer:
+    """The renderer, with the scene's deformables painted into its pictures if there are any.
+
+    Their solver paints them; those of the engine's own, without a ``solver``, any that is installed and can.
+
+    Raises:
+        UnsupportedCapabilityError: nothing that is installed paints them.
+    """
+    if not layout.scene.deformables:
+        return renderer
+    solvers = [solver] if solver is not None else map(matter_solver, matter_names())
+    reasons = ['no matter solver is installed: pip install "orbit-core[matter]"']
+    for each in solvers:
+        try:
+            return MatterRenderer(renderer, each.create_painter(layout, engine.device), engine, layout)
+        except UnsupportedCapabilityError as error:
+            reasons = [*reasons[1:], str(error)]
+    raise UnsupportedCapabilityError(f"pictures of deformables need a matter solver that paints: {'; '.join(reasons)}")
 
 
 class MatterRenderer(Renderer):

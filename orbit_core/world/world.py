@@ -56,7 +56,7 @@ from orbit_core.world.entities import SimulatedObject
 from orbit_core.world.forking import give_up_in_forks
 from orbit_core.world.frames import with_frames
 from orbit_core.world.markers import SimulatedMarker, identity_poses
-from orbit_core.world.matter_pictures import MatterRenderer
+from orbit_core.world.matter_pictures import with_matter
 from orbit_core.world.robots import SimulatedRobot
 
 _EntityType = TypeVar("_EntityType", bound=Entity)
@@ -205,10 +205,7 @@ class SimulatedWorld(World):
         layout = with_frames(self.layout) if frames else self.layout
         layout = rigid_part(layout, self._solver)
         renderer = self._renderer_plugin.create_renderer(layout, cameras, self._renderer_config)
-        if self._solver is None or not self.scene.deformables:
-            return renderer
-        painter = self._solver.create_painter(self.layout, self.device)
-        return MatterRenderer(renderer, painter, self._engine, self.layout)
+        return with_matter(renderer, self._solver, self._engine, self.layout)
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:

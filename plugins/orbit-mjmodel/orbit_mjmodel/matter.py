@@ -54,7 +54,7 @@ class MatterAddresses:
     bodies: slice
     """Of each particle of a cloth, or each piece of a rope."""
     positions: slice
-    """Into ``qpos``: displacements of a cloth's particles; a rope's first place and orientation, and its ball joints'."""
+    """Into ``qpos``: displacements of a cloth's particles; a rope's first place and orientation, then ball joints."""
     velocities: slice
     """Into ``qvel``."""
     anchors: slice

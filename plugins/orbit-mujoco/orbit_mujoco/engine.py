@@ -236,8 +236,8 @@ class MujocoEngine(PartedEngine[State, Parameters]):
     def write_particles(
         self, deformable: int, positions: Tensor, velocities: Tensor, env_ids: Tensor | None = None
     ) -> None:
-        values = (values.numpy().astype(np.float64) for values in (positions, velocities))
-        self._matter.write(deformable, *values, self._rows(env_ids))
+        places, speeds = positions.numpy().astype(np.float64), velocities.numpy().astype(np.float64)
+        self._matter.write(deformable, places, speeds, self._rows(env_ids))
 
     def anchor_particles(
         self, deformable: int, particles: Tensor, link: int | None, env_ids: Tensor | None = None

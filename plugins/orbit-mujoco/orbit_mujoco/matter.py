@@ -141,7 +141,7 @@ class NativeMatter:
 
     def held(self, rows: HostRows) -> FloatArray:
         """Which constraints hold, to be put back after a reset."""
-        return self._active[rows].copy()
+        return self._active[rows].copy() if self._matter else np.zeros(0)
 
     def hold_again(self, held: FloatArray, rows: HostRows) -> None:
         """After a reset: what was held is held where the reset has put it."""
