@@ -84,7 +84,8 @@ class Parameters:
     @property
     def masses(self) -> FloatArray:
         """(bodies,) or (N, bodies) kg."""
-        return self._fields["body_mass"] if "body_mass" in self._fields else self._model.body_mass
+        varied = self._fields.get("body_mass")
+        return self._model.body_mass if varied is None else varied
 
     def scale_masses(self, bodies: slice, scales: FloatArray, rows: HostRows) -> None:
         """Give bodies the scene's masses and inertias times (n,)."""
