@@ -8,6 +8,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from orbit_core.conformance.courses import Course
 from orbit_core.conformance.execution import Outcome
 from orbit_core.conformance.lock import FolderLock
 from orbit_core.conformance.results import (
@@ -80,10 +81,11 @@ class Journal:
             self._append(encode(record))
         self.records[record.job.key] = record
 
-    def finish(self, partings: Iterable[Parting] = ()) -> Result:
+    def finish(self, partings: Iterable[Parting] = (), courses: Iterable[Course] = ()) -> Result:
         """Write the result; the journal has done its work."""
         records = tuple(self.records.values())
-        result = Result(header=self.header, records=records, partings=tuple(partings), finished=now())
+        taken = {"partings": tuple(partings), "courses": tuple(courses)}
+        result = Result(header=self.header, records=records, **taken, finished=now())
         save(result, self.folder)
         self._path.unlink()
         return result

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from orbit_core.conformance.courses import Course
 from orbit_core.conformance.divergence import Divergence
 from orbit_core.conformance.episodes import TaskResult
 from orbit_core.conformance.hardware import Hardware
@@ -200,6 +201,8 @@ class Result:
     header: Header
     records: tuple[Record, ...]
     partings: tuple[Parting, ...] = ()
+    courses: tuple[Course, ...] = ()
+    """Of tasks with deformables."""
     finished: str = ""
     """Time in UTC (ISO 8601)."""
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import matter_solver
+from orbit_core.conformance.courses import Course, course_of
 from orbit_core.conformance.execution import RECORDING, Outcome
 from orbit_core.conformance.hardware import Hardware, versions
 from orbit_core.conformance.jobs import Job, Kind, plan
@@ -28,6 +29,7 @@ from orbit_core.conformance.sources import source_digests
 from orbit_core.conformance.tasks import compare_recordings
 from orbit_core.interfaces import Backend
 from orbit_core.interfaces.matter import NATIVE, MatterSolver
+from orbit_core.rollout.recording import Recording
 
 Progress = Callable[[Record | None, int, int], None]
 """A callback that takes the record that has arrived, if one has, the number of records so far and the total."""
@@ -69,7 +71,7 @@ def run(
                 for outcome in pool.run(work, phase.alone) if work else ():
                     journal.add(outcome)
                     progress(outcome.record, len(journal.records), total)
-            return journal.finish(_partings(settings, journal))
+            return journal.finish(_partings(settings, journal), _courses(settings, journal))
         finally:
             journal.close()
     finally:
@@ -79,13 +81,26 @@ def run(
 def _partings(settings: Settings, journal: Journal) -> Iterator[Parting]:
     """Divergences of every pair of backends on which a task was recorded."""
     for task in settings.tasks:
-        paths = {
-            backend: journal.folder / key / RECORDING
-            for backend in settings.backends
-            if RECORDING in getattr(journal.records.get(key := Job(Kind.TASK, task, backend).key), "files", ())
-        }
+        paths = _recordings(task, settings, journal)
         for reference, backend in itertools.combinations(paths, 2):
             yield Parting(task, backend, reference, compare_recordings(paths[backend], paths[reference]))
+
+
+def _courses(settings: Settings, journal: Journal) -> Iterator[Course]:
+    """Of every task with deformables on every backend on which it was recorded."""
+    for task in settings.tasks:
+        for path in _recordings(task, settings, journal).values():
+            if (course := course_of(Recording.load(path))) is not None:
+                yield course
+
+
+def _recordings(task: str, settings: Settings, journal: Journal) -> dict[str, Path]:
+    """The recordings of a task by backend."""
+    return {
+        backend: journal.folder / key / RECORDING
+        for backend in settings.backends
+        if RECORDING in getattr(journal.records.get(key := Job(Kind.TASK, task, backend).key), "files", ())
+    }
 
 
 def header_of(settings: Settings) -> Header:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from orbit_core.envs.episode import EpisodeEnd
 
 _TRACK = "track:"
+_METRIC = "metric:"
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +43,10 @@ class Recording:
     lengths: npt.NDArray[np.int64]
     """(N,) steps of each episode."""
     tracks: Mapping[str, npt.NDArray[np.float32]]
-    """(T, k, 7) poses before each step, of end effectors and movable objects in the first k environments; NaN after an
-    episode's end."""
+    """(T, k, 7) poses before each step, of end effectors and movable objects in the first k environments, and (T, k, 3)
+    positions of the key points of deformables, as ``deformable/point``; NaN after an episode's end."""
+    metrics: Mapping[str, npt.NDArray[np.float32]] = field(default_factory=dict)
+    """(T, k) the leading metric before each step, of tasks with deformables; NaN after an episode's end."""
 
     def save(self, path: Path) -> None:
         """Write an ``.npz`` file.
@@ -52,6 +56,7 @@ class Recording:
         """
         about = {"task": self.task, "backend": self.backend, "seed": self.seed, "step_dt": self.step_dt}
         arrays: dict[str, npt.NDArray[Any]] = {_TRACK + name: track for name, track in self.tracks.items()}
+        arrays |= {_METRIC + name: values for name, values in self.metrics.items()}
         header = json.dumps({**about, "fields": dict(self.fields)})
         arrays |= {"header": np.array(header), "actions": self.actions, "lengths": self.lengths}
         with written_whole(path) as written:
@@ -67,8 +72,12 @@ class Recording:
         try:
             with np.load(path) as file:
                 about = json.loads(str(file["header"]))
-                tracks = {name.removeprefix(_TRACK): file[name] for name in file.files if name.startswith(_TRACK)}
-                return Recording(**about, actions=file["actions"], lengths=file["lengths"], tracks=tracks)
+                tracks, metrics = (
+                    {name.removeprefix(kind): file[name] for name in file.files if name.startswith(kind)}
+                    for kind in (_TRACK, _METRIC)
+                )
+                arrays = {name: file[name] for name in ("actions", "lengths")}
+                return Recording(**about, **arrays, tracks=tracks, metrics=metrics)
         except (OSError, KeyError, ValueError, TypeError) as error:
             raise AssetError(f"{path} is no recording of a task's episodes: {error}") from error
 
@@ -96,7 +105,7 @@ class RecordedActions:
 
 
 class EpisodeRecorder(StepObserver):
-    """Records actions, and the poses of end effectors and of all objects that can move.
+    """Records actions, the poses of end effectors and of all objects that can move, and of deformables the key points.
 
     Args:
         environment: that is stepped.
@@ -108,16 +117,19 @@ class EpisodeRecorder(StepObserver):
         self._environment = environment
         self._counter = counter
         self._count = min(tracked_envs, environment.num_envs)
-        self._frames = dict(_tracked_frames(environment.world))
-        self._poses: dict[str, list[Tensor]] = {name: [] for name in self._frames}
+        self._watched = dict(_tracked(environment.world))
+        self._tracks: dict[str, list[Tensor]] = {name: [] for name in self._watched}
+        self._metrics: dict[str, list[Tensor]] = {}
         self._actions: list[Tensor] = []
 
     def before_step(self) -> None:
         """Record where things are; not a number where the episode is over."""
-        over = ~self._counter.running[: self._count, None]
-        for name, (entity, frame) in self._frames.items():
-            pose = entity.frame_pose(frame)[: self._count]
-            self._poses[name].append(pose.masked_fill(over, torch.nan).cpu())
+        over = ~self._counter.running[: self._count]
+        for name, place in self._watched.items():
+            self._tracks[name].append(place()[: self._count].masked_fill(over[:, None], torch.nan).cpu())
+        if self._environment.world.deformables:
+            name, values = next(iter(self._environment.task.metrics(self._environment.world).items()))
+            self._metrics.setdefault(name, []).append(values[: self._count].masked_fill(over, torch.nan).cpu())
 
     def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
         """Record what was done."""
@@ -139,8 +151,18 @@ class EpisodeRecorder(StepObserver):
             step_dt=self._environment.step_dt,
             actions=torch.stack(self._actions).numpy(),
             lengths=self._counter.episodes().steps.cpu().numpy(),
-            tracks={name: torch.stack(poses).numpy() for name, poses in self._poses.items()},
+            tracks={name: torch.stack(places).numpy() for name, places in self._tracks.items()},
+            metrics={name: torch.stack(values).numpy() for name, values in self._metrics.items()},
         )
+
+
+def _tracked(world: World) -> Iterator[tuple[str, Callable[[], Tensor]]]:
+    """What tells where each thing is: (N, 7) of a frame, (N, 3) of a key point."""
+    for name, (entity, frame) in _tracked_frames(world):
+        yield name, functools.partial(entity.frame_pose, frame)
+    for name, body in world.deformables.items():
+        for point in body.spec.key_points:
+            yield f"{name}/{point.name}", functools.partial(body.key_point, point.name)
 
 
 def _tracked_frames(world: World) -> Iterator[tuple[str, tuple[Object, str]]]:

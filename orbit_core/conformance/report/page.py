@@ -14,6 +14,7 @@ from markupsafe import Markup
 from orbit_core.conformance.execution import VIDEO
 from orbit_core.conformance.jobs import Kind
 from orbit_core.conformance.report import plots
+from orbit_core.conformance.report.courses import courses
 from orbit_core.conformance.report.robots import RobotSection, robot_section
 from orbit_core.conformance.results import PolicyInfo, Record, Result, ScenarioInfo, load
 from orbit_core.conformance.tolerances import loose_tolerances
@@ -93,6 +94,8 @@ class TaskSection:
     videos: tuple[tuple[str, str], ...]
     """Pairs of backend and file."""
     rows: tuple[tuple[str, ...], ...]
+    courses: Markup
+    """Key points of deformables on each backend; empty without any."""
     divergence: Markup
     replays: tuple[tuple[str, tuple[str, ...]], ...]
     """Source backend, and success on each backend."""
@@ -291,6 +294,7 @@ def _task_section(result: Result, task: str, folder: Path) -> TaskSection:
         name=task,
         videos=tuple((job.backend, f"{job.key}/{VIDEO}") for job in videos),
         rows=tuple(_task_row(backend, own[backend]) for backend in backends if backend in own),
+        courses=Markup(courses(result, task)),
         divergence=Markup(plots.divergences(result, task)),
         replays=tuple(
             (source, tuple(_replay_text(own if source == b else None, replays, source, b) for b in backends))
