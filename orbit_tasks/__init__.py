@@ -32,3 +32,6 @@ def register(registry: TaskRegistry) -> None:
     registry.add(
         "Cloth-Dropping", "Drop a cloth into a container beside its tray", "orbit_tasks.cloth_dropping:ClothDropping"
     )
+    registry.add(
+        "Flag-Hoisting", "Raise a flag by its staff to its place at a mast", "orbit_tasks.flag_hoisting:FlagHoisting"
+    )

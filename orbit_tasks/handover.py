@@ -132,8 +132,7 @@ def sample_goal(world: World, task: Handover, env_ids: Tensor) -> None:
     """15 to 35 cm above an 8 x 40 cm patch before the receiver."""
     low, high = (task.spacing - 0.43, -0.2, 0.15), (task.spacing - 0.35, 0.2, 0.35)
     task.goal[env_ids] = goal = world.random.uniform((3,), low, high, env_ids)
-    upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=world.device).expand(len(env_ids), 4)
-    world.markers["goal"].set_pose(torch.cat((goal, upright), dim=1), env_ids)
+    common.place_markers(world, ("goal",), goal[:, None], env_ids)
 
 
 # Where the expert leads the hands

@@ -101,8 +101,7 @@ def sample_goal(world: World, task: Lift, env_ids: Tensor) -> None:
     (low, high), (bottom, top) = patch(world), common.workspace(world)
     goal = world.random.uniform((3,), (*low, bottom[2] + 0.1), (*high, top[2]), env_ids)
     task.goal[env_ids] = goal
-    upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=world.device).expand(len(env_ids), 4)
-    world.markers["goal"].set_pose(torch.cat((goal, upright), dim=1), env_ids)
+    common.place_markers(world, ("goal",), goal[:, None], env_ids)
 
 
 def at_cube(world: World, task: Lift) -> Tensor:

@@ -60,10 +60,7 @@ def sample_goal(world: World, task: RopeReshaping, env_ids: Tensor) -> None:
     task.start_end[env_ids] = points[:, -1]
     task.middle[env_ids] = points[:, KEY_POINTS // 2]
     task.goal[env_ids] = _bent(points, angle)
-    upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=world.device).expand(len(env_ids), 4)
-    for number in range(KEY_POINTS):
-        place = task.goal[env_ids, number]
-        world.markers[f"goal{number}"].set_pose(torch.cat((place, upright), dim=1), env_ids)
+    common.place_markers(world, [f"goal{number}" for number in range(KEY_POINTS)], task.goal[env_ids], env_ids)
 
 
 def _bent(points: Tensor, angle: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -182,3 +183,11 @@ def randomize_robot_start(spread: float, agent: str = ROBOT):
         robot.set_joint_state((robot.home_positions + offset).clamp(limits[:, 0], limits[:, 1]), env_ids=env_ids)
 
     return randomize
+
+
+def place_markers(world: World, names: Sequence[str], positions: Tensor, env_ids: Tensor | None = None) -> None:
+    """Stand markers upright at positions (n, len(names), 3), one each, in the environments' frames."""
+    poses = torch.zeros(*positions.shape[:2], 7, device=positions.device)
+    poses[..., :3], poses[..., 3] = positions, 1.0
+    for number, name in enumerate(names):
+        world.markers[name].set_pose(poses[:, number], env_ids)

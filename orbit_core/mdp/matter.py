@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.transforms import quat_rotate
+from orbit_core.dynamics.transforms import quat_multiply, quat_rotate
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import EventFunction, TermFunction
 from orbit_core.interfaces import World
@@ -45,21 +45,44 @@ def key_points(name: str) -> TermFunction:
     return observe
 
 
-def place_deformable(name: str, spread: tuple[float, float], turn: float = math.pi) -> EventFunction:
-    """Event: the deformable at its spec's pose, moved by up to ``spread`` (x, y) m and turned by up to ``turn`` rad."""
+def vector_area(positions: Tensor, triangles: Tensor) -> Tensor:
+    """(N, 3) m^2: the sum of triangles' (T, 3) normals times their areas, of particles (N, P, 3).
+
+    Its part along a direction is the area that is seen from there, less twice what folds show of the other side.
+    """
+    a, b, c = (positions[:, triangles[:, k]] for k in range(3))
+    return 0.5 * torch.linalg.cross(b - a, c - a).sum(1)
+
+
+def place_deformable(
+    name: str, spread: tuple[float, float], turn: float = math.pi, carrier: str | None = None
+) -> EventFunction:
+    """Event: the deformable at its spec's pose, moved by up to ``spread`` (x, y) m and turned by up to ``turn`` rad.
+
+    ``carrier`` names an object that it is fixed to, and that goes with it.
+    """
 
     def place(world: World, task: Task, env_ids: Tensor) -> None:
         thing = world.deformables[name]
         rest = torch.tensor(thing.spec.pose.transform(thing.spec.rest_positions), dtype=torch.float32)
         rest = rest.to(world.device)
-        middle = rest.mean(0)
         low, high = (-spread[0], -spread[1], -turn), (*spread, turn)
         offset = world.random.uniform((3,), low, high, env_ids)
-        shift = torch.cat((offset[:, :2], torch.zeros_like(offset[:, :1])), dim=1)
-        rotation = turned(offset[:, 2])[:, None].expand(-1, len(rest), -1)
-        thing.set_state(
-            quat_rotate(rotation, (rest - middle).expand(len(offset), -1, -1)) + middle + shift[:, None],
-            env_ids=env_ids,
-        )
+        thing.set_state(_moved(rest, rest.mean(0), offset), env_ids=env_ids)
+        if carrier is not None:
+            carried_by = world.objects[carrier]
+            pose = carried_by.spec.pose
+            position = torch.tensor([pose.position], dtype=torch.float32, device=world.device)
+            orientation = torch.tensor(pose.orientation, dtype=torch.float32, device=world.device)
+            orientation = quat_multiply(turned(offset[:, 2]), orientation.expand(len(offset), 4))
+            place = _moved(position, rest.mean(0), offset)[:, 0]
+            carried_by.set_root_pose(torch.cat((place, orientation), dim=1), env_ids)
 
     return place
+
+
+def _moved(points: Tensor, pivot: Tensor, offset: Tensor) -> Tensor:
+    """(n, P, 3) points (P, 3) turned about a pivot (3,) and moved, by offsets (n, 3) of x, y and yaw."""
+    shift = torch.cat((offset[:, :2], torch.zeros_like(offset[:, :1])), dim=1)
+    rotation = turned(offset[:, 2])[:, None].expand(-1, len(points), -1)
+    return quat_rotate(rotation, (points - pivot).expand(len(offset), -1, -1)) + pivot + shift[:, None]

@@ -7,7 +7,7 @@ import pytest
 from orbit_core.envs import make
 
 
-@pytest.mark.parametrize(("task", "num_envs"), [("Rope-Reshaping", 4), ("Cloth-Lifting", 2)])
+@pytest.mark.parametrize(("task", "num_envs"), [("Rope-Reshaping", 4), ("Cloth-Lifting", 2), ("Flag-Hoisting", 2)])
 def test_an_expert_reaches_the_goal(task: str, num_envs: int) -> None:
     environment = make(task, num_envs, "mujoco", seed=0)
     expert = environment.task.expert(environment.world)

@@ -1,0 +1,160 @@
+"""What tasks of a cloth share: the cloth on a smooth tray, what is seen of it, and how a hand takes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.linalg import vector_norm
+
+from orbit_core.assets.deformables import corners, sheet
+from orbit_core.assets.objects import SolidOptions, box
+from orbit_core.envs import ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.terms import TermFunction, once_per_state
+from orbit_core.interfaces import World
+from orbit_core.mdp import common, matter
+from orbit_core.scene import Cloth, MarkerSpec, ObjectSpec, PhysicsMaterial, Pose, Scene
+from orbit_core.scene.pose import Vector3
+
+CLOTH = "cloth"
+SMOOTH = PhysicsMaterial(static_friction=0.2, dynamic_friction=0.2)
+TRAY = 0.02
+"""Height in metres of a low tray."""
+PRESSED = 0.003
+"""Metres from the tray to the frame between the finger pads, which reach 9 mm beyond it: they press on the cloth."""
+CARRIED = 0.3
+"""Metres above the table at which a hand carries a cloth past other things."""
+
+
+@dataclass(kw_only=True)
+class ClothTask(Task):
+    """A square cloth on a tray before an arm with a gripper that holds it by friction alone."""
+
+    robot: str = "franka_panda"
+    action: str = "joint_position"
+    physics_dt: float = 0.0025
+    decimation: int = 8
+    ppo: PpoSettings = PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005)
+    size: float = 0.2
+    """Metres of the cloth's sides."""
+    particles: int = 21
+    """Along each side."""
+    area_density: float = 0.2
+    """kg/m^2 of the cloth."""
+    grip_force: float = 15.0
+    """Newtons at most that the gripper closes with."""
+
+    def cloth(self, position: Vector3, yaw: float = 0.0) -> Cloth:
+        """The cloth flat on what is at a position, in metres, turned by ``yaw`` rad; friction 0.2."""
+        counts = (self.particles, self.particles)
+        x, y, z = position
+        pose = Pose.from_euler(0.0, 0.0, yaw, (x, y, z + 0.5 * Cloth.thickness))
+        mesh = sheet((self.size, self.size), counts)
+        return Cloth(CLOTH, mesh, self.area_density, pose, friction=0.2, key_points=corners(counts))
+
+    def on_bench(self, cloth: Cloth, *objects: ObjectSpec, markers: tuple[MarkerSpec, ...] = ()) -> Scene:
+        """The robot at the work bench, with the cloth and those objects on it."""
+        return Scene(
+            robots=(matter.with_grip_force(common.arm(self.robot), self.grip_force),),
+            objects=(common.work_bench(), *objects),
+            deformables=(cloth,),
+            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            markers=markers,
+            physics_dt=self.physics_dt,
+        )
+
+
+def tray(size: Vector3, x: float, y: float = 0.0, material: PhysicsMaterial = SMOOTH) -> ObjectSpec:
+    """A fixed block that stands on the bench, around (x, y); ``size`` in metres."""
+    place = SolidOptions(mass=1.0, fixed_base=True, pose=Pose((x, y, 0.5 * size[2])), material=material)
+    return box("tray", size, **place)
+
+
+def key_point(name: str) -> TermFunction:
+    """Term: (N, 3) a key point of the cloth, in the environment's frame."""
+
+    @once_per_state
+    def observe(world: World, task: Task) -> Tensor:
+        """(N, 3) m, in the environment's frame."""
+        return world.deformables[CLOTH].key_point(name)
+
+    return observe
+
+
+middle = key_point("middle")
+"""(N, 3) the cloth's middle, in the environment's frame."""
+
+
+def reaching(name: str) -> TermFunction:
+    """Term: (N,) in [0, 1], how near the hand is to a key point of the cloth."""
+
+    def observe(world: World, task: Task) -> Tensor:
+        point = world.deformables[CLOTH].key_point(name)
+        return common.nearness(vector_norm(point - common.hand_pose(world, task)[:, :3], dim=1), 0.1)
+
+    return observe
+
+
+@once_per_state
+def let_go(world: World, task: Task) -> Tensor:
+    """(N,) bool: whether no particle of the cloth is within 3 cm of the hand."""
+    hand = common.hand_pose(world, task)[:, None, :3]
+    return vector_norm(world.deformables[CLOTH].positions - hand, dim=2).amin(1) > 0.03
+
+
+def at_height(position: Tensor, height: float) -> Tensor:
+    """(N, 7) the hand pointing down, over or at positions (N, 3), its frame at a height in the environment."""
+    return common.pointing_down(torch.cat((position[:, :2], torch.full_like(position[:, :1], height)), dim=1))
+
+
+def over(point: TermFunction, height: float) -> TermFunction:
+    """Term: (N, 7) the hand over what a term (N, 3) gives, its frame at a height in the environment."""
+    return lambda world, task: at_height(point(world, task), height)
+
+
+def here(height: float) -> TermFunction:
+    """Term: (N, 7) the hand where it is, its frame at a height in the environment."""
+    return lambda world, task: at_height(common.hand_pose(world, task), height)
+
+
+def still(world: World, task: Task) -> Tensor:
+    """(N, 7) the hand where it is."""
+    return common.hand_pose(world, task)
+
+
+def pinching() -> tuple[Phase, ...]:
+    """Phases that take the cloth by its middle where it lies flat on a low tray.
+
+    The open fingers press on it, and as they close the cloth between them buckles up and is held.
+    """
+    return (
+        Phase(over(middle, TRAY + 0.1), position_tolerance=0.02, free=True),
+        Phase(over(middle, TRAY + PRESSED), position_tolerance=0.008, timeout=1.0),
+        Phase(here(TRAY + PRESSED), gripper_open=False, dwell=0.7, timeout=0.7),
+    )
+
+
+@dataclass
+class ClothState(ObservationGroup):
+    """The arm's joints and hand, the cloth's key points and the last action."""
+
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    key_points: ObservationTerm | None = ObservationTerm(matter.key_points(CLOTH))
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class Smoothness:
+    """Rewards, negative ones, of what is fast or abrupt."""
+
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
+    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
+
+
+@dataclass
+class TimeLimit:
+    """Only the time limit ends an episode."""
