@@ -18,7 +18,7 @@ class MatterConfig:
     substep: float | None = None
     """Longest substep in seconds; a physics step is divided into as many equal ones as it takes. None takes what the
     finest mesh of the scene needs to hang within 1 % of its length and to bend as its stiffness says, between 0.25 and
-    1.25 ms."""
+    1.25 ms, or 0.84 ms where there is cloth to be grasped."""
     contact_stiffness: float = 1000.0
     """N/m with which one particle resists being pressed into a surface."""
     threads: int = 0
