@@ -66,23 +66,22 @@ class RigidBodyModel:
         self._center = self._tensor([link.center_of_mass for link in articulation.links])
         self._inertia = self._tensor([link.inertia for link in articulation.links])
 
+    def equation_of_motion(
+        self, link_poses: Tensor, root_velocity: Tensor, joint_velocities: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """:meth:`mass_matrix` and :meth:`bias_forces`, with what they share computed once."""
+        subspaces, inertias = self._subspaces(link_poses), self._spatial_inertias(link_poses)
+        return self._mass_of(subspaces, inertias), self._bias_of(subspaces, inertias, root_velocity, joint_velocities)
+
     def mass_matrix(self, link_poses: Tensor) -> Tensor:
         """(N, D, D), armature included, for link poses (N, L, 7)."""
-        inertias = self._spatial_inertias(link_poses)
-        composite = (self._subtree @ inertias.flatten(-2)).unflatten(-1, (6, 6))
-        subspaces = self._subspaces(link_poses)
-        forces = (composite[:, self._children] @ subspaces.unsqueeze(-1)).squeeze(-1)
-        products = subspaces @ forces.transpose(1, 2)
-        # A joint feels the composite body of a joint below it, and only along one branch.
-        upper = products * self._above
-        diagonal = products.diagonal(dim1=1, dim2=2) + self._armature
-        return upper + upper.transpose(1, 2) + torch.diag_embed(diagonal)
+        return self._mass_of(self._subspaces(link_poses), self._spatial_inertias(link_poses))
 
     def gravity_forces(self, link_poses: Tensor) -> Tensor:
         """(N, D) efforts that hold the articulation against gravity at rest."""
         weights = (-self._gravity * self._mass).expand(link_poses.shape[0], -1, 3)
         moments = torch.linalg.cross(self._centers(link_poses), weights)
-        return self._project(link_poses, torch.cat((weights, moments), -1))
+        return self._project(self._subspaces(link_poses), torch.cat((weights, moments), -1))
 
     def bias_forces(self, link_poses: Tensor, root_velocity: Tensor, joint_velocities: Tensor) -> Tensor:
         """(N, D) efforts at zero acceleration: Coriolis and centrifugal forces plus :meth:`gravity_forces`.
@@ -92,18 +91,31 @@ class RigidBodyModel:
             root_velocity: (N, 6) of the root link, world axes; not used with a fixed base, which does not move.
             joint_velocities: (N, J).
         """
-        origin = link_poses[:, 0, :3]
+        subspaces, inertias = self._subspaces(link_poses), self._spatial_inertias(link_poses)
+        return self._bias_of(subspaces, inertias, root_velocity, joint_velocities)
+
+    def _mass_of(self, subspaces: Tensor, inertias: Tensor) -> Tensor:
+        """(N, D, D) of subspaces (N, D, 6) and spatial inertias (N, L, 6, 6)."""
+        composite = (self._subtree @ inertias.flatten(-2)).unflatten(-1, (6, 6))
+        forces = (composite[:, self._children] @ subspaces.unsqueeze(-1)).squeeze(-1)
+        products = subspaces @ forces.transpose(1, 2)
+        # A joint feels the composite body of a joint below it, and only along one branch.
+        upper = products * self._above
+        diagonal = products.diagonal(dim1=1, dim2=2) + self._armature
+        return upper + upper.transpose(1, 2) + torch.diag_embed(diagonal)
+
+    def _bias_of(self, subspaces: Tensor, inertias: Tensor, root_velocity: Tensor, joint_velocities: Tensor) -> Tensor:
+        """(N, D)"""
         root = torch.zeros_like(root_velocity) if self.fixed_base else root_velocity
-        joint_twists = self.kinematics.motion_subspaces(link_poses, origin) * joint_velocities[..., None]
-        twists = root[:, None] + self._moves @ joint_twists
         base = 0 if self.fixed_base else 6
+        joint_twists = subspaces[:, base:] * joint_velocities[..., None]
+        twists = root[:, None] + self._moves @ joint_twists
         turning = cross_motion(twists[:, self._children[base:]], joint_twists)
         # With the origin's velocity held constant, the spatial acceleration of the root is that of a turning axis.
         linear = -torch.linalg.cross(root[:, 3:], root[:, :3]) - self._gravity
         accelerations = torch.cat((linear, torch.zeros_like(linear)), -1)[:, None] + self._moves @ turning
-        inertias = self._spatial_inertias(link_poses)
         inertial, momenta = (inertias @ torch.stack((accelerations, twists), -1)).unbind(-1)
-        return self._project(link_poses, inertial + _cross_force(twists, momenta))
+        return self._project(subspaces, inertial + _cross_force(twists, momenta))
 
     def _subspaces(self, link_poses: Tensor) -> Tensor:
         """(N, D, 6) twist about the root's origin per unit of each generalized velocity."""
@@ -112,10 +124,10 @@ class RigidBodyModel:
             return joints
         return torch.cat((torch.eye(6, dtype=self.dtype, device=self.device).expand(joints.shape[0], 6, 6), joints), 1)
 
-    def _project(self, link_poses: Tensor, forces: Tensor) -> Tensor:
+    def _project(self, subspaces: Tensor, forces: Tensor) -> Tensor:
         """(N, D) efforts that balance spatial forces (N, L, 6) on the links."""
         carried = (self._subtree @ forces)[:, self._children]
-        return (self._subspaces(link_poses) * carried).sum(-1)
+        return (subspaces * carried).sum(-1)
 
     def _centers(self, link_poses: Tensor) -> Tensor:
         """(N, L, 3) centres of mass from the root's origin, world axes."""

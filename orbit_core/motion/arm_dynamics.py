@@ -71,8 +71,8 @@ class ArmDynamics:
         robot, joints = self.robot, self._joints
         poses, velocities = robot.link_poses, robot.joint_velocities
         moving = velocities.index_select(1, joints)
-        bias = self.model.bias_forces(poses, robot.root_velocity, velocities).index_select(1, joints)
-        mass = self.model.mass_matrix(poses).index_select(1, joints).index_select(2, joints)
+        mass, bias = self.model.equation_of_motion(poses, robot.root_velocity, velocities)
+        mass, bias = mass.index_select(1, joints).index_select(2, joints), bias.index_select(1, joints)
         return ArmState(
             robot.joint_positions.index_select(1, joints), moving, mass, torch.addcmul(bias, self._damping, moving)
         )
