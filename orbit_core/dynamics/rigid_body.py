@@ -64,7 +64,9 @@ class RigidBodyModel:
         self._gravity = self._tensor(gravity)
         self._mass = self._tensor([[link.mass] for link in articulation.links])
         self._center = self._tensor([link.center_of_mass for link in articulation.links])
-        self._inertia = self._tensor([link.inertia for link in articulation.links])
+        moments, axes = np.linalg.eigh([link.inertia for link in articulation.links])
+        self._moments, self._axes = self._tensor(moments), self._tensor(axes)
+        self._composite_mass = self._subtree @ self._mass
 
     def equation_of_motion(
         self, link_poses: Tensor, root_velocity: Tensor, joint_velocities: Tensor
@@ -95,9 +97,9 @@ class RigidBodyModel:
         return self._bias_of(subspaces, inertias, root_velocity, joint_velocities)
 
     def _mass_of(self, subspaces: Tensor, inertias: Tensor) -> Tensor:
-        """(N, D, D) of subspaces (N, D, 6) and spatial inertias (N, L, 6, 6)."""
-        composite = (self._subtree @ inertias.flatten(-2)).unflatten(-1, (6, 6))
-        forces = (composite[:, self._children] @ subspaces.unsqueeze(-1)).squeeze(-1)
+        """(N, D, D) of subspaces (N, D, 6) and inertias (N, L, 12)."""
+        composite = (self._subtree @ inertias)[:, self._children]
+        forces = _momenta(self._composite_mass[self._children], composite, subspaces)
         products = subspaces @ forces.transpose(1, 2)
         # A joint feels the composite body of a joint below it, and only along one branch.
         upper = products * self._above
@@ -114,7 +116,7 @@ class RigidBodyModel:
         # With the origin's velocity held constant, the spatial acceleration of the root is that of a turning axis.
         linear = -torch.linalg.cross(root[:, 3:], root[:, :3]) - self._gravity
         accelerations = torch.cat((linear, torch.zeros_like(linear)), -1)[:, None] + self._moves @ turning
-        inertial, momenta = (inertias @ torch.stack((accelerations, twists), -1)).unbind(-1)
+        inertial, momenta = (_momenta(self._mass, inertias, motion) for motion in (accelerations, twists))
         return self._project(subspaces, inertial + _cross_force(twists, momenta))
 
     def _subspaces(self, link_poses: Tensor) -> Tensor:
@@ -135,24 +137,26 @@ class RigidBodyModel:
         return link_poses[..., :3] - link_poses[:, :1, :3] + (rotations @ self._center.unsqueeze(-1)).squeeze(-1)
 
     def _spatial_inertias(self, link_poses: Tensor) -> Tensor:
-        """(N, L, 6, 6) about the root's origin, world axes."""
-        rotations = quat_to_matrix(link_poses[..., 3:])
-        moment = _cross_matrix(self._centers(link_poses)) * self._mass[..., None]
-        inertia = rotations @ self._inertia @ rotations.transpose(-1, -2)
-        about_origin = inertia - moment @ moment / self._mass[..., None].clamp_min(1e-12)
-        mass = (torch.eye(3, dtype=self.dtype, device=self.device) * self._mass[..., None]).expand_as(moment)
-        top, bottom = torch.cat((mass, -moment), -1), torch.cat((moment, about_origin), -1)
-        return torch.cat((top, bottom), -2)
+        """(N, L, 12) first moments of mass, then matrices of inertia, about the root's origin, world axes."""
+        centers = self._centers(link_poses)
+        axes = quat_to_matrix(link_poses[..., 3:]) @ self._axes
+        own = (axes * self._moments.unsqueeze(-2)) @ axes.transpose(-1, -2)
+        first = self._mass * centers
+        # Steiner's theorem: m (c.c - c c^T).
+        far = (first * centers).sum(-1)[..., None, None] * torch.eye(3, dtype=self.dtype, device=self.device)
+        about_origin = own + far - first.unsqueeze(-1) * centers.unsqueeze(-2)
+        return torch.cat((first, about_origin.flatten(-2)), -1)
 
     def _tensor(self, values: object) -> Tensor:
         return torch.as_tensor(np.asarray(values, dtype=np.float64), dtype=self.dtype, device=self.device)
 
 
-def _cross_matrix(v: Tensor) -> Tensor:
-    """(..., 3, 3): the matrix of ``u -> v x u``."""
-    x, y, z = v.unbind(-1)
-    zero = torch.zeros_like(x)
-    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
+def _momenta(mass: Tensor, inertias: Tensor, twists: Tensor) -> Tensor:
+    """(N, B, 6) of bodies with masses (B, 1) and inertias (N, B, 12), at twists (N, B, 6)."""
+    first, second = inertias[..., :3], inertias[..., 3:].unflatten(-1, (3, 3))
+    linear, angular = twists[..., :3], twists[..., 3:]
+    moment = torch.linalg.cross(first, linear) + (second * angular.unsqueeze(-2)).sum(-1)
+    return torch.cat((mass * linear + torch.linalg.cross(angular, first), moment), -1)
 
 
 def _cross_force(twist: Tensor, force: Tensor) -> Tensor:

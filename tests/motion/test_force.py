@@ -14,65 +14,95 @@ from orbit_core.motion import AdmittanceConfig, CommandMode, HybridForceMotionCo
 from orbit_core.motion.full_ik import FullIk
 from orbit_core.motion.term import ActionTerm
 from orbit_core.scene import (
+    Articulation,
     Box,
     ContactSensorSpec,
     ForceTorqueSpec,
+    Joint,
+    JointType,
+    Link,
     ObjectSpec,
     PhysicsMaterial,
     Pose,
     Shape,
     single_link,
 )
-from tests.motion.servo_world import BACKENDS, Held, held, wrench_on_hand
+from orbit_core.sensors import ContactSensor
+from tests.motion.servo_world import BACKENDS, ENGINES, Held, held, wrench_on_hand
 
 TOUCH = ContactSensorSpec(name="touch", entity="robot", links=("panda_link7", ".*finger"), rate=500.0)
 TABLE = 0.3
 """m: height of the table's top."""
 
 
-def table() -> ObjectSpec:
+SIDE = 0.25
+"""m: the rigid block is as far to the right of the arm as the plate on a spring is to the left."""
+STIFFNESS = 4000.0
+"""N/m of the spring."""
+SLIPPERY = PhysicsMaterial(static_friction=0.0, dynamic_friction=0.0)
+TOP = Shape(Box((0.12, 0.12, 0.05)), material=SLIPPERY)
+
+
+def rigid() -> ObjectSpec:
     """A slippery block that does not move."""
-    shape = Shape(Box((0.3, 0.3, 0.05)), material=PhysicsMaterial(static_friction=0.0, dynamic_friction=0.0))
-    body = single_link("table", shape, 10.0, np.eye(3))
-    return ObjectSpec(name="table", articulation=body, fixed_base=True, pose=Pose((0.5, 0.0, TABLE - 0.05)))
+    body = single_link("rigid", TOP, 10.0, np.eye(3))
+    return ObjectSpec(name="rigid", articulation=body, fixed_base=True, pose=Pose((0.45, -SIDE, TABLE - 0.05)))
 
 
-def above_the_table(term: ActionTerm, backend: str, height: float) -> Held:
-    """The hand points straight down, its finger tips that high above the table."""
-    arm = held(term, backend, num_envs=1, objects=(table(),), sensors=(TOUCH,))
+def compliant() -> ObjectSpec:
+    """A slippery plate on a spring that lets it move up and down, at the rigid block's height under its own weight."""
+    plate = Link("plate", mass=1.0, inertia=0.01 * np.eye(3), collisions=(TOP,))
+    slide = Joint(
+        "slide", JointType.PRISMATIC, "ground", "plate", lower_limit=-0.05, upper_limit=0.05,
+        stiffness=STIFFNESS, rest_position=9.81 / STIFFNESS, damping=60.0,
+    )  # fmt: skip
+    ground = Link("ground", mass=1.0, inertia=plate.inertia)
+    body = Articulation("compliant", links=(ground, plate), joints=(slide,))
+    return ObjectSpec(name="compliant", articulation=body, fixed_base=True, pose=Pose((0.45, SIDE, TABLE - 0.05)))
+
+
+def above_the_tops(term: ActionTerm, backend: str, height: float) -> Held:
+    """The hand points straight down, its finger tips that high above a rigid top, then above a compliant one."""
+    arm = held(term, backend, objects=(rigid(), compliant()), sensors=(TOUCH,))
     robot, frame = arm.robot, arm.robot.spec.end_effector.frame
     solver = FullIk(
         KinematicTree(robot.spec.articulation), frame, arm.generator.joints, robot.position_limits, robot.home_positions
     )
-    pose = torch.tensor([[0.5, 0.0, TABLE + height, 0.0, 1.0, 0.0, 0.0]])
+    pose = torch.tensor([[0.45, side, TABLE + height, 0.0, 1.0, 0.0, 0.0] for side in (-SIDE, SIDE)])
     positions = robot.joint_positions.clone()
     positions[:, arm.generator.joints] = solver.solve(pose, positions).positions
     robot.set_joint_state(positions)
-    robot.set_friction(torch.zeros(1, len(robot.link_names)))  # else the larger of a pair's would hold
+    robot.set_friction(torch.zeros(2, len(robot.link_names)))  # else the larger of a pair's would hold
     return arm
 
 
-@pytest.mark.parametrize(("backend", "axes"), [(BACKENDS[0], None), (BACKENDS[-1], "panda_hand_tcp")])
-def test_the_hand_pushes_with_20_n_while_it_draws_a_circle(backend: str, axes: str | None) -> None:
+@pytest.mark.parametrize(("backend", "axes"), [*zip(ENGINES, [None, "panda_hand_tcp"] * 2, strict=False)])
+def test_the_hand_pushes_with_20_n_on_rigid_and_compliant_tops_while_it_draws_a_circle(
+    backend: str, axes: str | None
+) -> None:
     config = HybridForceMotionConfig(
         sensor="touch", axes=axes, position_scale=0.01, stiffness=400.0, rotational_stiffness=400.0
     )
-    arm = above_the_table(config, backend, 0.02)
+    arm = above_the_tops(config, backend, 0.015)
     push = -1.0 if axes is None else 1.0  # the hand's own z points down
-    arm.run(torch.tensor([0.0, 0.0, push, 0.0, 0.0, 0.0]), 400)
-    center, radius, turns = arm.hand()[0, :2], 0.03, 200
+    arm.run(torch.tensor([0.0, 0.0, push, 0.0, 0.0, 0.0]), 360)
+    radius, turns = 0.02, 140
+    center = arm.hand()[:, :2] - torch.tensor([radius, 0.0])
     forces, misses = [], []
-    for step in range(turns + turns // 4):
+    touch = arm.world.sensors["touch"]
+    assert isinstance(touch, ContactSensor)
+    for step in range(turns + 10):
         angle = 2.0 * math.pi * step / turns
         dx, dy = (radius * 2.0 * math.pi / turns / 0.01 * part for part in (-math.sin(angle), math.cos(angle)))
         across = torch.tensor([dx, dy if axes is None else -dy])  # the hand's own y points back
         arm.run(torch.cat((across, torch.tensor([push, 0.0, 0.0, 0.0]))), 4)
-        if step > 50:
-            forces.append(float(arm.world.sensors["touch"].forces.sum(1)[0, 2]))
-            around = arm.hand()[0, :2] - (center - torch.tensor([radius, 0.0]))
-            misses.append(float(around.norm()) - radius)
-    assert float(np.sqrt(np.mean(np.square(np.array(forces) - 20.0)))) < 1.0
-    assert np.abs(misses).max() < 2e-3
+        if step > 20:
+            forces.append(touch.forces.sum(1)[:, 2].clone())
+            misses.append((arm.hand()[:, :2] - center).norm(dim=1) - radius)
+    assert (torch.stack(forces) - 20.0).square().mean(0).sqrt().max() < 1.0
+    assert torch.stack(misses).abs().max() < 2e-3
+    pressed = arm.world.objects["compliant"].joint_positions[:, 0]
+    torch.testing.assert_close(pressed, torch.tensor([0.0, -20.0 / STIFFNESS]), rtol=0.0, atol=1.0 / STIFFNESS)
     arm.world.close()
 
 
