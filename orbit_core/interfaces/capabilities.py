@@ -80,6 +80,7 @@ class Capability(Enum):
     RANDOMIZE_GRAVITY = "gravity per environment"
     SHAPES_PER_ENVIRONMENT = "different object shapes per environment"
     SNAPSHOTS = "snapshots whose continuation repeats"
+    COPIED_STATES = "states copied into other environments, whose continuation repeats"
     DETERMINISTIC = "the same run twice, whatever the number of environments"
     RGB = "colour images"
     LIGHTING = "colour images lit by the scene's lights"

@@ -140,8 +140,8 @@ class World(ABC):
         """Put the state of one environment into others: what a model predicts begins there.
 
         Poses, velocities, joint states and commands are copied on every engine. What a solver starts from besides is
-        copied where the plugin does more than :meth:`Engine.copy_state`, and the continuation then repeats; elsewhere
-        it begins anew, and differs a little where things touch. Sensors and delayed commands of the targets begin anew.
+        copied where ``Capability.COPIED_STATES`` is exact, and the continuation then repeats; elsewhere it begins anew,
+        and differs a little where things touch. Sensors and delayed commands of the targets begin anew.
         Parameters (masses, gains, friction) stay the targets' own.
 
         Args:

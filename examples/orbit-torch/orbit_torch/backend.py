@@ -28,7 +28,7 @@ _EXACT = (
     Capability.JOINT_FRICTION, Capability.ARMATURE, Capability.SELF_COLLISIONS, Capability.GRAVITY_COMPENSATION,
     Capability.CONTACT_FORCES, Capability.EXTERNAL_WRENCHES, Capability.RAY_CASTS,
     Capability.RANDOMIZE_MASS, Capability.RANDOMIZE_CENTER_OF_MASS, Capability.RANDOMIZE_FRICTION,
-    Capability.RANDOMIZE_GAINS, Capability.RANDOMIZE_GRAVITY, Capability.SNAPSHOTS,
+    Capability.RANDOMIZE_GAINS, Capability.RANDOMIZE_GRAVITY, Capability.SNAPSHOTS, Capability.COPIED_STATES,
 )  # fmt: skip
 _FIRST_ORDER = "drives are integrated by implicit Euler, whose error is in proportion to the time step"
 _MIDPOINT = (

@@ -58,6 +58,7 @@ CAPABILITIES = Capabilities(
         Capability.RANDOMIZE_GRAVITY: EXACT,
         Capability.SHAPES_PER_ENVIRONMENT: unsupported("this backend builds every environment alike"),
         Capability.SNAPSHOTS: EXACT,
+        Capability.COPIED_STATES: approximate("contacts begin anew: what follows differs a little where things touch"),
         Capability.DETERMINISTIC: EXACT,
         Capability.RGB: EXACT,
         Capability.LIGHTING: approximate(

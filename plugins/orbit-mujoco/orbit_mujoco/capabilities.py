@@ -6,6 +6,7 @@ from orbit_mjmodel.capabilities import shared_support
 CAPABILITIES = Capabilities(
     shared_support("MuJoCo")
     | {
+        Capability.COPIED_STATES: EXACT,
         Capability.DETERMINISTIC: EXACT,
         Capability.SHADOWS: approximate(
             "from a map of 6 mm squares that reaches 3 m around the middle of what moves; beyond, all is lit"

@@ -30,6 +30,7 @@ _COMMON = {
     Capability.RANDOMIZE_FRICTION: EXACT,
     Capability.RANDOMIZE_GAINS: EXACT,
     Capability.SNAPSHOTS: EXACT,
+    Capability.COPIED_STATES: approximate("contacts begin anew: what follows differs a little where things touch"),
     Capability.DETERMINISTIC: approximate(_ORDER),
     Capability.RGB: unsupported(_NO_IMAGES),
     Capability.LIGHTING: unsupported(_NO_IMAGES),

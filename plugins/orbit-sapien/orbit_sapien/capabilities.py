@@ -110,6 +110,7 @@ CAPABILITIES = Capabilities(
             "loading drops what PhysX remembers of contacts: all loads of a state go on alike bit for bit, and part "
             "from the run that was saved by some 1e-6 m where bodies touch, and by what chaos makes of it"
         ),
+        Capability.COPIED_STATES: approximate("contacts begin anew: what follows differs a little where things touch"),
         Capability.DETERMINISTIC: approximate(
             "a run repeats bit for bit with the same number of environments; with another, PhysX's TGS solver sums "
             "contacts in another order, and they differ in the last bit"

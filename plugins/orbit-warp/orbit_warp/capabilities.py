@@ -6,6 +6,7 @@ from orbit_mjmodel.capabilities import shared_support
 CAPABILITIES = Capabilities(
     shared_support("MuJoCo-Warp")
     | {
+        Capability.COPIED_STATES: approximate("contacts begin anew: what follows differs a little where things touch"),
         Capability.DETERMINISTIC: approximate(
             "bit for bit on a CPU; on a GPU only with WarpConfig(deterministic=True), for sums run in any order"
         ),
