@@ -95,7 +95,7 @@ def add_matter(spec: mujoco.MjSpec, layout: SceneLayout) -> list[Approximation]:
         else:
             report += _add_rope(spec, index, thing, solref, layout.scene.physics_dt)
             report += _exclude_held(spec, index, thing, layout)
-        _add_anchors(spec, index, thing, solref, layout)
+        _add_anchors(spec, index, thing, layout)
     return report
 
 
@@ -180,8 +180,8 @@ def _add_rope(
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,
             fromto=(0.0, 0.0, 0.0, length, 0.0, 0.0),
             size=(radius, 0.0, 0.0),
-            friction=(rope.friction, 0.0, 0.0),
-            condim=3,
+            friction=(rope.friction, 0.0, rope.friction * radius),  # a line of particles does not roll
+            condim=6,
             solref=solref,
             solimp=_STIFF,
             solmix=OVERRIDING,
@@ -219,9 +219,9 @@ def _exclude_held(spec: mujoco.MjSpec, index: int, rope: Rope, layout: SceneLayo
 # What holds particles ------------------------------------------------------------------------------------------------
 
 
-def _add_anchors(
-    spec: mujoco.MjSpec, index: int, thing: Cloth | Rope, solref: tuple[float, float], layout: SceneLayout
-) -> None:
+def _add_anchors(spec: mujoco.MjSpec, index: int, thing: Cloth | Rope, layout: SceneLayout) -> None:
+    """Springs and dampers that halve what is amiss in a step, and so do not swing."""
+    dt = layout.scene.physics_dt
     to = dict.fromkeys(range(len(thing.rest_positions)), "world")
     held = {particle for attachment in thing.attachments for particle in attachment.particles}
     for attachment, link in _attached_links(thing, layout):
@@ -235,7 +235,7 @@ def _add_anchors(
             name2=other,
             data=_own_place(thing, particle),
             active=particle in held,
-            solref=solref,
+            solref=(-0.5 / dt**2, -1.0 / dt),
             solimp=_STIFF,
         )
 
