@@ -76,11 +76,6 @@ def simulated(layout: SceneLayout) -> list[Cloth | Rope]:
     return [spec for spec in layout.scene.deformables if isinstance(spec, Cloth | Rope)]
 
 
-def has_cloth(layout: SceneLayout) -> bool:
-    """Whether a scene's model has flexes."""
-    return any(isinstance(spec, Cloth) for spec in layout.scene.deformables)
-
-
 def add_matter(spec: mujoco.MjSpec, layout: SceneLayout) -> list[Approximation]:
     """Add the scene's cloths and ropes, each particle with an inactive constraint that may hold it to any body.
 
@@ -167,7 +162,7 @@ def _add_rope(
             body.add_freejoint()
         else:
             stiffness = rope.bending_stiffness / (0.5 * (lengths[number - 1] + length))
-            # With the first part, which is taken at the end of a step, so is the spring.
+            # The first part takes as much as the end of a step would of the spring: rope at rest is then quiet.
             damping = dt * stiffness + _INNER_DAMPING * rope.linear_density * length**3 / dt
             body.add_joint(
                 type=mujoco.mjtJoint.mjJNT_BALL, stiffness=[stiffness, 0.0, 0.0], damping=[damping, 0.0, 0.0]
@@ -180,8 +175,8 @@ def _add_rope(
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,
             fromto=(0.0, 0.0, 0.0, length, 0.0, 0.0),
             size=(radius, 0.0, 0.0),
-            friction=(rope.friction, 0.0, rope.friction * radius),  # a line of particles does not roll
-            condim=6,
+            friction=(rope.friction, 0.0, 0.0),
+            condim=3,
             solref=solref,
             solimp=_STIFF,
             solmix=OVERRIDING,

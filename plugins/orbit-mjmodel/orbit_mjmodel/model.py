@@ -26,7 +26,7 @@ from orbit_mjmodel.config import ModelConfig
 from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, hold_drives, hold_springs
 from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
 from orbit_mjmodel.materials import contact_parameters, material_approximations
-from orbit_mjmodel.matter import MatterAddresses, add_matter, has_cloth, matter_addresses, set_matter_home
+from orbit_mjmodel.matter import MatterAddresses, add_matter, matter_addresses, set_matter_home
 from orbit_mjmodel.variants import ABSENT, Slot, slots
 from orbit_mjmodel.wrenches import add_wrench_sensors
 
@@ -151,11 +151,11 @@ class _Builder:
 
     @property
     def _integrator(self) -> str:
-        """The one that is asked for; with cloth the only one that takes its elasticity."""
+        """The one that is asked for; with cloth and rope the one that solves contacts with their elasticity."""
         asked, wanted = self.config.integrator, "discrete"
-        if not has_cloth(self.layout) or asked == wanted:
+        if not self.layout.scene.deformables or asked == wanted:
             return asked
-        why = "MuJoCo integrates the elasticity of cloth in no other way"
+        why = "MuJoCo integrates cloth in no other way, and rope that rests on something jitters and creeps in others"
         self.report.append(Approximation("the integrator", asked, wanted, why))
         return wanted
 
