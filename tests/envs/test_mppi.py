@@ -10,10 +10,14 @@ from torch import Tensor
 
 from orbit_core.assets.catalogue import robot as catalogue_robot
 from orbit_core.backends import backend_names
+from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.transforms import pose_inverse, pose_multiply
 from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, RewardTerm, Task, make
 from orbit_core.envs.mppi import Mppi, MppiConfig
 from orbit_core.interfaces import ArgumentError, ConfigurationError, Node, World
+from orbit_core.mdp import common
 from orbit_core.motion import ActionTerms, JointEffortConfig
+from orbit_core.motion.full_ik import FullIk
 from orbit_core.scene import Scene
 
 BACKENDS = [name for name in ("mujoco", "bullet") if name in backend_names()]
@@ -96,6 +100,24 @@ def test_a_pole_is_swung_up_and_held(backend: str) -> None:
         heights.append(float(joints(environment.world, environment.task)[0, 1].cos()))
     assert heights[0] < -0.95
     assert min(heights[-15:]) > 0.85
+    environment.close()
+    model.close()
+
+
+def test_a_cube_is_lifted_by_the_tasks_rewards_alone() -> None:
+    environment, model = (make("Lift", count, backend=BACKENDS[0], action="ik_relative") for count in (1, 64))
+    environment.reset(seed=3)
+    robot, cube = environment.world.robots["robot"], environment.world.objects["cube"]
+    tree, effector = KinematicTree(robot.spec.articulation), robot.spec.end_effector
+    arm = robot.find_joints(*effector.arm_joints)
+    above = cube.root_pose[:, :3] + torch.tensor([0.0, 0.0, 0.04])
+    local = pose_multiply(pose_inverse(robot.root_pose), common.pointing_down(above))
+    solver = FullIk(tree, effector.frame, arm, robot.position_limits, robot.home_positions)
+    robot.set_joint_state(solver.solve(local, robot.joint_positions).positions, joints=arm)
+    policy = Mppi(environment, model, MppiConfig(horizon=16, noise=0.5, correlation=0.8))
+    for _ in range(40):
+        environment.step(policy.compute({})["action"])
+    assert cube.root_pose[0, 2] > 0.06  # from 0.025
     environment.close()
     model.close()
 
