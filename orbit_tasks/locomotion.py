@@ -33,6 +33,7 @@ class LocomotionConfig(ActionTerm):
     """
 
     name: ClassVar[str] = "locomotion"
+    above_zero: ClassVar[tuple[str, ...]] = ("max_forward", "max_sideways", "max_yaw_rate")
 
     policy: str = "velocity_flat"
     """Name of a kept policy ('orbit list policies'), or path of a policy's file or folder."""
@@ -66,8 +67,6 @@ class Locomotion(MotionGenerator):
         self._lower = self._legs(self._policy)
         self._check_sizes(self._policy, config.policy)
         limits = (config.max_forward, config.max_sideways, config.max_yaw_rate)
-        if min(limits) <= 0.0:
-            raise ConfigurationError(f"action term '{name}': the velocities of one unit of command are {limits}")
         self._limits = torch.tensor(limits, device=self.device)
         self._velocity = torch.zeros(self.num_envs, 3, device=self.device)
         self._legs_command = torch.zeros(self.num_envs, self._lower.command_size, device=self.device)

@@ -34,6 +34,7 @@ class AdmittanceConfig(PoseTermConfig):
     """
 
     name: ClassVar[str] = "admittance"
+    above_zero: ClassVar[tuple[str, ...]] = (*PoseTermConfig.above_zero, "max_joint_step")
 
     sensor: str | None = None
     """A contact or force-torque sensor of the scene; it must be named."""

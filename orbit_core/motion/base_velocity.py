@@ -30,6 +30,7 @@ class BaseVelocityConfig(ActionTerm):
     """
 
     name: ClassVar[str] = "base_velocity"
+    above_zero: ClassVar[tuple[str, ...]] = ("max_speed", "max_yaw_rate")
     unwanted_gains: ClassVar[tuple[str, ...]] = ("stiffness",)
 
     max_speed: float = 1.0

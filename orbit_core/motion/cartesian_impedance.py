@@ -8,7 +8,6 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.workspace import workspace_positions
 from orbit_core.interfaces import Robot
 from orbit_core.motion.arm_dynamics import ArmState
 from orbit_core.motion.compliant import Compliant, CompliantConfig, HandState, without_free
@@ -42,17 +41,13 @@ class CartesianImpedance(Compliant):
     """Six commands, or more for gains, :class:`CartesianImpedanceConfig`."""
 
     def check_stable(self) -> None:
-        positions = torch.as_tensor(workspace_positions(self.robot.spec.articulation), device=self.device).float()
-        model, step = self.dynamics.model, self.physics_dt
-        root = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], device=self.device)
-        poses = model.kinematics.forward(root.repeat(len(positions), 1), positions)
-        jacobian = model.kinematics.jacobian(poses, self.frame)[:, :, self.joints].double()
-        mass = model.mass_matrix(poses)[:, self.joints][:, :, self.joints].double()
+        step = self.physics_dt
         roots = torch.tensor(self.gains.stiffest, dtype=torch.float64, device=self.device).sqrt()
-        mobility = roots.unsqueeze(-1) * (jacobian @ torch.linalg.solve(mass, jacobian.mT)) * roots
+        mobility = roots.unsqueeze(-1) * self.workspace_mobility() * roots
         fastest = float(torch.linalg.eigvalsh(mobility).max()) ** 0.5
         told = f"a stiffness of {max(self.gains.stiffest):g} with a damping ratio of {self.gains.most_damped:g}"
         check_rate(self.name, (step * fastest) ** 2 + 4.0 * step * self.gains.most_damped * fastest, told)
+        self.check_posture()
 
     def hand_accelerations(self, state: ArmState, hand: HandState, free: Tensor) -> Tensor:
         stiffness = self.gains.stiffness

@@ -22,13 +22,14 @@ from torch import Tensor
 
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error
+from orbit_core.dynamics.workspace import workspace_positions
 from orbit_core.interfaces import ConfigurationError, Robot
 from orbit_core.motion.arm_dynamics import ArmState
 from orbit_core.motion.differential_ik import PoseTermConfig
 from orbit_core.motion.gains import CommandedGains, GainCommand, GainRange
 from orbit_core.motion.modes import CommandMode, LastTargets
 from orbit_core.motion.pose_command import COMPONENTS
-from orbit_core.motion.servo import Servo
+from orbit_core.motion.servo import Servo, check_rate
 from orbit_core.scene import RobotSpec
 
 _REGULAR = 1e-4
@@ -107,6 +108,22 @@ class Compliant(Servo):
     @abstractmethod
     def hand_accelerations(self, state: ArmState, hand: HandState, free: Tensor) -> Tensor:
         """(N, k) of the joints; ``free`` (N, k) is what those want that the hand leaves free."""
+
+    def workspace_mobility(self) -> Tensor:
+        """(P, 6, 6) float64 ``J M^-1 J^T`` of the frame in P postures all over the workspace."""
+        positions = torch.as_tensor(workspace_positions(self.robot.spec.articulation), device=self.device).float()
+        model = self.dynamics.model
+        root = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], device=self.device)
+        poses = model.kinematics.forward(root.repeat(len(positions), 1), positions)
+        jacobian = model.kinematics.jacobian(poses, self.frame)[:, :, self.joints].double()
+        mass = model.mass_matrix(poses)[:, self.joints][:, :, self.joints].double()
+        return jacobian @ torch.linalg.solve(mass, jacobian.mT)
+
+    def check_posture(self) -> None:
+        """Refuse a posture's stiffness with which physics steps diverge."""
+        step, stiffness = self.physics_dt, self._posture
+        load = step**2 * stiffness + 4.0 * step * stiffness**0.5
+        check_rate(self.name, load, f"a posture_stiffness of {stiffness:g}")
 
     def aim(self, command: Tensor) -> None:
         self._goal.keep(self._pose.target(command[:, :6]))

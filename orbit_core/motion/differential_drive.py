@@ -69,6 +69,7 @@ class DifferentialDriveConfig(ActionTerm):
     """
 
     name: ClassVar[str] = "differential_drive"
+    above_zero: ClassVar[tuple[str, ...]] = ("max_speed", "max_yaw_rate")
     unwanted_gains: ClassVar[tuple[str, ...]] = ("stiffness",)
 
     max_speed: float = 1.0

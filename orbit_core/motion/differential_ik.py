@@ -38,6 +38,8 @@ class PoseTermConfig(ActionTerm):
     Integrated: a displacement of the pose last asked for, in world axes.
     """
 
+    above_zero: ClassVar[tuple[str, ...]] = ("position_scale", "rotation_scale", "position_lead", "rotation_lead")
+
     frame: str | None = None
     """The frame that moves; None takes the first end effector's. ``joints`` are by default the arm of the end effector
     with that frame, or of the first one."""
@@ -82,6 +84,8 @@ class DifferentialIkConfig(PoseTermConfig):
     """
 
     name: ClassVar[str] = "differential_ik"
+    above_zero: ClassVar[tuple[str, ...]] = (*PoseTermConfig.above_zero, "max_joint_step")
+    none_below_zero: ClassVar[tuple[str, ...]] = ("damping",)
 
     method: IkMethod = IkMethod.DAMPED_LEAST_SQUARES
     damping: float = 0.05

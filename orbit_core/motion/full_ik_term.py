@@ -27,6 +27,7 @@ class FullIkTermConfig(PoseTermConfig):
     """
 
     name: ClassVar[str] = "full_ik"
+    above_zero: ClassVar[tuple[str, ...]] = (*PoseTermConfig.above_zero, "seeds", "iterations")
 
     mode: CommandMode = CommandMode.ABSOLUTE
     position_scale: float = 0.5

@@ -17,6 +17,7 @@ from orbit_core.motion.compliant import HandState, without_free
 from orbit_core.motion.force_reading import ForceReading
 from orbit_core.motion.gains import CommandedGains
 from orbit_core.motion.operational_space import OperationalSpace, OperationalSpaceConfig
+from orbit_core.motion.servo import check_rate
 from orbit_core.scene import RobotSpec
 
 _NAMES = ("x", "y", "z")
@@ -37,6 +38,8 @@ class HybridForceMotionConfig(OperationalSpaceConfig):
     """
 
     name: ClassVar[str] = "hybrid"
+    above_zero: ClassVar[tuple[str, ...]] = (*OperationalSpaceConfig.above_zero, "force_scale", "torque_scale")
+    none_below_zero: ClassVar[tuple[str, ...]] = ("force_damping", "torque_damping")
 
     force: tuple[bool, ...] = (False, False, True, False, False, False)
     """Which axes push: x, y, z, about x, about y, about z."""
@@ -97,6 +100,13 @@ class HybridForceMotion(OperationalSpace):
                     "not measure: name a force-torque sensor"
                 )
         super().enter(world, step_dt)
+
+    def check_stable(self) -> None:
+        super().check_stable()
+        pushed = self._damping * (1.0 - self._moves)
+        quickest = torch.linalg.eigvalsh(pushed.sqrt().unsqueeze(-1) * self.workspace_mobility() * pushed.sqrt()).max()
+        told = f"a force_damping of {self.config.force_damping:g} or torque_damping of {self.config.torque_damping:g}"
+        check_rate(self.name, 2.0 * self.physics_dt * float(quickest), told)
 
     def aim(self, command: Tensor) -> None:
         rotation = self._rotation()

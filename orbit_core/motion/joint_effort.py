@@ -32,6 +32,7 @@ class JointEffortConfig(ActionTerm):
     """
 
     name: ClassVar[str] = "joint_effort"
+    above_zero: ClassVar[tuple[str, ...]] = ("scale",)
     unwanted_gains: ClassVar[tuple[str, ...]] = (
         "stiffness",
         "damping",

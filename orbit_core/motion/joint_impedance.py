@@ -32,6 +32,7 @@ class JointImpedanceConfig(ActionTerm):
     """
 
     name: ClassVar[str] = "joint_impedance"
+    above_zero: ClassVar[tuple[str, ...]] = ("scale",)
     unwanted_gains: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
 
     scale: float = 2.0

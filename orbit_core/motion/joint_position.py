@@ -27,6 +27,7 @@ class JointPositionConfig(ActionTerm):
     """
 
     name: ClassVar[str] = "joint_position"
+    above_zero: ClassVar[tuple[str, ...]] = ("scale",)
 
     scale: float | None = 0.5
     """rad or m. None (absolute only) puts -1, 0 and 1 at lower limit, home and upper limit, linear in between; a

@@ -31,6 +31,7 @@ class JointVelocityConfig(ActionTerm):
     """
 
     name: ClassVar[str] = "joint_velocity"
+    above_zero: ClassVar[tuple[str, ...]] = ("scale",)
     unwanted_gains: ClassVar[tuple[str, ...]] = ("stiffness",)
 
     scale: float = 1.0

@@ -32,9 +32,10 @@ class OperationalSpace(Compliant):
 
     def check_stable(self) -> None:
         step, ratio = self.physics_dt, self.gains.most_damped
-        for stiffness in {*self.gains.stiffest, self._posture}:
+        for stiffness in {*self.gains.stiffest}:
             what = f"a stiffness of {stiffness:g} with a damping ratio of {ratio:g}"
             check_rate(self.name, step**2 * stiffness + 4.0 * step * ratio * stiffness**0.5, what)
+        self.check_posture()
 
     def hand_accelerations(self, state: ArmState, hand: HandState, free: Tensor) -> Tensor:
         wanted = self.spring_accelerations(hand) - without_free(hand, free)

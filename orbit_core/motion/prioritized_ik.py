@@ -43,6 +43,8 @@ class PrioritizedIkConfig(PoseTermConfig):
     """
 
     name: ClassVar[str] = "qp_ik"
+    above_zero: ClassVar[tuple[str, ...]] = (*PoseTermConfig.above_zero, "damping", "max_joint_step")
+    none_below_zero: ClassVar[tuple[str, ...]] = ("posture_gain", "manipulability_gain")
 
     weights: tuple[float, ...] = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)
     """Of x, y, z (1/m) and of the rotation vector's components (1/rad)."""

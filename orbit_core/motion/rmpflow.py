@@ -43,6 +43,19 @@ class RmpFlowConfig(PoseTermConfig):
     """
 
     name: ClassVar[str] = "rmpflow"
+    above_zero: ClassVar[tuple[str, ...]] = (
+        *PoseTermConfig.above_zero,
+        "margin",
+        "range",
+        "goal_gain",
+        "goal_reach",
+        "goal_turn",
+        "obstacle_speed",
+        "posture_weight",
+        "substeps",
+        "max_lead",
+    )
+    none_below_zero: ClassVar[tuple[str, ...]] = ("obstacle_weight", "obstacle_push", "posture_gain", "limit_weight")
 
     mode: CommandMode = CommandMode.ABSOLUTE
     position_scale: float = 0.5
@@ -87,14 +100,9 @@ class RmpFlow(MotionGenerator):
     def __init__(self, name: str, robot: Robot, config: RmpFlowConfig) -> None:
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, 6, (JointTarget.POSITION, JointTarget.VELOCITY))
-        if (
-            not 0.0 < config.margin < config.range
-            or config.substeps < 1
-            or min(config.goal_reach, config.goal_turn) <= 0.0
-        ):
+        if config.range <= config.margin:
             raise ConfigurationError(
-                f"action term '{name}': the range, {config.range:g} m, is more than the margin, {config.margin:g} m, "
-                "which is above zero; substeps are at least one, and goal_reach and goal_turn are above zero"
+                f"action term '{name}': the range, {config.range:g} m, is more than the margin, {config.margin:g} m"
             )
         self.config = config
         self.frame = config.frame_of(robot)
@@ -116,6 +124,12 @@ class RmpFlow(MotionGenerator):
         obstacles = Obstacles(world, self.config.obstacles)
         self._clearance = Clearance(self.robot, self.joints, self._tree, obstacles)
         self._dt = step_dt / self.config.substeps
+        for gain in (self.config.goal_gain, self.config.posture_gain):
+            if self._dt**2 * gain + 4.0 * self._dt * gain**0.5 >= 4.0:  # Jury's criterion, critically damped
+                raise ConfigurationError(
+                    f"action term '{self.name}': a gain of {gain:g} is unstable in steps of {self._dt:g} s: take at "
+                    f"most {0.68 / self._dt**2:.3g}, or more substeps"
+                )
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         goal = self._pose.target(inputs["command"])

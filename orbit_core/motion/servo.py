@@ -100,5 +100,5 @@ def check_rate(name: str, load: float, what: str) -> None:
     if load >= 4.0:
         raise ConfigurationError(
             f"action term '{name}': {what} is unstable, for its efforts are those of the state at the beginning of "
-            f"each physics step: take at most {4.0 / load:.2g} times the stiffness, or a shorter physics_dt"
+            f"each physics step: take at most {4.0 / load:.2g} times it, or a shorter physics_dt"
         )

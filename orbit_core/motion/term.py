@@ -22,11 +22,23 @@ class ActionTerm(ABC):
     """The motion generator's name in the registry."""
     unwanted_gains: ClassVar[tuple[str, ...]] = ()
     """Gains of an actuator that would work against the commands: they are zero on the joints of the term."""
+    above_zero: ClassVar[tuple[str, ...]] = ()
+    """Fields that are refused where they are zero or less."""
+    none_below_zero: ClassVar[tuple[str, ...]] = ()
+    """Fields that are refused where they are less than zero."""
 
     robot: str = "robot"
     """Name of a robot of the scene that acts in the task."""
     joints: tuple[str, ...] | None = None
     """Regular expressions over joint names (full match); None takes the generator's own choice."""
+
+    def __post_init__(self) -> None:
+        for field in (*self.above_zero, *self.none_below_zero):
+            value = getattr(self, field)
+            # What is no number, or NaN, is told where the task's terms are checked.
+            if isinstance(value, int | float) and (value < 0.0 or (field in self.above_zero and value == 0.0)):
+                allowed = "above zero" if field in self.above_zero else "not below zero"
+                raise ConfigurationError(f"{type(self).__name__}: {field} is {value:g}: give a number {allowed}")
 
     @abstractmethod
     def build(self, name: str, robot: Robot) -> MotionGenerator:

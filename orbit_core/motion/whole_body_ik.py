@@ -29,6 +29,7 @@ class WholeBodyIkConfig(PrioritizedIkConfig):
     """
 
     name: ClassVar[str] = "whole_body_ik"
+    above_zero: ClassVar[tuple[str, ...]] = (*PrioritizedIkConfig.above_zero, "base_cost")
 
     base_cost: float = 10.0
 

@@ -13,9 +13,13 @@ from orbit_core.dynamics.rigid_body import RigidBodyModel
 from orbit_core.dynamics.transforms import pose_error, pose_multiply
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.motion import (
+    ActionTerm,
+    CartesianImpedanceConfig,
     CommandMode,
     DifferentialIk,
     DifferentialIkConfig,
+    FullIkTermConfig,
+    HybridForceMotionConfig,
     IkMethod,
     JointEffort,
     JointEffortConfig,
@@ -23,8 +27,11 @@ from orbit_core.motion import (
     JointPositionConfig,
     JointVelocity,
     JointVelocityConfig,
+    PrioritizedIkConfig,
+    RmpFlowConfig,
     joint_delta,
 )
+from tests.motion.servo_world import BACKENDS, held
 
 MakeRobot = Callable[..., Any]
 
@@ -222,3 +229,32 @@ def test_encoded_efforts_bring_the_hand_to_a_pose(kinematic_robot: MakeRobot) ->
         robot.v[:, arm] += dt * torch.linalg.solve(model.mass_matrix(poses)[:, arm, arm], efforts - bias)
         robot.q[:, arm] += dt * robot.v[:, arm]
     assert pose_error(robot.frame_pose(frame), goal).abs().max() < 5e-3
+
+
+@pytest.mark.parametrize(
+    ("config", "fields", "told"),
+    [
+        (DifferentialIkConfig, {"position_scale": -0.1}, "position_scale is -0.1: give a number above zero"),
+        (DifferentialIkConfig, {"damping": -1.0}, "damping is -1: give a number not below zero"),
+        (FullIkTermConfig, {"seeds": 0}, "seeds is 0: give a number above zero"),
+        (HybridForceMotionConfig, {"force_scale": -1.0}, "force_scale is -1: give a number above zero"),
+        (JointPositionConfig, {"scale": 0.0}, "scale is 0: give a number above zero"),
+        (PrioritizedIkConfig, {"posture_gain": -1.0}, "posture_gain is -1: give a number not below zero"),
+        (RmpFlowConfig, {"max_lead": 0.0}, "max_lead is 0: give a number above zero"),
+    ],
+)
+def test_values_that_mean_nothing_are_refused_at_once(
+    config: type[ActionTerm], fields: dict[str, float], told: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=f"{config.__name__}: {told}"):
+        config(**fields)
+
+
+def test_gains_that_diverge_are_refused() -> None:
+    for config, told in (
+        (RmpFlowConfig(goal_gain=1e6), r"a gain of 1e\+06 is unstable in steps of 0.002 s: take at most 1.7e\+05"),
+        (HybridForceMotionConfig(force_damping=1e6), r"a force_damping of 1e\+06 .* is unstable"),
+        (CartesianImpedanceConfig(posture_stiffness=1e7), r"a posture_stiffness of 1e\+07 is unstable"),
+    ):
+        with pytest.raises(ConfigurationError, match=told):
+            held(config, BACKENDS[0])
