@@ -98,6 +98,8 @@ class ClothDropping(cloth.ClothTask):
 
     episode_length: float = 8.0
     view: Pose = look_at(eye=(1.3, 0.9, 0.75), target=(0.45, 0.12, 0.08))
+    particles: int = 25
+    """Along each side; no further apart than half a pad's width, or fingers poke through the cloth and stay in it."""
     tolerance: float = 0.08
     """Metres."""
     least_inside: float = 0.8
