@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -81,8 +83,25 @@ def place_deformable(
     return place
 
 
+def place_chosen(name: str, starts: Callable[[Any], Tensor], spread: tuple[float, float]) -> EventFunction:
+    """Event: the deformable in one of several states (S, P, 3) around x = y = 0, turned by any angle.
+
+    It lies around its spec's pose, moved by up to ``spread`` (x, y) m.
+    """
+
+    def place(world: World, task: Task, env_ids: Tensor) -> None:
+        thing, states = world.deformables[name], starts(task)
+        x, y, _ = thing.spec.pose.position
+        low, high = (x - spread[0], y - spread[1], -math.pi), (x + spread[0], y + spread[1], math.pi)
+        offset = world.random.uniform((3,), low, high, env_ids)
+        chosen = states[world.random.integers(0, len(states) - 1, env_ids)]
+        thing.set_state(_moved(chosen, torch.zeros(3, device=world.device), offset), env_ids=env_ids)
+
+    return place
+
+
 def _moved(points: Tensor, pivot: Tensor, offset: Tensor) -> Tensor:
-    """(n, P, 3) points (P, 3) turned about a pivot (3,) and moved, by offsets (n, 3) of x, y and yaw."""
+    """(n, P, 3) points ([n,] P, 3) turned about a pivot (3,) and moved, by offsets (n, 3) of x, y and yaw."""
     shift = torch.cat((offset[:, :2], torch.zeros_like(offset[:, :1])), dim=1)
-    rotation = turned(offset[:, 2])[:, None].expand(-1, len(points), -1)
+    rotation = turned(offset[:, 2])[:, None].expand(-1, points.shape[-2], -1)
     return quat_rotate(rotation, (points - pivot).expand(len(offset), -1, -1)) + pivot + shift[:, None]
