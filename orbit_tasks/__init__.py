@@ -35,5 +35,4 @@ def register(registry: TaskRegistry) -> None:
     registry.add(
         "Flag-Hoisting", "Raise a flag by its staff to its place at a mast", "orbit_tasks.flag_hoisting:FlagHoisting"
     )
-    registry.add("Cloth-Folding", "Fold a cloth along its diagonal", "orbit_tasks.cloth_folding:ClothFolding")
     registry.add("Cloth-Spreading", "Spread a crumpled cloth on its tray", "orbit_tasks.cloth_spreading:ClothSpreading")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
+import torch
 
 from orbit_core.envs import make
 
@@ -16,3 +19,17 @@ def test_an_expert_reaches_the_goal(task: str, num_envs: int) -> None:
         environment.step(expert.compute({})["action"])
     assert environment.task.success(environment.world).all()
     environment.close()
+
+
+def test_a_cloth_begins_crumpled_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ORBIT_CACHE_DIR", str(tmp_path))
+    coarse = {"particles": 9, "size": 0.16}
+    first, again = (make("Cloth-Spreading", 2, "mujoco", seed=0, **coarse) for _ in range(2))
+    assert len(list((tmp_path / "crumpled").iterdir())) == 1
+    assert torch.equal(first.task.starts, again.task.starts)
+    first.reset(seed=0)
+    assert (first.task.metrics(first.world)["covered"] < 0.9).any()
+    before = first.world.deformables["cloth"].positions.clone()
+    first.world.step(100)
+    assert (first.world.deformables["cloth"].positions - before).norm(dim=2).amax() < 0.01  # it is at rest
+    first.close(), again.close()
