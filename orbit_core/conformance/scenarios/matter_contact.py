@@ -11,9 +11,9 @@ from torch import Tensor
 
 from orbit_core.assets.deformables import line, sheet
 from orbit_core.conformance.bodies import G, cube, on_slope, slope
-from orbit_core.conformance.scenario import SINGLE, Metric, Scenario, Trial
+from orbit_core.conformance.scenario import Metric, Scenario, Trial
 from orbit_core.conformance.scenarios.grasp import HALF, gripper
-from orbit_core.conformance.scenarios.ropes import GROUP, HANGING, TIME_STEPS, weight_error
+from orbit_core.conformance.scenarios.ropes import ASKED, GROUP, HANGING, TIME_STEPS, weight_error
 from orbit_core.conformance.slender import Edge
 from orbit_core.interfaces import Capability, World
 from orbit_core.scene import (
@@ -35,7 +35,7 @@ FRICTION = 0.4
 HOLDING, SLIDING = 0.38, 0.6
 """Tangents of the slopes."""
 EDGE_FRICTION, RADIUS, LENGTH, SPACING = 0.3, 0.03, 0.4, 0.01
-SHARES = (0.8, 0.9, 0.95, 1.05, 1.1, 1.3)
+SHARES = (0.85, 0.95, 1.05, 1.3)
 _FIRST_TO_SLIDE = SHARES.index(1.05)
 """Lengths that hang over the edge in each environment, as parts of the one at which it begins to slide."""
 THICKNESS = 0.004
@@ -71,9 +71,9 @@ def _slid(trial: Trial, tangent: float) -> tuple[float, float]:
 
 
 def _cloth_edge(trial: Trial) -> Mapping[str, float]:
-    counts = (round(LENGTH / SPACING) + 1, 4)
+    counts = (round(LENGTH / SPACING) + 1, 2)
     cloth = Cloth(
-        "strip", sheet((LENGTH, 3 * SPACING), counts), 0.2, friction=EDGE_FRICTION, damping=0.0,
+        "strip", sheet((LENGTH, SPACING), counts), 0.2, friction=EDGE_FRICTION, damping=0.0,
         bending_stiffness=1e-7, thickness=THICKNESS, self_collisions=False,
     )  # fmt: skip
     return _over_edge(trial, cloth, 0.5 * THICKNESS)
@@ -189,13 +189,17 @@ _CAPSTAN = "Meriam and Kraige, Statics, section 6/8, with the strip's own weight
 _LIMIT = Metric(
     name="limit",
     unit="",
-    tolerance=0.05,
+    tolerance=0.06,
     meaning="relative error of the hanging length at which it begins to slide, known to 0.05",
     looser_because="the lengths tried lie 0.1 apart there",
 )
 _WAY = "relative error of the way from 0.1 to 0.4 s, with 1.3 of that length"
 _FORCE = Metric(
-    name="force", unit="", tolerance=0.0024, meaning="error of the mean force on both fingers over the weight"
+    name="force",
+    unit="",
+    tolerance=0.02,
+    meaning="error of the mean force on both fingers over the weight",
+    looser_because=ASKED,
 )
 _SLIP = "how far its middle moves in 1.5 s"
 _WEIGHT = "m g down on both fingers together, and nothing across"
@@ -215,16 +219,16 @@ SCENARIOS = (
             Metric(
                 name="creep",
                 unit="m/s",
-                tolerance=1e-4,
+                tolerance=1e-3,
                 meaning="mean speed over 0.4 s on the lesser slope",
-                looser_because=SINGLE,
+                looser_because=ASKED,
             ),
             Metric(
                 name="acceleration",
                 unit="",
-                tolerance=1e-3,
+                tolerance=0.03,
                 meaning="its relative error over 0.4 s on the steeper slope",
-                looser_because=SINGLE,
+                looser_because=ASKED,
             ),
         ),
     ),
@@ -271,7 +275,7 @@ SCENARIOS = (
         judges=(Capability.CLOTH,),
         time_steps=TIME_STEPS,
         run=_cloth_grasp,
-        metrics=(_FORCE, Metric(name="slip", unit="m", tolerance=2e-4, meaning=_SLIP)),
+        metrics=(_FORCE, Metric(name="slip", unit="m", tolerance=1e-3, meaning=_SLIP, looser_because=ASKED)),
     ),
     Scenario(
         name="rope_grasp",
@@ -283,7 +287,7 @@ SCENARIOS = (
         judges=(Capability.ROPES,),
         time_steps=TIME_STEPS,
         run=_rope_grasp,
-        metrics=(_FORCE, Metric(name="slip", unit="m", tolerance=2e-4, meaning=_SLIP, looser_because=SINGLE)),
+        metrics=(_FORCE, Metric(name="slip", unit="m", tolerance=1e-3, meaning=_SLIP, looser_because=ASKED)),
     ),
     Scenario(
         name="cloth_weight",
@@ -295,6 +299,14 @@ SCENARIOS = (
         judges=(Capability.CLOTH,),
         time_steps=TIME_STEPS,
         run=_cloth_weight,
-        metrics=(Metric(name="force", unit="", tolerance=7.5e-4, meaning="error of the mean force over the weight"),),
+        metrics=(
+            Metric(
+                name="force",
+                unit="",
+                tolerance=0.02,
+                meaning="error of the mean force over the weight",
+                looser_because=ASKED,
+            ),
+        ),
     ),
 )

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from orbit_core.assets.deformables import line
 from orbit_core.conformance.bodies import WEIGHTLESS, G, body
-from orbit_core.conformance.scenario import Metric, Scenario, Trial
+from orbit_core.conformance.scenario import FIRST_ORDER, Metric, Scenario, Trial
 from orbit_core.conformance.slender import BESSEL_ZERO, catenary, chain_period, loaded_chain_period
 from orbit_core.interfaces import Capability, World
 from orbit_core.scene import Articulation, Attachment, ObjectSpec, Pose, Rope, Scene
@@ -20,6 +20,9 @@ GROUP = "Matter"
 TIME_STEPS = (0.005, 0.0025, 0.00125)
 HANGING = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
 """Turns x down."""
+ASKED = "what tasks with cloth and rope ask for; the best holds together exactly what it holds"
+"""A reason for a :attr:`Metric.looser_because`."""
+_LATE = "a body that another solver moves feels its rope one physics step late, which gives to slow swings or takes"
 SMALL = 0.01
 """Metres, or radians times metres, of swings that are small."""
 
@@ -178,7 +181,15 @@ SCENARIOS = (
         judges=(Capability.ROPES,),
         time_steps=TIME_STEPS,
         run=_catenary,
-        metrics=(Metric(name="shape", unit="m", tolerance=2.5e-4, meaning="largest distance of a particle from it"),),
+        metrics=(
+            Metric(
+                name="shape",
+                unit="m",
+                tolerance=1e-3,
+                meaning="largest distance of a particle from it",
+                looser_because=ASKED,
+            ),
+        ),
     ),
     Scenario(
         name="rope_swing",
@@ -192,7 +203,13 @@ SCENARIOS = (
         run=_swing,
         metrics=(
             Metric(name="period", unit="", tolerance=8e-4, meaning="relative error of the mean period over 3 s"),
-            Metric(name="amplitude", unit="", tolerance=0.1, meaning="relative change of the amplitude over 3 s"),
+            Metric(
+                name="amplitude",
+                unit="",
+                tolerance=0.1,
+                meaning="relative change of the amplitude over 3 s",
+                looser_because=FIRST_ORDER,
+            ),
         ),
     ),
     Scenario(
@@ -206,8 +223,20 @@ SCENARIOS = (
         time_steps=TIME_STEPS,
         run=_loaded,
         metrics=(
-            Metric(name="period", unit="", tolerance=8e-3, meaning="relative error of the mean period over 4 s"),
-            Metric(name="amplitude", unit="", tolerance=0.08, meaning="relative change of the amplitude over 4 s"),
+            Metric(
+                name="period",
+                unit="",
+                tolerance=8e-3,
+                meaning="relative error of the mean period over 4 s",
+                looser_because=_LATE,
+            ),
+            Metric(
+                name="amplitude",
+                unit="",
+                tolerance=0.08,
+                meaning="relative change of the amplitude over 4 s",
+                looser_because=_LATE,
+            ),
         ),
     ),
     Scenario(
@@ -220,7 +249,15 @@ SCENARIOS = (
         judges=(Capability.ROPES,),
         time_steps=TIME_STEPS,
         run=_pulls,
-        metrics=(Metric(name="force", unit="", tolerance=8e-3, meaning="error of the mean force over the weight"),),
+        metrics=(
+            Metric(
+                name="force",
+                unit="",
+                tolerance=0.02,
+                meaning="error of the mean force over the weight",
+                looser_because=ASKED,
+            ),
+        ),
     ),
     Scenario(
         name="rope_tow",
@@ -234,7 +271,11 @@ SCENARIOS = (
         run=_towed,
         metrics=(
             Metric(
-                name="momentum", unit="", tolerance=0.04, meaning="relative error of the mean momentum, 0.25 to 0.5 s"
+                name="momentum",
+                unit="",
+                tolerance=0.04,
+                meaning="relative error of the mean momentum, 0.25 to 0.5 s",
+                looser_because=_LATE,
             ),
         ),
     ),
