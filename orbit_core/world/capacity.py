@@ -30,7 +30,7 @@ def check_capacity(layout: SceneLayout, num_envs: int, device: torch.device) -> 
     """Refuse more environments than can fit; what engines take beyond the least is not known here.
 
     Raises:
-        ConfigurationError: says how many fit, and which part is pictures.
+        ConfigurationError: says how many fit, which part is pictures, and how many particles would fit.
     """
     pictures = sum(_picture_bytes(spec) for spec in layout.scene.sensors if isinstance(spec, CameraSpec))
     particles = sum(len(spec.rest_positions) for spec in layout.scene.deformables)
@@ -39,6 +39,10 @@ def check_capacity(layout: SceneLayout, num_envs: int, device: torch.device) -> 
     if num_envs * each > free:
         cameras = f", {_size(num_envs * pictures)} of it for the cameras' pictures" if pictures else ""
         remedy = " or smaller pictures" if pictures else ""
+        matter = _PER_PARTICLE * particles
+        if matter > 0.5 * each:
+            fitting = max(0, free // num_envs - each + matter) // _PER_PARTICLE
+            remedy += f", or for coarser meshes: {particles:,} particles in each, of which {fitting:,} fit"
         raise ConfigurationError(
             f"{num_envs} environments take {_size(num_envs * each)} or more{cameras}, and {_size(free)} are free on "
             f"'{device}': at most {free // each} fit; ask for fewer{remedy}"

@@ -20,11 +20,14 @@ from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import (
     Approximation,
     BuiltModel,
+    Capability,
     CaptureFacet,
     Engine,
+    Level,
     RayHits,
     SceneLayout,
     SimulationError,
+    UnsupportedCapabilityError,
 )
 from orbit_core.interfaces.divergence import matter_divergence_error
 from orbit_core.interfaces.matter import Matter, MatterSolver
@@ -44,9 +47,15 @@ def coupled(
 
     Raises:
         ConfigurationError: a setting that the solver does not have, or a scene that it refuses.
+        UnsupportedCapabilityError: the engine's device is a GPU, and the solver has none.
     """
     if solver is None or not layout.scene.deformables:
         return engine
+    gpu = solver.capabilities()[Capability.GPU]
+    if engine.device.type != "cpu" and gpu.level is Level.UNSUPPORTED:
+        raise UnsupportedCapabilityError(
+            f"matter solver '{solver.name}' does not compute on '{engine.device}' ({gpu.reason}): take device='cpu'"
+        )
     matter = solver.create(layout, engine.num_envs, engine.device, matter_config(solver, settings))
     return CoupledEngine(layout, engine, matter)
 

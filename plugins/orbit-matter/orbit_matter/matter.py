@@ -18,7 +18,7 @@ from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, SceneL
 from orbit_core.interfaces.matter import PARAMETERS, Matter
 from orbit_core.plugin_kit.rows import take_rows, write_columns, write_rows
 from orbit_core.scene import Attachment
-from orbit_matter import substeps
+from orbit_matter import stability, substeps
 from orbit_matter.colliders import Colliders
 from orbit_matter.config import MatterConfig
 from orbit_matter.model import build
@@ -44,6 +44,7 @@ class ParticleMatter(Matter):
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device, config: MatterConfig) -> None:
         start()
         self._layout, self._num_envs, self._device, self._config = layout, num_envs, device, config
+        stability.check(layout)
         self._model = build(layout.scene)
         longest, sweeps = substeps.chosen(layout.scene, config.substep)
         count = max(1, math.ceil(layout.scene.physics_dt / longest - 1e-6))

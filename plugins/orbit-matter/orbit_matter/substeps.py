@@ -61,7 +61,7 @@ def _hanging(spec: object) -> float:
     if not isinstance(spec, Cloth):
         return math.inf
     extent = float(np.ptp(spec.rest_positions, axis=0).max())
-    return _edge(spec) * math.sqrt(_STRETCH / (_SLACK * _GRAVITY * extent))
+    return edge_length(spec) * math.sqrt(_STRETCH / (_SLACK * _GRAVITY * extent))
 
 
 def _bending(spec: object) -> float:
@@ -72,10 +72,10 @@ def _bending(spec: object) -> float:
         density = spec.linear_density
     else:
         return math.inf
-    return _PHASE * (_edge(spec) / math.pi) ** 2 * math.sqrt(density / max(spec.bending_stiffness, 1e-30))
+    return _PHASE * (edge_length(spec) / math.pi) ** 2 * math.sqrt(density / max(spec.bending_stiffness, 1e-30))
 
 
-def _edge(spec: Cloth | Rope) -> float:
+def edge_length(spec: Cloth | Rope) -> float:
     """Metres: of a rope the mean edge, of cloth the mean of its triangles' shortest."""
     if isinstance(spec, Rope):
         return float(np.linalg.norm(np.diff(spec.rest_positions, axis=0), axis=1).mean())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -205,6 +206,51 @@ def test_what_the_solver_cannot_do_is_refused_with_the_reason() -> None:
 def _tetrahedron() -> Mesh:
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     return Mesh(vertices, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))
+
+
+def hung(rope: Rope, mass: float, **scene: float) -> Scene:
+    """A rope from a free block to the world."""
+    held = (Attachment((0,), "block", "block"), Attachment((10,)))
+    block = box("block", size=(0.02, 0.02, 0.02), mass=mass, pose=Pose((-0.1, 0.3, 0.1)))
+    return Scene(objects=(block,), deformables=(replace(rope, attachments=held),), terrain=(), **scene)
+
+
+def test_a_link_too_light_for_its_rope_is_refused_with_the_step_that_would_do() -> None:
+    """A pull sets 1 kg of a rope of 20 kg/m in motion within 5 ms: a tenth of that diverges, a half does not."""
+    rope = replace(ROPE, linear_density=20.0)
+    with pytest.raises(ConfigurationError, match=r"'block', that resists 'rope' with 0\.09 kg.*use at most 0\.0009 s"):
+        simulate(hung(rope, 0.09), 1, "mujoco", matter="orbit-matter")
+    for scene in (hung(rope, 0.5), hung(rope, 0.1, physics_dt=0.001)):
+        own = simulate(scene, 1, "mujoco", matter="orbit-matter")
+        own.objects["block"].set_root_velocity(torch.tensor([[0.3, 0.2, 0.0, 0.0, 0.0, 0.0]]))
+        own.step(round(1.0 / own.physics_dt))
+        assert own.objects["block"].root_velocity[0, :3].norm() < 5.0
+        own.close()
+
+
+def test_particles_too_light_to_be_computed_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"the particles of 'cloth' weigh 4\.9e-11 kg"):
+        simulate(Scene(deformables=(replace(CLOTH, area_density=1e-7),)), 1, "mujoco", matter="orbit-matter")
+
+
+def test_more_particles_than_memory_are_refused_with_how_many_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("orbit_core.world.capacity.free_bytes", lambda device: 100_000)
+    with pytest.raises(ConfigurationError, match=r"at most 7 fit.*81 particles in each, of which 61 fit"):
+        simulate(Scene(deformables=(CLOTH,)), 10, "mujoco", matter="orbit-matter")
+
+
+def test_a_device_that_the_solver_lacks_is_refused() -> None:
+    from orbit_core.backends import matter_solver
+    from orbit_core.interfaces import Capabilities, Capability, SceneLayout, unsupported
+    from orbit_core.world.coupling import coupled
+
+    engine = SimpleNamespace(device=torch.device("cuda"), num_envs=1)
+    solver = matter_solver("orbit-matter")
+    lacking = Capabilities({Capability.GPU: unsupported("it is slow there")})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(solver), "capabilities", lambda self: lacking)
+        with pytest.raises(UnsupportedCapabilityError, match="'orbit-matter' does not compute on 'cuda'"):
+            coupled(engine, SceneLayout.of(Scene(deformables=(CLOTH,))), solver, None)  # pyright: ignore[reportArgumentType]
 
 
 def test_divergence_names_environment_and_deformable_and_the_others_go_on(solver: str) -> None:
