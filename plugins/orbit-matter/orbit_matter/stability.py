@@ -51,9 +51,9 @@ def _check_link(layout: SceneLayout, spec: Cloth | Rope, attachment: Attachment)
     mass, strip, step = _felt_mass(entity, spec, attachment), _impedance(spec, attachment), layout.scene.physics_dt
     if mass < LEAST_SHARE * min(strip * step, spec.mass):
         raise ConfigurationError(
-            f"'{entity.name}', that resists '{spec.name}' with {mass:.3g} kg where this is attached, is too light for it "
-            f"at a physics_dt of {step:g} s: use at most {mass / (_SAFE_SHARE * strip):.2g} s, a heavier link, or softer "
-            "or lighter matter"
+            f"'{entity.name}', that resists '{spec.name}' with {mass:.3g} kg where this is attached, is too light for "
+            f"it at a physics_dt of {step:g} s: use at most {mass / (_SAFE_SHARE * strip):.2g} s, a heavier link, or "
+            "softer or lighter matter"
         )
 
 
