@@ -202,7 +202,7 @@ SCENARIOS = (
         time_steps=TIME_STEPS,
         run=_swing,
         metrics=(
-            Metric(name="period", unit="", tolerance=7.5e-4, meaning="relative error of the mean period over 3 s"),
+            Metric(name="period", unit="", tolerance=4e-4, meaning="relative error of the mean period over 3 s"),
             Metric(
                 name="amplitude",
                 unit="",
