@@ -76,7 +76,8 @@ CAPABILITIES = Capabilities(
         Capability.RAY_TRACED_RGB: unsupported("Bullet rasterises"),
         Capability.GPU: unsupported("Bullet simulates on the CPU"),
         Capability.CLOTH: approximate(
-            "springs along edges, integrated explicitly; no contact forces, snapshots or written velocities"
+            "springs along edges, integrated explicitly, whose friction never holds what a gripper pinches: anchor it; "
+            "no contact forces, snapshots or written velocities"
         ),
         Capability.ROPES: unsupported("Bullet's interface to Python makes none"),
         Capability.FLUIDS: unsupported("Bullet has none"),

@@ -6,7 +6,10 @@ from orbit_core.interfaces import EXACT, MATTER, Capabilities, Capability, appro
 
 _NO_IMAGES = "Newton's ray tracer is not connected to this backend: choose another renderer"
 _NO_RAYS = "Newton's ray casts are not connected to this backend"
-_NO_DEFORMABLES = "Newton's deformables are not connected to this backend"
+_NO_DEFORMABLES = (
+    "Newton's deformables are not connected to this backend: the forces on links that its solver VBD gives back are "
+    "off by several times the weight where it has not converged"
+)
 _ROUNDED = "rounding in single precision adds up over the solver's steps in each physics step: 3e-5 of a force"
 _FOUND = (
     "contacts are found once in a physics step and stay in place within it: rolling balls gain or lose by per cents"

@@ -1,6 +1,6 @@
 """The capabilities of MuJoCo-Warp, and the reasons for what it lacks."""
 
-from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate
+from orbit_core.interfaces import EXACT, Capabilities, Capability, approximate, unsupported
 from orbit_mjmodel.capabilities import shared_support
 
 CAPABILITIES = Capabilities(
@@ -13,5 +13,12 @@ CAPABILITIES = Capabilities(
         Capability.SHADOWS: EXACT,
         Capability.RAY_TRACED_RGB: approximate("direct light and its shadows: no reflections, no light from surfaces"),
         Capability.GPU: EXACT,
+        Capability.CLOTH: unsupported(
+            "MuJoCo-Warp's kernels of flexes had not compiled after 240 s on an H200, and are not connected to this "
+            "backend"
+        ),
+        Capability.ROPES: unsupported(
+            "chains of capsules, which could stand for ropes, are not connected to this backend"
+        ),
     }
 )

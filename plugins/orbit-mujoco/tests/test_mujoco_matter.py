@@ -1,0 +1,108 @@
+"""MuJoCo's own cloth and rope: what is particular to them; tests of the matter solver and scenarios hold the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from orbit_core.assets.deformables import line, sheet
+from orbit_core.assets.objects import box
+from orbit_core.interfaces import ConfigurationError, UnsupportedCapabilityError, World
+from orbit_core.scene import Attachment, Cloth, Mesh, Pose, RayCasterSpec, Rope, Scene
+from orbit_core.world import simulate
+
+COUNT = 13
+ROPE = Rope("rope", line(0.24, COUNT), 0.1, Pose((0.0, 0.0, 1.0)), bending_stiffness=1e-3, damping=2.0)
+CLOTH = Cloth("cloth", sheet((0.06, 0.06), (4, 4)), 0.2, Pose((0.0, 0.3, 1.0)))
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[World]:
+    made = simulate(Scene(deformables=(ROPE, CLOTH), terrain=()), 2, "mujoco", matter="native")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def fresh(world: World) -> World:
+    for body in world.deformables.values():
+        body.release()
+    world.reset()
+    return world
+
+
+def test_a_rope_is_where_it_is_put_and_moves_as_it_is_told(fresh: World) -> None:
+    """A helix that turns about an axis of its own and flies along: a rigid motion, which leaves lengths alone."""
+    rope = fresh.deformables["rope"]
+    turn = torch.linspace(0.0, 5.0, COUNT)
+    helix = torch.stack((turn.cos(), turn.sin(), 0.4 * turn), dim=1)
+    helix *= 0.02 / (helix[1] - helix[0]).norm()
+    spin, speed = torch.tensor([0.3, -1.0, 2.0]), torch.tensor([0.5, 0.1, -0.2])
+    moving = torch.linalg.cross(spin.expand_as(helix), helix) + speed
+    rope.set_state(helix[None], moving[None], torch.tensor([1]))
+    torch.testing.assert_close(rope.positions[1], helix, rtol=0, atol=1e-6)
+    torch.testing.assert_close(rope.velocities[1], moving, rtol=0, atol=1e-5)
+    assert rope.velocities[0].abs().max() == 0.0
+
+
+def test_a_rope_may_turn_back_on_itself(fresh: World) -> None:
+    points = fresh.deformables["rope"].positions[:1].clone()
+    points[0, :, 0] *= -1.0  # the first piece points along minus x, where shortest turns are not unique
+    fresh.deformables["rope"].set_state(points, env_ids=torch.tensor([0]))
+    torch.testing.assert_close(fresh.deformables["rope"].positions[:1], points, rtol=0, atol=1e-6)
+
+
+def test_what_is_held_outlasts_resets_in_its_environment_alone(fresh: World) -> None:
+    for body in fresh.deformables.values():
+        body.anchor([0, 1], env_ids=torch.tensor([1]))
+    fresh.reset()
+    starts = {name: body.positions[:, 0].clone() for name, body in fresh.deformables.items()}
+    fresh.step(60)
+    for name, body in fresh.deformables.items():
+        assert (body.positions[0, 0, 2] - starts[name][0, 2]).item() < -0.3
+        torch.testing.assert_close(body.positions[1, 0], starts[name][1], rtol=0, atol=1e-3)
+
+
+def test_parameters_of_rope_differ_between_environments_and_stretch_is_none(fresh: World) -> None:
+    rope = fresh.deformables["rope"]
+    rope.anchor([0, 1])
+    rope.set_parameter("bending", torch.tensor([1.0, 30.0]))
+    fresh.step(250)
+    drop = 1.0 - rope.positions[:, -1, 2]
+    assert drop[0] > 4.0 * drop[1] > 0.0
+    with pytest.raises(UnsupportedCapabilityError, match="'rope' has no axial stiffness"):
+        rope.set_parameter("stiffness", torch.ones(2))
+    rope.set_parameter("bending", torch.ones(2))
+
+
+def test_the_report_says_what_differs() -> None:
+    block = box("block", size=(0.05, 0.05, 0.05), mass=0.5, pose=Pose((-0.12, 0.0, 1.0)), fixed_base=True)
+    held = replace(ROPE, attachments=(Attachment((0,), "block", "block"),))
+    own = simulate(Scene(objects=(block,), deformables=(held,)), 1, "mujoco", matter="native")
+    report = {line.asked: line.got for line in own.build_report}
+    assert report["implicitfast"] == "discrete"
+    assert report["axial stiffness 2000 N"] == "no stretch"
+    assert report["contact with link 'block', which holds it"] == "none"
+    own.close()
+
+
+def test_rays_do_not_meet_matter() -> None:
+    eye = box("eye", size=(0.02, 0.02, 0.02), mass=0.1, pose=Pose((0.0, 0.0, 1.2)), fixed_base=True)
+    under = Pose((0.0, 0.0, -0.05))
+    down = RayCasterSpec(name="down", entity="eye", frame="eye", directions=((0.0, 0.0, -1.0),), pose=under)
+    own = simulate(Scene(objects=(eye,), deformables=(ROPE,), sensors=(down,)), 1, "mujoco", matter="native")
+    assert own.sensors["down"].distances[0, 0].item() == pytest.approx(1.15, abs=1e-3)
+    own.close()
+
+
+def test_what_no_model_can_be_made_of_is_refused_by_name() -> None:
+    still = replace(ROPE, points=np.zeros((3, 3)))
+    with pytest.raises(ConfigurationError, match="rope 'rope' needs two particles or more"):
+        simulate(Scene(deformables=(still,)), 1, "mujoco", matter="native")
+    loose = np.concatenate((CLOTH.rest_positions, [[1.0, 1.0, 0.0]]))
+    with pytest.raises(ConfigurationError, match="particle 16 of 'cloth' is in no triangle"):
+        simulate(Scene(deformables=(replace(CLOTH, mesh=Mesh(loose, CLOTH.mesh.faces)),)), 1, "mujoco", matter="native")
