@@ -89,7 +89,9 @@ def add_matter(spec: mujoco.MjSpec, layout: SceneLayout) -> list[Approximation]:
             _add_cloth(spec, index, thing, solref)
         else:
             report += _add_rope(spec, index, thing, solref, layout.scene.physics_dt)
-            report += _exclude_held(spec, index, thing, layout)
+            for _, link in _attached_links(thing, layout):
+                _exclude_held(spec, index, thing, link)
+        report += _report_held(thing)
         _add_anchors(spec, index, thing, layout)
     return report
 
@@ -198,17 +200,9 @@ def _exclude_neighbours(spec: mujoco.MjSpec, index: int, rope: Rope, lengths: np
             spec.add_exclude(bodyname1=names[first], bodyname2=names[second])
 
 
-def _exclude_held(spec: mujoco.MjSpec, index: int, rope: Rope, layout: SceneLayout) -> list[Approximation]:
-    """A rope that begins inside a link would be pushed out of what holds it."""
-    links = {body: attachment.link for attachment, body in _attached_links(rope, layout)}
-    for body in links:
-        for piece in range(len(rope.rest_positions) - 1):
-            spec.add_exclude(bodyname1=_carrier(index, rope, piece), bodyname2=body)
-    why = "the pieces that lie in the link would be pushed out of it"
-    return [
-        Approximation(f"'{rope.name}'", f"contact with link '{link}', which holds it", "none", why)
-        for link in links.values()
-    ]
+def _exclude_held(spec: mujoco.MjSpec, index: int, rope: Rope, link: str) -> None:
+    for piece in range(len(rope.rest_positions) - 1):
+        spec.add_exclude(bodyname1=_carrier(index, rope, piece), bodyname2=link)
 
 
 # What holds particles ------------------------------------------------------------------------------------------------
@@ -244,6 +238,14 @@ def _attached_links(thing: Cloth | Rope, layout: SceneLayout) -> Iterator[tuple[
             yield attachment, body_name(number)
 
 
+def _report_held(thing: Cloth | Rope) -> list[Approximation]:
+    why = "what lies in the link would be pushed out of what holds it"
+    links = dict.fromkeys(attachment.link for attachment in thing.attachments if attachment.link is not None)
+    return [
+        Approximation(f"'{thing.name}'", f"contact with link '{link}', which holds it", "none", why) for link in links
+    ]
+
+
 def _own_place(thing: Cloth | Rope, particle: int) -> npt.NDArray[np.float64]:
     """Of a particle in the body that carries it, as the constraint's data; the place in the other one is set later."""
     data = np.zeros(mujoco.mjNEQDATA)
@@ -258,6 +260,27 @@ def _carrier(index: int, thing: Cloth | Rope, particle: int) -> str:
         particle = min(particle, len(thing.rest_positions) - 2)
         return matter_name(index) + (f"_{particle}" if particle else "")
     return f"{matter_name(index)}_{particle}"
+
+
+def spare_holders(model: mujoco.MjModel, layout: SceneLayout) -> None:
+    """Have cloth and the links that hold it pass each other by, for flexes know no excluded pairs.
+
+    Each such cloth collides by a bit of its own, which all geoms and flexes but those links' answer to.
+    """
+    flex, bit = 0, 1
+    for thing in simulated(layout):
+        if not isinstance(thing, Cloth):
+            continue
+        links = [model.body(link).id for _, link in _attached_links(thing, layout)]
+        if links:
+            bit *= 2
+            model.flex_contype[flex] = bit
+            model.flex_conaffinity[flex] &= ~1
+            model.flex_conaffinity |= bit
+            model.geom_conaffinity[~np.isin(model.geom_bodyid, links)] |= bit
+            solid = (model.body_geomnum > 0) & ~np.isin(np.arange(model.nbody), links)
+            model.body_conaffinity[solid] |= bit
+        flex += 1
 
 
 def matter_addresses(model: mujoco.MjModel, layout: SceneLayout) -> tuple[MatterAddresses, ...]:

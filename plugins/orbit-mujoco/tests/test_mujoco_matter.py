@@ -106,3 +106,19 @@ def test_what_no_model_can_be_made_of_is_refused_by_name() -> None:
     loose = np.concatenate((CLOTH.rest_positions, [[1.0, 1.0, 0.0]]))
     with pytest.raises(ConfigurationError, match="particle 16 of 'cloth' is in no triangle"):
         simulate(Scene(deformables=(replace(CLOTH, mesh=Mesh(loose, CLOTH.mesh.faces)),)), 1, "mujoco", matter="native")
+
+
+def test_cloth_does_not_meet_the_link_that_holds_it_but_everything_else() -> None:
+    """Its edge lies in the block that holds it: its weight is all that this feels, until it comes down on the other."""
+    holder = box("holder", size=(0.1, 0.02, 0.02), mass=1.0, pose=Pose((0.0, 0.27, 1.0)), fixed_base=True)
+    under = box("under", size=(0.2, 0.2, 0.02), mass=1.0, pose=Pose((0.0, 0.3, 0.9)), fixed_base=True)
+    held = replace(CLOTH, damping=3.0, attachments=(Attachment((0, 1, 2, 3), "holder", "holder"),))
+    scene = Scene(objects=(holder, under), deformables=(held,))
+    own = simulate(scene, 1, "mujoco", matter="native")
+    body = own.deformables["cloth"]
+    own.step(300)
+    assert body.contact_force("holder", "holder")[0, 2].item() == pytest.approx(-held.mass * 9.81, rel=0.02)
+    body.release()
+    own.step(200)
+    assert body.positions[0, :, 2].min().item() == pytest.approx(0.912, abs=1e-3)
+    own.close()
