@@ -22,6 +22,7 @@ from orbit_core.interfaces import (
     BuiltModel,
     Capability,
     CaptureFacet,
+    ConfigurationError,
     Engine,
     Level,
     RayHits,
@@ -46,10 +47,18 @@ def coupled(
     """The engine itself, or with the solver's matter.
 
     Raises:
-        ConfigurationError: a setting that the solver does not have, or a scene that it refuses.
+        ConfigurationError: a setting that the solver does not have, or a scene that it refuses; settings of a solver
+            where the engine simulates.
         UnsupportedCapabilityError: the engine's device is a GPU, and the solver has none.
     """
-    if solver is None or not layout.scene.deformables:
+    if not layout.scene.deformables:
+        return engine
+    if solver is None:
+        if settings:
+            raise ConfigurationError(
+                f"matter settings {', '.join(map(repr, settings))} are a matter solver's: the engine's own deformables "
+                "take none; give the backend's settings, or choose a solver"
+            )
         return engine
     gpu = solver.capabilities()[Capability.GPU]
     if engine.device.type != "cpu" and gpu.level is Level.UNSUPPORTED:

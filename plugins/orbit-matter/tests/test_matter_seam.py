@@ -199,6 +199,8 @@ def test_what_the_solver_cannot_do_is_refused_with_the_reason() -> None:
     bent = Mesh(CLOTH.rest_positions + np.outer(np.abs(CLOTH.rest_positions[:, 0]), (0, 0, 1)), CLOTH.mesh.faces)
     with pytest.raises(ConfigurationError, match="not flat"):
         simulate(Scene(deformables=(replace(CLOTH, mesh=bent),)), 1, "mujoco")
+    with pytest.raises(ConfigurationError, match="'substep' are a matter solver's"):
+        simulate(Scene(deformables=(CLOTH,)), 1, "mujoco", matter="native", matter_settings={"substep": 1e-3})
     with pytest.raises(ConfigurationError, match="substep"):
         simulate(Scene(deformables=(CLOTH,)), 1, "mujoco", matter_settings={"substep": 0.0})
 
