@@ -110,11 +110,11 @@ def test_the_hand_pushes_with_20_n_on_rigid_and_compliant_tops_while_it_draws_a_
 def test_a_position_driven_arm_yields_by_force_over_stiffness(backend: str, engine_compensates: bool) -> None:
     wrist = ForceTorqueSpec(name="wrist", entity="robot", link="panda_link7")
     config = AdmittanceConfig(sensor="wrist", stiffness=400.0, rotational_stiffness=1e3, inertia=10.0)
-    arm = held(config, backend, sensors=(wrist,), gravity_compensation=engine_compensates)
-    arm.run(torch.zeros(6), 1200)  # the drives sag under the arm's weight, which is no force on the hand
+    arm = held(config, backend, sensors=(wrist,), physics_dt=0.004, gravity_compensation=engine_compensates)
+    arm.run(torch.zeros(6), 600)  # the drives sag under the arm's weight, which is no force on the hand
     home = arm.hand()
     wrench_on_hand(arm, (6.0, 0.0, -8.0))
-    arm.run(torch.zeros(6), 2400)
+    arm.run(torch.zeros(6), 1200)
     yielded = (arm.hand() - home)[:, :3]
     torch.testing.assert_close(yielded, torch.tensor([[0.015, 0.0, -0.02]] * 2), rtol=0.0, atol=5e-4)
     arm.world.close()

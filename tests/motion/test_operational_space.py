@@ -46,13 +46,13 @@ def test_each_axis_of_the_hand_is_a_second_order_system_of_its_own(backend: str,
 @pytest.mark.parametrize("backend", ENGINES)
 def test_the_hand_yields_to_a_force_by_force_over_stiffness(backend: str) -> None:
     config = CartesianImpedanceConfig(gains=GainCommand.STIFFNESS, stiffness=400.0)
-    arm = held(config, backend, gravity_compensation=False)
+    arm = held(config, backend, physics_dt=0.004, gravity_compensation=False)
     home = arm.hand()
     wrench_on_hand(arm, (3.0, -4.0, 8.0))
     low, high = config.stiffness_factor.low, config.stiffness_factor.high
     place = 2.0 * math.log(1.0 / low) / math.log(high / low) - 1.0  # where the factor is one
     commands = torch.tensor([[0.0] * 6 + [place] * 6, [0.0] * 6 + [place, place, 1.0] + [place] * 3])
-    arm.run(commands, 800)
+    arm.run(commands, 400)
     yielded = (arm.hand() - home)[:, :3]
     expected = torch.tensor([3.0, -4.0, 8.0]) / torch.tensor([[400.0] * 3, [400.0, 400.0, 1600.0]])
     torch.testing.assert_close(yielded, expected, rtol=0.01, atol=5e-5)
@@ -71,23 +71,23 @@ def test_encoded_commands_lead_the_hand_to_a_pose(
 ) -> None:
     scales = {"position_scale": 0.4, "rotation_scale": 1.0} if mode is CommandMode.ABSOLUTE else {}
     stiff = {"stiffness": 1000.0, "rotational_stiffness": 100.0} if config is CartesianImpedanceConfig else {}
-    arm = held(config(mode=mode, **scales, **stiff), BACKENDS[0])
+    arm = held(config(mode=mode, **scales, **stiff), BACKENDS[0], physics_dt=0.004)
     goal = arm.hand()
     goal[:, :3] += torch.tensor([[0.1, 0.15, -0.1], [-0.05, -0.2, 0.1]])
     for _ in range(120):
-        arm.run(arm.generator.encode(goal, OPEN[:2]), 8, decimation=8)
+        arm.run(arm.generator.encode(goal, OPEN[:2]), 4)
     assert pose_error(arm.hand(), goal).abs().max() < 0.01
     arm.world.close()
 
 
 def test_joints_that_the_hand_leaves_free_go_home() -> None:
-    arm = held(OperationalSpaceConfig(mode=CommandMode.ABSOLUTE, posture_stiffness=20.0), BACKENDS[0])
+    arm = held(OperationalSpaceConfig(mode=CommandMode.ABSOLUTE, posture_stiffness=20.0), BACKENDS[0], physics_dt=0.004)
     robot, generator = arm.robot, arm.generator
     home = arm.hand()
     turned = generator.positions.clone()
     turned[:, 0] += 0.4
     robot.set_joint_state(turned, joints=generator.joints)
-    arm.run(torch.zeros(6), 1000)
+    arm.run(torch.zeros(6), 500)
     assert pose_error(arm.hand(), home).abs().max() < 2e-3
     assert (generator.positions - robot.home_positions[generator.joints]).abs().max() < 0.01
     arm.world.close()

@@ -113,11 +113,11 @@ def test_targets_keep_to_limits_of_position_and_speed(backend: str) -> None:
     fastest = torch.tensor([joint.velocity_limit for joint in arm.robot.joints[:7]])
     lead = 0.5 * speed_limited_lead(arm.robot, generator.joints)
     command = torch.tensor([[0.6, 1.0, -0.4, 0.5, 0.2, -1.0], [-1.0, 0.2, 0.3, -0.5, 0.9, 1.0]])
-    for _ in range(150):
+    for _ in range(75):
         targets = generator.compute({"command": command})["position_targets"]
         assert ((targets - generator.positions).abs() <= lead + 1e-5).all()
         assert ((targets >= generator.lower_limits) & (targets <= generator.upper_limits)).all()
-        arm.run(command, 4)
+        arm.run(command, 8, decimation=8)
         assert (generator.velocities.abs() < 0.55 * fastest).all()
     arm.world.close()
 
@@ -127,7 +127,7 @@ def test_full_inverse_kinematics_takes_all_joints_there_together_or_holds_still(
     goal = arm.hand()
     goal[:, :3] += torch.tensor([[0.1, 0.15, -0.1], [-0.05, -0.2, 0.1]])
     command = arm.generator.encode(goal, OPEN[:2])
-    arm.run(command, 1000)
+    arm.run(command, 1000, decimation=20)
     assert pose_error(arm.hand(), goal).abs().max() < 5e-3
     far = FullIkTermConfig(position_scale=3.0).build("far", arm.robot)
     before = far.positions.clone()
