@@ -10,8 +10,12 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.deformables import corners, sheet
 from orbit_core.assets.objects import SolidOptions, box
+from orbit_core.assets.posture import link_poses
+from orbit_core.audit.geometry import shape_points
+from orbit_core.audit.robots.postures import frame_pose, gripper_posture
 from orbit_core.envs import ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task import ROBOT
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, matter
@@ -22,8 +26,8 @@ CLOTH = "cloth"
 SMOOTH = PhysicsMaterial(static_friction=0.2, dynamic_friction=0.2)
 TRAY = 0.02
 """Height in metres of a low tray."""
-PRESSED = 0.003
-"""Metres from the tray to the frame between the finger pads, which reach 9 mm beyond it: they press on the cloth."""
+PRESSED = 0.0065
+"""Metres below a tray's top to which fingers that press on the cloth are sent."""
 CARRIED = 0.3
 """Metres above the table at which a hand carries a cloth past other things."""
 
@@ -124,15 +128,36 @@ def still(world: World, task: Task) -> Tensor:
     return common.hand_pose(world, task)
 
 
-def pinching() -> tuple[Phase, ...]:
+def finger_reach(world: World, closed: bool) -> float:
+    """Metres that the fingers of the robot's gripper, closed or open, reach beyond the frame between them."""
+    spec = world.robots[ROBOT].spec
+    effector, gripper = spec.end_effector, spec.end_effector.gripper
+    assert gripper is not None  # the scene's robot was asked for one
+    values = (gripper.open_position, gripper.closed_position)
+    opened, shut = (gripper_posture(spec, gripper, value) for value in values)
+    before, after = (link_poses(spec.articulation, posture) for posture in (opened, shut))
+    frame = frame_pose(spec, effector.frame, shut if closed else opened).inverse() @ spec.pose
+    moving = [link for link in spec.articulation.links if before[link.name] != after[link.name]]
+    poses = after if closed else before
+    clouds = [
+        (frame @ poses[link.name]).transform(cloud)
+        for link in moving
+        for shape in link.collisions
+        if len(cloud := shape_points(shape))
+    ]
+    return max(float(cloud[:, 2].max()) for cloud in clouds)
+
+
+def pinching(world: World) -> tuple[Phase, ...]:
     """Phases that take the cloth by its middle where it lies flat on a low tray.
 
     The open fingers press on it, and as they close the cloth between them buckles up and is held.
     """
+    opened, closed = (TRAY - PRESSED + finger_reach(world, shut) for shut in (False, True))
     return (
-        Phase(over(middle, TRAY + 0.1), position_tolerance=0.02, free=True),
-        Phase(over(middle, TRAY + PRESSED), position_tolerance=0.008, timeout=1.0),
-        Phase(here(TRAY + PRESSED), gripper_open=False, dwell=0.7, timeout=0.7),
+        Phase(over(middle, opened + 0.1), position_tolerance=0.02, free=True),
+        Phase(over(middle, opened), position_tolerance=0.008, timeout=1.0),
+        Phase(here(closed), gripper_open=False, dwell=0.7, timeout=0.7),
     )
 
 

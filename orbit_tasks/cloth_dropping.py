@@ -125,7 +125,7 @@ class ClothDropping(cloth.ClothTask):
     def expert(self, world: World) -> Expert:
         above, within = cloth.over(container, CARRIED), cloth.over(container, LOWERED)
         phases = (
-            *cloth.pinching(),
+            *cloth.pinching(world),
             Phase(cloth.here(CARRIED), gripper_open=False, position_tolerance=0.03, timeout=1.0),
             Phase(above, gripper_open=False, position_tolerance=0.02, timeout=2.0),
             Phase(within, gripper_open=False, position_tolerance=0.015, dwell=0.4, timeout=1.2),

@@ -115,5 +115,5 @@ class ClothLifting(cloth.ClothTask):
         return {"goal_distance_m": goal_distance(world, self)}
 
     def expert(self, world: World) -> Expert:
-        phases = (*cloth.pinching(), Phase(at_goal, gripper_open=False))
+        phases = (*cloth.pinching(world), Phase(at_goal, gripper_open=False))
         return Expert(world, self, phases, position_lead=0.05)

@@ -76,10 +76,9 @@ def until_spread(target: TermFunction) -> TermFunction:
     return pose
 
 
-def stroke(name: str) -> tuple[Phase, ...]:
-    """Phases that press the closed fingers on a key point and draw it outwards."""
+def stroke(name: str, pressed: float) -> tuple[Phase, ...]:
+    """Phases that press the closed fingers on a key point, the hand at a height, and draw it outwards."""
     point, place = cloth.key_point(name), place_of(name)
-    pressed = TRAY + cloth.PRESSED
     return (
         Phase(until_spread(cloth.over(point, TRAY + 0.07)), False, position_tolerance=0.015, timeout=1.2),
         Phase(until_spread(cloth.over(point, pressed)), False, position_tolerance=0.008, timeout=0.6),
@@ -155,7 +154,8 @@ class ClothSpreading(cloth.ClothTask):
         return {"covered": covered(world, self)}
 
     def expert(self, world: World) -> Expert:
-        strokes = (phase for _ in range(ROUNDS) for name in STROKES for phase in stroke(name))
+        pressed = TRAY - cloth.PRESSED + cloth.finger_reach(world, closed=True)
+        strokes = (phase for _ in range(ROUNDS) for name in STROKES for phase in stroke(name, pressed))
         first = Phase(cloth.over(cloth.middle, TRAY + 0.12), False, position_tolerance=0.03, free=True)
         phases = (first, *strokes, Phase(cloth.here(0.2), False))
         return Expert(world, self, phases, position_lead=0.05)

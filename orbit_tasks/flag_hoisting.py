@@ -21,8 +21,8 @@ from orbit_tasks.cloth import CLOTH, TRAY
 STAFF, MAST = "staff", "mast"
 THICK, TALL = 0.014, 0.03
 """Metres of the staff's section, across and upright."""
-HELD = TRAY + 0.02
-"""Metres above the table at which the hand takes the staff."""
+CLEAR = 0.0105
+"""Metres that the finger tips keep from the tray as they take the staff."""
 CORNER = "corner++"
 """The key point that belongs beside the mast: one end of the edge that is on the staff."""
 
@@ -164,10 +164,12 @@ class FlagHoisting(cloth.ClothTask):
         return {"corner_distance_m": distance(world, self), "spread": spread(world, self)}
 
     def expert(self, world: World) -> Expert:
+        height = TRAY + CLEAR + cloth.finger_reach(world, closed=True)
+        closing = max(0.4, 1.5 * common.closing_time(world))
         phases = (
-            Phase(at_staff(HELD + 0.1), position_tolerance=0.02, free=True),
-            Phase(at_staff(HELD), position_tolerance=0.004, timeout=1.2),
-            Phase(at_staff(HELD), gripper_open=False, dwell=0.4, timeout=0.4),
+            Phase(at_staff(height + 0.1), position_tolerance=0.02, free=True),
+            Phase(at_staff(height), position_tolerance=0.004, timeout=1.2),
+            Phase(at_staff(height), gripper_open=False, dwell=closing, timeout=closing),
             Phase(cloth.here(cloth.CARRIED), gripper_open=False, position_tolerance=0.03, timeout=1.2),
             Phase(at_goal, gripper_open=False),
         )
