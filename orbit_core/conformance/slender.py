@@ -65,7 +65,7 @@ def elastica_droop(length: float, weight: float, stiffness: float) -> float:
     Args:
         length: L in metres.
         weight: w in N/m per metre of width.
-        stiffness: B in N m, Peirce's flexural rigidity.
+        stiffness: B in N m, Peirce's flexural rigidity; ``w L^3 / B`` up to 50, beyond which there are other solutions.
     """
 
     def end(curvature: float) -> FloatArray:  # angle, curvature, drop, arc length
@@ -75,7 +75,9 @@ def elastica_droop(length: float, weight: float, stiffness: float) -> float:
 
         return trajectory(slope, np.array([0.0, curvature, 0.0, 0.0]), (length,), length / 200)[0]
 
-    curvature = root(lambda guess: float(end(guess)[1]), 0.0, weight * length**2 / stiffness)
+    # A beam's curvature at the clamp; of a limp strip the integral of the equation times theta' gives a lesser bound.
+    most = min(0.5 * weight * length**2 / stiffness, math.sqrt(2 * weight * length / stiffness))
+    curvature = root(lambda guess: float(end(guess)[1]), 0.0, most)
     return float(end(curvature)[2])
 
 

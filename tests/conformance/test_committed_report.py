@@ -7,9 +7,11 @@ from pathlib import Path
 from orbit_core.assets.catalogue import robot_names
 from orbit_core.conformance.jobs import Kind
 from orbit_core.conformance.results import load
+from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.conformance.tolerances import loose_tolerances
 
 ROBOTS = [name for name in robot_names() if not name.startswith("maniskill_")]
+ENGINES = ("bullet", "mujoco", "sapien", "warp")
 FOLDER = Path(__file__).parents[2] / "docs" / "conformance"
 
 
@@ -29,6 +31,21 @@ def test_robots_have_a_report_of_their_own_with_every_engine() -> None:
     jobs = {(record.job.name, record.job.backend) for record in result.of(Kind.ROBOT)}
     assert jobs == {(name, engine) for name in ROBOTS for engine in result.header.settings.backends}
     assert not result.objections
+
+
+def test_matter_has_a_report_of_its_own_with_every_engine() -> None:
+    """Scenarios through the solver on every engine; tasks with the courses of their key points."""
+    result = load(FOLDER / "matter")
+    known = {scenario.name for scenario in SCENARIOS if scenario.of_matter}
+    jobs = {(r.job.name, r.job.backend) for r in result.judged if r.job.matter == "orbit-matter"}
+    assert jobs == {(name, engine) for name in known for engine in ENGINES}
+    assert {r.job.matter for r in result.records} == {"orbit-matter", "native"}
+    assert not result.objections
+    assert [str(loose) for loose in loose_tolerances(result)] == []
+    courses = load(FOLDER / "matter" / "tasks").courses
+    assert {(course.task, course.backend) for course in courses} == {
+        (task, engine) for task in ("Cloth-Lifting", "Rope-Reshaping") for engine in ENGINES
+    }
 
 
 def test_both_are_whole_and_no_tolerance_is_loose_without_a_reason() -> None:
