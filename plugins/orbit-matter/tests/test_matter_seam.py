@@ -93,13 +93,14 @@ def test_a_reset_of_one_environment_leaves_the_others_alone(fresh: World) -> Non
 
 def test_cloth_drapes_over_a_block_and_covers_less(fresh: World) -> None:
     body = fresh.deformables["cloth"]
-    assert body.covered_area[0].item() == pytest.approx(0.04, rel=0.04)
+    flat = body.covered_area[0].item()
+    assert flat == pytest.approx(0.04, rel=0.04)
     fresh.step(120)
     points = body.positions[0]
     assert points[:, 2].min() > 0.0, "nothing falls through the ground"
     inside = (points[:, :2].abs() < 0.045).all(1)
     assert points[inside, 2].min() > 0.099, "nor through the block"
-    assert body.covered_area[0].item() < 0.037
+    assert body.covered_area[0].item() < 0.98 * flat
     assert body.key_point("middle")[0, 2].item() == pytest.approx(0.102, abs=0.002)
     over = Region((0.06, 0.06, 0.05), Pose((0.0, 0.0, 0.05)), "block", "block")
     assert 0.2 < body.share_inside(over)[0].item() < 0.9
