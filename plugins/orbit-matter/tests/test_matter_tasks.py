@@ -9,10 +9,17 @@ import torch
 
 from orbit_core.envs import make
 
+EPISODES = [
+    ("Rope-Reshaping", 4, "mujoco"),
+    ("Cloth-Lifting", 2, "mujoco"),
+    ("Flag-Hoisting", 2, "mujoco"),
+    ("Flag-Hoisting", 1, "sapien"),
+]
 
-@pytest.mark.parametrize(("task", "num_envs"), [("Rope-Reshaping", 4), ("Cloth-Lifting", 2), ("Flag-Hoisting", 2)])
-def test_an_expert_reaches_the_goal(task: str, num_envs: int) -> None:
-    environment = make(task, num_envs, "mujoco", seed=0)
+
+@pytest.mark.parametrize(("task", "num_envs", "backend"), EPISODES)
+def test_an_expert_reaches_the_goal(task: str, num_envs: int, backend: str) -> None:
+    environment = make(task, num_envs, backend, seed=0)
     expert = environment.task.expert(environment.world)
     environment.reset(seed=0)
     for _ in range(environment.max_episode_steps - 1):
