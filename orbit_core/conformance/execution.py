@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -26,6 +27,7 @@ from orbit_core.conformance.throughput import measure_once
 from orbit_core.conformance.transfer import learned, transfer
 from orbit_core.conformance.verdict import Status, run_scenario
 from orbit_core.conformance.videos import film
+from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces import StorageError, UnsupportedCapabilityError
 from orbit_core.interfaces.matter import NATIVE
 
@@ -124,10 +126,12 @@ def _write_traces(trial: Trial, path: Path) -> None:
 
 def _task(record: Record, settings: Settings, folder: Path) -> Record:
     extent, job = settings.extent, record.job
+    defaults: dict[str, Any] = {}
+    bends = bool(task_entry(job.name).task_type()(**defaults).scene().deformables)
     result = run_task(
         job.name,
         job.backend,
-        num_envs=extent.episodes,
+        num_envs=extent.matter_episodes if bends else extent.episodes,
         seed=settings.seed,
         recording=folder / RECORDING,
         device=record.device,

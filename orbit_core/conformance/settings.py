@@ -42,6 +42,8 @@ class Extent:
 
     episodes: int
     """Number of episodes, one in each environment."""
+    matter_episodes: int
+    """The same of tasks with cloth or rope, of which a CPU makes a few hundred steps a second."""
     pixel_episodes: int
     """The same of policies that see pictures, which most engines here draw on the CPU, a few a second; 0 leaves these
     policies out."""
@@ -53,8 +55,18 @@ class Extent:
     """Longest duration of a video; an episode may last longer."""
 
 
-QUICK = Extent(episodes=8, pixel_episodes=0, throughput_envs=(8,), blocks=3, block_steps=10, video_seconds=1.0)
-FULL = Extent(episodes=50, pixel_episodes=4, throughput_envs=(1, 16, 64), blocks=5, block_steps=20, video_seconds=5.0)
+QUICK = Extent(
+    episodes=8, matter_episodes=3, pixel_episodes=0, throughput_envs=(8,), blocks=3, block_steps=10, video_seconds=1.0
+)
+FULL = Extent(
+    episodes=50,
+    matter_episodes=50,
+    pixel_episodes=4,
+    throughput_envs=(1, 16, 64),
+    blocks=5,
+    block_steps=20,
+    video_seconds=5.0,
+)
 
 
 QUICK_ROBOTS = ("cartpole", "franka_panda", "robotiq_2f85", "unitree_go1")
