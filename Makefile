@@ -54,7 +54,7 @@ conformance: $(VENV)/.ready-dev
 example: $(VENV)/.ready-dev
 	$(BIN)/pip install --quiet --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
 	PYTHONPATH=out/orbit-torch $(BIN)/pytest -n auto -k torch tests/conformance/test_conformance_*.py
-	PYTHONPATH=out/orbit-torch $(BIN)/orbit conformance --quick --backend torch --part scenarios --output out/conformance-torch
+	PYTHONPATH=out/orbit-torch $(BIN)/orbit conformance --quick --backend torch --part scenarios --matter native --output out/conformance-torch
 	PYTHONPATH=out/orbit-torch:. $(BIN)/python -m tests.mutants --tenth
 
 # The example backend broken in every named way; each mutant must be caught by the tests that it names. Takes minutes.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -55,7 +56,8 @@ class TorchEngine(Engine):
         self._masses = self._nominal.repeat(num_envs, 1)
         centers = torch.tensor([link.center_of_mass for link in layout.links], dtype=torch.float64)
         self._centers = centers.repeat(num_envs, 1, 1)
-        self._inertias = torch.stack([torch.as_tensor(link.inertia) for link in layout.links]).to(torch.float64)
+        inertias = np.array([link.inertia for link in layout.links], dtype=np.float64).reshape(-1, 3, 3)
+        self._inertias = torch.as_tensor(inertias)
         self._gravity = torch.tensor(layout.scene.gravity, dtype=torch.float64).repeat(num_envs, 1)
         self._read_joints(layout.joint_parameters)
         self._chains = {
