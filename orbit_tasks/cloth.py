@@ -10,9 +10,7 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.deformables import corners, sheet
 from orbit_core.assets.objects import SolidOptions, box
-from orbit_core.assets.posture import link_poses
-from orbit_core.audit.geometry import shape_points
-from orbit_core.audit.robots.postures import frame_pose, gripper_posture
+from orbit_core.audit.robots.postures import gripper_posture, gripping_links, shapes_in_frame
 from orbit_core.envs import ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import ROBOT
@@ -133,18 +131,8 @@ def finger_reach(world: World, closed: bool) -> float:
     spec = world.robots[ROBOT].spec
     effector, gripper = spec.end_effector, spec.end_effector.gripper
     assert gripper is not None  # the scene's robot was asked for one
-    values = (gripper.open_position, gripper.closed_position)
-    opened, shut = (gripper_posture(spec, gripper, value) for value in values)
-    before, after = (link_poses(spec.articulation, posture) for posture in (opened, shut))
-    frame = frame_pose(spec, effector.frame, shut if closed else opened).inverse() @ spec.pose
-    moving = [link for link in spec.articulation.links if before[link.name] != after[link.name]]
-    poses = after if closed else before
-    clouds = [
-        (frame @ poses[link.name]).transform(cloud)
-        for link in moving
-        for shape in link.collisions
-        if len(cloud := shape_points(shape))
-    ]
+    posture = gripper_posture(spec, gripper, gripper.closed_position if closed else gripper.open_position)
+    clouds = shapes_in_frame(spec, effector.frame, gripping_links(spec, gripper), posture)
     return max(float(cloud[:, 2].max()) for cloud in clouds)
 
 

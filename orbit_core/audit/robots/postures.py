@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 import numpy.typing as npt
 
 from orbit_core.assets.convex import Convex, convex_shape
 from orbit_core.assets.posture import link_poses
+from orbit_core.audit.geometry import shape_points
 from orbit_core.interfaces import match_values
 from orbit_core.interfaces.layout import home_positions
-from orbit_core.scene import Articulation, EndEffector, Gripper, Pose, RobotSpec
+from orbit_core.scene import Articulation, EndEffector, Gripper, Link, Pose, RobotSpec
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -56,6 +57,22 @@ def frame_pose(spec: RobotSpec, name: str, positions: Mapping[str, float]) -> Po
     """The pose of a link or named frame in the world, at joint positions (rad, m) by name."""
     frame = spec.articulation.frame(name)
     return spec.pose @ link_poses(spec.articulation, positions)[frame.link] @ frame.pose
+
+
+def gripping_links(spec: RobotSpec, gripper: Gripper) -> list[Link]:
+    """The links that are elsewhere with the gripper open than with it closed, those of followers among them."""
+    values = (gripper.open_position, gripper.closed_position)
+    before, after = (link_poses(spec.articulation, gripper_posture(spec, gripper, value)) for value in values)
+    return [link for link in spec.articulation.links if before[link.name] != after[link.name]]
+
+
+def shapes_in_frame(
+    spec: RobotSpec, frame: str, links: Iterable[Link], positions: Mapping[str, float]
+) -> list[FloatArray]:
+    """Points (P, 3) of each collision shape of links, in a link or named frame, at joint positions (rad, m) by name."""
+    into, poses = frame_pose(spec, frame, positions).inverse() @ spec.pose, link_poses(spec.articulation, positions)
+    clouds = ((link, shape_points(shape)) for link in links for shape in link.collisions)
+    return [(into @ poses[link.name]).transform(cloud) for link, cloud in clouds if len(cloud)]
 
 
 def placed_shapes(spec: RobotSpec, positions: Mapping[str, float]) -> dict[str, list[Convex]]:
