@@ -12,6 +12,7 @@ import trimesh
 
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.plugin_kit.markers import marker_shapes
+from orbit_core.plugin_kit.meshes import triangles
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -28,7 +29,7 @@ from orbit_core.scene import (
     Sphere,
 )
 from orbit_core.viewer.camera_pictures import picture_of
-from orbit_core.viewer.geometry import Drawing, triangles
+from orbit_core.viewer.geometry import Drawing
 
 
 @pytest.mark.parametrize(

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from orbit_core.interfaces import ArgumentError
-from orbit_core.scene import Box, Capsule, Cylinder, Geometry, HeightField, Link, Mesh, Plane, Sphere
-
-if TYPE_CHECKING:
-    from trimesh import Trimesh
+from orbit_core.plugin_kit.meshes import triangles
+from orbit_core.scene import HeightField, Link, Plane
 
 _NEIGHBOURS = 16
 
@@ -46,7 +44,7 @@ def surface_of(link: Link, count: int = 2000, seed: int = 0) -> Surface:
         raise ArgumentError(f"link '{link.name}' has no collision shapes of finite size: there is nothing to grasp")
     meshes = []
     for shape in shapes:
-        mesh = _solid(shape.geometry)
+        mesh = triangles(shape.geometry)
         mesh.apply_transform(shape.pose.matrix())
         meshes.append(mesh)
     joined: Any = trimesh.util.concatenate(meshes)
@@ -75,24 +73,3 @@ def surface_of_cloud(points: Tensor, eye: Tensor) -> Surface:
     normals = axes[:, :, 0]
     away = ((points - eye) * normals).sum(1, keepdim=True) > 0.0
     return Surface(points, torch.where(away, -normals, normals))
-
-
-def _solid(geometry: Geometry) -> Trimesh:
-    """A closed mesh of a geometry in its own frame; of a mesh its convex hull, as hands meet it."""
-    import trimesh
-
-    match geometry:
-        case Box(half_extents=half):
-            return trimesh.creation.box(extents=2.0 * np.asarray(half))
-        case Sphere(radius=radius):
-            return trimesh.creation.icosphere(subdivisions=3, radius=radius)
-        case Capsule(radius=radius, half_length=half):
-            mesh = trimesh.creation.capsule(height=2.0 * half, radius=radius)
-            mesh.apply_translation((0.0, 0.0, -mesh.bounds.mean(axis=0)[2]))
-            return mesh
-        case Cylinder(radius=radius, half_length=half):
-            return trimesh.creation.cylinder(radius, height=2.0 * half, sections=48)
-        case Mesh(vertices=vertices, faces=faces):
-            return trimesh.Trimesh(vertices, faces)
-        case _:
-            raise ArgumentError(f"a {type(geometry).__name__} has no end, and no surface to grasp")
