@@ -15,10 +15,9 @@ from typing import Any
 
 import tyro
 
-from orbit_core.backends import default_backend
+from orbit_core.backends import default_backend, versions_of
 from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, write_json
-from orbit_core.cli.runner import versions_of
 from orbit_core.conformance.throughput import Throughput, measure_once
 
 

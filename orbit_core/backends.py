@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import functools
 import os
+import platform
 import re
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import importlib_metadata
 
+from orbit_core import __version__
 from orbit_core.configuration import configured
 from orbit_core.interfaces.backend import Backend
 from orbit_core.interfaces.capabilities import Capability
@@ -267,6 +269,17 @@ def _kept(registry: Registry[Callable[[], Backend]], name: str) -> Backend:
     if not isinstance(made, Backend):
         raise ConfigurationError(f"{plugin}, makes a {type(made).__name__}, not an orbit_core.interfaces.Backend")
     return made
+
+
+def versions_of(*backends: str | None, matter: str = "") -> dict[str, str]:
+    """Versions of ORBIT, Python, torch, and what backends, renderers and a matter solver depend on, by their names."""
+    import torch
+
+    versions = {"orbit": __version__, "python": platform.python_version(), "torch": str(torch.__version__)}
+    for name in backends:
+        if name is not None:
+            versions.update(renderer(name).versions())  # which finds backends too
+    return versions | (matter_solver(matter).versions() if matter else {})
 
 
 def _is_complete(entry_point: importlib_metadata.EntryPoint) -> bool:

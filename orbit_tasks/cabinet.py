@@ -12,7 +12,7 @@ from orbit_core.assets.objects import SolidOptions, box, cabinet
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import EventTerm, EventTime, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import once_per_state
+from orbit_core.envs.terms import POSE, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
@@ -30,11 +30,13 @@ def opening(world: World, task: Cabinet) -> Tensor:
     return world.objects["cabinet"].joint_positions[:, task.drawer]
 
 
+@measured_in("m")
 def drawer_position(world: World, task: Cabinet) -> Tensor:
     """(N, 1)"""
     return opening(world, task)[:, None]
 
 
+@measured_in(POSE)
 @once_per_state
 def handle_pose(world: World, task: Cabinet) -> Tensor:
     """(N, 7) as a hand takes it: z into the cabinet, y across the bar."""
@@ -108,7 +110,7 @@ class CabinetState(ObservationGroup):
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     handle_pose: ObservationTerm | None = ObservationTerm(handle_pose)
     drawer: ObservationTerm | None = ObservationTerm(drawer_position)
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal[:, None])
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal[:, None], unit="m")
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

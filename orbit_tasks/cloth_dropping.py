@@ -9,7 +9,7 @@ from torch import Tensor
 
 from orbit_core.assets.deformables import open_box
 from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm
-from orbit_core.envs.terms import once_per_state
+from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, matter
 from orbit_core.scene import Pose, Region, Scene, look_at
@@ -23,6 +23,7 @@ LOWERED = 0.15
 """Metres from the table to the hand as it opens: the cloth, which hangs 10 cm below it, is in the container then."""
 
 
+@measured_in("m")
 @once_per_state
 def container(world: World, task: ClothDropping) -> Tensor:
     """(N, 3) the middle of the container's floor."""

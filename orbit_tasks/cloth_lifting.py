@@ -49,7 +49,7 @@ def at_goal(world: World, task: ClothLifting) -> Tensor:
 class ClothLiftingState(cloth.ClothState):
     """The arm's joints and hand, the cloth's key points, the last action and the goal."""
 
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal, unit="m")
 
 
 @dataclass

@@ -25,7 +25,7 @@ from orbit_core.envs import (
     TerminationTerm,
 )
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import once_per_state
+from orbit_core.envs.terms import POSE, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
@@ -41,6 +41,7 @@ HEIGHT = 0.25
 """Metres above the table at which the rod is passed on, in the middle between the arms."""
 
 
+@measured_in(POSE)
 def rod_pose(world: World, task: Handover) -> Tensor:
     """(N, 7)"""
     return world.objects["rod"].root_pose
@@ -65,6 +66,7 @@ def grip(world: World, task: Handover, agent: str) -> Tensor:
     return rod_position(world, task) + SIDES[agent] * GRIP * rod_direction(world, task)
 
 
+@measured_in("m")
 @once_per_state
 def hand_to_grip(world: World, task: Handover, agent: str) -> Tensor:
     """(N, 3) from that agent's hand to where it holds the rod."""
@@ -190,7 +192,7 @@ class HandoverState(ObservationGroup):
     receiver_to_grip: ObservationTerm | None = ObservationTerm(hand_to_grip, agent=RECEIVER)
     receiver_last_action: ObservationTerm | None = ObservationTerm(common.last_action, agent=RECEIVER)
     rod_pose: ObservationTerm | None = ObservationTerm(rod_pose)
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal, unit="m")
 
 
 @dataclass

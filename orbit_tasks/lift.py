@@ -24,7 +24,7 @@ from orbit_core.envs import (
     TerminationTerm,
 )
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import once_per_state
+from orbit_core.envs.terms import POSE, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
@@ -32,6 +32,7 @@ from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
 from orbit_tasks.pixels import ArmPixels
 
 
+@measured_in(POSE)
 def cube_pose(world: World, task: Lift) -> Tensor:
     """(N, 7) of the cube in the environment's frame."""
     return world.objects["cube"].root_pose
@@ -49,6 +50,7 @@ def cube_height(world: World, task: Lift) -> Tensor:
     return cube_pose(world, task)[:, 2]
 
 
+@measured_in("m")
 @once_per_state
 def hand_to_cube(world: World, task: Lift) -> Tensor:
     """(N, 3) from the hand to the cube."""
@@ -132,7 +134,7 @@ class LiftState(ObservationGroup):
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     cube_pose: ObservationTerm | None = ObservationTerm(cube_pose)
     hand_to_cube: ObservationTerm | None = ObservationTerm(hand_to_cube)
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal, unit="m")
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

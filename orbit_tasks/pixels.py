@@ -9,6 +9,7 @@ from torch import Tensor
 
 from orbit_core.envs import ObservationGroup, ObservationTerm
 from orbit_core.envs.task import ROBOT
+from orbit_core.envs.terms import measured_in
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.mdp.images import camera_color, camera_depth
@@ -42,6 +43,7 @@ FRONT = CameraSpec(
 """Looks at the arm over the bench, from the other side."""
 
 
+@measured_in("m")
 def goal(world: World, task: Any) -> Tensor:
     """(N, ...) the task's goal."""
     return task.goal

@@ -113,7 +113,7 @@ class RopeReshapingState(ObservationGroup):
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     key_points: ObservationTerm | None = ObservationTerm(matter.key_points(ROPE))
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal.flatten(1))
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal.flatten(1), unit="m")
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

@@ -22,7 +22,7 @@ from orbit_core.envs import (
     TerminationTerm,
 )
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import once_per_state
+from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.mdp import common, randomize
@@ -35,24 +35,28 @@ from orbit_tasks.trot import TrotGenerator
 CONTACTS = "contacts"
 
 
+@measured_in("m/s")
 @once_per_state
 def linear_velocity(world: World, task: VelocityFlat) -> Tensor:
     """(N, 3) of the trunk, in its own axes."""
     return walking.linear_velocity(common.robot_of(world))
 
 
+@measured_in("rad/s")
 @once_per_state
 def angular_velocity(world: World, task: VelocityFlat) -> Tensor:
     """(N, 3) of the trunk, in its own axes."""
     return walking.angular_velocity(common.robot_of(world))
 
 
+@measured_in("1")
 @once_per_state
 def projected_gravity(world: World, task: VelocityFlat) -> Tensor:
     """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
     return walking.projected_gravity(common.robot_of(world))
 
 
+@measured_in("m/s, m/s, rad/s")
 def command(world: World, task: VelocityFlat) -> Tensor:
     """(N, 3) velocity forward and to the left in m/s, yaw rate in rad/s."""
     return task.command

@@ -38,6 +38,7 @@ RANKS = {
     "envs": 5,
     "mdp": 5.5,
     "rollout": 5.5,
+    "data": 5.8,
     "viewer": 6,
     "learning": 7,
     "conformance": 8,

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from orbit_core import __version__
-from orbit_core.backends import renderer
+from orbit_core.backends import versions_of
 from orbit_core.cli.acting import check_actor, make_actor
 from orbit_core.cli.checks import check_output, check_positive, check_size
 from orbit_core.cli.making import make_environment
@@ -135,14 +133,3 @@ def _video(environment: Environment, settings: RunSettings) -> AbstractContextMa
 
     width, height = settings.video_size
     return VideoRecorder(environment, settings.video, width=width, height=height, frames=settings.frames)
-
-
-def versions_of(*backends: str | None) -> dict[str, str]:
-    """Versions of ORBIT, Python, torch, and what the backends depend on."""
-    import torch
-
-    versions = {"orbit": __version__, "python": platform.python_version(), "torch": torch.__version__}
-    for name in backends:
-        if name is not None:
-            versions.update(renderer(name).versions())  # which finds backends too
-    return versions

@@ -46,6 +46,9 @@ class ObservationTerm:
     """What the function reads that the scene need not have by itself, such as a camera: added to the scene."""
     bounds: tuple[float, float] | None = None
     """Least and most that the term shows, where noise and bias saturate; None takes the dtype's."""
+    unit: str | None = None
+    """Unit of the value before it is scaled, for whoever reads it elsewhere; None takes the function's
+    (:func:`measured_in`)."""
 
 
 @dataclass(kw_only=True)
@@ -139,6 +142,25 @@ def terms_of(collection: object, kind: type[_Term]) -> dict[str, _Term]:
 def _for_its_agent(term: Any) -> Any:
     function, agent = term.function, term.agent
     return replace(term, function=lambda world, task: function(world, task, agent))
+
+
+POSE = "m, quaternion (w, x, y, z)"
+"""Unit of a pose (..., 7)."""
+
+
+def measured_in(unit: str) -> Callable[[_Function], _Function]:
+    """Say in which unit a term's function measures; ``"1"`` stands for what has none."""
+
+    def mark(function: _Function) -> _Function:
+        function.unit = unit  # pyright: ignore[reportFunctionMemberAccess] - functions take attributes
+        return function
+
+    return mark
+
+
+def unit_of(term: ObservationTerm) -> str:
+    """The unit of an observation term before it is scaled; empty where nobody says it."""
+    return getattr(term.function, "unit", "") if term.unit is None else term.unit
 
 
 def once_per_state(function: _Function) -> _Function:

@@ -95,6 +95,10 @@ class World(ABC):
     """Numbers of the scene's links and joints."""
     backend: str
     """Name of the backend, or what else the world comes from."""
+    settings: Any = None
+    """The backend's settings, a dataclass; None where nothing is simulated."""
+    matter: str = ""
+    """Name of the matter solver that simulates deformables; empty where the engine does, or there are none."""
     num_envs: int
     device: torch.device
     physics_dt: float

@@ -1,7 +1,8 @@
 """Policies as ONNX files: written for use without ORBIT, and read as data.
 
 The graph is run by torch wherever the environments live, and no file beside it is read. The description stands in the
-model's metadata, under the key ``orbit``, as in :mod:`orbit_core.learning.policy_file`.
+model's metadata, under the key ``orbit``, as in :mod:`orbit_core.learning.policy_file`; beside it stand the keys that
+code for deployment elsewhere reads, :mod:`orbit_core.learning.deployment`.
 """
 
 from __future__ import annotations
@@ -15,19 +16,21 @@ from typing import Any
 import torch
 from torch import nn
 
+from orbit_core.data.manifest import Manifest
 from orbit_core.files import written_whole
 from orbit_core.interfaces import ConfigurationError, OrbitError
+from orbit_core.learning.deployment import deployment_metadata
 from orbit_core.learning.description import PolicyDescription
 from orbit_core.learning.onnx_graph import OnnxGraph
 from orbit_core.learning.picture_features import TermByTerm
-from orbit_core.learning.policy_file import check_action
+from orbit_core.learning.policy_file import check_action, manifest_document, manifest_of
 from orbit_core.learning.tensor_file import parse_json, read_bytes
 
 SUFFIX = ".onnx"
 _KEY = "orbit"
 
 
-def write_onnx(path: Path, module: nn.Module, description: PolicyDescription) -> None:
+def write_onnx(path: Path, module: nn.Module, description: PolicyDescription, manifest: Manifest | None = None) -> None:
     """Write input ``observation`` (N, O) and output ``action`` (N, A). The file appears whole or not at all.
 
     Of a policy that sees a dictionary, the inputs are its terms, (N, ...) each, by their names.
@@ -55,11 +58,13 @@ def write_onnx(path: Path, module: nn.Module, description: PolicyDescription) ->
                 dynamo=False,
             )
         model = onnx.load(str(written))
-        onnx.helper.set_model_props(model, {_KEY: json.dumps(description.document())})
+        document = json.dumps({**description.document(), **manifest_document(manifest)})
+        deployed = {} if manifest is None else deployment_metadata(manifest, description.group, str(path.stem))
+        onnx.helper.set_model_props(model, {**deployed, _KEY: document})
         onnx.save(model, str(written))
 
 
-def read_onnx(path: Path) -> tuple[PolicyDescription, nn.Module]:
+def read_onnx(path: Path) -> tuple[PolicyDescription, Manifest | None, nn.Module]:
     """A policy on the CPU from a file such as :func:`write_onnx` writes.
 
     Raises:
@@ -80,7 +85,7 @@ def read_onnx(path: Path) -> tuple[PolicyDescription, nn.Module]:
     # Shapes alone first, so that a graph that would fill the memory is refused before it does.
     check_action(copy.deepcopy(graph).to("meta"), description, path, "meta")
     check_action(graph, description, path)
-    return description, graph
+    return description, manifest_of(document, path), graph
 
 
 def _onnx() -> Any:

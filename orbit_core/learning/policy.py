@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
+from orbit_core.data.compare import check_manifest, renamed_group
+from orbit_core.data.manifest import Manifest
 from orbit_core.interfaces import ConfigurationError, Node, Port
 from orbit_core.learning import onnx_file
 from orbit_core.learning.description import Part, PolicyDescription
@@ -32,6 +34,20 @@ class Policy:
     network: Network | None
     """What built the module; None if it was read from ONNX, where a graph stands for it."""
     description: PolicyDescription
+    manifest: Manifest | None = None
+    """Of the environment that it was learned in; None where its file holds none."""
+
+    def fit(self, environment: Environment) -> str:
+        """The group of an environment that shows what the policy sees; warns where the environment leads elsewhere.
+
+        Raises:
+            ConfigurationError: the policy was learned for another environment; names what differs.
+        """
+        group = self.description.find_group(environment)
+        if self.manifest is not None:
+            recorded = renamed_group(self.manifest, self.description.group, group)
+            check_manifest(recorded, environment, f"the policy of {self.description.task}", {group})
+        return group
 
     def save(self, path: Path) -> None:
         """Write weights, network and description into one safetensors file, which appears whole or not at all.
@@ -41,7 +57,7 @@ class Policy:
         """
         if self.network is None:
             raise ConfigurationError(f"a policy that was read from ONNX has no network that {path.name} could name")
-        write_policy(path, ActorNetwork(self.network, self.module), self.description)
+        write_policy(path, ActorNetwork(self.network, self.module), self.description, self.manifest)
 
     def export_onnx(self, path: Path) -> None:
         """Write ONNX, the description in its metadata: input ``observation`` (N, O), output ``action`` (N, A).
@@ -51,7 +67,7 @@ class Policy:
         """
         if self.network is None:
             raise ConfigurationError(f"the policy was read from ONNX: copy its file to {path}")
-        onnx_file.write_onnx(path, self.module, self.description)
+        onnx_file.write_onnx(path, self.module, self.description, self.manifest)
 
 
 def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
@@ -66,15 +82,15 @@ def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
             raise ConfigurationError(f"folder {path} holds no policy_<iteration>{SUFFIX}: is it a training's folder?")
         path = newest
     if path.suffix == onnx_file.SUFFIX:
-        description, module = onnx_file.read_onnx(path)
-        return Policy(module.to(device), None, description)
+        description, manifest, module = onnx_file.read_onnx(path)
+        return Policy(module.to(device), None, description, manifest)
     if path.suffix != SUFFIX:
         raise ConfigurationError(
             f"{path} is no policy: policies are {SUFFIX} and {onnx_file.SUFFIX} files, for others, such as pickles and "
             "TorchScript, may run code when they are read"
         )
-    description, actor = read_policy(path)
-    return Policy(actor.module.to(device), actor.network, description)
+    description, manifest, actor = read_policy(path)
+    return Policy(actor.module.to(device), actor.network, description, manifest)
 
 
 class PolicyNode(Node):
@@ -129,7 +145,7 @@ def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
     Raises:
         ConfigurationError: the policy was learned for another environment.
     """
-    group, place = policy.description.find_group(environment), environment.cut.node
+    group, place = policy.fit(environment), environment.cut.node
     return environment.cut.graph.replace(place.name, PolicyNode(policy, inputs=place.inputs, group=group))
 
 
@@ -138,7 +154,7 @@ class PolicyActor:
 
     def __init__(self, environment: Environment, path: Path) -> None:
         policy = load_policy(path, environment.device)
-        self._group = policy.description.find_group(environment)
+        self._group = policy.fit(environment)
         self._module = policy.module
         self._environment = environment
 

@@ -1,8 +1,9 @@
 """Policies as safetensors files: the weights, what they were learned for, and the network that they belong to.
 
 The document of such a file (see :mod:`orbit_core.learning.tensor_file`) is
-``{"format": 1, "policy": {...}, "network": {"name": ..., "settings": {...}}}`` with the fields of
-:class:`~orbit_core.learning.description.PolicyDescription` and of a registered network.
+``{"format": 1, "policy": {...}, "manifest": {...}, "network": {"name": ..., "settings": {...}}}`` with the fields of
+:class:`~orbit_core.learning.description.PolicyDescription`, of :class:`~orbit_core.data.manifest.Manifest`, which may
+be missing, and of a registered network.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
+from orbit_core.data.manifest import Manifest
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_core.learning.description import PolicyDescription
 from orbit_core.learning.network_registry import network_type
@@ -42,8 +44,10 @@ def newest_file(folder: Path, prefix: str) -> Path | None:
     return newest
 
 
-def write_policy(path: Path, actor: ActorNetwork, description: PolicyDescription) -> None:
-    """Write a policy. The file appears whole or not at all.
+def write_policy(
+    path: Path, actor: ActorNetwork, description: PolicyDescription, manifest: Manifest | None = None
+) -> None:
+    """Write a policy, and the manifest of where it was learned. The file appears whole or not at all.
 
     Raises:
         ConfigurationError: nobody could read it: its network is registered under no name, or another's.
@@ -52,10 +56,25 @@ def write_policy(path: Path, actor: ActorNetwork, description: PolicyDescription
     if network_type(network.name) is not type(network):
         raise ConfigurationError(f"network {network!r} is not the one that is registered as '{network.name}'")
     named = {"name": network.name, "settings": dataclasses.asdict(network)}
-    write_tensors(path, {**description.document(), "network": named}, actor.module.state_dict())
+    document = {**description.document(), **manifest_document(manifest), "network": named}
+    write_tensors(path, document, actor.module.state_dict())
 
 
-def read_policy(path: Path) -> tuple[PolicyDescription, ActorNetwork]:
+def manifest_document(manifest: Manifest | None) -> dict[str, Any]:
+    """The manifest's part of a policy's document, which files of earlier versions lack."""
+    return {} if manifest is None else {"manifest": manifest.document()}
+
+
+def manifest_of(document: Mapping[str, Any], path: Path) -> Manifest | None:
+    """The manifest in a policy's document, if there is one.
+
+    Raises:
+        ConfigurationError: it is none, or of another format.
+    """
+    return Manifest.decode(document["manifest"], str(path)) if "manifest" in document else None
+
+
+def read_policy(path: Path) -> tuple[PolicyDescription, Manifest | None, ActorNetwork]:
     """A policy on the CPU, of which nothing was executed but the registered network that its file names.
 
     Raises:
@@ -73,7 +92,7 @@ def read_policy(path: Path) -> tuple[PolicyDescription, ActorNetwork]:
     module.load_state_dict(tensors, assign=True)
     module.requires_grad_(False).eval()
     check_action(module, description, path)
-    return description, ActorNetwork(network, module)
+    return description, manifest_of(document, path), ActorNetwork(network, module)
 
 
 def check_action(module: nn.Module, description: PolicyDescription, path: Path, device: str = "cpu") -> None:

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from orbit_core.data.manifest import Manifest
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.files import written_whole
 from orbit_core.interfaces import ConfigurationError
@@ -44,6 +45,8 @@ class Training:
         self._steps_before, self._seconds_before = 0, 0.0
         self._done = -1
         """The last iteration that was completed."""
+        self.manifest = Manifest.of(self.trainer.environment, self.task, self.trainer.seed)
+        """Of the environment that is learned in."""
         self.saved: Path | None = None
         """The newest checkpoint that was written."""
 
@@ -98,6 +101,7 @@ class Training:
         if not begin and (folder / RECORD).exists():
             raise ConfigurationError(f"folder {folder} holds a training already: resume it, or name another")
         settings = {"task": self.task, "library": self.trainer.name, **self._algorithm()}
+        settings["manifest"] = self.manifest.document()
         with written_whole(folder / RECORD) as record:
             record.write_text(json.dumps({**settings, **self.record}, indent=2, default=str))
         if begin:
@@ -138,7 +142,7 @@ class Training:
         trainer, actor = self.trainer, self.trainer.actor()
         versions = self.record.get("versions")
         description = PolicyDescription.of(trainer.environment, self.task, trainer.name, iteration, versions)
-        return Policy(actor.module, actor.network, description)
+        return Policy(actor.module, actor.network, description, self.manifest)
 
     def _report(self, progress: Progress, report: Callable[[Progress], None]) -> None:
         if not self.leader:  # its library counts nothing

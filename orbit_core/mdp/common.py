@@ -12,7 +12,7 @@ from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import table
 from orbit_core.audit.robots.postures import gripper_positions
 from orbit_core.envs.task import ROBOT, Task
-from orbit_core.envs.terms import ObservationGroup, once_per_state
+from orbit_core.envs.terms import POSE, ObservationGroup, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.scene import ObjectSpec, Plane, Pose, RobotSpec, Shape
 from orbit_core.scene.pose import Vector3
@@ -84,22 +84,26 @@ def workspace(world: World, agent: str = ROBOT) -> tuple[Vector3, Vector3]:
     return box.low, box.high
 
 
+@measured_in("rad or m")
 def joint_positions(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     """(N, J) relative to the home pose."""
     body = robot_of(world, agent)
     return body.joint_positions - body.home_positions
 
 
+@measured_in("rad/s or m/s")
 def joint_velocities(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     """(N, J)"""
     return robot_of(world, agent).joint_velocities
 
 
+@measured_in("1")
 def last_action(world: World, task: Task, agent: str | None = None) -> Tensor:
     """(N, A) the action in effect; an agent's own part of it where one is named."""
     return task.last_action if agent is None else task.last_action[:, task.action_slices[agent]]
 
 
+@measured_in(POSE)
 @once_per_state
 def hand_pose(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     """(N, 7) of the end effector, in the environment's frame."""

@@ -33,7 +33,7 @@ def camera_depth(camera: CameraSpec) -> ObservationTerm:
     def depth(world: World, task: Task) -> Tensor:
         return _camera(world, camera).image(Channel.DEPTH).clamp(0.0, camera.far)
 
-    return ObservationTerm(depth, sensors=(camera,), bounds=(0.0, camera.far))
+    return ObservationTerm(depth, sensors=(camera,), bounds=(0.0, camera.far), unit="m")
 
 
 def camera_segmentation(camera: CameraSpec, channel: Channel = Channel.SEMANTIC) -> ObservationTerm:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_multiply, quat_rotate
 from orbit_core.envs.task import Task
-from orbit_core.envs.terms import EventFunction, TermFunction
+from orbit_core.envs.terms import EventFunction, TermFunction, measured_in
 from orbit_core.interfaces import World
 from orbit_core.interfaces.names import match_names
 from orbit_core.mdp.common import turned
@@ -41,6 +41,7 @@ def with_grip_force(robot: RobotSpec, force: float) -> RobotSpec:
 def key_points(name: str) -> TermFunction:
     """Term: (N, 3 K) key points of a deformable, in the environment's frame."""
 
+    @measured_in("m")
     def observe(world: World, task: Task) -> Tensor:
         return world.deformables[name].key_points.flatten(1)
 

@@ -19,4 +19,4 @@ def height_scan(rays: RayCasterSpec) -> ObservationTerm:
     def distances(world: World, task: Task) -> Tensor:
         return cast(RayCaster, world.sensors[rays.name]).distances.clamp(0.0, rays.max_distance)
 
-    return ObservationTerm(distances, sensors=(rays,), bounds=(0.0, rays.max_distance))
+    return ObservationTerm(distances, sensors=(rays,), bounds=(0.0, rays.max_distance), unit="m")

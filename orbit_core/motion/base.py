@@ -85,6 +85,12 @@ class MotionGenerator(Node):
         return torch.stack((self.lower_limits, self.upper_limits), 1)
 
     @property
+    def affine(self) -> tuple[Tensor, Tensor] | None:
+        """Offset and scale (k,) each, in rad or m, where position targets are ``offset + scale * command`` before
+        limits; None where they are anything else."""
+        return None
+
+    @property
     def positions(self) -> Tensor:
         """(N, k) measured positions of the generator's joints."""
         return self.robot.joint_positions[:, self._columns]

@@ -76,6 +76,11 @@ class JointPosition(MotionGenerator):
         low, high = super().position_range.unbind(1)
         return torch.stack((low.maximum(self._home - self._below), high.minimum(self._home + self._above)), 1)
 
+    @property
+    def affine(self) -> tuple[Tensor, Tensor] | None:
+        straight = torch.allclose(self._above, self._below)
+        return (self._home, self._above) if straight and self.config.mode is CommandMode.ABSOLUTE else None
+
     def encode_posture(self, positions: Tensor, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return self.encode_positions(positions[:, self._columns])
 

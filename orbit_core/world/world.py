@@ -111,13 +111,14 @@ class SimulatedWorld(World):
         solver = choose_matter(plugin, scene, matter)
         check_scene(plugin, scene, self._renderer_plugin, solver)
         self._solver = solver
+        self.matter = "" if solver is None else solver.name
         self.scene = scene
         self.layout = SceneLayout.of(scene)
         self.num_envs = num_envs
         self.device = usable_device(device)
         self.physics_dt = scene.physics_dt
         self.backend = backend
-        config = backend_config(plugin, settings)
+        self.settings = config = backend_config(plugin, settings)
         shared = settings_table(settings, backend) if self._renderer_plugin.name == backend else {}
         own = settings_table(renderer_settings, "the renderer")
         self._renderer_config = backend_config(self._renderer_plugin, {**shared, **own})
