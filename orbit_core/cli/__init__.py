@@ -25,6 +25,7 @@ COMMANDS = {
     "info": ("info", "Everything about one task, robot or backend"),
     "run": ("run", "Run a task's episodes with an expert, random or zero agent, and report how they went"),
     "view": ("view", "Watch a task live in the browser"),
+    "record": ("record", "Record a task's episodes as a dataset of demonstrations"),
     "train": ("train", "Learn a task with a reinforcement learning library"),
     "play": ("play", "Run a learned policy on any backend, and report how it went"),
     "export": ("export", "Write a learned policy as safetensors and ONNX, with its description"),

@@ -158,14 +158,15 @@ class EpisodeRecorder(StepObserver):
 
 def _tracked(world: World) -> Iterator[tuple[str, Callable[[], Tensor]]]:
     """What tells where each thing is: (N, 7) of a frame, (N, 3) of a key point."""
-    for name, (entity, frame) in _tracked_frames(world):
+    for name, (entity, frame) in tracked_frames(world):
         yield name, functools.partial(entity.frame_pose, frame)
     for name, body in world.deformables.items():
         for point in body.spec.key_points:
             yield f"{name}/{point.name}", functools.partial(body.key_point, point.name)
 
 
-def _tracked_frames(world: World) -> Iterator[tuple[str, tuple[Object, str]]]:
+def tracked_frames(world: World) -> Iterator[tuple[str, tuple[Object, str]]]:
+    """End effectors, or roots of robots without one, and links of objects that can move: entity and frame by name."""
     for name, robot in world.robots.items():
         ends = [end.frame for end in robot.spec.end_effectors] if isinstance(robot, Robot) else []
         for frame in ends or robot.link_names[:1]:

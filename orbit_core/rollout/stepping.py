@@ -12,6 +12,7 @@ from torch import Tensor
 
 if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor
+    from orbit_core.envs.captured_step import StepResult
     from orbit_core.envs.environment import Environment
     from orbit_core.envs.episode import EpisodeEnd
 
@@ -21,6 +22,15 @@ class StepObserver:
 
     def before_step(self) -> None:
         """Called before the actor acts."""
+
+    def stepped(self, action: Tensor, result: StepResult) -> None:
+        """Called after each step; hands on to :meth:`after_step`, which most observers can do with.
+
+        Args:
+            action: (N, A) that was taken.
+            result: all that the step returned.
+        """
+        self.after_step(action, result[4])
 
     def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
         """Called after each step.
@@ -68,9 +78,9 @@ def roll_out(
             observer.before_step()
         begin = time.perf_counter()
         action = actor.act()
-        info = environment.step(action)[4]
+        result = environment.step(action)
         seconds += time.perf_counter() - begin
         steps += 1
         for observer in observers:
-            observer.after_step(action, info)
+            observer.stepped(action, result)
     return Pace(steps * environment.num_envs, seconds)

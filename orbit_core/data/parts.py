@@ -1,0 +1,111 @@
+"""Where episodes lie while a recording runs: a folder of files, each written whole and flushed before the next begins.
+
+Whatever ends the program, what a file holds stays. A file is safetensors, its arrays those of a few episodes one after
+the other; its header holds what is known of each.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import safetensors.numpy
+from safetensors import SafetensorError, safe_open
+
+from orbit_core.data.episodes import INITIAL, Array, Episode, EpisodeInfo
+from orbit_core.data.manifest import Manifest
+from orbit_core.files import storage_faults, written_whole
+from orbit_core.interfaces import ConfigurationError
+
+_MANIFEST = "manifest.json"
+_PART = re.compile(r"part_(\d{6,})\.safetensors")
+_KEY = "episodes"
+
+
+class PartFolder:
+    """Files of finished episodes beside the dataset that they are going to be.
+
+    Args:
+        path: of the folder; it need not be there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def files(self) -> list[Path]:
+        """In the order of writing."""
+        found = [path for path in self.path.iterdir() if _PART.fullmatch(path.name)] if self.path.is_dir() else []
+        return sorted(found, key=lambda path: int(path.stem.removeprefix("part_")))
+
+    def begin(self, manifest: Manifest) -> None:
+        """Make the folder, or take it up again: what a killed program left half written is removed.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
+        with storage_faults(self.path):
+            self.path.mkdir(parents=True, exist_ok=True)
+            for left in self.path.glob(".*"):
+                left.unlink()
+        with written_whole(self.path / _MANIFEST) as written:
+            written.write_bytes(manifest.encode())
+
+    def manifest(self) -> Manifest | None:
+        """Of the recording; None if none has begun.
+
+        Raises:
+            ConfigurationError: its file is damaged.
+        """
+        path = self.path / _MANIFEST
+        return Manifest.decode(path.read_bytes(), str(path)) if path.is_file() else None
+
+    def add(self, infos: Sequence[EpisodeInfo], arrays: Mapping[str, Array]) -> None:
+        """Write finished episodes: arrays (sum of lengths, ...), of ``initial/`` (episodes, ...).
+
+        Raises:
+            StorageError: the disk is full; what was written before stays.
+        """
+        last = self.files[-1:]
+        number = int(last[0].stem.removeprefix("part_")) + 1 if last else 0
+        data = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        header = {_KEY: msgspec.json.encode(infos).decode()}
+        path = self.path / f"part_{number:06d}.safetensors"
+        with written_whole(path) as written:
+            written.write_bytes(safetensors.numpy.save(data, header))
+
+    def infos(self) -> list[EpisodeInfo]:
+        """What is known of all episodes."""
+        return [info for path in self.files for info in _header(path)]
+
+    def read(self) -> Iterator[Episode]:
+        """All episodes, file by file.
+
+        Raises:
+            ConfigurationError: a file is damaged.
+        """
+        for path in self.files:
+            infos = _header(path)
+            arrays = safetensors.numpy.load_file(path)
+            ends = np.cumsum([info.length for info in infos])
+            for row, (info, end) in enumerate(zip(infos, ends.tolist(), strict=True)):
+                own = slice(end - info.length, end)
+                yield Episode(info, {n: a[row if n.startswith(INITIAL) else own] for n, a in arrays.items()})
+
+    def remove(self) -> None:
+        """Delete the folder, once all is elsewhere."""
+        with storage_faults(self.path):
+            for path in self.path.iterdir():
+                path.unlink()
+            self.path.rmdir()
+
+
+def _header(path: Path) -> list[EpisodeInfo]:
+    try:
+        with safe_open(path, framework="np") as file:
+            return msgspec.json.decode(file.metadata()[_KEY], type=list[EpisodeInfo])
+    except (SafetensorError, OSError, KeyError, TypeError, msgspec.MsgspecError) as error:
+        raise ConfigurationError(f"{path} holds no episodes: {error}; remove it to go on without them") from None

@@ -1,0 +1,175 @@
+"""A recording as a whole: begun, gone on with, gathered into one file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from orbit_core.data.card import write_card
+from orbit_core.data.compare import Kind, differences
+from orbit_core.data.episodes import Episode, EpisodeInfo
+from orbit_core.data.hdf5 import Hdf5Dataset, write_hdf5
+from orbit_core.data.manifest import Manifest
+from orbit_core.data.parts import PartFolder
+from orbit_core.data.recorder import DemonstrationRecorder
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
+
+if TYPE_CHECKING:
+    from orbit_core.envs.actors import Actor
+    from orbit_core.envs.environment import Environment, EpisodeEnd
+
+
+class RecordingFile:
+    """A dataset that grows: the gathered file, and beside it the folder of what is not gathered yet.
+
+    Args:
+        path: of the HDF5 file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.parts = PartFolder(path.with_name(f"{path.name}.parts"))
+
+    @property
+    def begun(self) -> bool:
+        """Whether anything of it is there."""
+        return self.path.exists() or self.parts.path.exists()
+
+    def infos(self) -> dict[int, EpisodeInfo]:
+        """What is known of every episode that is kept, by number."""
+        return {info.number: info for info in (*self._gathered(), *self.parts.infos())}
+
+    def take_up(self, manifest: Manifest) -> None:
+        """Begin, or go on where a recording of the same environment stands.
+
+        Raises:
+            ConfigurationError: what is there was recorded with another environment; names what differs.
+        """
+        recorded = self.parts.manifest()
+        if recorded is None and self.path.exists():
+            dataset = Hdf5Dataset(self.path)
+            dataset.close()
+            recorded = dataset.known()
+        found = [] if recorded is None else differences(recorded, manifest)
+        found = [each for each in found if each.kind is not Kind.NOTE or not each.path.startswith("versions")]
+        if found:
+            told = "; ".join(str(difference) for difference in found)
+            raise ConfigurationError(f"{self.path} was recorded with other settings, so it cannot go on: {told}")
+        self.parts.begin(manifest)
+
+    def gather(self) -> int:
+        """Put all episodes into the one file, in the order in which they were recorded; returns how many.
+
+        Whatever ends the program on the way, nothing is lost, and another call does the same.
+        """
+        manifest = self.parts.manifest()
+        if manifest is None:
+            raise ConfigurationError(f"nothing was recorded in {self.parts.path}")
+        for left in self.path.parent.glob(f".{self.path.stem}.*{self.path.suffix}"):
+            with suppress(OSError):
+                left.unlink()
+        count = write_hdf5(self.path, self._episodes(), manifest)
+        write_card(self.path)
+        self.parts.remove()
+        return count
+
+    def _gathered(self) -> list[EpisodeInfo]:
+        if not self.path.exists():
+            return []
+        dataset = Hdf5Dataset(self.path)
+        dataset.close()
+        return [*dataset.episodes]
+
+    def _episodes(self) -> Iterator[Episode]:
+        """All episodes in the order in which they were recorded, a file at a time; each number once."""
+        numbers: set[int] = set()
+        if self.path.exists():
+            dataset = Hdf5Dataset(self.path)
+            numbers |= {info.number for info in dataset.episodes}
+            yield from map(dataset.read, range(len(dataset.episodes)))
+            dataset.close()
+        yield from (episode for episode in self.parts.read() if episode.info.number not in numbers)
+
+
+class Shares:
+    """Environment i records its first ``episodes // num_envs`` episodes, and one more if i < ``episodes % num_envs``.
+
+    So short episodes are not preferred, and a recording that was cut off goes on with the very episodes that it lacks.
+    """
+
+    def __init__(self, episodes: int, environment: Environment) -> None:
+        count, device = environment.num_envs, environment.device
+        self._shares = episodes // count + (torch.arange(count, device=device) < episodes % count).long()
+
+    def __call__(self, end: EpisodeEnd, ended: Tensor) -> Tensor:
+        return ended < self._shares[end.env_ids]
+
+    def left(self, infos: Mapping[int, EpisodeInfo]) -> Tensor:
+        """(N,) episodes that each environment has recorded already."""
+        done = torch.zeros_like(self._shares)
+        for info in infos.values():
+            if info.env_id is not None:
+                done[info.env_id] += 1
+        return done
+
+
+def record(
+    environment: Environment,
+    make_actor: Callable[[], Actor],
+    file: RecordingFile,
+    task: str,
+    episodes: int,
+    seed: int,
+    groups: Collection[str] | None = None,
+    progress: Callable[[int], None] = lambda recorded: None,
+) -> Pace:
+    """Record episodes until so many are in the file, those that are there already included.
+
+    Args:
+        environment: that they run in.
+        make_actor: makes who acts, once the first episodes have begun.
+        file: takes them.
+        task: the name that the environment was made by.
+        episodes: in all.
+        seed: of the random streams.
+        groups: observation groups to record; all if None.
+        progress: told, after each step, how many are recorded.
+
+    Raises:
+        ConfigurationError: the file was recorded with another environment.
+        StorageError: the disk is full; finished episodes are kept.
+    """
+    file.take_up(Manifest.of(environment, task, seed))
+    shares, infos = Shares(episodes, environment), file.infos()
+    begun = shares.left(infos)
+    environment.reset(seed)
+    _skip(environment, begun)
+    recorder = DemonstrationRecorder(environment, file.parts, shares, seed, groups, begun)
+    wanted = max(0, episodes - len(infos))
+
+    class Teller(StepObserver):
+        def before_step(self) -> None:
+            progress(len(infos) + recorder.kept)
+
+    pace = Pace(0, 0.0)
+    if wanted:
+        pace = roll_out(environment, make_actor(), (recorder, Teller()), lambda: recorder.kept >= wanted)
+    progress(len(infos) + recorder.kept)
+    file.gather()
+    return pace
+
+
+def _skip(environment: Environment, begun: Tensor) -> None:
+    """Let the next episode of each environment be the one after those (N,) that are recorded."""
+    if not bool(begun.any()):
+        return
+    random = environment.world.random
+    key, _, counter = random.save_state()
+    random.load_state((key, begun - 1, counter))
+    environment.reset()
