@@ -10,9 +10,11 @@ are one kind), with links to elsewhere, or with data in other files are refused.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import msgspec
@@ -38,6 +40,7 @@ def write_hdf5(
     manifest: Manifest | None,
     masks: Mapping[str, Sequence[int]] | None = None,
     compression: str | None = None,
+    size: int = 0,
 ) -> int:
     """Write a dataset; it appears whole or not at all. Returns the number of episodes.
 
@@ -47,6 +50,7 @@ def write_hdf5(
         manifest: of the environment, if it is known.
         masks: subsets by name, as positions; ``success`` is added where the episodes say it.
         compression: of all arrays, ``"gzip"`` or ``"lzf"``; None compresses pictures alone, by ``"lzf"``.
+        size: about how many bytes it will have, for which there must be room before anything is written.
 
     Raises:
         StorageError: the disk is full, or the folder cannot be written.
@@ -54,7 +58,7 @@ def write_hdf5(
     h5py = _h5py()
     successes: list[int] = []
     count = total = 0
-    with written_whole(path) as written, _write_faults(path), h5py.File(written, "w", libver="latest") as file:
+    with _room(path, size), written_whole(path) as written, h5py.File(written, "w", libver="latest") as file:
         data = file.create_group("data")
         for count, episode in enumerate(episodes, 1):
             _write_episode(data.create_group(f"demo_{count - 1}"), episode, compression)
@@ -97,7 +101,7 @@ class Hdf5Dataset(Dataset):
         name, info = self._demos[position], self.episodes[position]
         where = f"{name} of {self.path}"
         with self._read_faults(name):
-            arrays = dict(self._arrays(self._file["data"][name], "", names))
+            arrays = dict(self._arrays(self._child(self._file["data"], name), "", names))
         episode = Episode(info, arrays)
         if names is None:
             check_episode(episode, where)
@@ -110,19 +114,19 @@ class Hdf5Dataset(Dataset):
         self._file.close()
 
     def _names(self) -> list[str]:
-        group = self._file.get("data")
+        group: Any = self._child(self._file, "data") if "data" in self._file else ()
         if not isinstance(group, self._h5py.Group):
             raise ConfigurationError(f"{self.path} is no dataset of demonstrations: it has no group 'data'")
         found = [name for name in group if name.startswith("demo_") and name[5:].isdigit()]
         return sorted(found, key=lambda name: int(name[5:]))
 
     def _manifest(self) -> Manifest | None:
-        if _MANIFEST not in self._file:
+        if "orbit" not in self._file:
             return None
-        return Manifest.decode(self._numbers(self._file["orbit"], "manifest").tobytes(), str(self.path))
+        return Manifest.decode(self._numbers(self._child(self._file, "orbit"), "manifest").tobytes(), str(self.path))
 
     def _info(self, name: str) -> EpisodeInfo:
-        group = self._file["data"][name]
+        group = self._child(self._file["data"], name)
         own = group.attrs.get(_INFO)
         if isinstance(own, str):
             return msgspec.json.decode(own, type=EpisodeInfo)
@@ -135,22 +139,21 @@ class Hdf5Dataset(Dataset):
         if "mask" not in self._file:
             return {}
         places = {name.encode(): place for place, name in enumerate(self._demos)}
-        group = self._file["mask"]
+        group = self._child(self._file, "mask")
         masks = {name: self._numbers(group, name, "S").tolist() for name in group}
         return {name: [places[each] for each in listed if each in places] for name, listed in masks.items()}
 
     def _arrays(self, group: Any, prefix: str, names: Sequence[str] | None) -> Iterator[tuple[str, Array]]:
         for name in group:
             path = prefix + name
-            if group.get(name, getclass=True) is self._h5py.Group:
-                self._check_link(group, name)
-                yield from self._arrays(group[name], f"{path}/", names)
+            child = self._child(group, name)
+            if isinstance(child, self._h5py.Group):
+                yield from self._arrays(child, f"{path}/", names)
             elif chosen(path, names):
                 yield path, self._numbers(group, name)
 
     def _numbers(self, group: Any, name: str, kinds: str = "fiub") -> Array:
-        self._check_link(group, name)
-        dataset = group[name]
+        dataset = self._child(group, name)
         what = f"'{dataset.name}' of {self.path}"
         if dataset.dtype.kind not in kinds or dataset.is_virtual or dataset.external:
             raise ConfigurationError(
@@ -158,9 +161,11 @@ class Hdf5Dataset(Dataset):
             )
         return dataset[()]
 
-    def _check_link(self, group: Any, name: str) -> None:
+    def _child(self, group: Any, name: str) -> Any:
+        """What stands there by itself; a link, which may lead to any file, is not followed."""
         if not isinstance(group.get(name, getlink=True), self._h5py.HardLink):
             raise ConfigurationError(f"'{group.name}/{name}' of {self.path} is a link, which is not followed")
+        return group[name]
 
     @contextmanager
     def _read_faults(self, what: str) -> Iterator[None]:
@@ -174,13 +179,21 @@ class Hdf5Dataset(Dataset):
 
 
 @contextmanager
-def _write_faults(path: Path) -> Iterator[None]:
-    """The library tells of a full disk in errors of several kinds."""
+def _room(path: Path, size: int) -> Iterator[None]:
+    """Make sure that there is room on the disk, and say so where there is none; the library does it less clearly.
+
+    Raises:
+        StorageError: there is not, or the library could not write.
+    """
     try:
         with storage_faults(path):
+            if size:
+                with TemporaryFile(dir=path.parent) as file:
+                    os.posix_fallocate(file.fileno(), 0, size)
             yield
     except RuntimeError as error:
-        raise StorageError(f"cannot write {path}: {str(error).strip().partition(chr(10))[0]}") from error
+        reason = str(error).strip().partition("\n")[0]
+        raise StorageError(f"cannot write {path}: {reason}") from error
 
 
 def _write_episode(group: Any, episode: Episode, compression: str | None) -> None:

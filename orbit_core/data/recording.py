@@ -74,7 +74,8 @@ class RecordingFile:
         for left in self.path.parent.glob(f".{self.path.stem}.*{self.path.suffix}"):
             with suppress(OSError):
                 left.unlink()
-        count = write_hdf5(self.path, self._episodes(), manifest)
+        size = sum(path.stat().st_size for path in (*self.parts.files, self.path) if path.exists())
+        count = write_hdf5(self.path, self._episodes(), manifest, size=size)
         write_card(self.path)
         self.parts.remove()
         return count
