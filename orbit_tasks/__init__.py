@@ -12,6 +12,8 @@ def register(registry: TaskRegistry) -> None:
     """Entry point ``orbit.tasks``: tell the registry of every task, importing none."""
     registry.add("Reach", "Bring the end effector to a sampled pose", "orbit_tasks.reach:Reach")
     registry.add("Lift", "Lift a cube from the table to a sampled position", "orbit_tasks.lift:Lift")
+    registry.add("Stack", "Put one block on another", "orbit_tasks.stack_pyramid:Stack")
+    registry.add("Stack-Pyramid", "Build two pyramids of coloured blocks", "orbit_tasks.stack_pyramid:StackPyramid")
     registry.add("Cabinet", "Open a drawer by its handle to a given position", "orbit_tasks.cabinet:Cabinet")
     registry.add(
         "Handover",

@@ -26,7 +26,7 @@ from orbit_core.envs import (
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import POSE, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common, randomize
+from orbit_core.mdp import common, picking, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
 from orbit_tasks.pixels import ArmPixels
@@ -108,16 +108,7 @@ def sample_goal(world: World, task: Lift, env_ids: Tensor) -> None:
 
 def at_cube(world: World, task: Lift) -> Tensor:
     """(N, 7) the hand around the cube, fingers along the pair of faces that needs the least turn."""
-    cube = cube_pose(world, task)
-    w, _, _, z = cube[:, 3:].unbind(1)
-    yaw = 2.0 * torch.atan2(z, w)
-    quarter = 0.5 * math.pi
-    return torch.cat((cube[:, :3], common.facing_down(yaw - quarter * torch.round(yaw / quarter))), dim=1)
-
-
-def above_cube(world: World, task: Lift) -> Tensor:
-    """(N, 7) ten centimetres above the grasp."""
-    return at_cube(world, task) + torch.tensor([0, 0, 0.1, 0, 0, 0, 0], device=world.device)
+    return picking.grasp_square(cube_pose(world, task))
 
 
 def at_goal(world: World, task: Lift) -> Tensor:
@@ -252,7 +243,7 @@ class Lift(Task):
             world,
             self,
             (
-                Phase(above_cube, position_tolerance=0.02, free=True),
+                Phase(picking.raised(at_cube, 0.1), position_tolerance=0.02, free=True),
                 Phase(at_cube, position_tolerance=0.006, timeout=1.5),
                 Phase(at_cube, gripper_open=False, dwell=closing, timeout=closing + 0.1),
                 Phase(at_goal, gripper_open=False, free=True),

@@ -1,0 +1,92 @@
+"""What scripted experts that pick things up and put them elsewhere have in common: poses of the hand, and phases."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.transforms import quat_rotate, quat_rotate_inverse
+from orbit_core.envs.expert import Phase
+from orbit_core.envs.task import Task
+from orbit_core.envs.terms import TermFunction
+from orbit_core.interfaces import World
+from orbit_core.mdp import common
+
+_QUARTER = 0.5 * math.pi
+
+
+def quarter_yaw(orientation: Tensor) -> Tensor:
+    """(...,) rad, at most an eighth of a turn: the least turn about the vertical that aligns a hand with a square thing's
+    faces."""  # fmt: skip
+    yaw = 2.0 * torch.atan2(orientation[..., 3], orientation[..., 0])
+    return yaw - _QUARTER * torch.round(yaw / _QUARTER)
+
+
+def grasp_square(pose: Tensor) -> Tensor:
+    """(N, 7) the hand around the middle of a square thing (N, 7) from above, along the faces that need the least turn."""
+    return torch.cat((pose[:, :3], common.facing_down(quarter_yaw(pose[:, 3:]))), dim=1)
+
+
+def raised(target: TermFunction, height: float) -> TermFunction:
+    """The pose that ``target`` gives, higher by ``height`` metres."""
+
+    def pose(world: World, task: Task) -> Tensor:
+        up = torch.tensor([0.0, 0.0, height, 0.0, 0.0, 0.0, 0.0], device=world.device)
+        return target(world, task) + up
+
+    return pose
+
+
+def straight_up(height: float) -> TermFunction:
+    """The hand as it is, at ``height`` metres in the environment's frame."""
+
+    def pose(world: World, task: Task) -> Tensor:
+        hand = common.hand_pose(world, task)
+        return torch.cat((hand[:, :2], torch.full_like(hand[:, :1], height), hand[:, 3:]), dim=1)
+
+    return pose
+
+
+def hand_for(place: TermFunction, held: TermFunction) -> TermFunction:
+    """The hand with which what it holds comes to its place, as that sits in the hand now.
+
+    Args:
+        place: (N, 7) where the thing's frame shall be, and how the hand shall then be turned.
+        held: (N, 7) of the thing now; its turn in the hand is kept.
+    """
+
+    def pose(world: World, task: Task) -> Tensor:
+        hand, goal = common.hand_pose(world, task), place(world, task)
+        inside = quat_rotate_inverse(hand[:, 3:], held(world, task)[:, :3] - hand[:, :3])
+        return torch.cat((goal[:, :3] - quat_rotate(goal[:, 3:], inside), goal[:, 3:]), dim=1)
+
+    return pose
+
+
+def pick(world: World, grasp: TermFunction, clearance: float = 0.1, free: bool = False) -> tuple[Phase, ...]:
+    """Go above a grasp (N, 7), down to it, and close the gripper. ``free``: the way there is."""
+    closing = max(0.4, common.closing_time(world))
+    return (
+        Phase(raised(grasp, clearance), position_tolerance=0.02, timeout=4.0, free=free),
+        Phase(grasp, position_tolerance=0.006, timeout=1.5),
+        Phase(grasp, gripper_open=False, dwell=closing, timeout=closing + 0.1),
+    )
+
+
+def put(place: TermFunction, height: float, clearance: float = 0.1) -> tuple[Phase, ...]:
+    """Carry what is held, ``height`` metres above the origin, to its place, let go, and leave straight up.
+
+    Args:
+        place: (N, 7) of the hand, such as :func:`hand_for` gives.
+        height: of the hand on the way, in metres in the environment's frame.
+        clearance: metres above the place at which the hand arrives.
+    """
+    return (
+        Phase(straight_up(height), False, position_tolerance=0.03, rotation_tolerance=math.inf, timeout=2.0),
+        Phase(raised(place, clearance), False, position_tolerance=0.015, rotation_tolerance=0.05, timeout=4.0),
+        Phase(place, False, position_tolerance=0.003, rotation_tolerance=0.05, timeout=2.0),
+        Phase(place, dwell=0.3, timeout=0.4),
+        Phase(straight_up(height), position_tolerance=0.03, rotation_tolerance=math.inf, timeout=2.0),
+    )

@@ -1,0 +1,306 @@
+"""Stack-Pyramid: build pyramids of coloured blocks; Stack: put one block on another."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+from torch.linalg import vector_norm
+
+from orbit_core.assets.objects import box
+from orbit_core.dynamics.transforms import quat_rotate
+from orbit_core.envs import (
+    EventTerm,
+    EventTime,
+    Expert,
+    ObservationGroup,
+    ObservationTerm,
+    Phase,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+)
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.terms import TermFunction, once_per_state
+from orbit_core.interfaces import ConfigurationError, World
+from orbit_core.mdp import common, picking, randomize
+from orbit_core.mdp.randomize import Range
+from orbit_core.scene import Color, Pose, Scene
+
+COLORS: tuple[dict[str, Color], ...] = (
+    {"red": (0.8, 0.12, 0.1, 1.0), "orange": (0.95, 0.5, 0.1, 1.0), "yellow": (0.95, 0.85, 0.15, 1.0)},
+    {"blue": (0.1, 0.2, 0.8, 1.0), "turquoise": (0.1, 0.7, 0.7, 1.0), "green": (0.15, 0.55, 0.15, 1.0)},
+)
+"""Of the blocks of each pyramid, by name, the first one first."""
+SIZE = 0.05
+"""Metres, of a block's edges: every gripper of the catalogue opens that far."""
+GAP = 0.004
+"""Metres between the two blocks of a pyramid's base."""
+
+
+@once_per_state
+def block_poses(world: World, task: StackPyramid) -> Tensor:
+    """(N, B, 7) of all blocks: the first of each pyramid, then those to be moved, in order."""
+    return torch.stack([world.objects[name].root_pose for name in (*task.first, *task.moved)], dim=1)
+
+
+@once_per_state
+def moved_positions(world: World, task: StackPyramid) -> Tensor:
+    """(N, M, 3) of the blocks that are to be moved."""
+    return block_poses(world, task)[:, task.pyramids :, :3]
+
+
+@once_per_state
+def places(world: World, task: StackPyramid) -> Tensor:
+    """(N, M, 3) where those belong: beside the first block of their pyramid along its x axis, or on top."""
+    first = block_poses(world, task)[:, : task.pyramids]
+    position, turn = first[..., :3], common.turned(picking.quarter_yaw(first[..., 3:].flatten(0, 1)))
+    offsets = [position + quat_rotate(turn, way).view_as(position) for way in task.ways]
+    return torch.cat(offsets, dim=1)
+
+
+@once_per_state
+def distances(world: World, task: StackPyramid) -> Tensor:
+    """(N, M) metres between blocks and their places."""
+    return vector_norm(places(world, task) - moved_positions(world, task), dim=2)
+
+
+@once_per_state
+def hand_distances(world: World, task: StackPyramid) -> Tensor:
+    """(N, M) metres between the hand and the blocks that are to be moved."""
+    hand = common.hand_pose(world, task)[:, None, :3]
+    return vector_norm(moved_positions(world, task) - hand, dim=2)
+
+
+@once_per_state
+def put_down(world: World, task: StackPyramid) -> Tensor:
+    """(N, M) bool: the block is at its place and the hand away from it."""
+    return (distances(world, task) < task.tolerance) & (hand_distances(world, task) > SIZE)
+
+
+def hand_to_blocks(world: World, task: StackPyramid) -> Tensor:
+    """(N, M, 3) from the hand to the blocks that are to be moved."""
+    return moved_positions(world, task) - common.hand_pose(world, task)[:, None, :3]
+
+
+def blocks_to_places(world: World, task: StackPyramid) -> Tensor:
+    """(N, M, 3) from the blocks to their places."""
+    return places(world, task) - moved_positions(world, task)
+
+
+@once_per_state
+def done(world: World, task: StackPyramid) -> Tensor:
+    """(N,) int64: how many blocks are put down, one after the other."""
+    return put_down(world, task).long().cumprod(dim=1).sum(dim=1)
+
+
+def staged(world: World, task: StackPyramid, values: Tensor) -> Tensor:
+    """(N,) in [0, 1]: the share of blocks put down, and for the next one its own value, of ``values`` (N, M)."""
+    count = done(world, task)
+    following = values.gather(1, count.clamp(max=len(task.moved) - 1)[:, None])[:, 0]
+    return (count + torch.where(count < len(task.moved), following, 0.0)) / len(task.moved)
+
+
+def reaching(world: World, task: StackPyramid) -> Tensor:
+    """(N,) in [0, 1]: how near the hand is to the next block."""
+    return staged(world, task, common.nearness(hand_distances(world, task), 0.1))
+
+
+@once_per_state
+def lifted(world: World, task: StackPyramid) -> Tensor:
+    """(N, M) 1 where the block is off the table, or over its place."""
+    way = blocks_to_places(world, task)
+    return ((moved_positions(world, task)[..., 2] > SIZE) | (vector_norm(way[..., :2], dim=2) < 0.02)).float()
+
+
+def tracking(world: World, task: StackPyramid, scale: float) -> Tensor:
+    """(N,) in [0, 1]: how near the next block is to its place, once it is lifted."""
+    return staged(world, task, lifted(world, task) * common.nearness(distances(world, task), scale))
+
+
+def letting_go(world: World, task: StackPyramid) -> Tensor:
+    """(N,) in [0, 1]: how far the hand has left a block that is at its place."""
+    away = (hand_distances(world, task) / SIZE).clamp(max=1.0)
+    return staged(world, task, away * (distances(world, task) < task.tolerance))
+
+
+def dropped(world: World, task: StackPyramid) -> Tensor:
+    """(N,) a block fell off the table."""
+    return (block_poses(world, task)[..., 2] < -0.05).any(1)
+
+
+def place_blocks(world: World, task: StackPyramid, env_ids: Tensor) -> None:
+    """First blocks stand in the middle, turned by up to 0.3 rad; the others, turned by any angle, at four places on
+    both sides of them, drawn anew."""  # fmt: skip
+    low, high = common.workspace(world)
+    near, far, width = low[0], high[0] - 0.05, 0.5 * (high[1] - low[1])
+    middle, height = 0.5 * (low[1] + high[1]), 0.5 * SIZE
+    bands = ((-0.11, 0.11),) if task.pyramids == 1 else ((-0.11, -0.07), (0.07, 0.11))
+    for name, (right, left) in zip(task.first, bands, strict=True):
+        bounds = (near + 0.03, middle + right, height, -0.3), (near + 0.07, middle + left, height, 0.3)
+        _stand(world, name, world.random.uniform((4,), *bounds, env_ids), env_ids)
+    cells = [(x, middle + y) for x in (near + 0.035, far - 0.035) for y in (0.015 - width, width - 0.015)]
+    order = world.random.uniform((len(cells),), env_ids=env_ids).argsort(dim=1)
+    chosen = torch.tensor(cells, device=world.device)[order]
+    for index, name in enumerate(task.moved):
+        bounds = (-0.02, -0.015, height, -math.pi), (0.02, 0.015, height, math.pi)
+        place = world.random.uniform((4,), *bounds, env_ids)
+        place[:, :2] += chosen[:, index]
+        _stand(world, name, place, env_ids)
+
+
+def _stand(world: World, name: str, place: Tensor, env_ids: Tensor) -> None:
+    """Put a block to x, y, z and yaw (n, 4)."""
+    world.objects[name].set_root_pose(torch.cat((place[:, :3], common.turned(place[:, 3])), dim=1), env_ids)
+
+
+@dataclass
+class StackState(ObservationGroup):
+    """The arm's joints and hand, all blocks, the ways to the blocks and on to their places, and the last action."""
+
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    block_poses: ObservationTerm | None = ObservationTerm(block_poses)
+    hand_to_blocks: ObservationTerm | None = ObservationTerm(hand_to_blocks)
+    blocks_to_places: ObservationTerm | None = ObservationTerm(blocks_to_places)
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class StackObservations:
+    """Policy and critic see the state; the blocks' colours are their places in it."""
+
+    policy: StackState = field(default_factory=StackState)
+    critic: ObservationGroup | None = None
+
+
+@dataclass
+class StackRewards:
+    """Rewards of the hand at the next block, the block lifted, at its place and let go, less what is abrupt."""
+
+    reach: RewardTerm | None = RewardTerm(reaching, 1.0)
+    lift: RewardTerm | None = RewardTerm(lambda world, task: staged(world, task, lifted(world, task)), 10.0)
+    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 16.0)
+    track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 10.0)
+    let_go: RewardTerm | None = RewardTerm(letting_go, 30.0)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
+    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
+
+
+@dataclass
+class StackTerminations:
+    """An episode ends early where a block is dropped."""
+
+    dropped: TerminationTerm | None = TerminationTerm(dropped)
+
+
+@dataclass
+class StackEvents:
+    """Robot and blocks are placed anew for each episode; masses and the like with domain randomisation."""
+
+    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
+    place_blocks: EventTerm | None = EventTerm(place_blocks)
+    friction: EventTerm | None = None
+    gains: EventTerm | None = None
+
+
+@dataclass(kw_only=True)
+class StackPyramid(Task):
+    """Pyramids of coloured blocks, each built where its first block stands: a second beside that and a third on both, or
+    with two blocks the second on the first.
+
+    Succeeds when at the episode's end every block is within ``tolerance`` of its place and the hand has let go. Metric:
+    the sum of the distances between blocks and their places.
+    """  # fmt: skip
+
+    robot: str = "franka_panda"
+    action: str = "joint_position"
+    episode_length: float = 24.0
+    ppo: PpoSettings = PpoSettings(iterations=3000, initial_std=0.3, entropy_weight=0.005)
+    pyramids: int = 2
+    """One or two."""
+    blocks: int = 3
+    """Of each pyramid: two or three."""
+    tolerance: float = 0.015
+    """Metres."""
+    observations: StackObservations = field(default_factory=StackObservations)
+    rewards: StackRewards = field(default_factory=StackRewards)
+    terminations: StackTerminations = field(default_factory=StackTerminations)
+    events: StackEvents = field(default_factory=StackEvents)
+    ways: tuple[Tensor, ...] = field(init=False, default=())
+    """(3,) from a pyramid's first block to the places of its others, in the first one's frame."""
+
+    @property
+    def first(self) -> tuple[str, ...]:
+        """The block of each pyramid that stays."""
+        return tuple(next(iter(colors)) for colors in COLORS[: self.pyramids])
+
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """The blocks to be moved, in order: all second ones, then all third ones."""
+        return tuple(list(colors)[level] for level in range(1, self.blocks) for colors in COLORS[: self.pyramids])
+
+    def scene(self) -> Scene:
+        for name, least, most in (("pyramids", 1, 2), ("blocks", 2, 3)):
+            if not least <= getattr(self, name) <= most:
+                raise ConfigurationError(f"field '{name}' of task {type(self).__name__} must be {least} or {most}")
+        colors = {name: color for pyramid in COLORS for name, color in pyramid.items()}
+        blocks = [
+            box(name, (SIZE, SIZE, SIZE), mass=0.1, color=colors[name], pose=Pose((0.5, 0.1 * index - 0.25, 0.5 * SIZE)))
+            for index, name in enumerate((*self.first, *self.moved))
+        ]
+        return Scene(
+            robots=(common.arm(self.robot),),
+            objects=(*blocks, common.work_bench()),
+            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            physics_dt=self.physics_dt,
+        )
+
+    def start(self, world: World) -> None:
+        super().start(world)
+        beside, above = SIZE + GAP, SIZE
+        ways = ((0.0, 0.0, above),) if self.blocks == 2 else ((beside, 0.0, 0.0), (0.5 * beside, 0.0, above))
+        self.ways = tuple(torch.tensor(way, device=world.device) for way in ways)
+
+    def randomize(self) -> None:
+        """The friction of blocks and fingers, the arm's gains, and noise on joints and blocks."""
+        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
+        friction = randomize.friction((common.ROBOT, *self.first, *self.moved, "table"), Range(0.5, 1.2))
+        self.events.friction = EventTerm(friction, EventTime.STARTUP)
+        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, block_poses=0.002)
+
+    def success(self, world: World) -> Tensor:
+        return put_down(world, self).all(1)
+
+    def metrics(self, world: World) -> dict[str, Tensor]:
+        return {"distance_m": distances(world, self).sum(1)}
+
+    def expert(self, world: World) -> Expert:
+        phases: list[Phase] = []
+        for index, name in enumerate(self.moved):
+            block: TermFunction = lambda world, task, name=name: world.objects[name].root_pose
+            grasp: TermFunction = lambda world, task, block=block: picking.grasp_square(block(world, task))
+            hand = picking.hand_for(lambda world, task, index=index: _put_at(world, task, index), block)
+            phases += picking.pick(world, grasp, clearance=0.12) + picking.put(hand, height=0.22)
+        return Expert(world, self, phases)
+
+
+def _put_at(world: World, task: StackPyramid, index: int) -> Tensor:
+    """(N, 7) the place of a block to be moved, 3 mm too high, with the hand turned as the pyramid is."""
+    first = block_poses(world, task)[:, index % task.pyramids, 3:]
+    place = places(world, task)[:, index] + torch.tensor([0.0, 0.0, 0.003], device=world.device)
+    return torch.cat((place, common.facing_down(picking.quarter_yaw(first))), dim=1)
+
+
+@dataclass(kw_only=True)
+class Stack(StackPyramid):
+    """One block on another: the smallest of the pyramids."""
+
+    episode_length: float = 8.0
+    ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.3, entropy_weight=0.005)
+    pyramids: int = 1
+    blocks: int = 2
