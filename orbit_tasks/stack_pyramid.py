@@ -23,7 +23,7 @@ from orbit_core.envs import (
     TerminationTerm,
 )
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import TermFunction, once_per_state
+from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, picking, randomize
 from orbit_core.mdp.randomize import Range
@@ -209,12 +209,11 @@ class StackEvents:
 
 @dataclass(kw_only=True)
 class StackPyramid(Task):
-    """Pyramids of coloured blocks, each built where its first block stands: a second beside that and a third on both, or
-    with two blocks the second on the first.
+    """Pyramids of coloured blocks, each built where its first block stands: a second beside it, and a third on both.
 
-    Succeeds when at the episode's end every block is within ``tolerance`` of its place and the hand has let go. Metric:
-    the sum of the distances between blocks and their places.
-    """  # fmt: skip
+    A pyramid of two blocks has the second on the first. Succeeds when at the episode's end every block is within
+    ``tolerance`` of its place and the hand has let go. Metric: the sum of the distances between blocks and places.
+    """
 
     robot: str = "franka_panda"
     action: str = "joint_position"
@@ -249,7 +248,9 @@ class StackPyramid(Task):
                 raise ConfigurationError(f"field '{name}' of task {type(self).__name__} must be {least} or {most}")
         colors = {name: color for pyramid in COLORS for name, color in pyramid.items()}
         blocks = [
-            box(name, (SIZE, SIZE, SIZE), mass=0.1, color=colors[name], pose=Pose((0.5, 0.1 * index - 0.25, 0.5 * SIZE)))
+            box(
+                name, (SIZE, SIZE, SIZE), mass=0.1, color=colors[name], pose=Pose((0.5, 0.1 * index - 0.25, 0.5 * SIZE))
+            )
             for index, name in enumerate((*self.first, *self.moved))
         ]
         return Scene(
@@ -280,20 +281,26 @@ class StackPyramid(Task):
         return {"distance_m": distances(world, self).sum(1)}
 
     def expert(self, world: World) -> Expert:
-        phases: list[Phase] = []
-        for index, name in enumerate(self.moved):
-            block: TermFunction = lambda world, task, name=name: world.objects[name].root_pose
-            grasp: TermFunction = lambda world, task, block=block: picking.grasp_square(block(world, task))
-            hand = picking.hand_for(lambda world, task, index=index: _put_at(world, task, index), block)
-            phases += picking.pick(world, grasp, clearance=0.12) + picking.put(hand, height=0.22)
+        phases = [phase for index in range(len(self.moved)) for phase in _moving(world, self, index)]
         return Expert(world, self, phases)
 
 
-def _put_at(world: World, task: StackPyramid, index: int) -> Tensor:
-    """(N, 7) the place of a block to be moved, 3 mm too high, with the hand turned as the pyramid is."""
-    first = block_poses(world, task)[:, index % task.pyramids, 3:]
-    place = places(world, task)[:, index] + torch.tensor([0.0, 0.0, 0.003], device=world.device)
-    return torch.cat((place, common.facing_down(picking.quarter_yaw(first))), dim=1)
+def _moving(world: World, task: StackPyramid, index: int) -> tuple[Phase, ...]:
+    """Pick a block up and put it to its place."""
+
+    def block(world: World, task: StackPyramid) -> Tensor:
+        return block_poses(world, task)[:, task.pyramids + index]
+
+    def grasp(world: World, task: StackPyramid) -> Tensor:
+        return picking.grasp_square(block(world, task))
+
+    def place(world: World, task: StackPyramid) -> Tensor:
+        """3 mm too high, with the hand turned as the pyramid is."""
+        first = block_poses(world, task)[:, index % task.pyramids, 3:]
+        position = places(world, task)[:, index] + torch.tensor([0.0, 0.0, 0.003], device=world.device)
+        return torch.cat((position, common.facing_down(picking.quarter_yaw(first))), dim=1)
+
+    return picking.pick(world, grasp, clearance=0.12) + picking.put(picking.hand_for(place, block), height=0.22)
 
 
 @dataclass(kw_only=True)

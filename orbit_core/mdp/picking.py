@@ -18,14 +18,13 @@ _QUARTER = 0.5 * math.pi
 
 
 def quarter_yaw(orientation: Tensor) -> Tensor:
-    """(...,) rad, at most an eighth of a turn: the least turn about the vertical that aligns a hand with a square thing's
-    faces."""  # fmt: skip
+    """(...,) rad, at most an eighth of a turn: what a square thing is turned by about the vertical, up to its symmetry."""
     yaw = 2.0 * torch.atan2(orientation[..., 3], orientation[..., 0])
     return yaw - _QUARTER * torch.round(yaw / _QUARTER)
 
 
 def grasp_square(pose: Tensor) -> Tensor:
-    """(N, 7) the hand around the middle of a square thing (N, 7) from above, along the faces that need the least turn."""
+    """(N, 7) the hand around a square thing (N, 7) from above, along the faces that need the least turn."""
     return torch.cat((pose[:, :3], common.facing_down(quarter_yaw(pose[:, 3:]))), dim=1)
 
 

@@ -98,7 +98,9 @@ def test_a_closed_step_is_the_same_step(whole: bool, action: str) -> None:
     assert_same_life(plain, closed(other, whole), exact=True)
 
 
-@pytest.mark.parametrize("task", ["Reach", "Cabinet", "Velocity-Flat", "Handover", "Cloth-Dropping", "Rope-Reshaping"])
+@pytest.mark.parametrize(
+    "task", ["Reach", "Cabinet", "Velocity-Flat", "Handover", "Stack-Pyramid", "Cloth-Dropping", "Rope-Reshaping"]
+)
 def test_events_written_for_indices_hold_under_a_mask(task: str) -> None:
     plain, other = (make(task, 3, BACKEND, episode_length=0.2) for _ in range(2))
     other.task.episode_step[:] = plain.task.episode_step[:] = torch.tensor([0, 3, 7])

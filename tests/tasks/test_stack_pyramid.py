@@ -1,0 +1,89 @@
+"""Stack and Stack-Pyramid: the expert on two engines, rewards along its way, settings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+import torch
+
+from orbit_core.envs import make
+from orbit_core.envs.environment import Environment
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.mdp import common
+from orbit_tasks import stack_pyramid as tasks
+from tests.tasks.experts import episode
+
+N = 4
+
+
+@pytest.mark.parametrize(("backend", "num_envs"), [("mujoco", N), ("bullet", 2)])
+def test_the_expert_puts_a_block_on_another(backend: str, num_envs: int) -> None:
+    environment, success = episode("Stack", backend, num_envs)
+    heights = environment.world.objects["orange"].root_pose[:, 2]
+    environment.close()
+    assert success.all()
+    torch.testing.assert_close(heights, torch.full_like(heights, 1.5 * tasks.SIZE), atol=2e-3, rtol=0.0)
+
+
+def test_the_expert_builds_two_pyramids() -> None:
+    environment, success = episode("Stack-Pyramid", "mujoco", N, action="ik_relative")
+    tops = [environment.world.objects[name].root_pose[:, 2] for name in ("yellow", "green")]
+    distance = environment.task.metrics(environment.world)["distance_m"]
+    environment.close()
+    assert success.sum() >= N - 1
+    assert (torch.stack(tops)[:, success] > 1.4 * tasks.SIZE).all()
+    assert (distance[success] < 4 * 0.015).all()
+
+
+@pytest.fixture(scope="module")
+def stack() -> Iterator[Environment]:
+    environment = make("Stack", N, "mujoco", seed=0)
+    yield environment
+    environment.close()
+
+
+def _put(environment: Environment, ways: torch.Tensor) -> None:
+    """The block so far (N, 3) from its place."""
+    task, world = environment.task, environment.world
+    assert isinstance(task, tasks.Stack)
+    pose = world.objects["orange"].root_pose.clone()
+    pose[:, :3] = tasks.places(world, task)[:, 0] + ways
+    world.objects["orange"].set_root_pose(pose)
+
+
+def test_rewards_grow_the_nearer_the_block_is_to_its_place(stack: Environment) -> None:
+    stack.reset(seed=0)
+    heights = torch.tensor([0.3, 0.1, 0.02, 0.0])
+    _put(stack, torch.stack((torch.zeros(N), torch.zeros(N), heights), dim=1))
+    assert torch.equal(stack.task.success(stack.world), heights == 0.0)
+    track = tasks.tracking(stack.world, stack.task, 0.3)
+    assert (track.diff() > 0.0).all()
+    assert tasks.letting_go(stack.world, stack.task).tolist() == [0.0, 0.0, 0.0, 1.0]
+
+
+def test_a_block_in_the_hand_is_not_put_down(stack: Environment) -> None:
+    stack.reset(seed=0)
+    hand = common.hand_pose(stack.world, stack.task)
+    _put(stack, hand[:, :3] - tasks.places(stack.world, stack.task)[:, 0])
+    assert not tasks.put_down(stack.world, stack.task).any()
+    assert (tasks.reaching(stack.world, stack.task) > 0.99).all()
+
+
+def test_a_block_off_the_table_ends_the_episode(stack: Environment) -> None:
+    stack.reset(seed=0)
+    _put(stack, torch.tensor([[0.0, 0.0, -0.2]]).expand(N, 3))
+    assert tasks.dropped(stack.world, stack.task).all()
+
+
+def test_blocks_start_apart() -> None:
+    environment = make("Stack-Pyramid", 32, "mujoco", seed=3)
+    positions = tasks.block_poses(environment.world, environment.task)[..., :2]
+    apart = torch.cdist(positions, positions) + torch.eye(6)
+    environment.close()
+    assert apart.min() > 2**0.5 * tasks.SIZE
+
+
+def test_more_blocks_than_there_are_is_refused_by_name() -> None:
+    with pytest.raises(ConfigurationError, match="field 'blocks' of task Stack must be 2 or 3"):
+        make("Stack", 1, "mujoco", blocks=4)
