@@ -18,7 +18,7 @@ _QUARTER = 0.5 * math.pi
 
 
 def quarter_yaw(orientation: Tensor) -> Tensor:
-    """(...,) rad, at most an eighth of a turn: what a square thing is turned by about the vertical, up to its symmetry."""
+    """(...,) rad, at most an eighth of a turn: by how much a square thing is turned about the vertical."""
     yaw = 2.0 * torch.atan2(orientation[..., 3], orientation[..., 0])
     return yaw - _QUARTER * torch.round(yaw / _QUARTER)
 
