@@ -1,0 +1,126 @@
+"""Datasets of all formats, by the look of their path: opened, and written from episodes of any other."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from orbit_core.data.card import card, write_card
+from orbit_core.data.compare import Kind, differences
+from orbit_core.data.episodes import Dataset, Episode
+from orbit_core.data.hdf5 import SUFFIX, Hdf5Dataset, write_hdf5
+from orbit_core.data.lerobot import write_lerobot
+from orbit_core.data.lerobot_reader import LeRobotDataset
+from orbit_core.data.manifest import Manifest
+from orbit_core.interfaces import ConfigurationError
+
+_SUFFIXES = (SUFFIX, ".h5")
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Dataset]:
+    """A dataset: an HDF5 file, or a folder of LeRobot's.
+
+    Raises:
+        ConfigurationError: there is none, or it cannot be read.
+    """
+    dataset = LeRobotDataset(path) if path.is_dir() else Hdf5Dataset(path)
+    try:
+        yield dataset
+    finally:
+        dataset.close()
+
+
+def write_dataset(
+    path: Path,
+    episodes: Iterable[Episode],
+    manifest: Manifest | None,
+    rate: float | None = None,
+    masks: Mapping[str, Sequence[int]] | None = None,
+    compression: str | None = None,
+) -> set[str]:
+    """Write a dataset with its card: HDF5 where the name ends in .hdf5 or .h5, and else a folder of LeRobot's.
+
+    Args:
+        path: of the file or folder, which is replaced once the new one is whole.
+        episodes: in their order.
+        manifest: of the environment, if it is known.
+        rate: steps in a second, where no manifest says it.
+        masks: subsets by name, as positions; HDF5 alone has a place for them.
+        compression: of all arrays of an HDF5 file: ``"gzip"`` or ``"lzf"``.
+
+    Returns:
+        Names of arrays that the format has no place for.
+
+    Raises:
+        ConfigurationError: LeRobot needs a rate that is not known, or the format does not take what is given.
+        StorageError: the disk is full, or the folder cannot be written.
+    """
+    if path.suffix in _SUFFIXES:
+        write_hdf5(path, episodes, manifest, masks, compression)
+        write_card(path)
+        return set()
+    if path.suffix:
+        raise ConfigurationError(f"{path} is of no format that is written: name it *.hdf5, or a folder, for LeRobot")
+    if compression is not None or masks:
+        raise ConfigurationError(f"{path} would be a LeRobot dataset, which takes no compression and no subsets")
+    step_rate = rate if manifest is None else 1.0 / manifest.step_dt
+    if step_rate is None:
+        raise ConfigurationError("nothing says how many steps a second has: give --rate, which LeRobot needs")
+    left_out = write_lerobot(path, episodes, manifest, step_rate)
+    with opened(path) as dataset:
+        (path / "README.md").write_text(card(dataset), encoding="utf-8")
+    return left_out
+
+
+def read_all(datasets: Iterable[Dataset]) -> Iterator[Episode]:
+    """All episodes of some datasets, one after the other."""
+    for dataset in datasets:
+        yield from map(dataset.read, range(len(dataset.episodes)))
+
+
+def common_manifest(datasets: Sequence[Dataset]) -> Manifest | None:
+    """The manifest of datasets that can be one; the first one's, where they differ in what is noted alone.
+
+    Raises:
+        ConfigurationError: numbers mean different things in them; names every difference.
+    """
+    first, *others = datasets
+    for other in others:
+        if (first.manifest is None) != (other.manifest is None):
+            raise ConfigurationError(
+                f"only one of {first.path} and {other.path} has a manifest: convert each by itself"
+            )
+        if first.manifest is None or other.manifest is None:
+            continue
+        graver = [d for d in differences(first.manifest, other.manifest) if d.kind is not Kind.NOTE]
+        if graver:
+            told = "; ".join(str(difference) for difference in graver)
+            raise ConfigurationError(f"{first.path} and {other.path} are not of one kind: {told}")
+    return first.manifest
+
+
+def divided(count: int, share: float, seed: int) -> dict[str, list[int]]:
+    """Positions of ``train`` and ``valid``, the latter's share of ``count`` drawn at random.
+
+    Raises:
+        ConfigurationError: one of them would be empty.
+    """
+    held_out = round(share * count)
+    if not 0 < held_out < count:
+        raise ConfigurationError(f"{share:g} of {count} episodes is none or all of them: give another share")
+    order = np.random.default_rng(seed).permutation(count)
+    return {"train": sorted(order[held_out:].tolist()), "valid": sorted(order[:held_out].tolist())}
+
+
+def remove(path: Path) -> None:
+    """Delete a dataset that is to be replaced, and an HDF5 file's card."""
+    if path.is_dir():
+        shutil.rmtree(path)
+    elif path.exists():
+        path.unlink()
+        path.with_suffix(".md").unlink(missing_ok=True)
