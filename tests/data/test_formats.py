@@ -137,6 +137,7 @@ def test_the_command_converts_filters_splits_merges_and_tells(path: Path, tmp_pa
         (["data", "filter", str(path), "--least-return", "1e6", "--output", str(both)], "no episode of"),
         (["data", "filter", str(few), "--subset", "tain", "--output", str(tmp_path / "x")], "did you mean 'train'"),
         (["data", "convert", str(path), "--output", str(path), "--overwrite"], "is what is read"),
+        (["data", "convert", str(path), "--output", str(few)], "is there already"),
         (["data", "convert", str(path), "--output", "x.zip"], "of no format that is written"),
         (
             ["data", "convert", str(path), "--output", str(tmp_path / "x"), "--compression", "lzf"],
@@ -155,9 +156,9 @@ def test_datasets_of_two_kinds_do_not_merge(path: Path, tmp_path: Path) -> None:
         manifest = dataset.known()
         robot = replace(manifest.robots["robot"], joint_names=(*reversed(manifest.robots["robot"].joint_names),))
         write_hdf5(tmp_path / "b.hdf5", [dataset.read(0)], replace(manifest, robots={"robot": robot}))
-        with opened(tmp_path / "b.hdf5") as other:
-            with pytest.raises(ConfigurationError, match=r"robots\.robot\.joint_names was panda_joint1"):
-                common_manifest([dataset, other])
+    expected = pytest.raises(ConfigurationError, match=r"robots\.robot\.joint_names was panda_joint1")
+    with opened(path) as dataset, opened(tmp_path / "b.hdf5") as other, expected:
+        common_manifest([dataset, other])
     with pytest.raises(ConfigurationError, match="none or all of them"):
         divided(4, 0.05, 0)
 
@@ -185,7 +186,7 @@ def test_bad_lerobot_folders_are_refused(
 
 
 def test_a_rate_that_lerobot_cannot_hold_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="whole number of steps in a second, not 33.3"):
+    with pytest.raises(ConfigurationError, match=r"whole number of steps in a second, not 33\.3"):
         write_lerobot(tmp_path / "x", [pictured(0)], None, 100 / 3)
     with pytest.raises(ConfigurationError, match="an episode at least"):
         write_lerobot(tmp_path / "x", [], None, 50)
@@ -195,5 +196,5 @@ def test_a_rate_that_lerobot_cannot_hold_is_refused(tmp_path: Path) -> None:
 def test_what_a_dataset_lacks_is_named(path: Path) -> None:
     with opened(path) as dataset:
         assert isinstance(dataset, Hdf5Dataset)
-        with pytest.raises(ConfigurationError, match="demo_0 of .* has no 'obs/picture'"):
+        with pytest.raises(ConfigurationError, match=r"demo_0 of .* has no 'obs/picture'"):
             dataset.read(0, ["actions", "obs/picture"])
