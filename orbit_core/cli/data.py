@@ -1,4 +1,4 @@
-"""``orbit data``: datasets told about, converted, put together and taken apart."""
+"""``orbit data``: datasets told about, converted, put together, taken apart and replayed."""
 
 from __future__ import annotations
 
@@ -166,9 +166,16 @@ def _split(words: Sequence[str]) -> None:
     console().print(f"{settings.dataset}: {sizes} episodes", soft_wrap=True)
 
 
+def _play(words: Sequence[str]) -> None:
+    from orbit_core.cli.replay import main as replay
+
+    replay(words)
+
+
 _COMMANDS: dict[str, tuple[Callable[[Sequence[str]], None], str]] = {
     "info": (_info, "Tell what a dataset holds"),
     "convert": (_convert, "Write it in another format: HDF5 as robomimic's, or LeRobot's"),
+    "play": (_play, "Replay its episodes on any engine, and measure how far that leads apart"),
     "merge": (_merge, "Put datasets together"),
     "filter": (_filter, "Keep the episodes that are wanted"),
     "split": (_split, "Divide it into training and validation"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -99,6 +99,17 @@ class Dataset(ABC):
 def chosen(name: str, names: Sequence[str] | None) -> bool:
     """Whether an array is asked for, by its name or by a prefix that ends in ``/``."""
     return names is None or name in names or any(each.endswith("/") and name.startswith(each) for each in names)
+
+
+def check_found(names: Sequence[str] | None, arrays: Collection[str], where: str) -> None:
+    """Refuse what lacks an array that is asked for.
+
+    Raises:
+        ConfigurationError: names the array.
+    """
+    for asked in names or ():
+        if not any(chosen(found, (asked,)) for found in arrays):
+            raise ConfigurationError(f"{where} has no '{asked}', which this needs")
 
 
 def check_episode(episode: Episode, where: str) -> None:

@@ -20,7 +20,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from orbit_core.data.episodes import Array, Dataset, Episode, EpisodeInfo, check_episode, chosen
+from orbit_core.data.episodes import Array, Dataset, Episode, EpisodeInfo, check_episode, check_found, chosen
 from orbit_core.data.manifest import Manifest
 from orbit_core.files import storage_faults, written_whole
 from orbit_core.interfaces import ConfigurationError, StorageError
@@ -105,9 +105,7 @@ class Hdf5Dataset(Dataset):
         episode = Episode(info, arrays)
         if names is None:
             check_episode(episode, where)
-        for asked in names or ():
-            if not any(found == asked or found.startswith(asked) for found in arrays):
-                raise ConfigurationError(f"{where} has no '{asked}'")
+        check_found(names, arrays, where)
         return episode
 
     def close(self) -> None:

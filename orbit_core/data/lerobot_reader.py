@@ -21,6 +21,7 @@ from orbit_core.data.episodes import (
     Episode,
     EpisodeInfo,
     check_episode,
+    check_found,
     chosen,
 )
 from orbit_core.data.lerobot import ACTION, EPISODES, INFO, MANIFEST, PICTURE, SIMULATED, VERSION, arrow_modules
@@ -68,6 +69,7 @@ class LeRobotDataset(Dataset):
                 if key.startswith(PICTURE) and chosen(name := OBSERVED + key.removeprefix(PICTURE), names):
                     arrays[name] = self._frames(row, key)
         episode = Episode(info, arrays)
+        check_found(names, arrays, f"episode {position} of {self.path}")
         if names is None:
             check_episode(episode, f"episode {position} of {self.path}")
         return episode
