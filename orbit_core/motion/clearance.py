@@ -10,9 +10,9 @@ from torch import Tensor
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.dynamics.tree import joint_ancestry
-from orbit_core.interfaces import Robot
 from orbit_core.motion.collision_spheres import collision_spheres
 from orbit_core.motion.obstacles import Obstacles
+from orbit_core.motion.still import PlacedRobot
 
 
 class Clearance:
@@ -28,7 +28,7 @@ class Clearance:
         obstacles: that it keeps off.
     """
 
-    def __init__(self, robot: Robot, joints: Sequence[int], tree: KinematicTree, obstacles: Obstacles) -> None:
+    def __init__(self, robot: PlacedRobot, joints: Sequence[int], tree: KinematicTree, obstacles: Obstacles) -> None:
         articulation, device = robot.spec.articulation, robot.joint_positions.device
         balls = collision_spheres(articulation)
         ancestry = joint_ancestry(articulation)[:, list(joints)]

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from orbit_core.dynamics.transforms import pose_multiply, quat_rotate, quat_rotate_inverse
 from orbit_core.dynamics.tree import joint_ancestry
-from orbit_core.interfaces import Object, UnknownNameError, World
+from orbit_core.interfaces import UnknownNameError
+from orbit_core.motion.still import PlacedObject, PlacedWorld
 from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, Plane, Pose, Shape, Sphere
 
 TERRAIN = "terrain"
@@ -43,14 +44,14 @@ class Obstacles:
         UnknownNameError: the world has no such object.
     """
 
-    def __init__(self, world: World, names: Sequence[str] | None) -> None:
+    def __init__(self, world: PlacedWorld, names: Sequence[str] | None) -> None:
         still = names is None
         if names is None:
             names = (TERRAIN, *(name for name, thing in world.objects.items() if thing.spec.fixed_base))
         for name in names:
             if name != TERRAIN and name not in world.objects:
                 raise UnknownNameError("object", name, [TERRAIN, *world.objects], "the world")
-        self._objects: dict[str, Object] = {name: world.objects[name] for name in names if name != TERRAIN}
+        self._objects: dict[str, PlacedObject] = {name: world.objects[name] for name in names if name != TERRAIN}
         shapes: list[tuple[Shape, tuple[str, int] | None]] = []
         if TERRAIN in names:
             shapes += [(shape, None) for shape in world.scene.terrain]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,7 +37,11 @@ class ActionTerm(ABC):
         for field in (*self.above_zero, *self.none_below_zero):
             value = getattr(self, field)
             # What is no number, or NaN, is told where the task's terms are checked.
-            if isinstance(value, int | float) and (value < 0.0 or (field in self.above_zero and value == 0.0)):
+            if not isinstance(value, int | float):
+                continue
+            if field.endswith("scale") and math.isinf(value):
+                raise ConfigurationError(f"{type(self).__name__}: {field} is {value:g}: give a finite number")
+            if value < 0.0 or (field in self.above_zero and value == 0.0):
                 allowed = "above zero" if field in self.above_zero else "not below zero"
                 raise ConfigurationError(f"{type(self).__name__}: {field} is {value:g}: give a number {allowed}")
 

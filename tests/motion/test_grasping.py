@@ -21,6 +21,7 @@ from orbit_core.motion.grasping import (
     surface_of,
     surface_of_cloud,
 )
+from orbit_core.motion.planning import PlannerConfig, StillWorld
 from orbit_core.scene import Box, Cylinder, Geometry, Plane, Pose, Shape, Sphere, single_link
 from tests.motion.servo_world import BACKENDS, Held, held
 
@@ -126,3 +127,36 @@ def test_a_thing_out_of_reach_is_told_with_the_reasons(hand: HandBoxes) -> None:
     with pytest.raises(PlanningError, match="6 cannot be reached"):
         next(planner.plans(candidates, torch.tensor([3.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0])))
     arm.world.close()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_given_pose_is_planned_or_refused_with_the_reason(backend: str) -> None:
+    """From a copy of the world, which what happens meanwhile does not change."""
+    thing = box("thing", size=(0.04, 0.08, 0.06), mass=0.1, pose=Pose((0.5, 0.1, 0.03)))
+    wall = box("wall", size=(0.1, 0.4, 0.4), pose=Pose((0.5, -0.35, 0.2)), fixed_base=True)
+    arm = held(JointPositionConfig(), backend, num_envs=1, objects=(thing, wall), terrain=(Shape(Plane()),))
+    joints = list(arm.generator.joints)
+    still = StillWorld.of(arm.world, arm.robot)
+    positions = still.robot.joint_positions.clone()
+    arm.run(torch.full((len(joints),), 0.3), 200)
+    assert (arm.robot.joint_positions - positions).abs().max() > 0.05
+    torch.testing.assert_close(still.robot.joint_positions, positions, atol=0.0, rtol=0.0)
+    planner = GraspPlanner(still, still.robot, joints, config=PlannerConfig(obstacles=("terrain", "wall")))
+    down = torch.tensor([0.5, 0.1, 0.03, 0.0, 1.0, 0.0, 0.0])
+    plan = planner.plan(down)
+    assert plan.candidate is None
+    torch.testing.assert_close(plan.reach[0], positions[0, joints], atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(plan.reach[-1], plan.approach[0], atol=1e-5, rtol=0.0)
+    for position, reason in (
+        ((3.0, 0.0, 0.3), "misses the pose by 2\\.[0-9]+ m"),
+        ((0.5, 0.1, -0.02), "open hand would be 0\\.0[0-9]+ m inside 'terrain'"),
+        ((0.5, -0.35, 0.3), "inside 'wall'"),
+    ):
+        with pytest.raises(PlanningError, match=reason):
+            planner.plan(torch.cat((torch.tensor(position), down[3:])))
+    arm.world.close()
+
+
+def test_an_infinite_scale_is_refused_when_it_is_given() -> None:
+    with pytest.raises(ConfigurationError, match="scale is inf: give a finite number"):
+        JointPositionConfig(scale=math.inf)

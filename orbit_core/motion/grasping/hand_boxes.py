@@ -22,6 +22,8 @@ class HandBoxes:
 
     boxes: Tensor
     opening: float
+    points: Tensor
+    """(P, 3) m on the shapes themselves."""
 
     @staticmethod
     def of(spec: RobotSpec) -> HandBoxes:
@@ -37,7 +39,8 @@ class HandBoxes:
         clouds = shapes_in_frame(spec, effector.frame, _hand_links(spec, effector.gripper), posture)
         boxes = [torch.tensor(np.stack((cloud.min(0), cloud.max(0))), dtype=torch.float32) for cloud in clouds]
         stacked = torch.stack(boxes) if boxes else torch.zeros(0, 2, 3)
-        return HandBoxes(stacked, _opening(stacked, spec.name))
+        points = torch.tensor(np.concatenate(clouds or [np.zeros((0, 3))]), dtype=torch.float32)
+        return HandBoxes(stacked, _opening(stacked, spec.name), points)
 
     def touches(self, points: Tensor, margin: float = 0.0) -> Tensor:
         """(...,) whether any of points (..., M, 3) in the end effector's frame is within ``margin`` m of a box."""

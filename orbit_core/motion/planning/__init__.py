@@ -3,5 +3,9 @@
 from orbit_core.motion.planning.follower import TrajectoryFollower
 from orbit_core.motion.planning.joint_planner import JointPlanner, PlannerConfig
 from orbit_core.motion.planning.trajectory import JointTrajectory, jerk_limited, time_optimal
+from orbit_core.motion.still import StillWorld
 
-__all__ = ["JointPlanner", "JointTrajectory", "PlannerConfig", "TrajectoryFollower", "jerk_limited", "time_optimal"]
+__all__ = [
+    "JointPlanner", "JointTrajectory", "PlannerConfig", "StillWorld", "TrajectoryFollower", "jerk_limited",
+    "time_optimal",
+]  # fmt: skip

@@ -13,9 +13,10 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.kinematics import KinematicTree
-from orbit_core.interfaces import ConfigurationError, PlanningError, Robot, World
+from orbit_core.interfaces import ConfigurationError, PlanningError
 from orbit_core.motion.clearance import Clearance
 from orbit_core.motion.obstacles import Obstacles
+from orbit_core.motion.still import PlacedRobot, PlacedWorld
 
 _Array = npt.NDArray[np.float64]
 
@@ -55,13 +56,15 @@ class JointPlanner:
     """
 
     def __init__(
-        self, world: World, robot: Robot, joints: Sequence[int], config: PlannerConfig = PlannerConfig()
+        self, world: PlacedWorld, robot: PlacedRobot, joints: Sequence[int], config: PlannerConfig = PlannerConfig()
     ) -> None:
         self._ompl = _library()
         self.config = config
         self._robot, self._joints = robot, list(joints)
         self._tree = KinematicTree(robot.spec.articulation, world.device)
         self._clearance = Clearance(robot, joints, self._tree, Obstacles(world, config.obstacles))
+        self.obstacles = self._clearance.obstacles
+        """What is kept off."""
         low, high = robot.position_limits[self._joints].double().cpu().unbind(1)
         self._low, self._high = low.clamp_min(-2.0 * torch.pi).numpy(), high.clamp_max(2.0 * torch.pi).numpy()
         self._pairs = self._own_pairs() if config.self_collisions else None
@@ -97,6 +100,12 @@ class JointPlanner:
         if not parts:
             return torch.full((count,), torch.inf, device=full.device)
         return torch.cat(parts, 1).amin(1)
+
+    def touched(self, positions: Tensor, env: int = 0) -> str:
+        """In words, what is nearest to the robot at joint positions (k,), and how much of the margin is free."""
+        free, near = float(self.clearances(positions[None], env)), self._nearest(positions, env)
+        margin = self.config.margin
+        return f"'{self._robot.name}' has {free:.3f} m of the margin of {margin:g} m free to {near}"
 
     def _search(self, start: _Array, goal: _Array, env: int) -> _Array:
         base, geometric = self._ompl
@@ -150,14 +159,11 @@ class JointPlanner:
                 )
         free = float(self.clearances(torch.as_tensor(position[None]), env))
         if free < self.config.margin:
-            raise PlanningError(
-                f"at the {what} '{self._robot.name}' has {free:.3f} m of the margin of {self.config.margin:g} m free "
-                f"to {self._nearest(position, env)}"
-            )
+            raise PlanningError(f"at the {what} {self.touched(torch.as_tensor(position), env)}")
 
-    def _nearest(self, position: _Array, env: int) -> str:
+    def _nearest(self, position: Tensor, env: int) -> str:
         full = self._robot.joint_positions[env].clone()
-        full[self._joints] = torch.as_tensor(position).to(full)
+        full[self._joints] = position.to(full)
         gaps = self._clearance.gaps(self._tree.forward(self._robot.root_pose[env][None], full[None]), env)[0]
         if not gaps.numel() or float(gaps.min()) >= self.config.margin:
             return "itself"
