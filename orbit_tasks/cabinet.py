@@ -12,6 +12,7 @@ from orbit_core.assets.objects import SolidOptions, box, cabinet
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import EventTerm, EventTime, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task import Subtask
 from orbit_core.envs.terms import POSE, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
@@ -86,6 +87,17 @@ def before_handle(world: World, task: Cabinet) -> Tensor:
     """(N, 7) twelve centimetres in front of the handle."""
     handle = handle_pose(world, task)
     return _moved_in(handle, handle[:, :3], torch.full_like(task.goal, -0.12))
+
+
+def ajar(world: World, task: Cabinet) -> Tensor:
+    """(N,) bool: the drawer has begun to follow the hand."""
+    return opening(world, task) > 0.005
+
+
+def opened_handle(world: World, task: Cabinet) -> Tensor:
+    """(N, 7) the handle where the drawer is as far open as it should be."""
+    handle = handle_pose(world, task)
+    return _moved_in(handle, handle[:, :3], opening(world, task) - task.goal)
 
 
 def pulled(world: World, task: Cabinet) -> Tensor:
@@ -203,6 +215,9 @@ class Cabinet(Task):
 
     def metrics(self, world: World) -> dict[str, Tensor]:
         return {"goal_distance_m": goal_distance(world, self)}
+
+    def subtasks(self) -> tuple[Subtask, ...]:
+        return Subtask(handle_pose, ajar), Subtask(opened_handle, ajar)
 
     def expert(self, world: World) -> Expert:
         return Expert(

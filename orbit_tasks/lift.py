@@ -24,6 +24,7 @@ from orbit_core.envs import (
     TerminationTerm,
 )
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task import Subtask
 from orbit_core.envs.terms import POSE, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, picking, randomize
@@ -109,6 +110,16 @@ def sample_goal(world: World, task: Lift, env_ids: Tensor) -> None:
 def at_cube(world: World, task: Lift) -> Tensor:
     """(N, 7) the hand around the cube, fingers along the pair of faces that needs the least turn."""
     return picking.grasp_square(cube_pose(world, task))
+
+
+def off_table(world: World, task: Lift) -> Tensor:
+    """(N,) bool: the cube hangs in the hand."""
+    return cube_height(world, task) > task.rest_height + 0.01
+
+
+def goal_frame(world: World, task: Lift) -> Tensor:
+    """(N, 7) at the goal, pointing down."""
+    return common.pointing_down(task.goal)
 
 
 def at_goal(world: World, task: Lift) -> Tensor:
@@ -236,6 +247,9 @@ class Lift(Task):
 
     def metrics(self, world: World) -> dict[str, Tensor]:
         return {"goal_distance_m": goal_distance(world, self)}
+
+    def subtasks(self) -> tuple[Subtask, ...]:
+        return Subtask(at_cube, off_table), Subtask(goal_frame, lifted)
 
     def expert(self, world: World) -> Expert:
         closing = max(0.4, common.closing_time(world))

@@ -15,6 +15,7 @@ from orbit_core.data.episodes import ACTIONS, INITIAL, POSES, STATES, Array, Dat
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.plain import as_plain
 from orbit_core.data.states import TaskMemory, WorldStates
+from orbit_core.envs.configuration import configure
 from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces import ConfigurationError, Object
 from orbit_core.rollout.estimates import Estimate, proportion
@@ -49,7 +50,7 @@ def fields_of(manifest: Manifest) -> dict[str, Any]:
 
     Functions and kinds of things are not among them: where those differ, ``check_manifest`` tells.
     """
-    default = dict(_scalars(as_plain(task_entry(manifest.task).task_type()()), ""))
+    default = dict(_scalars(as_plain(configure(task_entry(manifest.task).task_type(), {})), ""))
     recorded = dict(_scalars(manifest.configuration, ""))
     return {path: value for path, value in recorded.items() if path in default and default[path] != value}
 

@@ -25,6 +25,16 @@ COMPOSED = "composed"
 """The word that stands for an action space's name where a task has action terms of its own."""
 
 
+@dataclass(frozen=True)
+class Subtask:
+    """A stretch of a demonstration in which the hand moves relative to one frame, wherever that is."""
+
+    frame: Callable[..., Tensor]
+    """(world, task) -> (N, 7), read when the subtask begins."""
+    over: Callable[..., Tensor]
+    """(world, task) -> (N,) bool whether it is done; of no meaning for the last."""
+
+
 @dataclass(kw_only=True)
 class Task(ABC):
     """A goal over a world. Subclasses are dataclasses: their fields are the task's configuration.
@@ -125,6 +135,16 @@ class Task(ABC):
     @abstractmethod
     def metrics(self, world: World) -> dict[str, Tensor]:
         """What a run reports, by name with its unit, (N,) each, taken at an episode's last step; the first leads."""
+
+    def subtasks(self) -> tuple[Subtask, ...]:
+        """What a demonstration is made of, in order (:mod:`orbit_core.data.augmentation`). Override where it is known.
+
+        Raises:
+            ConfigurationError: nobody says it.
+        """
+        raise ConfigurationError(
+            f"task {type(self).__name__} does not say what subtasks it is made of: override Task.subtasks"
+        )
 
     @abstractmethod
     def expert(self, world: World) -> Node:

@@ -1,0 +1,98 @@
+"""``orbit augment``: a few demonstrations become many."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from orbit_core.cli.checks import check_output, check_positive
+from orbit_core.cli.making import make_environment
+from orbit_core.cli.output import console, progress_bar
+from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import EnvironmentSettings, KeyValues, Name
+from orbit_core.interfaces.errors import ConfigurationError
+
+
+@dataclass(frozen=True, kw_only=True)
+class AugmentSettings:
+    """Cut demonstrations at the ends of subtasks, do the pieces where things are in new episodes, keep what succeeds."""
+
+    dataset: Annotated[Positional[Path], arg(metavar="DATASET")]
+    """An HDF5 file that orbit record wrote."""
+    output: Annotated[Path, arg(metavar="FILE")]
+    """The new dataset, HDF5."""
+    demonstrations: int = 10
+    """How many of the dataset's first successful ones are cut."""
+    episodes: int = 1000
+    """How many are wanted."""
+    num_envs: int = 64
+    """Environments stepped together; as many as demonstrations at least."""
+    most_attempts: Annotated[int | None, arg(metavar="INT")] = None
+    """Attempts after which to end with fewer; ten times the episodes if left out."""
+    backend: Name = None
+    """Engine; the one that it was recorded on if left out."""
+    device: Annotated[str, arg(metavar="NAME")] = "cpu"
+    """Torch device that holds all state."""
+    seed: int = 1
+    """Of the new episodes, and of which demonstration is drawn for each."""
+    set: KeyValues = ()
+    """A field of the task over those of the dataset."""
+    overwrite: bool = False
+    """Replace the dataset that is there already."""
+
+
+def main(words: Sequence[str]) -> None:
+    """Augment, with a progress bar, and tell the yield.
+
+    Raises:
+        OrbitError: of many kinds; each names the setting.
+    """
+    from orbit_core.data.augmentation import augment, cut
+    from orbit_core.data.compare import check_manifest
+    from orbit_core.data.formats import opened
+    from orbit_core.data.recording import RecordingFile
+    from orbit_core.data.replay import fields_of
+
+    settings = parse_words(AugmentSettings, words, "orbit augment")
+    for name in ("demonstrations", "episodes", "num_envs"):
+        check_positive(name, getattr(settings, name))
+    check_output(settings.output, ".hdf5", settings.overwrite)
+    file = RecordingFile(settings.output)
+    with opened(settings.dataset) as dataset:
+        manifest = dataset.known()
+        chosen = [place for place, info in enumerate(dataset.episodes) if info.success][: settings.demonstrations]
+        if not chosen:
+            raise ConfigurationError(f"no episode of {settings.dataset} succeeded: there is nothing to multiply")
+        made = EnvironmentSettings(
+            task=manifest.task,
+            backend=settings.backend or manifest.backend,
+            device=settings.device,
+            seed=settings.seed,
+            set=settings.set,
+            fields=fields_of(manifest),
+        )
+        environment = make_environment(made, settings.num_envs)
+        try:
+            check_manifest(manifest, environment, str(settings.dataset), groups=())
+            pieces = cut(environment, dataset, chosen)
+            if file.parts.path.exists():
+                file.parts.remove()
+            settings.output.unlink(missing_ok=True)
+            most = settings.most_attempts or 10 * settings.episodes
+            with progress_bar() as bar:
+                line = bar.add_task(f"{manifest.task} demonstrations", total=settings.episodes)
+                done = augment(
+                    environment, pieces, file, manifest.task, settings.episodes, settings.seed, most,
+                    lambda kept: bar.update(line, completed=kept),
+                )  # fmt: skip
+        finally:
+            environment.close()
+    console().print(
+        f"{settings.output}: {done.kept} of {done.attempts} attempts on {made.backend} succeeded, "
+        f"{done.share.percent()}, of {len(chosen)} demonstrations",
+        soft_wrap=True,
+    )
