@@ -19,7 +19,7 @@ from orbit_core.interfaces.errors import ConfigurationError
 
 @dataclass(frozen=True, kw_only=True)
 class AugmentSettings:
-    """Cut demonstrations at the ends of subtasks, do the pieces where things are in new episodes, keep what succeeds."""
+    """Cut demonstrations at the ends of subtasks, do the pieces where things are in new episodes, keep successes."""
 
     dataset: Annotated[Positional[Path], arg(metavar="DATASET")]
     """An HDF5 file that orbit record wrote."""

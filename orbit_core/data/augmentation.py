@@ -36,11 +36,11 @@ _AHEAD = 2
 """Steps by which the pose asked for is ahead of the one that is to be reached."""
 _GAIN = 4.0
 """How much farther than that pose the hand is sent, for drives follow late; at most by the leads below."""
-_LEADS = (0.1, 0.5)
+_LEADS = (0.06, 0.4)
 """m and rad"""
 _NEAR = (0.01, 0.1)
 """m and rad within which a pose counts as reached, and the next is due."""
-_REACH = 0.15
+_REACH = 0.13
 """m from the subtask's frame at which a piece begins; where the hand never comes so near, it is whole."""
 _PATIENCE = (60, 10)
 """Steps after which the next pose is due all the same: where a piece begins, and within it."""

@@ -1,0 +1,79 @@
+"""A few demonstrations become many, and each that is kept reached its goal somewhere else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from orbit_core.backends import backend_names, default_backend
+from orbit_core.cli import main
+from orbit_core.data.augmentation import cut, hand_pose
+from orbit_core.data.formats import opened
+from orbit_core.data.hdf5 import Hdf5Dataset
+from orbit_core.data.recording import RecordingFile, record
+from orbit_core.data.replay import replay
+from orbit_core.envs import Environment, make
+from orbit_core.envs.actors import scripted_actor
+from orbit_core.interfaces import ConfigurationError
+
+BACKEND = default_backend()
+OTHER = next(name for name in backend_names() if name != BACKEND)
+
+
+@pytest.fixture(scope="module")
+def environment() -> Iterator[Environment]:
+    made = make("Lift", 4, BACKEND, seed=2)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def dataset(environment: Environment, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hdf5Dataset]:
+    path = tmp_path_factory.mktemp("augmented") / "lift.hdf5"
+    record(environment, lambda: scripted_actor("expert", environment, 2), RecordingFile(path), "Lift", 4, 2)
+    made = Hdf5Dataset(path)
+    yield made
+    made.close()
+
+
+def test_demonstrations_are_cut_where_the_cube_leaves_the_table(dataset: Hdf5Dataset, environment: Environment) -> None:
+    pieces = cut(environment, dataset, range(4))
+    assert pieces.poses.shape[:2] == (4, 2)
+    assert (pieces.lengths > 10).all()
+    assert pieces.gripper_open[:, 0, 0].all()
+    assert not pieces.gripper_open[:, 1].any()
+    assert not pieces.gripper_open[torch.arange(4), 0, pieces.lengths[:, 0] - 1].any()
+    # At the end of the first piece the hand is around the cube, and a little higher than where that was.
+    last = pieces.poses[torch.arange(4), 0, pieces.lengths[:, 0] - 1]
+    assert last[:, :2].abs().max() < 0.03  # as the cube moved while the fingers closed
+    assert last[:, 2].abs().max() < 0.03
+    assert hand_pose(environment).shape == (4, 7)
+
+
+@pytest.mark.parametrize("backend", [BACKEND, OTHER])
+def test_what_is_kept_succeeded_elsewhere(backend: str, dataset: Hdf5Dataset, tmp_path: Path, capsys) -> None:
+    words = ["augment", str(dataset.path), "--output", str(tmp_path / "many.hdf5"), "--backend", backend]
+    assert main([*words, "--episodes", "5", "--num-envs", "8", "--most-attempts", "32"]) == 0
+    assert f"attempts on {backend} succeeded" in capsys.readouterr().out
+    with opened(tmp_path / "many.hdf5") as many:
+        assert len(many.episodes) == 5
+        assert all(info.success and info.metrics["goal_distance_m"] < 0.02 for info in many.episodes)
+        begins = torch.stack([torch.from_numpy(many.read(i).arrays["poses/cube"][0, :3]) for i in range(5)])
+        known = torch.stack([torch.from_numpy(dataset.read(i).arrays["poses/cube"][0, :3]) for i in range(4)])
+        assert torch.cdist(begins, known).min() > 1e-3
+        if backend == BACKEND:
+            again = make("Lift", 5, BACKEND)
+            assert replay(again, many, range(5)).success.value == 1.0
+            again.close()
+
+
+def test_what_cannot_be_augmented_is_refused(dataset: Hdf5Dataset, environment: Environment) -> None:
+    with pytest.raises(ConfigurationError, match=r"override Task\.subtasks"):
+        cut(make("Reach", 1, BACKEND), dataset, [0])
+    few = make("Lift", 1, BACKEND)
+    with pytest.raises(ConfigurationError, match="4 episodes do not begin in 1 environments"):
+        cut(few, dataset, range(4))
+    few.close()
