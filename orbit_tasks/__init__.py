@@ -38,3 +38,6 @@ def register(registry: TaskRegistry) -> None:
         "Flag-Hoisting", "Raise a flag by its staff to its place at a mast", "orbit_tasks.flag_hoisting:FlagHoisting"
     )
     registry.add("Cloth-Spreading", "Spread a crumpled cloth on its tray", "orbit_tasks.cloth_spreading:ClothSpreading")
+    registry.add(
+        "Cloth-Folding", "Fold a cloth along its diagonal, corner on corner", "orbit_tasks.cloth_folding:ClothFolding"
+    )
