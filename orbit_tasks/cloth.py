@@ -121,17 +121,6 @@ def here(height: float) -> TermFunction:
     return lambda world, task: at_height(common.hand_pose(world, task), height)
 
 
-def still_at(height: float) -> TermFunction:
-    """Term: (N, 7) the hand where it is and as it is turned, its frame at a height in the environment."""
-
-    def pose(world: World, task: Task) -> Tensor:
-        hand = common.hand_pose(world, task).clone()
-        hand[:, 2] = height
-        return hand
-
-    return pose
-
-
 def still(world: World, task: Task) -> Tensor:
     """(N, 7) the hand where it is."""
     return common.hand_pose(world, task)
