@@ -21,14 +21,14 @@ PAIRS = (("corner--", "corner++"), ("side-", "back"), ("front", "side+"))
 """Key points that the fold along the other diagonal lays on each other; the first is taken."""
 MAT = PhysicsMaterial(static_friction=1.0, dynamic_friction=1.0)
 """Of the tray, as of a rubber mat: the half that lies stays in place while the other is carried over it."""
-TAKEN = 0.02
+TAKEN = 0.03
 """Metres from the corner's tip, along the diagonal, to the hand that takes it."""
 SHORT = 0.02
-"""Metres by which the hand lays the corner down short of its place, towards which it falls as the fingers open."""
+"""Metres by which the hand stops short of the corner's place: cloth drawn tight would slide on its tray."""
 LOW = 0.03
 """Metres above the tray's top of the finger tips that open."""
 ARC = 0.5
-"""Height of the hand's way over the fold, in parts of its half width: a cloth drawn tight would slide on its tray."""
+"""Height of the hand's way over the fold, in parts of its half width: a full arc draws the lower half along."""
 ANGLES = tuple(math.radians(degrees) for degrees in (25, 50, 75, 100, 125, 150))
 """On that way, from the tray to the tray again."""
 AT_REST = 0.02

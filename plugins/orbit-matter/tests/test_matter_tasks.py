@@ -14,6 +14,8 @@ EPISODES = [
     ("Cloth-Lifting", 2, "mujoco"),
     ("Flag-Hoisting", 2, "mujoco"),
     ("Flag-Hoisting", 1, "sapien"),
+    ("Cloth-Folding", 2, "mujoco"),
+    ("Cloth-Folding", 1, "sapien"),
 ]
 
 
@@ -25,6 +27,16 @@ def test_an_expert_reaches_the_goal(task: str, num_envs: int, backend: str) -> N
     for _ in range(environment.max_episode_steps - 1):
         environment.step(expert.compute({})["action"])
     assert environment.task.success(environment.world).all()
+    environment.close()
+
+
+def test_a_flat_cloth_is_not_folded() -> None:
+    environment = make("Cloth-Folding", 2, "mujoco", seed=0)
+    task, world = environment.task, environment.world
+    environment.reset(seed=0)
+    apart = task.metrics(world)["pair_distance_m"]  # a diagonal, and two halves of one
+    torch.testing.assert_close(apart, torch.full_like(apart, 2.0 * 2.0**0.5 * task.size), atol=0.002, rtol=0.0)
+    assert not task.success(world).any()
     environment.close()
 
 
