@@ -3,14 +3,20 @@
 from orbit_core.motion.grasping.antipodal import GraspCandidates, GraspConfig, grasp_candidates
 from orbit_core.motion.grasping.hand_boxes import HandBoxes
 from orbit_core.motion.grasping.planner import GraspPlan, GraspPlanner
+from orbit_core.motion.grasping.search import GraspMotion, GraspSearch
 from orbit_core.motion.grasping.surface import Surface, surface_of, surface_of_cloud
+from orbit_core.motion.grasping.workflow import GraspWorkflow, Stage
 
 __all__ = [
     "GraspCandidates",
     "GraspConfig",
+    "GraspMotion",
     "GraspPlan",
     "GraspPlanner",
+    "GraspSearch",
+    "GraspWorkflow",
     "HandBoxes",
+    "Stage",
     "Surface",
     "grasp_candidates",
     "surface_of",
