@@ -22,6 +22,10 @@ HANGING = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
 """Turns x down."""
 ASKED = "what tasks with cloth and rope ask for; the best holds together exactly what it holds"
 """A reason for a :attr:`Metric.looser_because`."""
+WEIGHT_FELT = Metric(
+    name="force", unit="", tolerance=0.02, meaning="error of the mean force over the weight", looser_because=ASKED
+)
+"""Of links that carry cloth or rope."""
 _LATE = "a body that another solver moves feels its rope one physics step late, which gives to slow swings or takes"
 SMALL = 0.01
 """Metres, or radians times metres, of swings that are small."""
@@ -249,15 +253,7 @@ SCENARIOS = (
         judges=(Capability.ROPES,),
         time_steps=TIME_STEPS,
         run=_pulls,
-        metrics=(
-            Metric(
-                name="force",
-                unit="",
-                tolerance=0.02,
-                meaning="error of the mean force over the weight",
-                looser_because=ASKED,
-            ),
-        ),
+        metrics=(WEIGHT_FELT,),
     ),
     Scenario(
         name="rope_tow",
