@@ -1,0 +1,351 @@
+"""Hockey: hit a puck with a stick into the net, over ice."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+from torch.linalg import vecdot, vector_norm
+
+from orbit_core.assets.compose import add_frames, attach
+from orbit_core.assets.inertia import shapes_mass_properties
+from orbit_core.assets.objects import WOOD, box, cylinder, table
+from orbit_core.audit.robots.postures import gripper_posture
+from orbit_core.envs import (
+    EventTerm,
+    EventTime,
+    Expert,
+    ObservationGroup,
+    ObservationTerm,
+    Phase,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+)
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.terms import TermFunction, once_per_state
+from orbit_core.interfaces import World
+from orbit_core.mdp import common, randomize
+from orbit_core.mdp.randomize import Range
+from orbit_core.scene import (
+    Articulation,
+    Box,
+    Color,
+    Cylinder,
+    Frame,
+    ImplicitPd,
+    Joint,
+    JointType,
+    Link,
+    PhysicsMaterial,
+    Pose,
+    RobotSpec,
+    Scene,
+    Shape,
+    look_at,
+)
+from orbit_core.scene.pose import Vector3
+
+ICE, BLADE = PhysicsMaterial(0.04, 0.04), PhysicsMaterial(0.3, 0.3)
+THICKNESS = 0.01
+"""Metres, of the ice on the table."""
+RADIUS, HEIGHT = 0.03, 0.02
+"""Metres, of the puck."""
+LENGTH, WIDTH, DEPTH, BOARD = 0.14, 0.2, 0.12, 0.01
+"""Metres: from the hand to the blade's middle; between the net's posts; from its line to its back; its boards."""
+BLADE_HALF: Vector3 = (0.006, 0.05, 0.02)
+STRIKE = THICKNESS + BLADE_HALF[2] + 0.005
+"""Metres above the table at which the blade's middle strikes."""
+RED: Color = (0.75, 0.1, 0.1, 1.0)
+WHITE: Color = (0.9, 0.93, 0.97, 1.0)
+
+
+def puck_position(world: World, task: Hockey) -> Tensor:
+    """(N, 3)"""
+    return world.objects["puck"].root_pose[:, :3]
+
+
+def puck_velocity(world: World, task: Hockey) -> Tensor:
+    """(N, 3) m/s"""
+    return world.objects["puck"].root_velocity[:, :3]
+
+
+@once_per_state
+def net_position(world: World, task: Hockey) -> Tensor:
+    """(N, 3) of the middle of the net's line, on the ice."""
+    return world.robots["net"].frame_pose("net")[:, :3]
+
+
+@once_per_state
+def puck_to_inside(world: World, task: Hockey) -> Tensor:
+    """(N, 3) the shortest way on the ice on which the whole puck comes behind the line, between the posts."""
+    puck, line = puck_position(world, task), net_position(world, task)
+    aside = 0.5 * WIDTH - RADIUS
+    x = puck[:, 0].clamp(line[:, 0] + RADIUS, line[:, 0] + DEPTH)
+    y = torch.clamp(puck[:, 1], line[:, 1] - aside, line[:, 1] + aside)
+    return torch.stack((x, y, puck[:, 2]), dim=1) - puck
+
+
+@once_per_state
+def distance(world: World, task: Hockey) -> Tensor:
+    """(N,) metres from the puck to the net's inside."""
+    return vector_norm(puck_to_inside(world, task), dim=1)
+
+
+@once_per_state
+def inside(world: World, task: Hockey) -> Tensor:
+    """(N,) bool"""
+    return distance(world, task) < 1e-3
+
+
+def blade_to_puck(world: World, task: Hockey) -> Tensor:
+    """(N, 3)"""
+    return puck_position(world, task) - common.hand_pose(world, task)[:, :3]
+
+
+@once_per_state
+def aim(world: World, task: Hockey) -> Tensor:
+    """(N, 3) unit vector from the puck to the middle of the net, where that will be when the puck comes there."""
+    puck, line = puck_position(world, task), net_position(world, task)
+    seconds = (line[:, 0] - puck[:, 0]).clamp_min(0.0) / 0.6
+    # In the net the middle is near, and the direction would swing round: as if it were further.
+    ahead = (line[:, 0] + 0.5 * DEPTH - puck[:, 0]).clamp_min(0.15)
+    way = torch.stack((ahead, task.net_at(seconds)[0] - puck[:, 1], torch.zeros_like(ahead)), dim=1)
+    return way / vector_norm(way, dim=1, keepdim=True)
+
+
+def striking(world: World, task: Hockey) -> Tensor:
+    """(N,) in [0, 1]: how near the blade is to behind the puck; 1 once the puck is inside."""
+    way = behind(0.05, STRIKE)(world, task)[:, :3] - common.hand_pose(world, task)[:, :3]
+    return torch.maximum(common.nearness(vector_norm(way, dim=1), 0.15), inside(world, task).float())
+
+
+def sliding(world: World, task: Hockey) -> Tensor:
+    """(N,) in [0, 1]: metres a second, at most one, at which the puck goes where it should; 1 once it is inside."""
+    speed = vecdot(puck_velocity(world, task), aim(world, task)).clamp(0.0, 1.0)
+    return torch.maximum(speed, inside(world, task).float())
+
+
+def lost(world: World, task: Hockey) -> Tensor:
+    """(N,) the puck fell off the table."""
+    return puck_position(world, task)[:, 2] < -0.05
+
+
+def place_net(world: World, task: Hockey, env_ids: Tensor) -> None:
+    """Up to 10 cm off the middle; where it moves, anywhere on its way."""
+    place = world.random.uniform((2,), (-0.1, 0.0), (0.1, 2.0 * math.pi), env_ids)
+    task.net_middle[env_ids], task.net_phase[env_ids] = place[:, 0], place[:, 1]
+    position, velocity = (value[env_ids, None] for value in task.net_at(0.0))
+    world.robots["net"].set_joint_state(position, velocity, env_ids=env_ids)
+
+
+def place_puck(world: World, task: Hockey, env_ids: Tensor) -> None:
+    """On an 8 x 24 cm patch at the near side of the hand's workspace."""
+    near = common.workspace(world)[0][0]
+    low, high = (near + 0.02, -0.12, THICKNESS + 0.5 * HEIGHT), (near + 0.1, 0.12, THICKNESS + 0.5 * HEIGHT)
+    position = world.random.uniform((3,), low, high, env_ids)
+    upright = common.turned(torch.zeros_like(position[:, 0]))
+    world.objects["puck"].set_root_pose(torch.cat((position, upright), dim=1), env_ids)
+    task.nearest[env_ids] = torch.inf
+
+
+def behind(back: float, height: float) -> TermFunction:
+    """(N, 7) the blade across the way to the net, ``back`` metres behind the puck, ``height`` above the table."""
+
+    def target(world: World, task: Hockey) -> Tensor:
+        position = puck_position(world, task) - back * aim(world, task)
+        return _facing(world, task, position, height)
+
+    return target
+
+
+def follow_through(world: World, task: Hockey) -> Tensor:
+    """(N, 7) the blade well beyond the puck on its way to the net, but 3 cm behind the line at most."""
+    position = puck_position(world, task) + 0.15 * aim(world, task)
+    limit = net_position(world, task)[:, 0] + 0.03
+    return _facing(world, task, torch.cat((torch.minimum(position[:, 0], limit)[:, None], position[:, 1:]), 1), STRIKE)
+
+
+def _facing(world: World, task: Hockey, position: Tensor, height: float) -> Tensor:
+    way = aim(world, task)
+    at = torch.cat((position[:, :2], torch.full_like(position[:, :1], height)), dim=1)
+    return torch.cat((at, common.facing_down(torch.atan2(way[:, 1], way[:, 0]).clamp(-0.8, 0.8))), dim=1)
+
+
+@dataclass
+class HockeyState(ObservationGroup):
+    """The arm's joints and the blade, the puck, its way into the net, the net and its velocity, the last action."""
+
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    blade_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    puck_position: ObservationTerm | None = ObservationTerm(puck_position)
+    puck_velocity: ObservationTerm | None = ObservationTerm(puck_velocity)
+    blade_to_puck: ObservationTerm | None = ObservationTerm(blade_to_puck)
+    puck_to_inside: ObservationTerm | None = ObservationTerm(puck_to_inside)
+    net_position: ObservationTerm | None = ObservationTerm(net_position)
+    net_velocity: ObservationTerm | None = ObservationTerm(lambda world, task: world.robots["net"].joint_velocities)
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class HockeyObservations:
+    """Policy and critic see the state."""
+
+    policy: HockeyState = field(default_factory=HockeyState)
+    critic: ObservationGroup | None = None
+
+
+@dataclass
+class HockeyRewards:
+    """Rewards of the blade behind the puck, of the puck on its way and in the net, less what is fast or abrupt."""
+
+    strike: RewardTerm | None = RewardTerm(striking, 1.0)
+    slide: RewardTerm | None = RewardTerm(sliding, 4.0)
+    near: RewardTerm | None = RewardTerm(lambda world, task: common.nearness(distance(world, task), 0.3), 8.0)
+    score: RewardTerm | None = RewardTerm(lambda world, task: inside(world, task).float(), 16.0)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
+    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
+
+
+@dataclass
+class HockeyTerminations:
+    """An episode ends early where the puck is lost."""
+
+    lost: TerminationTerm | None = TerminationTerm(lost)
+
+
+@dataclass
+class HockeyEvents:
+    """Robot, net and puck are placed anew for each episode; friction and the like with domain randomisation."""
+
+    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
+    place_net: EventTerm | None = EventTerm(place_net)
+    place_puck: EventTerm | None = EventTerm(place_puck)
+    friction: EventTerm | None = None
+    gains: EventTerm | None = None
+
+
+@dataclass(kw_only=True)
+class Hockey(Task):
+    """The hand holds a stick for good. The puck lies before it on ice, the net stands on the far side, out of reach.
+
+    Succeeds when the whole puck is in the net at the episode's end. Metric: the shortest distance in the episode from
+    the puck to the net's inside.
+    """
+
+    robot: str = "franka_panda"
+    action: str = "joint_position"
+    episode_length: float = 5.0
+    ppo: PpoSettings = PpoSettings(iterations=800, initial_std=0.3, entropy_weight=0.005)
+    view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.5, 0.0, 0.1))
+    moving_goal: bool = False
+    """Whether the net slides to and fro, 8 cm either way in 4 s."""
+    observations: HockeyObservations = field(default_factory=HockeyObservations)
+    rewards: HockeyRewards = field(default_factory=HockeyRewards)
+    terminations: HockeyTerminations = field(default_factory=HockeyTerminations)
+    events: HockeyEvents = field(default_factory=HockeyEvents)
+    net_middle: Tensor = field(init=False)
+    """(N,) metres, where the net is in the middle of its way."""
+    net_phase: Tensor = field(init=False)
+    """(N,) rad, where on its way it starts."""
+    nearest: Tensor = field(init=False)
+    """(N,) metres, the shortest distance in the episode."""
+
+    def net_at(self, seconds: Tensor | float) -> tuple[Tensor, Tensor]:
+        """(N,) metres and (N,) m/s: place and velocity of the net, so many seconds from now."""
+        amplitude, rate = (0.08 if self.moving_goal else 0.0), 0.5 * math.pi
+        time = self.episode_step * (self.physics_dt * self.decimation) + seconds
+        angle = self.net_phase + rate * time
+        return self.net_middle + amplitude * angle.sin(), amplitude * rate * angle.cos()
+
+    def scene(self) -> Scene:
+        robot = _with_stick(common.arm(self.robot, gripper=False))
+        near, line = robot.end_effector.workspace.low[0], robot.end_effector.workspace.high[0] + 0.15
+        end = line + DEPTH + 0.05
+        ice = (end - near + 0.1, 1.0, THICKNESS)
+        middle = Pose((0.5 * (end + near - 0.1), 0.0, 0.5 * THICKNESS))
+        puck = Pose((near + 0.06, 0.0, THICKNESS + 0.5 * HEIGHT))
+        return Scene(
+            robots=(robot, _net(line)),
+            objects=(
+                cylinder("puck", RADIUS, HEIGHT, mass=0.1, color=(0.05, 0.05, 0.05, 1.0), material=ICE, pose=puck),
+                box("ice", ice, color=WHITE, material=ICE, fixed_base=True, pose=middle),
+                table("table", size=(end + 0.35, 1.4, common.BENCH_HEIGHT), pose=Pose((0.5 * (end - 0.25), 0.0, 0.0))),
+            ),
+            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            physics_dt=self.physics_dt,
+        )
+
+    def start(self, world: World) -> None:
+        super().start(world)
+        self.net_middle, self.net_phase = (torch.zeros(world.num_envs, device=world.device) for _ in range(2))
+        self.nearest = torch.full((world.num_envs,), torch.inf, device=world.device)
+
+    def advance(self, world: World) -> None:
+        self.nearest.copy_(torch.minimum(self.nearest, distance(world, self)))
+        position, velocity = self.net_at(self.physics_dt * self.decimation)
+        world.robots["net"].set_position_targets(position[:, None])
+        world.robots["net"].set_velocity_targets(velocity[:, None])
+
+    def randomize(self) -> None:
+        """The friction of puck and ice, the arm's gains, and noise on joints and puck."""
+        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
+        self.events.friction = EventTerm(randomize.friction(("puck", "ice"), Range(0.02, 0.08)), EventTime.STARTUP)
+        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, puck_position=0.002)
+
+    def success(self, world: World) -> Tensor:
+        return inside(world, self)
+
+    def metrics(self, world: World) -> dict[str, Tensor]:
+        return {"distance_m": self.nearest}
+
+    def expert(self, world: World) -> Expert:
+        phases = (
+            Phase(behind(0.1, 0.15), position_tolerance=0.03, timeout=2.0, free=True),
+            Phase(behind(0.08, STRIKE), position_tolerance=0.01, timeout=1.5),
+            Phase(follow_through),
+        )
+        return Expert(world, self, phases)
+
+
+def _with_stick(robot: RobotSpec) -> RobotSpec:
+    """The robot with a stick fixed in its hand, whose blade is what it moves; a gripper stays closed around it."""
+    effector = robot.end_effector
+    shaft = Shape(Cylinder(0.006, 0.5 * LENGTH), Pose((0.0, 0.0, 0.5 * LENGTH)), BLADE, WOOD, "shaft")
+    blade = Shape(Box(BLADE_HALF), Pose((0.0, 0.0, LENGTH)), BLADE, RED, "blade")
+    stick = Articulation("stick", (_solid("stick", (shaft, blade), 600.0),))
+    tip = Frame("blade", "stick", Pose((0.0, 0.0, LENGTH)))
+    body = add_frames(attach(robot.articulation, stick, effector.frame), tip)
+    gripper = effector.gripper
+    home = gripper_posture(robot, gripper, gripper.closed_position) if gripper else robot.home
+    own = replace(effector, frame="blade", gripper=None, finger_tips=())
+    return replace(robot, articulation=body, home=home, end_effectors=(own, *robot.end_effectors[1:]))
+
+
+def _net(line: float) -> RobotSpec:
+    """A net of boards on a rail across the ice, with a drive; its frame is in the middle of its line."""
+    half, up = 0.5 * WIDTH + BOARD, 0.03
+    parts = {
+        "left": ((0.5 * DEPTH, half - 0.5 * BOARD, up), (0.5 * DEPTH, 0.5 * BOARD, up - 0.002), RED),
+        "right": ((0.5 * DEPTH, 0.5 * BOARD - half, up), (0.5 * DEPTH, 0.5 * BOARD, up - 0.002), RED),
+        "back": ((DEPTH + 0.5 * BOARD, 0.0, up), (0.5 * BOARD, half, up - 0.002), WHITE),
+    }
+    boards = tuple(Shape(Box(size), Pose(at), BLADE, color, name) for name, (at, size, color) in parts.items())
+    rail = Joint("rail", JointType.PRISMATIC, "mount", "net", axis=(0.0, 1.0, 0.0), lower_limit=-0.3, upper_limit=0.3)
+    return RobotSpec(
+        name="net",
+        articulation=Articulation("net", (Link("mount"), _solid("net", boards, 1000.0)), (rail,)),
+        pose=Pose((line, 0.0, THICKNESS)),
+        fixed_base=True,
+        actuators=(ImplicitPd(joints=("rail",), stiffness=2000.0, damping=60.0),),
+        gravity_compensation=True,
+    )
+
+
+def _solid(name: str, shapes: tuple[Shape, ...], density: float) -> Link:
+    properties = shapes_mass_properties(shapes, density)
+    return Link(name, properties.mass, properties.center_of_mass, properties.inertia, shapes, shapes)
