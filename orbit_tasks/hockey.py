@@ -230,7 +230,7 @@ class HockeyEvents:
 
 @dataclass(kw_only=True)
 class Hockey(Task):
-    """The hand holds a stick for good. The puck lies before it on ice, the net stands on the far side, out of reach.
+    """The hand holds a stick for good. The puck lies before it on ice, the net stands at the end of its reach.
 
     Succeeds when the whole puck is in the net at the episode's end. Metric: the shortest distance in the episode from
     the puck to the net's inside.
@@ -263,7 +263,7 @@ class Hockey(Task):
 
     def scene(self) -> Scene:
         robot = _with_stick(common.arm(self.robot, gripper=False))
-        near, line = robot.end_effector.workspace.low[0], robot.end_effector.workspace.high[0] + 0.15
+        near, line = robot.end_effector.workspace.low[0], robot.end_effector.workspace.high[0] + 0.08
         end = line + DEPTH + 0.05
         ice = (end - near + 0.1, 1.0, THICKNESS)
         middle = Pose((0.5 * (end + near - 0.1), 0.0, 0.5 * THICKNESS))
