@@ -63,12 +63,14 @@ class Augmented:
     """What came of it."""
 
     kept: int
+    successes: int
+    """More than are kept, where the last attempts gave more than were wanted."""
     attempts: int
 
     @property
     def share(self) -> Estimate:
         """Yield: attempts that succeeded, with the 95 % interval."""
-        return proportion(self.kept, self.attempts)
+        return proportion(self.successes, self.attempts)
 
 
 def cut(environment: Environment, dataset: Dataset, positions: Sequence[int]) -> Pieces:
@@ -241,7 +243,10 @@ def augment(
     file.parts.begin(Manifest.of(environment, task, seed))
     environment.reset(seed)
 
+    successes: list[int] = []
+
     def wanted(end: EpisodeEnd, _: Tensor) -> Tensor:
+        successes.append(int(end.success.sum()))
         return end.success & (end.success.cumsum(0) + recorder.kept <= episodes)
 
     recorder = DemonstrationRecorder(environment, file.parts, wanted, seed)
@@ -260,4 +265,4 @@ def augment(
         file.parts.remove()
         raise ConfigurationError(f"none of {attempts} attempts succeeded: give other demonstrations")
     file.gather()
-    return Augmented(recorder.kept, attempts)
+    return Augmented(recorder.kept, sum(successes), attempts)
