@@ -92,7 +92,7 @@ def main(words: Sequence[str]) -> None:
         finally:
             environment.close()
     console().print(
-        f"{settings.output}: {done.kept} kept; {done.successes} of {done.attempts} attempts on {made.backend} succeeded, "
-        f"{done.share.percent()}, of {len(chosen)} demonstrations",
+        f"{settings.output}: {done.kept} kept; {done.successes} of {done.attempts} attempts on {made.backend} "
+        f"succeeded, {done.share.percent()}, of {len(chosen)} demonstrations",
         soft_wrap=True,
     )
