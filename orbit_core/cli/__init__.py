@@ -28,6 +28,7 @@ COMMANDS = {
     "record": ("record", "Record a task's episodes as a dataset of demonstrations"),
     "augment": ("augment", "Make many demonstrations of a few, moved to where things are in new episodes"),
     "data": ("data", "Tell about, convert, merge, filter, split and replay datasets of demonstrations"),
+    "grasp": ("grasp", "Choose, accept and move grasps of an arm in the browser, and take the arm"),
     "train": ("train", "Learn a task with a reinforcement learning library"),
     "play": ("play", "Run a learned policy on any backend, and report how it went"),
     "export": ("export", "Write a learned policy as safetensors and ONNX, with its description"),

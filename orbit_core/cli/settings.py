@@ -114,6 +114,18 @@ class ViewSettings(EnvironmentSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class GraspSettings(EnvironmentSettings):
+    """Have an arm grasp what you choose, in the browser."""
+
+    host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0 lets other machines take part."""
+    port: int = 8080
+    """Port to listen on."""
+    max_steps: Annotated[int | None, arg(metavar="INT")] = None
+    """Stop after that many steps; run until interrupted if left out."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class BenchSettings(EnvironmentSettings):
     """Measure throughput over numbers of environments, with random actions."""
 

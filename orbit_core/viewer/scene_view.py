@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -90,6 +90,8 @@ class SceneView:
         self._markers_visible = True
         self._frames_visible = False
         self._first = 0
+        self._clickable: dict[int, str] = {}
+        self._clicked: Callable[[str], None] | None = None
         server.scene.set_up_direction("+z")
         add_lights(server, layout.scene)
         for index, plane in enumerate(planes):
@@ -133,6 +135,13 @@ class SceneView:
             self._frames_visible = visible
             self._draw_links()
 
+    def let_click(self, entities: Sequence[str], clicked: Callable[[str], None]) -> None:
+        """Call ``clicked`` with an entity's name when a person clicks it, from the next frame on, in another thread."""
+        chosen = [self._layout.entity(name) for name in entities]
+        self._clickable = {link: e.name for e in chosen for link in range(e.links.start, e.links.stop)}
+        self._clicked = clicked
+        self._draw_links()
+
     # What is drawn
 
     def _draw_links(self) -> None:
@@ -160,6 +169,8 @@ class SceneView:
                     name = f"/links/{body.link}" + (f".{body.kind}" if body.kind else "")
                     handle = self._add(name, body.drawing, frame.link_poses[:, body.link], rows)
                     self._bodies_drawn.append((body, handle))
+                    if (name := self._clickable.get(body.link)) and (clicked := self._clicked):
+                        handle.on_click(lambda _, name=name, clicked=clicked: clicked(name))
             for body in self._axes if self._frames_visible else ():
                 handle = self._add(f"/frames/{body.link}", body.drawing, frame.link_poses[:, body.link])
                 handle.cast_shadow = False

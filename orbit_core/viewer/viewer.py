@@ -79,6 +79,14 @@ class ViewedEnvironment(Protocol):
         ...
 
 
+class ViewerTool(Protocol):
+    """What a page has besides the scene and the panel."""
+
+    def update(self) -> None:
+        """Called in the simulation's thread before each step, and some times a second while paused."""
+        ...
+
+
 class Viewer:
     """Shows an environment that an actor drives, in real time, at a web address of this computer alone.
 
@@ -93,6 +101,7 @@ class Viewer:
             :func:`orbit_core.viewer.information.task_information` makes one.
         paused: wait for the person to press play.
         frames: begin with axes at the robots' bases, end effectors, finger tips, feet and wheels.
+        tool: makes what the page has besides, given its server and scene.
 
     Raises:
         ConfigurationError: the web server's library is not installed.
@@ -108,6 +117,7 @@ class Viewer:
         information: Callable[[int], Mapping[str, str]] | None = None,
         paused: bool = False,
         frames: bool = False,
+        tool: Callable[[ViserServer, SceneView], ViewerTool] | None = None,
     ) -> None:
         self._env = env
         self._agent = agent
@@ -120,6 +130,7 @@ class Viewer:
         """Address of the page, with a token where other computers reach it."""
         self._scene = SceneView(self._server, env.world.layout)
         self._panel = Panel(self._server, self.controls, env.num_envs, list(self._cameras), title)
+        self._tool = tool(self._server, self._scene) if tool else None
         self._pacer = Pacer()
         self._drawn = Selection()
         self._frame_time = self._panel_time = -math.inf
@@ -139,6 +150,8 @@ class Viewer:
         self._reset()
         try:
             while left > 0 and not self.controls.stopped:
+                if self._tool:
+                    self._tool.update()
                 if self.controls.take_reset():
                     self._reset()
                 if self.controls.take_step():

@@ -57,6 +57,8 @@ class GraspSearch:
         self._robot, self._joints, self._thing, self._dt = world.robot, joints, thing, dt
         self._pose = world.objects[thing].root_pose[0]
         self._hand = HandBoxes.of(world.robot.spec)
+        self.opening = self._hand.opening
+        """m between the fingers."""
         self._surface = surface_of(world.objects[thing].spec.articulation.links[0])
         up = quat_rotate_inverse(self._pose[None, 3:], self._pose.new_tensor([[0.0, 0.0, 1.0]]))[0]
         self.candidates = grasp_candidates(self._surface, self._hand, GraspConfig(most=32), up.cpu())
