@@ -1,0 +1,377 @@
+"""Peg-In-Hole: put blocks into the holes of a board that match them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import torch
+from torch import Tensor
+from torch.linalg import vector_norm
+
+from orbit_core.assets.pegs import BOARD_HEIGHT, GRIP_HEIGHT, KNOB, block, board, section
+from orbit_core.dynamics.transforms import (
+    pose_inverse,
+    pose_multiply,
+    quat_multiply,
+    quat_to_rotation_vector,
+    quat_yaw,
+)
+from orbit_core.envs import (
+    EventTerm,
+    EventTime,
+    Expert,
+    ObservationGroup,
+    ObservationTerm,
+    Phase,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+)
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task import COMPOSED
+from orbit_core.envs.terms import once_per_state
+from orbit_core.interfaces import World
+from orbit_core.mdp import common, randomize
+from orbit_core.mdp.randomize import Range
+from orbit_core.motion import ActionTerms, preset_terms
+from orbit_core.motion.grasping.hold import closed_on
+from orbit_core.scene import Box, Color, PhysicsMaterial, Scene
+
+COLORS: Sequence[Color] = (
+    (0.80, 0.20, 0.15, 1.0),
+    (0.15, 0.35, 0.75, 1.0),
+    (0.95, 0.70, 0.10, 1.0),
+    (0.20, 0.60, 0.30, 1.0),
+    (0.55, 0.30, 0.65, 1.0),
+)
+SMOOTH = PhysicsMaterial(static_friction=0.3, dynamic_friction=0.3)
+SPACING = 0.11
+"""Metres between blocks that wait on the table."""
+ARM = 0.03
+"""Metres by which an error in rotation counts as one in position: a radian moves a block's rim about so far."""
+
+
+@once_per_state
+def block_poses(world: World, task: PegInHole) -> Tensor:
+    """(N, B, 7) of the middles of the blocks' bases."""
+    return torch.stack([world.objects[name].root_pose for name in task.blocks], dim=1)
+
+
+@once_per_state
+def seats(world: World, task: PegInHole) -> Tensor:
+    """(N, B, 7) of each block all the way in its hole, in the turn that is nearest to how it is turned now."""
+    return turned_seats(world, task, quat_yaw(block_poses(world, task)[..., 3:]))
+
+
+def turned_seats(world: World, task: PegInHole, wanted: Tensor) -> Tensor:
+    """(N, B, 7) of blocks in their holes, in the turn that is nearest to ``wanted`` (N, B) rad about the vertical."""
+    frames = [world.objects["board"].frame_pose(f"hole_{index}") for index in range(len(task.blocks))]
+    holes = torch.stack(frames, dim=1)
+    way = wanted - quat_yaw(holes[..., 3:])
+    turn = torch.where(task.turn > 0.0, task.turn * torch.round(way / task.turn.clamp_min(1e-6)), way)
+    turned = common.turned(turn.flatten()).view(*turn.shape, 4)
+    return torch.cat((holes[..., :3], quat_multiply(holes[..., 3:], turned)), dim=-1)
+
+
+def wrapped(angle: Tensor) -> Tensor:
+    """The same angles in [-pi, pi]."""
+    return torch.remainder(angle + math.pi, 2.0 * math.pi) - math.pi
+
+
+@once_per_state
+def offsets(world: World, task: PegInHole) -> Tensor:
+    """(N, B, 7) each block's pose as its seat sees it."""
+    return pose_multiply(pose_inverse(seats(world, task)), block_poses(world, task))
+
+
+def turned_by(pose: Tensor) -> Tensor:
+    """(...) rad by which poses (..., 7) are turned."""
+    return vector_norm(quat_to_rotation_vector(pose[..., 3:]), dim=-1)
+
+
+@once_per_state
+def distances(world: World, task: PegInHole) -> Tensor:
+    """(N, B) metres between each block's base and its place in the hole."""
+    return vector_norm(offsets(world, task)[..., :3], dim=-1)
+
+
+@once_per_state
+def errors(world: World, task: PegInHole) -> Tensor:
+    """(N, B) metres from each block to its place, with its turn and tilt counted as well."""
+    off = offsets(world, task)
+    return torch.hypot(vector_norm(off[..., :3], dim=-1), ARM * turned_by(off))
+
+
+@once_per_state
+def inserted(world: World, task: PegInHole) -> Tensor:
+    """(N, B) 1 where the block is in its hole, else 0."""
+    return (distances(world, task) < task.tolerance).float()
+
+
+@once_per_state
+def lifted(world: World, task: PegInHole) -> Tensor:
+    """(N, B) 1 where the block is off the table or in its hole, else 0."""
+    return torch.maximum((block_poses(world, task)[..., 2] > 0.01).float(), inserted(world, task))
+
+
+@once_per_state
+def hand_to_knobs(world: World, task: PegInHole) -> Tensor:
+    """(N, B, 3) from the hand to the middle of each block's knob."""
+    knobs = pose_multiply(block_poses(world, task), task.grip.expand(task.num_envs, len(task.blocks), 7))
+    return knobs[..., :3] - common.hand_pose(world, task)[:, None, :3]
+
+
+def reaching(world: World, task: PegInHole) -> Tensor:
+    """(N,) in [0, 1]: how near the hand is to the nearest block that is not in its hole; 1 once all are."""
+    near = common.nearness(vector_norm(hand_to_knobs(world, task), dim=-1), 0.1)
+    done = inserted(world, task)
+    return torch.maximum((near * (1.0 - done)).amax(1), done.amin(1))
+
+
+def tracking(world: World, task: PegInHole, scale: float) -> Tensor:
+    """(N,) in [0, 1]: how near lifted blocks are to their places, on average."""
+    return (lifted(world, task) * common.nearness(errors(world, task), scale)).mean(1)
+
+
+def aligned(world: World, task: PegInHole) -> Tensor:
+    """(N,) in [0, 1]: how well lifted blocks stand above or in their holes, at whatever height, on average."""
+    off = offsets(world, task)
+    error = torch.hypot(vector_norm(off[..., :2], dim=-1), ARM * turned_by(off))
+    return (lifted(world, task) * common.nearness(error, 0.01)).mean(1)
+
+
+def depth(world: World, task: PegInHole) -> Tensor:
+    """(N,) in [0, 1]: how deep blocks are in their holes, on average."""
+    off = offsets(world, task)
+    over = vector_norm(off[..., :2], dim=-1) < 0.01
+    return (over * (1.0 - off[..., 2] / BOARD_HEIGHT).clamp(0.0, 1.0)).mean(1)
+
+
+def dropped(world: World, task: PegInHole) -> Tensor:
+    """(N,) a block fell off the table."""
+    return (block_poses(world, task)[..., 2] < -0.05).any(1)
+
+
+def place_board(world: World, task: PegInHole, env_ids: Tensor) -> None:
+    """Place the board at the far side of the workspace; a short one is placed and turned more than a long one."""
+    low, high = common.workspace(world)
+    spread = 1.0 / len(task.blocks)
+    far, middle = high[0] - 0.06, 0.5 * (low[1] + high[1])
+    least = (far - 0.03, middle - 0.08 * spread, 0.0, -0.3 * spread)
+    place = world.random.uniform((4,), least, (far, middle + 0.08 * spread, 0.0, 0.3 * spread), env_ids)
+    world.objects["board"].set_root_pose(torch.cat((place[:, :3], common.turned(place[:, 3])), dim=1), env_ids)
+
+
+def place_blocks(world: World, task: PegInHole, env_ids: Tensor) -> None:
+    """Stand the blocks in a row before the board, in any order, each turned by any angle; or the first in the hand."""
+    low, high = common.workspace(world)
+    count = len(task.blocks)
+    draw = world.random.uniform((4 * count,), -1.0, 1.0, env_ids).view(-1, count, 4)
+    slots = draw[..., 0].argsort(dim=1).float() - 0.5 * (count - 1)
+    poses = torch.zeros(len(env_ids), count, 7, device=world.device)
+    poses[..., 0] = low[0] + 0.01 + 0.02 * draw[..., 1]
+    poses[..., 1] = 0.5 * (low[1] + high[1]) + SPACING * slots + (0.1 / count) * draw[..., 2]
+    poses[..., 3:] = common.turned(math.pi * draw[..., 3].flatten()).view(-1, count, 4)
+    if task.held:
+        world.robots[common.ROBOT].set_joint_state(task.holding.expand(len(env_ids), -1), None, task.fingers, env_ids)
+        frame = world.robots[common.ROBOT].spec.end_effector.frame
+        hand = world.robots[common.ROBOT].frame_pose(frame)[env_ids]
+        upright = torch.tensor([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0], device=world.device).expand_as(hand)
+        in_hand = pose_multiply(upright, pose_inverse(task.grip).expand_as(hand))
+        poses[:, 0] = pose_multiply(hand, in_hand)
+    for index, name in enumerate(task.blocks):
+        world.objects[name].set_root_pose(poses[:, index], env_ids)
+
+
+def grasp(world: World, task: PegInHole, index: int, height: float = 0.0) -> Tensor:
+    """(N, 7) the hand around a block's knob, or above it, in the quarter turn that turns the hand least in all."""
+    knob = pose_multiply(block_poses(world, task)[:, index], task.grip.expand(task.num_envs, 7))
+    quarters = 0.5 * math.pi * torch.tensor([-1.0, 0.0, 1.0, 2.0], device=world.device)
+    before = wrapped(quat_yaw(knob[:, 3:])[:, None] + quarters)
+    after = [quat_yaw(turned_seats(world, task, (-turn).expand(task.num_envs, len(task.blocks)))[:, index, 3:]) + turn
+             for turn in quarters]  # fmt: skip
+    most = torch.maximum(before.abs(), wrapped(torch.stack(after, dim=1)).abs())
+    best = before.gather(1, most.argmin(1, keepdim=True)).squeeze(1)
+    position = knob[:, :3] + torch.tensor([0.0, 0.0, height], device=world.device)
+    return torch.cat((position, common.facing_down(best)), dim=1)
+
+
+def raised(world: World, task: PegInHole, index: int) -> Tensor:
+    """(N, 7) the hand so high above where it is that the block clears all others."""
+    hand = grasp(world, task, index)
+    hand[:, 2] = 0.12 + GRIP_HEIGHT
+    return hand
+
+
+def carried(world: World, task: PegInHole, index: int, height: float, search: float = 0.0) -> Tensor:
+    """(N, 7) the hand where the block comes to stand ``height`` (m) above its place, as it sits in the hand now.
+
+    With ``search`` the block's place goes round in a spiral that reaches so far (m), once in two seconds.
+    """
+    held, hand = block_poses(world, task)[:, index], common.hand_pose(world, task)
+    hand_yaw = 2.0 * torch.atan2(hand[:, 5], hand[:, 4])
+    wanted = quat_yaw(held[:, 3:]) - hand_yaw
+    seat = turned_seats(world, task, wanted[:, None].expand(-1, len(task.blocks)))[:, index]
+    time = task.episode_step * (task.physics_dt * task.decimation)
+    radius, angle = search * torch.remainder(0.5 * time, 1.0), 4.0 * math.pi * time
+    offset = torch.stack((radius * angle.cos(), radius * angle.sin(), torch.full_like(radius, height)), dim=1)
+    target = torch.cat((seat[:, :3] + offset, seat[:, 3:]), dim=1)
+    return pose_multiply(target, pose_multiply(pose_inverse(held), hand))
+
+
+@dataclass
+class PegState(ObservationGroup):
+    """The arm's joints, the hand, the blocks as the hand and as their places see them, and the last action."""
+
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    hand_to_knobs: ObservationTerm | None = ObservationTerm(hand_to_knobs)
+    offsets: ObservationTerm | None = ObservationTerm(offsets)
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class PegObservations:
+    """Policy and critic see the state."""
+
+    policy: PegState = field(default_factory=PegState)
+    critic: ObservationGroup | None = None
+
+
+@dataclass
+class PegRewards:
+    """Rewards of the hand at a block, blocks off the table, above and in their holes, less what is fast or abrupt."""
+
+    reach: RewardTerm | None = RewardTerm(reaching, 1.0)
+    lift: RewardTerm | None = RewardTerm(lambda world, task: lifted(world, task).mean(1), 5.0)
+    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.2), 8.0)
+    align: RewardTerm | None = RewardTerm(aligned, 8.0)
+    depth: RewardTerm | None = RewardTerm(depth, 10.0)
+    insert: RewardTerm | None = RewardTerm(lambda world, task: inserted(world, task).mean(1), 20.0)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
+    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
+
+
+@dataclass
+class PegTerminations:
+    """An episode ends early where a block is dropped off the table."""
+
+    dropped: TerminationTerm | None = TerminationTerm(dropped)
+
+
+@dataclass
+class PegEvents:
+    """Robot, board and blocks are placed anew for each episode; masses and the like with domain randomisation."""
+
+    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
+    place_board: EventTerm | None = EventTerm(place_board)
+    place_blocks: EventTerm | None = EventTerm(place_blocks)
+    friction: EventTerm | None = None
+    gains: EventTerm | None = None
+
+
+@dataclass(kw_only=True)
+class PegInHole(Task):
+    """Blocks stand before a board with a hole for each; each is to be put into its own.
+
+    Succeeds when every block's base is within ``tolerance`` of its place, the bottom of its hole, at the episode's end.
+    Metric: the sum of those distances.
+    """
+
+    robot: str = "franka_panda"
+    action: str = "joint_position"
+    episode_length: float = 10.0
+    ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.3, entropy_weight=0.005)
+    shapes: tuple[str, ...] = ("square",)
+    """Sections of the blocks, :data:`orbit_core.assets.pegs.SECTIONS`, a block each: give each about 10 s."""
+    clearance: float = 0.002
+    """Metres by which a hole is wider than its block."""
+    held: bool = False
+    """Whether the first block starts in the closed gripper, which then stays closed and leaves the action."""
+    tolerance: float = 0.005
+    """Metres."""
+    observations: PegObservations = field(default_factory=PegObservations)
+    rewards: PegRewards = field(default_factory=PegRewards)
+    terminations: PegTerminations = field(default_factory=PegTerminations)
+    events: PegEvents = field(default_factory=PegEvents)
+    blocks: tuple[str, ...] = field(init=False, default=())
+    """The objects' names."""
+    turn: Tensor = field(init=False)
+    """(B,) rad of the least turn that brings each section onto itself; zero where any does."""
+    grip: Tensor = field(init=False)
+    """(7,) of the knob's middle in a block's frame."""
+    fingers: list[int] = field(init=False, default_factory=list)
+    """The joints that close around the knob where the first block is held."""
+    holding: Tensor = field(init=False)
+    """(k,) their positions then, rad or m."""
+
+    def scene(self) -> Scene:
+        robot = common.arm(self.robot)
+        self.blocks = tuple(f"block_{index}" for index in range(len(self.shapes)))
+        if self.held and self.actions is None:
+            terms = preset_terms(robot, self.action)
+            self.actions = ActionTerms(**{name: term for name, term in terms.items() if name != "gripper"})
+            self.action = COMPOSED
+        parts = zip(self.blocks, self.shapes, itertools.cycle(COLORS), strict=False)
+        blocks = [block(name, shape, color=color, material=SMOOTH) for name, shape, color in parts]
+        return Scene(
+            robots=(robot,),
+            objects=(*blocks, board("board", self.shapes, self.clearance, material=SMOOTH), common.work_bench()),
+            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            physics_dt=self.physics_dt,
+        )
+
+    def start(self, world: World) -> None:
+        super().start(world)
+        turns = [2.0 * math.pi / turns if (turns := section(shape).turns) else 0.0 for shape in self.shapes]
+        self.turn = torch.tensor(turns, device=world.device)
+        self.grip = torch.tensor([0.0, 0.0, GRIP_HEIGHT, 1.0, 0.0, 0.0, 0.0], device=world.device)
+        if self.held:
+            robot = world.robots[common.ROBOT]
+            positions = closed_on(robot.spec, Box((0.5 * KNOB,) * 3))
+            self.fingers = robot.find_joints(*positions)
+            self.holding = torch.tensor([*positions.values()], device=world.device)
+
+    def randomize(self) -> None:
+        """The blocks' friction, the board's and the fingers', the arm's gains, and noise on joints and blocks."""
+        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
+        blocks = tuple(f"block_{index}" for index in range(len(self.shapes)))
+        friction = randomize.friction((*blocks, "board"), Range(0.2, 0.5))
+        self.events.friction = EventTerm(friction, EventTime.STARTUP)
+        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        noise = {"joint_positions": 0.005, "joint_velocities": 0.05, "hand_to_knobs": 0.0005, "offsets": 0.0005}
+        common.add_noise(self.observations.policy, **noise)
+
+    def success(self, world: World) -> Tensor:
+        return inserted(world, self).amin(1) > 0.0
+
+    def metrics(self, world: World) -> dict[str, Tensor]:
+        return {"distance_m": distances(world, self).sum(1)}
+
+    def expert(self, world: World) -> Expert:
+        closing = max(0.4, common.closing_time(world))
+        phases = [phase for index in range(len(self.shapes)) for phase in _insertion(index, closing)]
+        held = 3 if self.held else 0
+        return Expert(world, self, phases[held:], position_lead=0.06)
+
+
+def _insertion(index: int, closing: float) -> tuple[Phase, ...]:
+    """Grasp a block, bring it above its hole, find the hole by touch, push the block in and leave it there."""
+    at, over = partial(grasp, index=index), partial(grasp, index=index, height=0.1)
+    above, search = (partial(carried, index=index, height=BOARD_HEIGHT + height) for height in (0.02, -0.006))
+    return (
+        Phase(over, position_tolerance=0.02, free=True),
+        Phase(at, position_tolerance=0.004, timeout=1.5),
+        Phase(at, gripper_open=False, dwell=closing, timeout=closing + 0.1),
+        Phase(partial(raised, index=index), gripper_open=False, position_tolerance=0.03, timeout=1.5),
+        Phase(above, gripper_open=False, position_tolerance=0.002, rotation_tolerance=0.02, timeout=2.0),
+        Phase(partial(search, search=0.0015), gripper_open=False, position_tolerance=0.003, timeout=4.0),
+        Phase(partial(carried, index=index, height=-0.005), gripper_open=False, position_tolerance=0.006, timeout=1.5),
+        Phase(partial(grasp, index=index), dwell=closing, timeout=closing + 0.1),
+        Phase(over, position_tolerance=0.04, timeout=1.0),
+    )
