@@ -18,7 +18,6 @@ from orbit_core.dynamics.transforms import (
     pose_multiply,
     quat_multiply,
     quat_to_rotation_vector,
-    quat_yaw,
 )
 from orbit_core.envs import (
     EventTerm,
@@ -64,17 +63,22 @@ def block_poses(world: World, task: PegInHole) -> Tensor:
 @once_per_state
 def seats(world: World, task: PegInHole) -> Tensor:
     """(N, B, 7) of each block all the way in its hole, in the turn that is nearest to how it is turned now."""
-    return turned_seats(world, task, quat_yaw(block_poses(world, task)[..., 3:]))
+    return turned_seats(world, task, yaw(block_poses(world, task)[..., 3:]))
 
 
 def turned_seats(world: World, task: PegInHole, wanted: Tensor) -> Tensor:
     """(N, B, 7) of blocks in their holes, in the turn that is nearest to ``wanted`` (N, B) rad about the vertical."""
     frames = [world.objects["board"].frame_pose(f"hole_{index}") for index in range(len(task.blocks))]
     holes = torch.stack(frames, dim=1)
-    way = wanted - quat_yaw(holes[..., 3:])
+    way = wanted - yaw(holes[..., 3:])
     turn = torch.where(task.turn > 0.0, task.turn * torch.round(way / task.turn.clamp_min(1e-6)), way)
     turned = common.turned(turn.flatten()).view(*turn.shape, 4)
     return torch.cat((holes[..., :3], quat_multiply(holes[..., 3:], turned)), dim=-1)
+
+
+def yaw(orientation: Tensor) -> Tensor:
+    """(...) rad about the vertical, of bodies (..., 4) that stand about upright."""
+    return 2.0 * torch.atan2(orientation[..., 3], orientation[..., 0])
 
 
 def wrapped(angle: Tensor) -> Tensor:
@@ -191,8 +195,8 @@ def grasp(world: World, task: PegInHole, index: int, height: float = 0.0) -> Ten
     """(N, 7) the hand around a block's knob, or above it, in the quarter turn that turns the hand least in all."""
     knob = pose_multiply(block_poses(world, task)[:, index], task.grip.expand(task.num_envs, 7))
     quarters = 0.5 * math.pi * torch.tensor([-1.0, 0.0, 1.0, 2.0], device=world.device)
-    before = wrapped(quat_yaw(knob[:, 3:])[:, None] + quarters)
-    after = [quat_yaw(turned_seats(world, task, (-turn).expand(task.num_envs, len(task.blocks)))[:, index, 3:]) + turn
+    before = wrapped(yaw(knob[:, 3:])[:, None] + quarters)
+    after = [yaw(turned_seats(world, task, (-turn).expand(task.num_envs, len(task.blocks)))[:, index, 3:]) + turn
              for turn in quarters]  # fmt: skip
     most = torch.maximum(before.abs(), wrapped(torch.stack(after, dim=1)).abs())
     best = before.gather(1, most.argmin(1, keepdim=True)).squeeze(1)
@@ -214,7 +218,7 @@ def carried(world: World, task: PegInHole, index: int, height: float, search: fl
     """
     held, hand = block_poses(world, task)[:, index], common.hand_pose(world, task)
     hand_yaw = 2.0 * torch.atan2(hand[:, 5], hand[:, 4])
-    wanted = quat_yaw(held[:, 3:]) - hand_yaw
+    wanted = yaw(held[:, 3:]) - hand_yaw
     seat = turned_seats(world, task, wanted[:, None].expand(-1, len(task.blocks)))[:, index]
     time = task.episode_step * (task.physics_dt * task.decimation)
     radius, angle = search * torch.remainder(0.5 * time, 1.0), 4.0 * math.pi * time

@@ -5,6 +5,7 @@ Every engine has these shapes as they are, so that a tight fit is the same on ea
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -211,11 +212,11 @@ def _rectangles(outline: Polygon) -> list[tuple[Polygon, bool]]:
     levels = (-half, *np.unique(outline[:, 1].round(9)), half)
     starts, ends = outline, np.roll(outline, -1, axis=0)
     found = []
-    for low, high in zip(levels, levels[1:], strict=False):
+    for low, high in itertools.pairwise(levels):
         middle = 0.5 * (low + high)
         crossing = (np.minimum(starts[:, 1], ends[:, 1]) < middle) & (middle < np.maximum(starts[:, 1], ends[:, 1]))
         cuts = (-half, *np.sort(starts[crossing, 0]), half)
-        for number, (left, right) in enumerate(zip(cuts, cuts[1:], strict=False)):
+        for number, (left, right) in enumerate(itertools.pairwise(cuts)):
             found.append((np.array(((left, low), (right, low), (right, high), (left, high))), number % 2 == 1))
     return found
 
