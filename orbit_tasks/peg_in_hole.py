@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.pegs import BOARD_HEIGHT, GRIP_HEIGHT, KNOB, block, board, section
+from orbit_core.assets.pegs import BOARD_HEIGHT, GRIP_HEIGHT, block, board, section
 from orbit_core.dynamics.transforms import (
     pose_inverse,
     pose_multiply,
@@ -31,14 +31,11 @@ from orbit_core.envs import (
     TerminationTerm,
 )
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.task import COMPOSED
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
-from orbit_core.motion import ActionTerms, preset_terms
-from orbit_core.motion.grasping.hold import closed_on
-from orbit_core.scene import Box, Color, PhysicsMaterial, Scene
+from orbit_core.scene import Color, PhysicsMaterial, Scene
 
 COLORS: Sequence[Color] = (
     (0.80, 0.20, 0.15, 1.0),
@@ -171,7 +168,7 @@ def place_board(world: World, task: PegInHole, env_ids: Tensor) -> None:
 
 
 def place_blocks(world: World, task: PegInHole, env_ids: Tensor) -> None:
-    """Stand the blocks in a row before the board, in any order, each turned by any angle; or the first in the hand."""
+    """Stand the blocks in a row before the board, in any order, each turned by any angle."""
     low, high = common.workspace(world)
     count = len(task.blocks)
     draw = world.random.uniform((4 * count,), -1.0, 1.0, env_ids).view(-1, count, 4)
@@ -180,13 +177,6 @@ def place_blocks(world: World, task: PegInHole, env_ids: Tensor) -> None:
     poses[..., 0] = low[0] + 0.01 + 0.02 * draw[..., 1]
     poses[..., 1] = 0.5 * (low[1] + high[1]) + SPACING * slots + (0.1 / count) * draw[..., 2]
     poses[..., 3:] = common.turned(math.pi * draw[..., 3].flatten()).view(-1, count, 4)
-    if task.held:
-        world.robots[common.ROBOT].set_joint_state(task.holding.expand(len(env_ids), -1), None, task.fingers, env_ids)
-        frame = world.robots[common.ROBOT].spec.end_effector.frame
-        hand = world.robots[common.ROBOT].frame_pose(frame)[env_ids]
-        upright = torch.tensor([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0], device=world.device).expand_as(hand)
-        in_hand = pose_multiply(upright, pose_inverse(task.grip).expand_as(hand))
-        poses[:, 0] = pose_multiply(hand, in_hand)
     for index, name in enumerate(task.blocks):
         world.objects[name].set_root_pose(poses[:, index], env_ids)
 
@@ -295,8 +285,6 @@ class PegInHole(Task):
     """Sections of the blocks, :data:`orbit_core.assets.pegs.SECTIONS`, a block each: give each about 10 s."""
     clearance: float = 0.002
     """Metres by which a hole is wider than its block."""
-    held: bool = False
-    """Whether the first block starts in the closed gripper, which then stays closed and leaves the action."""
     tolerance: float = 0.005
     """Metres."""
     observations: PegObservations = field(default_factory=PegObservations)
@@ -309,22 +297,13 @@ class PegInHole(Task):
     """(B,) rad of the least turn that brings each section onto itself; zero where any does."""
     grip: Tensor = field(init=False)
     """(7,) of the knob's middle in a block's frame."""
-    fingers: list[int] = field(init=False, default_factory=list)
-    """The joints that close around the knob where the first block is held."""
-    holding: Tensor = field(init=False)
-    """(k,) their positions then, rad or m."""
 
     def scene(self) -> Scene:
-        robot = common.arm(self.robot)
         self.blocks = tuple(f"block_{index}" for index in range(len(self.shapes)))
-        if self.held and self.actions is None:
-            terms = preset_terms(robot, self.action)
-            self.actions = ActionTerms(**{name: term for name, term in terms.items() if name != "gripper"})
-            self.action = COMPOSED
         parts = zip(self.blocks, self.shapes, itertools.cycle(COLORS), strict=False)
         blocks = [block(name, shape, color=color, material=SMOOTH) for name, shape, color in parts]
         return Scene(
-            robots=(robot,),
+            robots=(common.arm(self.robot),),
             objects=(*blocks, board("board", self.shapes, self.clearance, material=SMOOTH), common.work_bench()),
             terrain=(common.floor(-common.BENCH_HEIGHT),),
             physics_dt=self.physics_dt,
@@ -335,11 +314,6 @@ class PegInHole(Task):
         turns = [2.0 * math.pi / turns if (turns := section(shape).turns) else 0.0 for shape in self.shapes]
         self.turn = torch.tensor(turns, device=world.device)
         self.grip = torch.tensor([0.0, 0.0, GRIP_HEIGHT, 1.0, 0.0, 0.0, 0.0], device=world.device)
-        if self.held:
-            robot = world.robots[common.ROBOT]
-            positions = closed_on(robot.spec, Box((0.5 * KNOB,) * 3))
-            self.fingers = robot.find_joints(*positions)
-            self.holding = torch.tensor([*positions.values()], device=world.device)
 
     def randomize(self) -> None:
         """The blocks' friction, the board's and the fingers', the arm's gains, and noise on joints and blocks."""
@@ -360,8 +334,7 @@ class PegInHole(Task):
     def expert(self, world: World) -> Expert:
         closing = max(0.4, common.closing_time(world))
         phases = [phase for index in range(len(self.shapes)) for phase in _insertion(index, closing)]
-        held = 3 if self.held else 0
-        return Expert(world, self, phases[held:], position_lead=0.06)
+        return Expert(world, self, phases, position_lead=0.06)
 
 
 def _insertion(index: int, closing: float) -> tuple[Phase, ...]:

@@ -111,10 +111,10 @@ def block(name: str, kind: str, *, color: Color, material: PhysicsMaterial | Non
     own, surface = section(kind), material or PhysicsMaterial()
     if own.radius:
         middle = Pose((0.0, 0.0, 0.5 * BODY_HEIGHT))
-        parts = [(Cylinder(own.radius, 0.5 * BODY_HEIGHT), middle)]
+        parts: list[tuple[Geometry, Pose]] = [(Cylinder(own.radius, 0.5 * BODY_HEIGHT), middle)]
     else:
         parts = [_prism(piece, BODY_HEIGHT) for piece in _inside(own.outline)]
-    parts.append((Box((0.5 * KNOB,) * 3), Pose((0.0, 0.0, GRIP_HEIGHT))))
+    parts.append((Box((0.5 * KNOB, 0.5 * KNOB, 0.5 * KNOB)), Pose((0.0, 0.0, GRIP_HEIGHT))))
     shapes = tuple(Shape(geometry, pose, surface, color) for geometry, pose in parts)
     body = shapes_mass_properties(shapes, DENSITY)
     link = Link(name, body.mass, body.center_of_mass, body.inertia, shapes, shapes)
