@@ -125,7 +125,7 @@ def place_rod(world: World, task: Handover, env_ids: Tensor) -> None:
     height = 0.5 * WIDTH
     low, high = (0.37, -0.2, height, -0.5), (0.47, 0.2, height, 0.5)
     place = world.random.uniform((4,), low, high, env_ids)
-    pose = torch.cat((place[:, :3], common.turned(place[:, 3])), dim=1)
+    pose = common.standing(place)
     world.objects["rod"].set_root_pose(pose, env_ids)
     task.nearest[env_ids] = torch.inf
 

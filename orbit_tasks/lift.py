@@ -95,7 +95,7 @@ def place_cube(world: World, task: Lift, env_ids: Tensor) -> None:
     """Place the cube on a patch of the table in the hand's workspace, 20 x 50 cm for a Panda, turned by any angle."""
     height, (low, high) = task.rest_height, patch(world)
     place = world.random.uniform((4,), (*low, height, -math.pi), (*high, height, math.pi), env_ids)
-    pose = torch.cat((place[:, :3], common.turned(place[:, 3])), dim=1)
+    pose = common.standing(place)
     world.objects["cube"].set_root_pose(pose, env_ids)
 
 

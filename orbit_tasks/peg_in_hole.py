@@ -164,7 +164,7 @@ def place_board(world: World, task: PegInHole, env_ids: Tensor) -> None:
     far, middle = high[0] - 0.06, 0.5 * (low[1] + high[1])
     least = (far - 0.03, middle - 0.08 * spread, 0.0, -0.3 * spread)
     place = world.random.uniform((4,), least, (far, middle + 0.08 * spread, 0.0, 0.3 * spread), env_ids)
-    world.objects["board"].set_root_pose(torch.cat((place[:, :3], common.turned(place[:, 3])), dim=1), env_ids)
+    world.objects["board"].set_root_pose(common.standing(place), env_ids)
 
 
 def place_blocks(world: World, task: PegInHole, env_ids: Tensor) -> None:

@@ -153,7 +153,7 @@ def place_blocks(world: World, task: StackPyramid, env_ids: Tensor) -> None:
 
 def _stand(world: World, name: str, place: Tensor, env_ids: Tensor) -> None:
     """Put a block to x, y, z and yaw (n, 4)."""
-    world.objects[name].set_root_pose(torch.cat((place[:, :3], common.turned(place[:, 3])), dim=1), env_ids)
+    world.objects[name].set_root_pose(common.standing(place), env_ids)
 
 
 @dataclass

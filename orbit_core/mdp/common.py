@@ -163,6 +163,11 @@ def turned(yaw: Tensor) -> Tensor:
     return torch.stack((half.cos(), zero, zero, half.sin()), dim=1)
 
 
+def standing(place: Tensor) -> Tensor:
+    """(n, 7) poses of things that stand upright at ``place`` (n, 4): x, y and z in metres, and yaw in rad."""
+    return torch.cat((place[:, :3], turned(place[:, 3])), dim=1)
+
+
 def facing_down(yaw: Tensor) -> Tensor:
     """(n, 4) orientation of a hand that points down, its fingers opening along world y at ``yaw`` (n,) zero."""
     half = 0.5 * yaw
