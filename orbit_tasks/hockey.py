@@ -181,12 +181,14 @@ class HockeyState(ObservationGroup):
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     blade_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
-    puck_position: ObservationTerm | None = ObservationTerm(puck_position)
-    puck_velocity: ObservationTerm | None = ObservationTerm(puck_velocity)
-    blade_to_puck: ObservationTerm | None = ObservationTerm(blade_to_puck)
-    puck_to_inside: ObservationTerm | None = ObservationTerm(puck_to_inside)
-    net_position: ObservationTerm | None = ObservationTerm(net_position)
-    net_velocity: ObservationTerm | None = ObservationTerm(lambda world, task: world.robots["net"].joint_velocities)
+    puck_position: ObservationTerm | None = ObservationTerm(puck_position, unit="m")
+    puck_velocity: ObservationTerm | None = ObservationTerm(puck_velocity, unit="m/s")
+    blade_to_puck: ObservationTerm | None = ObservationTerm(blade_to_puck, unit="m")
+    puck_to_inside: ObservationTerm | None = ObservationTerm(puck_to_inside, unit="m")
+    net_position: ObservationTerm | None = ObservationTerm(net_position, unit="m")
+    net_velocity: ObservationTerm | None = ObservationTerm(
+        lambda world, task: world.robots["net"].joint_velocities, unit="m/s"
+    )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

@@ -31,7 +31,7 @@ from orbit_core.envs import (
     TerminationTerm,
 )
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import once_per_state
+from orbit_core.envs.terms import POSE, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
@@ -224,8 +224,8 @@ class PegState(ObservationGroup):
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
-    hand_to_knobs: ObservationTerm | None = ObservationTerm(hand_to_knobs)
-    offsets: ObservationTerm | None = ObservationTerm(offsets)
+    hand_to_knobs: ObservationTerm | None = ObservationTerm(hand_to_knobs, unit="m")
+    offsets: ObservationTerm | None = ObservationTerm(offsets, unit=POSE)
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

@@ -23,7 +23,8 @@ from orbit_core.envs import (
     TerminationTerm,
 )
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import once_per_state
+from orbit_core.envs.task import Subtask
+from orbit_core.envs.terms import POSE, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, picking, randomize
 from orbit_core.mdp.randomize import Range
@@ -163,9 +164,9 @@ class StackState(ObservationGroup):
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
-    block_poses: ObservationTerm | None = ObservationTerm(block_poses)
-    hand_to_blocks: ObservationTerm | None = ObservationTerm(hand_to_blocks)
-    blocks_to_places: ObservationTerm | None = ObservationTerm(blocks_to_places)
+    block_poses: ObservationTerm | None = ObservationTerm(block_poses, unit=POSE)
+    hand_to_blocks: ObservationTerm | None = ObservationTerm(hand_to_blocks, unit="m")
+    blocks_to_places: ObservationTerm | None = ObservationTerm(blocks_to_places, unit="m")
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 
@@ -280,6 +281,9 @@ class StackPyramid(Task):
     def metrics(self, world: World) -> dict[str, Tensor]:
         return {"distance_m": distances(world, self).sum(1)}
 
+    def subtasks(self) -> tuple[Subtask, ...]:
+        return tuple(part for index in range(len(self.moved)) for part in _parts(index))
+
     def expert(self, world: World) -> Expert:
         phases = [phase for index in range(len(self.moved)) for phase in _moving(world, self, index)]
         return Expert(world, self, phases)
@@ -295,12 +299,35 @@ def _moving(world: World, task: StackPyramid, index: int) -> tuple[Phase, ...]:
         return picking.grasp_square(block(world, task))
 
     def place(world: World, task: StackPyramid) -> Tensor:
-        """3 mm too high, with the hand turned as the pyramid is."""
-        first = block_poses(world, task)[:, index % task.pyramids, 3:]
-        position = places(world, task)[:, index] + torch.tensor([0.0, 0.0, 0.003], device=world.device)
-        return torch.cat((position, common.facing_down(picking.quarter_yaw(first))), dim=1)
+        return _place(world, task, index)
 
-    return picking.pick(world, grasp, clearance=0.12) + picking.put(picking.hand_for(place, block), height=0.22)
+    # 3 mm too high, so that it does not press.
+    put = picking.hand_for(picking.raised(place, 0.003), block)
+    return picking.pick(world, grasp, clearance=0.12) + picking.put(put, height=0.22)
+
+
+def _parts(index: int) -> tuple[Subtask, Subtask]:
+    """Pick a block up; put it to its place."""
+
+    def grasp(world: World, task: StackPyramid) -> Tensor:
+        return picking.grasp_square(block_poses(world, task)[:, task.pyramids + index])
+
+    def place(world: World, task: StackPyramid) -> Tensor:
+        return _place(world, task, index)
+
+    def raised(world: World, task: StackPyramid) -> Tensor:
+        return moved_positions(world, task)[:, index, 2] > SIZE
+
+    def put(world: World, task: StackPyramid) -> Tensor:
+        return put_down(world, task)[:, index]
+
+    return Subtask(grasp, raised), Subtask(place, put)
+
+
+def _place(world: World, task: StackPyramid, index: int) -> Tensor:
+    """(N, 7) a moved block's place, with the hand turned as the pyramid is."""
+    first = block_poses(world, task)[:, index % task.pyramids, 3:]
+    return torch.cat((places(world, task)[:, index], common.facing_down(picking.quarter_yaw(first))), dim=1)
 
 
 @dataclass(kw_only=True)

@@ -27,7 +27,7 @@ class InfoSettings:
     """Tell what a dataset holds: task, robot, engine, versions, success, lengths, arrays."""
 
     dataset: Source
-    """An HDF5 file in robomimic's layout, or a folder in LeRobot's."""
+    """An HDF5 file in robomimic's layout, a folder in LeRobot's, or a Zarr replay buffer."""
     card: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write it here as Markdown."""
     overwrite: bool = False
@@ -53,7 +53,7 @@ class ConvertSettings(_Written):
     """Write a dataset in another format, or compressed otherwise."""
 
     dataset: Source
-    """An HDF5 file in robomimic's layout, or a folder in LeRobot's."""
+    """An HDF5 file in robomimic's layout, a folder in LeRobot's, or a Zarr replay buffer."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +61,7 @@ class MergeSettings(_Written):
     """Put datasets of one task, robot and action together."""
 
     datasets: Annotated[Positional[tuple[Path, ...]], arg(metavar="DATASET")]
-    """HDF5 files or folders of LeRobot's."""
+    """HDF5 files, folders of LeRobot's, or Zarr replay buffers."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,8 @@ from orbit_core.data.hdf5 import SUFFIX, Hdf5Dataset, write_hdf5
 from orbit_core.data.lerobot import write_lerobot
 from orbit_core.data.lerobot_reader import LeRobotDataset
 from orbit_core.data.manifest import Manifest
+from orbit_core.data.zarr_reader import SUFFIXES as ZARR
+from orbit_core.data.zarr_reader import ZarrDataset, is_zarr
 from orbit_core.interfaces import ConfigurationError
 
 _SUFFIXES = (SUFFIX, ".h5")
@@ -23,12 +25,13 @@ _SUFFIXES = (SUFFIX, ".h5")
 
 @contextmanager
 def opened(path: Path) -> Iterator[Dataset]:
-    """A dataset: an HDF5 file, or a folder of LeRobot's.
+    """A dataset: an HDF5 file, a folder of LeRobot's, or a Zarr replay buffer.
 
     Raises:
         ConfigurationError: there is none, or it cannot be read.
     """
-    dataset = LeRobotDataset(path) if path.is_dir() else Hdf5Dataset(path)
+    reader = ZarrDataset if is_zarr(path) else LeRobotDataset if path.is_dir() else Hdf5Dataset
+    dataset = reader(path)
     try:
         yield dataset
     finally:
@@ -64,6 +67,8 @@ def write_dataset(
         write_hdf5(path, episodes, manifest, masks, compression)
         write_card(path)
         return set()
+    if path.name.endswith(ZARR):
+        raise ConfigurationError(f"{path} would be Zarr, which is read and not written: name it *.hdf5, or a folder")
     if path.suffix:
         raise ConfigurationError(f"{path} is of no format that is written: name it *.hdf5, or a folder, for LeRobot")
     if compression is not None or masks:

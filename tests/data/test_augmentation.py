@@ -70,6 +70,20 @@ def test_what_is_kept_succeeded_elsewhere(backend: str, dataset: Hdf5Dataset, tm
             again.close()
 
 
+def test_a_demonstration_of_many_subtasks_is_done_again(tmp_path: Path, capsys) -> None:
+    """Stack: the second piece is the way relative to the place, and not to what is put there."""
+    one = tmp_path / "one.hdf5"
+    shared = ["--num-envs", "4", "--overwrite", "--output"]
+    assert (
+        main(["record", "Stack", "--backend", BACKEND, "--agent", "expert", "--episodes", "4", *shared, str(one)]) == 0
+    )
+    assert (
+        main(["augment", str(one), "--demonstrations", "2", "--episodes", "3", *shared, str(tmp_path / "x.hdf5")]) == 0
+    )
+    with opened(tmp_path / "x.hdf5") as dataset:
+        assert [info.success for info in dataset.episodes] == [True] * 3
+
+
 def test_what_cannot_be_augmented_is_refused(dataset: Hdf5Dataset, environment: Environment) -> None:
     with pytest.raises(ConfigurationError, match=r"override Task\.subtasks"):
         cut(make("Reach", 1, BACKEND), dataset, [0])

@@ -16,6 +16,9 @@ from orbit_core.data.compare import Kind, check_manifest, differences
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.plain import as_plain, digest
 from orbit_core.envs import Environment, make
+from orbit_core.envs.observation_groups import groups_of, terms_of_group
+from orbit_core.envs.registry import task_entries
+from orbit_core.envs.terms import unit_of
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.networks import perceptron, perceptron_actor
 from orbit_core.learning.policy import Policy, PolicyActor, PolicyDescription, load_policy
@@ -149,3 +152,11 @@ def test_a_policy_is_held_against_the_environment(environment: Environment, mani
     untrained(environment, replace(manifest, observations={"policy": scaled})).save(tmp_path / "policy_1.safetensors")
     with pytest.raises(ConfigurationError, match=r"policy\.terms\.goal\.scale was 0\.1 and is 1"):
         PolicyActor(environment, tmp_path)
+
+
+def test_every_task_says_the_unit_of_each_term() -> None:
+    for name, entry in task_entries().items():
+        task = entry.task_type()()
+        for group_name, group in groups_of(task).items():
+            unnamed = [term_name for term_name, term in terms_of_group(group).items() if not unit_of(term)]
+            assert not unnamed, f"{name}'s group {group_name} has terms of no unit: {unnamed}"
