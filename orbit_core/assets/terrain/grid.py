@@ -194,5 +194,3 @@ class TerrainGrid:
                 f"terrain cells of {self.cell_size:g} m are smaller than robot '{robot.name}', whose feet stand up to "
                 f"{reach:.2g} m from its middle: give cell_size of {4.0 * reach:.2g} m or more"
             )
-
-

@@ -188,9 +188,7 @@ class Boxes(TerrainKind):
         heights[[0, -1]], heights[:, [0, -1]] = 0.0, 0.0
 
         def height(x: Array, y: Array) -> Array:
-            column, row = (
-                np.clip(np.floor((v / size + 0.5) * cells + 1e-6).astype(int), 0, cells - 1) for v in (x, y)
-            )
+            column, row = (np.clip(np.floor((v / size + 0.5) * cells + 1e-6).astype(int), 0, cells - 1) for v in (x, y))
             return np.where(_inside(_ring(x, y), self.platform / 2), 0.0, heights[row, column])
 
         return height

@@ -32,6 +32,7 @@ from orbit_core.conformance.scenarios import (
     sensing,
     springs,
     stacks,
+    terrain,
     turning_friction,
     velocities,
 )
@@ -59,6 +60,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     *contact_forces.SCENARIOS,
     *sensing.SCENARIOS,
     *rays.SCENARIOS,
+    *terrain.SCENARIOS,
     *images.SCENARIOS,
     *lighting.SCENARIOS,
     *image_boxes.SCENARIOS,

@@ -14,6 +14,8 @@ from orbit_core.interfaces import BACKGROUND
 FloatArray = npt.NDArray[np.floating]
 RAYS_PER_CALL = 16_000
 """Bullet's own bound is 16,384."""
+_OVERLAP = 1e-3
+"""Part of a stretch that the next repeats: a ray meets no height field that its stretch ends or begins on."""
 
 
 def cast_rays(
@@ -40,14 +42,14 @@ def _meet(
 ) -> Iterator[tuple[int, float, Any]]:
     """Number, distance and hit of each ray that meets something, looked for in one stretch after another."""
     searching, begun = np.arange(len(start)), 0.0
-    while len(searching) and begun < reach:
+    while len(searching) and reach - begun > _OVERLAP * min(reach, stage.ray_stretch):
         length = min(reach - begun, stage.ray_stretch)
         along = directions[searching]
         begin = start[searching] + begun * along
         hits = _cast(stage.client, begin, begin + length * along, mask)
         met = np.array([hit[0] >= 0 for hit in hits])
         yield from ((searching[n], begun + hits[n][2] * length, hits[n]) for n in met.nonzero()[0])
-        searching, begun = searching[~met], begun + length
+        searching, begun = searching[~met], begun + (1.0 - _OVERLAP) * length
 
 
 def _cast(client: Any, start: FloatArray, end: FloatArray, mask: int) -> list[Any]:

@@ -185,10 +185,13 @@ class Stage:
                 raise ConfigurationError(f"Bullet cannot collide a {type(other).__name__}")
 
     def _height_field(self, field: HeightField, pose: Pose) -> tuple[int, Pose]:
-        """Bullet centres a height field between its lowest and its highest point."""
-        heights = np.asarray(field.heights, dtype=np.float64)
+        """Bullet centres a height field between its lowest and its highest point.
+
+        It splits squares along the falling diagonal: in a quarter turn, along the rising one as everybody else.
+        """
+        heights = np.asarray(field.heights, dtype=np.float64)[:, ::-1].T
         rows, columns = heights.shape
-        scale = (field.size[0] / (columns - 1), field.size[1] / (rows - 1), 1.0)
+        scale = (field.size[1] / (columns - 1), field.size[0] / (rows - 1), 1.0)
         number = self.client.createCollisionShape(
             self.client.GEOM_HEIGHTFIELD,
             meshScale=scale,
@@ -198,7 +201,7 @@ class Stage:
         )
         self.ray_stretch = min(self.ray_stretch, _RAY_CELLS * scale[0], _RAY_CELLS * scale[1])
         middle = 0.5 * (float(heights.min()) + float(heights.max()))
-        return number, pose @ Pose((0.0, 0.0, middle))
+        return number, pose @ Pose.from_euler(0.0, 0.0, 0.5 * math.pi, (0.0, 0.0, middle))
 
     def _add_entity(self, slot: int, entity: EntityLayout) -> None:
         client, spec, number = self.client, entity.spec, entity.index
