@@ -165,7 +165,8 @@ class SteppingStones(TerrainKind):
         def height(x: Array, y: Array) -> Array:
             across, along = (v + size / 2 for v in (x, y))
             column, row = (np.clip(np.floor(v / pitch + 1e-6).astype(int), 0, count - 1) for v in (across, along))
-            gap = (across - column * pitch > pitch - apart) | (along - row * pitch > pitch - apart)
+            wide = pitch - apart + 1e-6
+            gap = (across - column * pitch > wide) | (along - row * pitch > wide)
             ring = _ring(x, y)
             level = _inside(ring, self.platform / 2) | ~(ring < size / 2 - self.rim - _EDGE)
             return np.where(level, 0.0, np.where(gap, -self.depth, tops[row, column]))
