@@ -102,5 +102,5 @@ def test_a_kind_that_cannot_be_is_refused() -> None:
 
 def test_a_cell_smaller_than_the_robot_is_refused() -> None:
     small = TerrainGrid(kinds=(Flat(platform=0.1),), cell_size=0.6)
-    with pytest.raises(ConfigurationError, match="smaller than robot 'anymal_c', whose feet stand up to 0.5 m"):
+    with pytest.raises(ConfigurationError, match=r"smaller than robot .anymal_c., whose feet stand up to 0\.5 m"):
         small.check_fits(robot("anymal_c"), 0.5)
