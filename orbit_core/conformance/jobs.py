@@ -113,7 +113,7 @@ def _sweep(job: Job, described: Scenario) -> Iterable[Job]:
 def _tasks(settings: Settings, backend: str) -> Iterable[Job]:
     if Part.TASKS in settings.parts:
         for kind in (Kind.TASK, Kind.VIDEO):
-            for task in settings.tasks:
+            for task in settings.scripted_tasks:
                 yield Job(kind, task, backend)
 
 
@@ -134,7 +134,7 @@ def _drawn_by(settings: Settings, renderer: str) -> Iterable[Job]:
 def _replays(settings: Settings, backend: str) -> Iterable[Job]:
     if Part.TASKS in settings.parts:
         sources = settings.backends[:1] if settings.quick else settings.backends
-        for task in settings.tasks:
+        for task in settings.scripted_tasks:
             for source in sources:
                 if source != backend:
                     yield Job(Kind.REPLAY, task, backend, source=source)

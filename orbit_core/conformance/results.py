@@ -210,6 +210,10 @@ class Result:
         """The records of one kind."""
         return [record for record in self.records if record.job.kind is kind]
 
+    def names(self, kind: Kind) -> tuple[str, ...]:
+        """What jobs of a kind were about, each once, in their order."""
+        return tuple(dict.fromkeys(record.job.name for record in self.of(kind)))
+
     def matters(self, name: str) -> list[str]:
         """Who simulated the deformables of one scenario, the engine's own last; a single empty name without any."""
         found = dict.fromkeys(record.job.matter for record in self.of(Kind.SCENARIO) if record.job.name == name)

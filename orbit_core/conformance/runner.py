@@ -80,7 +80,7 @@ def run(
 
 def _partings(settings: Settings, journal: Journal) -> Iterator[Parting]:
     """Divergences of every pair of backends on which a task was recorded."""
-    for task in settings.tasks:
+    for task in settings.scripted_tasks:
         paths = _recordings(task, settings, journal)
         for reference, backend in itertools.combinations(paths, 2):
             yield Parting(task, backend, reference, compare_recordings(paths[backend], paths[reference]))
@@ -88,7 +88,7 @@ def _partings(settings: Settings, journal: Journal) -> Iterator[Parting]:
 
 def _courses(settings: Settings, journal: Journal) -> Iterator[Course]:
     """Of every task with deformables on every backend on which it was recorded."""
-    for task in settings.tasks:
+    for task in settings.scripted_tasks:
         for path in _recordings(task, settings, journal).values():
             if (course := course_of(Recording.load(path))) is not None:
                 yield course

@@ -15,7 +15,7 @@ from orbit_core.conformance.declarations import check_declarations
 from orbit_core.conformance.scenario import Scenario
 from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.conformance.transfer import learned
-from orbit_core.envs.registry import task_entries
+from orbit_core.envs.registry import task_entries, task_entry
 from orbit_core.interfaces import EXACT, Capability, ConfigurationError, UnknownNameError
 from orbit_core.interfaces.matter import NATIVE
 from orbit_core.pretrained import pretrained_policies
@@ -98,6 +98,11 @@ class Settings:
     seed: int = 0
     backend_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Settings of backends that differ from their defaults, by backend and field name."""
+
+    @property
+    def scripted_tasks(self) -> tuple[str, ...]:
+        """Those that have an expert; the others are learned, and tried by the policies that are kept for them."""
+        return tuple(name for name in self.tasks if task_entry(name).task_type().has_expert())
 
     @property
     def extent(self) -> Extent:

@@ -146,6 +146,19 @@ class Task(ABC):
             f"task {type(self).__name__} does not say what subtasks it is made of: override Task.subtasks"
         )
 
-    @abstractmethod
     def expert(self, world: World) -> Node:
-        """A scripted node that reaches the goal, with the output port ``action``, in the cut's place."""
+        """A scripted node that reaches the goal, with the output port ``action``, in the cut's place. Override where
+        there is one.
+
+        Raises:
+            ConfigurationError: nobody wrote one.
+        """
+        raise ConfigurationError(
+            f"task {type(self).__name__} has no scripted expert: learn it (orbit train), or take another agent, "
+            "--agent random or a policy"
+        )
+
+    @classmethod
+    def has_expert(cls) -> bool:
+        """Whether the task overrides :meth:`expert`."""
+        return cls.expert is not Task.expert

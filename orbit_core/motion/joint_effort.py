@@ -81,7 +81,10 @@ class JointEffort(MotionGenerator):
         acceleration = frequency**2 * displacement - 2.0 * frequency * self.velocities
         if self._dynamics is None:
             self._dynamics = ArmDynamics(self.robot, self.joints)
-        efforts = self._dynamics.state().efforts(acceleration)
+        return self.encode_efforts(self._dynamics.state().efforts(acceleration))
+
+    def encode_efforts(self, efforts: Tensor) -> Tensor:
+        """The command that asks for efforts (N, joints) in N m or N, as far as it can."""
         return ((efforts - self._origin()) / self._scale).clamp(-1.0, 1.0)
 
     def reset(self, env_ids: Tensor | None = None) -> None:

@@ -1,0 +1,230 @@
+"""Ant and Humanoid: a robot of many legs or of two runs along x, as fast as it can.
+
+Rewards follow Schulman et al., High-Dimensional Continuous Control Using Generalized Advantage Estimation (2015), and
+their scale Makoviychuk et al., Isaac Gym (2021).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.transforms import quat_rotate
+from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.terms import measured_in, once_per_state
+from orbit_core.interfaces import World
+from orbit_core.mdp import common, randomize
+from orbit_core.mdp.randomize import Range
+from orbit_core.scene import Pose, Scene, look_at
+from orbit_tasks import walking
+
+
+@measured_in("m")
+def height(world: World, task: Running) -> Tensor:
+    """(N, 1) of the trunk above the ground."""
+    return common.robot_of(world).root_pose[:, 2:3]
+
+
+@measured_in("m/s")
+@once_per_state
+def linear_velocity(world: World, task: Running) -> Tensor:
+    """(N, 3) of the trunk, in its own axes."""
+    return walking.linear_velocity(common.robot_of(world))
+
+
+@measured_in("rad/s")
+def angular_velocity(world: World, task: Running) -> Tensor:
+    """(N, 3) of the trunk, in its own axes."""
+    return walking.angular_velocity(common.robot_of(world))
+
+
+@measured_in("1")
+def projected_gravity(world: World, task: Running) -> Tensor:
+    """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
+    return walking.projected_gravity(common.robot_of(world))
+
+
+@measured_in("1")
+@once_per_state
+def heading(world: World, task: Running) -> Tensor:
+    """(N, 2) cosine and sine of the angle between the way that the trunk faces, seen from above, and x."""
+    pose = common.robot_of(world).root_pose
+    ahead = torch.zeros_like(pose[:, :3])
+    ahead[:, 0] = 1.0
+    return torch.nn.functional.normalize(quat_rotate(pose[:, 3:], ahead)[:, :2], dim=1)
+
+
+@once_per_state
+def speed(world: World, task: Running) -> Tensor:
+    """(N,) m/s of the trunk along x."""
+    return common.robot_of(world).root_velocity[:, 0]
+
+
+def alive(world: World, task: Running) -> Tensor:
+    """(N,) ones."""
+    return torch.ones_like(speed(world, task))
+
+
+def facing_ahead(world: World, task: Running) -> Tensor:
+    """(N,) in [-1, 1]: 1 where the robot faces along x."""
+    return heading(world, task)[:, 0]
+
+
+def standing_up(world: World, task: Running) -> Tensor:
+    """(N,) in [-1, 1]: 1 where the trunk stands upright."""
+    return -projected_gravity(world, task)[:, 2]
+
+
+def energy(world: World, task: Running) -> Tensor:
+    """(N,) sum over joints of the action's size times how fast the joint turns, in rad/s."""
+    return (task.last_action * common.robot_of(world).joint_velocities).abs().sum(1)
+
+
+def effort(world: World, task: Running) -> Tensor:
+    """(N,) squared action."""
+    return common.squared_norm(task.last_action)
+
+
+@once_per_state
+def fallen(world: World, task: Running) -> Tensor:
+    """(N,) bool: the trunk is lower than the task allows."""
+    return height(world, task)[:, 0] < task.least_height
+
+
+def place_robot(world: World, task: Running, env_ids: Tensor) -> None:
+    """Place the robot at home, joints within 0.1 rad of theirs."""
+    body = common.robot_of(world)
+    pose = torch.tensor((*body.spec.pose.position, *body.spec.pose.orientation), device=world.device)
+    body.set_root_pose(pose.expand(len(env_ids), 7), env_ids)
+    common.randomize_robot_start(0.1)(world, task, env_ids)
+
+
+@dataclass
+class RunningState(ObservationGroup):
+    """Height, velocities and gravity in the trunk's axes, where it faces, the joints, and the last action."""
+
+    height: ObservationTerm | None = ObservationTerm(height)
+    linear_velocity: ObservationTerm | None = ObservationTerm(linear_velocity)
+    angular_velocity: ObservationTerm | None = ObservationTerm(angular_velocity, scale=0.25)
+    projected_gravity: ObservationTerm | None = ObservationTerm(projected_gravity)
+    heading: ObservationTerm | None = ObservationTerm(heading)
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities, scale=0.1)
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class RunningObservations:
+    """Policy and critic see the state."""
+
+    policy: RunningState = field(default_factory=RunningState)
+    critic: ObservationGroup | None = None
+
+
+@dataclass
+class RunningRewards:
+    """Rewards of speed along x, of facing there and standing up, less effort and energy."""
+
+    speed: RewardTerm | None = RewardTerm(speed, 1.0)
+    alive: RewardTerm | None = RewardTerm(alive, 0.5)
+    facing_ahead: RewardTerm | None = RewardTerm(facing_ahead, 0.5)
+    standing_up: RewardTerm | None = RewardTerm(standing_up, 0.1)
+    effort: RewardTerm | None = RewardTerm(effort, -0.005)
+    energy: RewardTerm | None = RewardTerm(energy, -0.01)
+
+
+@dataclass
+class RunningTerminations:
+    """An episode ends early where the robot has fallen."""
+
+    fallen: TerminationTerm | None = TerminationTerm(fallen)
+
+
+@dataclass
+class RunningEvents:
+    """The robot is placed anew for each episode; masses and friction with domain randomisation."""
+
+    place_robot: EventTerm | None = EventTerm(place_robot)
+    masses: EventTerm | None = None
+    friction: EventTerm | None = None
+
+
+@dataclass(kw_only=True)
+class Running(Task):
+    """What both tasks share. Success: the robot has not fallen, and came along x at the task's ``least_speed`` or more
+    on average. Metrics: that speed, and falls.
+    """  # fmt: skip
+
+    action: str = "joint_effort"
+    episode_length: float = 10.0
+    view: Pose = look_at(eye=(2.5, -4.5, 2.0), target=(1.0, 0.0, 0.5))
+    least_height: float
+    """m, of the trunk."""
+    least_speed: float
+    """m/s."""
+    observations: RunningObservations = field(default_factory=RunningObservations)
+    rewards: RunningRewards = field(default_factory=RunningRewards)
+    terminations: RunningTerminations = field(default_factory=RunningTerminations)
+    events: RunningEvents = field(default_factory=RunningEvents)
+    way: Tensor = field(init=False)
+    """(N,) m along x since the episode began."""
+
+    def scene(self) -> Scene:
+        return Scene(robots=(common.legged(self.robot),), terrain=(common.floor(),), physics_dt=self.physics_dt)
+
+    def start(self, world: World) -> None:
+        super().start(world)
+        self.way = torch.zeros(world.num_envs, device=world.device)
+
+    def reset(self, env_ids: Tensor | None) -> None:
+        super().reset(env_ids)
+        self.way[slice(None) if env_ids is None else env_ids] = 0.0
+
+    def advance(self, world: World) -> None:
+        self.way += speed(world, self) * (self.physics_dt * self.decimation)
+
+    def mean_speed(self) -> Tensor:
+        """(N,) m/s along x in the episode so far."""
+        return self.way / (self.episode_step.clamp_min(1) * self.physics_dt * self.decimation)
+
+    def randomize(self) -> None:
+        """All masses, the ground's friction, and noise on what a real robot estimates."""
+        self.events.masses = EventTerm(randomize.masses(common.ROBOT, Range(0.85, 1.15)), EventTime.STARTUP)
+        friction = randomize.friction((common.ROBOT, randomize.TERRAIN), Range(0.6, 1.2))
+        self.events.friction = EventTerm(friction, EventTime.STARTUP)
+        common.add_noise(
+            self.observations.policy, linear_velocity=0.1, angular_velocity=0.2, joint_positions=0.01,
+            joint_velocities=0.05,
+        )  # fmt: skip
+
+    def success(self, world: World) -> Tensor:
+        return (self.mean_speed() > self.least_speed) & ~fallen(world, self)
+
+    def metrics(self, world: World) -> dict[str, Tensor]:
+        return {"speed_m_s": self.mean_speed(), "falls": fallen(world, self).float()}
+
+
+@dataclass(kw_only=True)
+class Ant(Running):
+    """Four legs of two joints. It has no expert: it is learned."""
+
+    robot: str = "ant"
+    least_height: float = 0.27
+    least_speed: float = 1.0
+    ppo: PpoSettings = PpoSettings(iterations=1000, initial_std=0.6, entropy_weight=0.0, discount=0.99)
+
+
+@dataclass(kw_only=True)
+class Humanoid(Running):
+    """Two legs, two arms and a waist of three joints. It has no expert: it is learned."""
+
+    robot: str = "humanoid"
+    least_height: float = 0.9
+    least_speed: float = 1.0
+    rewards: RunningRewards = field(default_factory=lambda: RunningRewards(alive=RewardTerm(alive, 2.0)))
+    ppo: PpoSettings = PpoSettings(
+        iterations=2000, hidden_sizes=(400, 200, 100), initial_std=0.6, entropy_weight=0.0, discount=0.99
+    )
