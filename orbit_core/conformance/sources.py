@@ -50,7 +50,8 @@ def source_digests(settings: Settings) -> dict[str, str]:
     for name in settings.robots:
         packages = robot_info(name).source.split(", ")
         found[_robot(name)] = _digest((), *(f"{package} {installed_version(package)}" for package in packages))
-    for name in settings.tasks:
+    named = {name for job in jobs for name in sources_of(job)}
+    for name in (name for name in settings.tasks if _task(name) in named):
         found[_task(name)] = _digest(_files(task_entry(name).factory.partition(":")[0].partition(".")[0]))
     for name in settings.policies:
         found[_policy(name)] = _digest(_below(pretrained_policy(name).folder))
