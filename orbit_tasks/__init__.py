@@ -28,6 +28,12 @@ def register(registry: TaskRegistry) -> None:
         "orbit_tasks.velocity_flat:VelocityFlat",
     )
     registry.add(
+        "Velocity-Rough",
+        "A legged robot follows a commanded velocity on terrain that it sees",
+        "orbit_tasks.velocity_rough:VelocityRough",
+    )
+    registry.add("Recover", "A legged robot stands up from wherever it lies", "orbit_tasks.recover:Recover")
+    registry.add(
         "Cloth-Lifting", "Lift a cloth by its middle to a sampled position", "orbit_tasks.cloth_lifting:ClothLifting"
     )
     registry.add(

@@ -34,6 +34,12 @@ def projected_gravity(robot: Robot) -> Tensor:
     return quat_rotate_inverse(pose[:, 3:], down)
 
 
+def heading(robot: Robot) -> Tensor:
+    """(N,) rad: the direction that the trunk faces, about the vertical."""
+    w, x, y, z = robot.root_pose[:, 3:].unbind(1)
+    return torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
 READINGS: Mapping[str, Callable[[Robot], Tensor]] = {
     "linear_velocity": linear_velocity,
     "angular_velocity": angular_velocity,

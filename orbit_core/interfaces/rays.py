@@ -11,7 +11,7 @@ from torch import Tensor
 from orbit_core.interfaces.layout import BACKGROUND
 
 _MOST_SURFACES = 16  # a ray may cross that many surfaces to be passed before it counts as a miss
-_PAST_SURFACE = 1e-4  # metres
+_PAST_SURFACE = 2e-5  # metres: what lies nearer than this behind a surface that is passed is passed too
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,13 @@ def cast_past(
         if not own.any():
             break
         rays = own.any(0).nonzero().squeeze(-1)
-        start = torch.where(own[:, rays], distances[:, rays] + _PAST_SURFACE, 0.0)
+        within = own[:, rays]  # of the same ray, another environment's may be through already
+        start = torch.where(within, distances[:, rays] + _PAST_SURFACE, 0.0)
         moved = origins[:, rays] + start[..., None] * directions[:, rays]
         hits = cast(moved, directions[:, rays].contiguous(), max_distance, env_ids)
-        distances[:, rays] = start + hits.distances
-        normals[:, rays], met[:, rays] = hits.normals, hits.links
+        distances[:, rays] = torch.where(within, start + hits.distances, distances[:, rays])
+        normals[:, rays] = torch.where(within[..., None], hits.normals, normals[:, rays])
+        met[:, rays] = torch.where(within, hits.links, met[:, rays])
         own = _among(met, links)
     missed = own | (distances > max_distance)
     distances[missed] = torch.inf

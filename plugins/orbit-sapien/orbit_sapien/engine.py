@@ -164,10 +164,15 @@ class SapienEngine(PartedEngine[State, Parameters]):
     def cast_rays(
         self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None = None
     ) -> RayHits:
+        return self.cast_rays_past(origins, directions, max_distance, range(0), env_ids)
+
+    def cast_rays_past(
+        self, origins: Tensor, directions: Tensor, max_distance: float, links: range, env_ids: Tensor | None = None
+    ) -> RayHits:
         if self._rays is None:
             self._rays = RayWorld(self.layout)
         poses = self.link_poses[self._rows(env_ids)].numpy()
-        hits = self._rays.cast(poses, origins.numpy(), directions.numpy(), max_distance)
+        hits = self._rays.cast(poses, origins.numpy(), directions.numpy(), max_distance, links)
         return RayHits(*map(torch.from_numpy, hits))
 
     # Parameters per environment --------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from orbit_sapien.native import NativePose, native_pose, physx, sapien
 
 _SIDEWAYS = 0.5
 """Cosine between a cylinder's axis and a normal below which the normal is the side's; that of an end is 1."""
+_AWAY = NativePose((0.0, 0.0, -1e5))
 
 
 class RayWorld:
@@ -64,8 +65,12 @@ class RayWorld:
         origins: npt.NDArray[np.float32],
         directions: npt.NDArray[np.float32],
         max_distance: float,
+        past: range,
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.int64]]:
-        """Distances (n, R), normals (n, R, 3) and links (n, R) of rays (n, R, 3) among links at poses (n, L, 7)."""
+        """Distances (n, R), normals (n, R, 3) and links (n, R) of rays (n, R, 3) among links at poses (n, L, 7).
+
+        The links ``past`` are put away meanwhile: a ray that begins within a shape would not leave it.
+        """
         count, rays = origins.shape[:2]
         distances = np.full((count, rays), np.inf, np.float32)
         normals = np.zeros((count, rays, 3), np.float32)
@@ -74,7 +79,7 @@ class RayWorld:
         for row in range(count):
             for link, entity in self._placed:
                 pose = link_poses[row, link]
-                entity.set_pose(NativePose(pose[:3], pose[3:]))
+                entity.set_pose(_AWAY if link in past else NativePose(pose[:3], pose[3:]))
             for ray in range(rays):
                 hit = raycast(origins[row, ray], directions[row, ray], max_distance)
                 if hit is not None:

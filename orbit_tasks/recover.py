@@ -1,0 +1,229 @@
+"""Recover: a legged robot that lies on the ground anyhow stands up.
+
+After Hwangbo et al., Learning Agile and Dynamic Motor Skills for Legged Robots (2019), and Lee et al., Robust Recovery
+Controller for a Quadrupedal Robot Using Deep Reinforcement Learning (2019).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.terms import measured_in, once_per_state
+from orbit_core.interfaces import Node, Port, World
+from orbit_core.mdp import common, randomize
+from orbit_core.mdp.randomize import Range
+from orbit_core.scene import Pose, Scene, look_at
+from orbit_tasks import walking
+
+_FALL = 1.25
+"""Height from which a robot is dropped, over that of its home pose."""
+
+
+@measured_in("rad/s")
+@once_per_state
+def angular_velocity(world: World, task: Recover) -> Tensor:
+    """(N, 3) of the trunk, in its own axes."""
+    return walking.angular_velocity(common.robot_of(world))
+
+
+@measured_in("1")
+@once_per_state
+def projected_gravity(world: World, task: Recover) -> Tensor:
+    """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
+    return walking.projected_gravity(common.robot_of(world))
+
+
+@once_per_state
+def tilt(world: World, task: Recover) -> Tensor:
+    """(N,) rad between the trunk's upward axis and the vertical."""
+    return torch.acos((-projected_gravity(world, task)[:, 2]).clamp(-1.0, 1.0))
+
+
+@once_per_state
+def height(world: World, task: Recover) -> Tensor:
+    """(N,) of the trunk, over that of the home pose; 1 when it stands."""
+    return common.robot_of(world).root_pose[:, 2] / task.home_height
+
+
+@once_per_state
+def stance(world: World, task: Recover) -> Tensor:
+    """(N,) rad: root mean square of the joints' distance from home."""
+    robot = common.robot_of(world)
+    return (robot.joint_positions - robot.home_positions).square().mean(1).sqrt()
+
+
+def upright(world: World, task: Recover) -> Tensor:
+    """(N,) 0 upside down to 1 upright."""
+    return 0.5 * (1.0 - projected_gravity(world, task)[:, 2])
+
+
+def raised(world: World, task: Recover) -> Tensor:
+    """(N,) 0 to 1: how high the trunk is, where it is upright."""
+    return upright(world, task).square() * height(world, task).clamp(0.0, 1.0)
+
+
+def at_home(world: World, task: Recover) -> Tensor:
+    """(N,) 0 to 1: how near the joints are to home, where the trunk is upright."""
+    return upright(world, task).square() * torch.exp(-stance(world, task).square() / 0.25)
+
+
+def restless(world: World, task: Recover) -> Tensor:
+    """(N,) squared speed of the trunk, linear and angular."""
+    return common.squared_norm(common.robot_of(world).root_velocity)
+
+
+def effort(world: World, task: Recover) -> Tensor:
+    """(N,) sum of squared joint efforts."""
+    return common.squared_norm(common.robot_of(world).joint_efforts)
+
+
+def drop(world: World, task: Recover, env_ids: Tensor) -> None:
+    """Drop the robot in any orientation and any posture.
+
+    Orientations are uniform: Shoemake, Uniform Random Rotations (1992).
+    """
+    robot = common.robot_of(world)
+    u, v, w = world.random.uniform((3,), env_ids=env_ids).unbind(1)
+    v, w = 2.0 * torch.pi * v, 2.0 * torch.pi * w
+    near, far = (1.0 - u).sqrt(), u.sqrt()
+    pose = torch.zeros(len(env_ids), 7, device=world.device)
+    pose[:, 2] = _FALL * task.home_height
+    pose[:, 3:] = torch.stack((far * w.cos(), near * v.sin(), near * v.cos(), far * w.sin()), 1)
+    robot.set_root_pose(pose, env_ids)
+    low, high = robot.position_limits.unbind(1)
+    home = robot.home_positions
+    reach = (high - low).clamp_max(torch.pi)
+    low, high = low.maximum(home - 0.5 * reach), high.minimum(home + 0.5 * reach)
+    share = world.random.uniform((len(robot.joint_names),), env_ids=env_ids)
+    robot.set_joint_state(low + (high - low) * share, env_ids=env_ids)
+
+
+@dataclass
+class RecoverState(ObservationGroup):
+    """What a robot feels of itself, and its last action."""
+
+    angular_velocity: ObservationTerm | None = ObservationTerm(angular_velocity)
+    projected_gravity: ObservationTerm | None = ObservationTerm(projected_gravity)
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities, scale=walking.JOINT_SPEED_SCALE)
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class RecoverObservations:
+    """Policy and critic see the state."""
+
+    policy: RecoverState = field(default_factory=RecoverState)
+    critic: ObservationGroup | None = None
+
+
+@dataclass
+class RecoverRewards:
+    """Upright first, then high, then with the joints at home; less speed, effort and abrupt actions."""
+
+    upright: RewardTerm | None = RewardTerm(upright, 1.0)
+    raised: RewardTerm | None = RewardTerm(raised, 1.0)
+    at_home: RewardTerm | None = RewardTerm(at_home, 1.0)
+    restless: RewardTerm | None = RewardTerm(restless, -0.02)
+    effort: RewardTerm | None = RewardTerm(effort, -1e-5)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.01)
+
+
+@dataclass
+class RecoverTerminations:
+    """An episode lasts its time: a robot that lies is what the task is about."""
+
+
+@dataclass
+class RecoverEvents:
+    """The robot is dropped; masses, friction and gains with domain randomisation."""
+
+    drop: EventTerm | None = EventTerm(drop)
+    masses: EventTerm | None = None
+    friction: EventTerm | None = None
+    gains: EventTerm | None = None
+
+
+class HomePosture(Node):
+    """Drives every joint to its home: stands a robot up that lies on its feet. Something to compare policies with."""
+
+    def __init__(self, world: World, task: Recover) -> None:
+        self.name = "policy"
+        self._action = torch.zeros(world.num_envs, task.last_action.shape[1], device=world.device)
+        self.outputs = (Port("action", (self._action.shape[1],)),)
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        return {"action": self._action}
+
+
+@dataclass(kw_only=True)
+class Recover(Task):
+    """A robot with feet is dropped in any orientation with its joints anywhere within their limits, and stands up.
+
+    Succeeds when, at the episode's end, the trunk is level within ``tilt_tolerance``, as high as at home within
+    ``height_tolerance``, and the joints are at home within ``stance_tolerance``. Metrics: those three. In place of an
+    expert stands :class:`HomePosture`.
+    """
+
+    robot: str = "anymal_c"
+    action: str = "joint_position"
+    episode_length: float = 6.0
+    ppo: PpoSettings = PpoSettings(
+        iterations=1000, hidden_sizes=(512, 256, 128), initial_std=1.0, entropy_weight=0.005, discount=0.99
+    )
+    view: Pose = look_at(eye=(2.4, 1.8, 1.2), target=(0.0, 0.0, 0.25))
+    tilt_tolerance: float = 0.25
+    """rad"""
+    height_tolerance: float = 0.2
+    """Of the home pose's height."""
+    stance_tolerance: float = 0.35
+    """rad, root mean square."""
+    observations: RecoverObservations = field(default_factory=RecoverObservations)
+    rewards: RecoverRewards = field(default_factory=RecoverRewards)
+    terminations: RecoverTerminations = field(default_factory=RecoverTerminations)
+    events: RecoverEvents = field(default_factory=RecoverEvents)
+    home_height: float = field(init=False, default=1.0)
+    """Metres."""
+
+    def scene(self) -> Scene:
+        return Scene(robots=(common.legged(self.robot),), terrain=(common.floor(),), physics_dt=self.physics_dt)
+
+    def start(self, world: World) -> None:
+        super().start(world)
+        self.home_height = common.robot_of(world).spec.pose.position[2]
+
+    def randomize(self) -> None:
+        """All masses, the ground's friction, the legs' gains, and noise on what a real robot estimates."""
+        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
+        friction = randomize.friction((common.ROBOT, randomize.TERRAIN), Range(0.5, 1.25))
+        self.events.masses = EventTerm(randomize.masses(common.ROBOT, Range(0.85, 1.15)), EventTime.STARTUP)
+        self.events.friction = EventTerm(friction, EventTime.STARTUP)
+        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        common.add_noise(
+            self.observations.policy,
+            angular_velocity=0.2,
+            projected_gravity=0.03,
+            joint_positions=0.01,
+            joint_velocities=0.05,
+        )
+
+    def success(self, world: World) -> Tensor:
+        level = tilt(world, self) < self.tilt_tolerance
+        high = (height(world, self) - 1.0).abs() < self.height_tolerance
+        return level & high & (stance(world, self) < self.stance_tolerance)
+
+    def metrics(self, world: World) -> dict[str, Tensor]:
+        return {
+            "tilt_rad": tilt(world, self),
+            "height_over_home": height(world, self),
+            "stance_rad": stance(world, self),
+        }
+
+    def expert(self, world: World) -> HomePosture:
+        return HomePosture(world, self)
