@@ -56,3 +56,18 @@ def test_casting_rays_changes_nothing(make_engine: MakeEngine, needs: Needs) -> 
         looking.cast_rays(torch.tensor([[[0.0, 0.0, 2.0]]]), torch.tensor([[[0.0, 0.0, -1.0]]]), 5.0)
         blind.step(3)
     assert torch.equal(looking.link_poses, blind.link_poses)
+
+
+def test_rays_leave_what_carries_them_in_each_environment_by_itself(make_engine: MakeEngine) -> None:
+    """Cubes that overlap, each environment's turned by another angle, under a grid of rays that is wider."""
+    engine = make_engine(scene(cube("a", half=0.1), cube("b", half=0.1), gravity=WEIGHTLESS), num_envs=3)
+    for entity, height in ((0, 0.5), (1, 0.6)):
+        poses = torch.tensor([[0.0, 0.0, height, *yaw_quaternion(0.2 * number)] for number in range(3)])
+        engine.write_root_state(entity, poses, None)
+    place = torch.linspace(-0.2, 0.2, 12)
+    x, y = torch.meshgrid(place, place, indexing="ij")
+    origins = torch.stack((x, y, torch.full_like(x, 2.0)), -1).view(1, -1, 3).expand(3, -1, 3).contiguous()
+    down = torch.tensor([0.0, 0.0, -1.0]).expand_as(origins).contiguous()
+    hits = engine.cast_rays_past(origins, down, 5.0, range(0, 2))
+    assert (hits.links == TERRAIN).all()
+    assert_near(hits.distances, torch.full_like(hits.distances, 2.0), **TOLERANCE)

@@ -149,14 +149,19 @@ class BulletEngine(Engine):
     def cast_rays(
         self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None = None
     ) -> RayHits:
+        return self.cast_rays_past(origins, directions, max_distance, range(0), env_ids)
+
+    def cast_rays_past(
+        self, origins: Tensor, directions: Tensor, max_distance: float, links: range, env_ids: Tensor | None = None
+    ) -> RayHits:
         ids = self._rows(env_ids)
         order = np.argsort(ids)
-        call = Written("cast_rays", ids[order], (max_distance,), (origins.numpy()[order], directions.numpy()[order]))
+        fixed = (max_distance, links)
+        call = Written("cast_rays", ids[order], fixed, (origins.numpy()[order], directions.numpy()[order]))
         parts = {number: (part,) for number, part in call.parts(self._pool.ranges)}
         found = self._pool.call_each("cast_rays", parts)
         back = np.argsort(order)
-        distances, normals, links = (torch.from_numpy(np.concatenate(p)[back]) for p in zip(*found, strict=True))
-        return RayHits(distances, normals, links)
+        return RayHits(*(torch.from_numpy(np.concatenate(p)[back]) for p in zip(*found, strict=True)))
 
     # Parameters per environment --------------------------------------------------------------------------------------
 

@@ -262,10 +262,10 @@ class Simulation:
         self.deformables.release(deformable, particles)
 
     def cast_rays(
-        self, rows: Rows, origins: FloatArray, directions: FloatArray, reach: float
+        self, rows: Rows, origins: FloatArray, directions: FloatArray, reach: float, past: range
     ) -> tuple[npt.NDArray[Any], ...]:
-        """Distances (n, R), normals (n, R, 3) and links (n, R)."""
-        return cast_rays(self.stage, rows, origins, directions, reach)
+        """Distances (n, R), normals (n, R, 3) and links (n, R), none of which is one of ``past``."""
+        return cast_rays(self.stage, rows, origins, directions, reach, past)
 
     # Parameters per environment --------------------------------------------------------------------------------------
 
