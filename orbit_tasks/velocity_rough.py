@@ -4,6 +4,9 @@ Terrain, curriculum and rewards follow Rudin et al., Learning to Walk in Minutes
 Reinforcement Learning (2021); settings of the learning are those that the field trains such walkers with since.
 """
 
+# Groups of terms are extended by deriving from them.
+# pyright: reportIncompatibleVariableOverride=false
+
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
