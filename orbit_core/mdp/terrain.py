@@ -7,12 +7,14 @@ After Rudin et al., Learning to Walk in Minutes Using Massively Parallel Deep Re
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import cast
 
 import torch
 from torch import Tensor
 
 from orbit_core.assets.terrain import TerrainGrid
 from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.envs.task import Task
 from orbit_core.envs.terms import TermFunction
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.mdp import common
@@ -88,7 +90,7 @@ def place_on_terrain(world: World, task: OnTerrain, env_ids: Tensor) -> None:
     position = task.cell_origins[level, task.kind[env_ids]] + home
     yaw = world.random.uniform((), -torch.pi, torch.pi, env_ids)
     robot.set_root_pose(torch.cat((position, common.turned(yaw)), dim=1), env_ids)
-    _NEAR_HOME(world, task, env_ids)
+    _NEAR_HOME(world, cast(Task, task), env_ids)
 
 
 def walked(world: World, task: OnTerrain) -> Tensor:
