@@ -68,6 +68,6 @@ def test_rays_leave_what_carries_them_in_each_environment_by_itself(make_engine:
     x, y = torch.meshgrid(place, place, indexing="ij")
     origins = torch.stack((x, y, torch.full_like(x, 2.0)), -1).view(1, -1, 3).expand(3, -1, 3).contiguous()
     down = torch.tensor([0.0, 0.0, -1.0]).expand_as(origins).contiguous()
-    hits = engine.cast_rays_past(origins, down, 5.0, range(0, 2))
+    hits = engine.cast_rays_past(origins, down, 5.0, range(2))
     assert (hits.links == TERRAIN).all()
     assert_near(hits.distances, torch.full_like(hits.distances, 2.0), **TOLERANCE)
