@@ -207,7 +207,7 @@ class CartpoleBalance(Cartpole):
     spread: tuple[float, float, float, float] = (0.2, 0.1, 0.2, 0.2)
     most_lean: float = math.radians(24.0)
     """rad; twice that of Barto, Sutton and Anderson (1983), whose motor was of 10 N."""
-    terminations: BalanceTerminations = field(default_factory=BalanceTerminations)
+    terminations: SwingUpTerminations = field(default_factory=BalanceTerminations)
 
 
 @dataclass(kw_only=True)
@@ -266,7 +266,7 @@ class SwingUpController(Node):
         step = torch.linalg.matrix_exp(torch.cat((torch.cat((a, b), 1), torch.zeros(1, 5)), 0) * dt)
         a, b = step[:4, :4], step[:4, 4:]
         weights = torch.diag(torch.tensor(_WEIGHTS[0])).double()
-        cost = weights
+        cost, gains = weights, torch.zeros(1, 4).double()
         for _ in range(1000):
             gains = torch.linalg.solve(_WEIGHTS[1] + b.T @ cost @ b, b.T @ cost @ a)
             cost = weights + a.T @ cost @ (a - b @ gains)
