@@ -210,9 +210,11 @@ class Result:
         """The records of one kind."""
         return [record for record in self.records if record.job.kind is kind]
 
-    def names(self, kind: Kind) -> tuple[str, ...]:
-        """What jobs of a kind were about, each once, in their order."""
-        return tuple(dict.fromkeys(record.job.name for record in self.of(kind)))
+    @property
+    def tried_tasks(self) -> tuple[str, ...]:
+        """The tasks that an expert was tried at, in the settings' order."""
+        tried = {record.job.name for record in self.of(Kind.TASK)}
+        return tuple(task for task in self.header.settings.tasks if task in tried)
 
     def matters(self, name: str) -> list[str]:
         """Who simulated the deformables of one scenario, the engine's own last; a single empty name without any."""

@@ -185,7 +185,7 @@ def page_of(result: Result, folder: Path) -> Page:
             for info in result.header.scenarios
         ),
         robots=robot_section(result),
-        tasks=tuple(_task_section(result, task, folder) for task in settings.tasks if task in result.names(Kind.TASK)),
+        tasks=tuple(_task_section(result, task, folder) for task in result.tried_tasks),
         success=Markup(plots.success(result)),
         transfers=tuple(_transfer_line(result, info) for info in result.header.policies),
         drawn=tuple(_drawn_lines(result)),
@@ -208,7 +208,7 @@ def _matrix(result: Result) -> Iterator[tuple[str, tuple[Line, ...]]]:
     tasks, policies = settings.tasks, settings.policies
     for kind, group, names, question in (
         (Kind.ROBOT, "Robots", settings.robots, "Is it the same robot here as described?"),
-        (Kind.TASK, "Tasks", result.names(Kind.TASK), "Does the expert reach the goal?"),
+        (Kind.TASK, "Tasks", result.tried_tasks, "Does the expert reach the goal?"),
         (Kind.TRANSFER, "Learned policies", policies, "Does what was learned elsewhere do it here?"),
         (Kind.THROUGHPUT, "Throughput", tasks, "How fast does it step?"),
     ):
