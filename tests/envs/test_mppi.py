@@ -2,102 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-
 import pytest
 import torch
-from torch import Tensor
 
-from orbit_core.assets.catalogue import robot as catalogue_robot
 from orbit_core.backends import backend_names
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import pose_inverse, pose_multiply
-from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, RewardTerm, Task, make
+from orbit_core.envs import Environment, make
 from orbit_core.envs.mppi import Mppi, MppiConfig
-from orbit_core.interfaces import ArgumentError, ConfigurationError, Node, World
+from orbit_core.interfaces import ArgumentError, ConfigurationError
 from orbit_core.mdp import common
-from orbit_core.motion import ActionTerms, JointEffortConfig
 from orbit_core.motion.full_ik import FullIk
-from orbit_core.scene import Scene
+from orbit_tasks.cartpole import state
 
 BACKENDS = [name for name in ("mujoco", "bullet") if name in backend_names()]
 
 
-def joints(world: World, task: Task) -> Tensor:
-    """(N, 4)"""
-    cartpole = world.robots["robot"]
-    return torch.cat((cartpole.joint_positions, cartpole.joint_velocities), 1)
-
-
-def upright(world: World, task: Task) -> Tensor:
-    """(N,) 2 where the pole stands, less what the cart is away from the middle and what the pole turns."""
-    cart, angle, _, rate = joints(world, task).unbind(1)
-    return 1.0 + angle.cos() - 0.2 * cart.square() - 0.01 * rate.square()
-
-
-@dataclass
-class Seen(ObservationGroup):
-    """The joints."""
-
-    joints: ObservationTerm | None = ObservationTerm(joints)
-
-
-@dataclass
-class Observations:
-    """The policy's."""
-
-    policy: Seen = field(default_factory=Seen)
-
-
-@dataclass
-class Rewards:
-    """The pole stands."""
-
-    upright: RewardTerm | None = RewardTerm(upright, 1.0)
-
-
-@dataclass
-class Nothing:
-    """Neither terminations nor events."""
-
-
-@dataclass(kw_only=True)
-class SwingUp(Task):
-    """A pole hangs from a cart that pushes with 20 N."""
-
-    robot: str = "cartpole"
-    action: str = "composed"
-    decimation: int = 8
-    episode_length: float = 10.0
-    actions: object = field(default_factory=lambda: ActionTerms(cart=JointEffortConfig(joints=("slider",), scale=20.0)))
-    observations: Observations = field(default_factory=Observations)
-    rewards: Rewards = field(default_factory=Rewards)
-    terminations: Nothing = field(default_factory=Nothing)
-    events: Nothing = field(default_factory=Nothing)
-
-    def scene(self) -> Scene:
-        cartpole = replace(catalogue_robot("cartpole"), name="robot", home={"hinge": 3.14159})
-        return Scene(robots=(cartpole,), physics_dt=self.physics_dt, terrain=())
-
-    def success(self, world: World) -> Tensor:
-        return joints(world, self)[:, 1].cos() > 0.95
-
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {}
-
-    def expert(self, world: World) -> Node:
-        raise NotImplementedError
+def swing_up(num_envs: int, backend: str) -> Environment:
+    """A pole that hangs still, moved at 25 Hz."""
+    return make("Cartpole-Swing-Up", num_envs, backend, decimation=8, spread=(0.0, 0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_pole_is_swung_up_and_held(backend: str) -> None:
-    environment, model = Environment(SwingUp(), 1, backend), Environment(SwingUp(), 48, BACKENDS[0])
+    environment, model = swing_up(1, backend), swing_up(48, BACKENDS[0])
     environment.reset(seed=0)
     policy = Mppi(environment, model, MppiConfig(horizon=30, noise=0.6))
     heights = []
     for _ in range(50):
         environment.step(policy.compute({})["action"])
-        heights.append(float(joints(environment.world, environment.task)[0, 1].cos()))
+        heights.append(float(state(environment.world, environment.task)[0, 1].cos()))
     assert heights[0] < -0.95
     assert min(heights[-8:]) > 0.85
     environment.close()
@@ -146,7 +80,7 @@ def test_what_follows_a_copied_state_is_what_follows_the_state(backend: str) -> 
 
 
 def test_what_is_no_copy_or_no_model_is_refused() -> None:
-    environment, other = Environment(SwingUp(), 2, BACKENDS[0]), make("Reach", num_envs=4, backend=BACKENDS[0])
+    environment, other = swing_up(2, BACKENDS[0]), make("Reach", num_envs=4, backend=BACKENDS[0])
     with pytest.raises(ArgumentError, match="worlds of one scene: the names of links and joints differ"):
         environment.world.copy_state(0, None, other.world)
     with pytest.raises(ArgumentError, match="source"):
@@ -154,6 +88,6 @@ def test_what_is_no_copy_or_no_model_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="the model is of task Reach with 8 components of action"):
         Mppi(environment, other)
     with pytest.raises(ConfigurationError, match="a model of 2 environments gives 2 no equal number of samples"):
-        Mppi(environment, Environment(SwingUp(), 2, BACKENDS[0]))
+        Mppi(environment, swing_up(2, BACKENDS[0]))
     environment.close()
     other.close()
