@@ -24,7 +24,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
-from orbit_core.envs.terms import POSE, once_per_state
+from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, picking, randomize
 from orbit_core.mdp.randomize import Range
@@ -269,10 +269,9 @@ class StackPyramid(Task):
 
     def randomize(self) -> None:
         """The friction of blocks and fingers, the arm's gains, and noise on joints and blocks."""
-        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
         friction = randomize.friction((common.ROBOT, *self.first, *self.moved, "table"), Range(0.5, 1.2))
         self.events.friction = EventTerm(friction, EventTime.STARTUP)
-        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
         common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, block_poses=0.002)
 
     def success(self, world: World) -> Tensor:
@@ -285,49 +284,43 @@ class StackPyramid(Task):
         return tuple(part for index in range(len(self.moved)) for part in _parts(index))
 
     def expert(self, world: World) -> Expert:
-        phases = [phase for index in range(len(self.moved)) for phase in _moving(world, self, index)]
+        phases = [phase for index in range(len(self.moved)) for phase in _moving(world, index)]
         return Expert(world, self, phases)
 
 
-def _moving(world: World, task: StackPyramid, index: int) -> tuple[Phase, ...]:
-    """Pick a block up and put it to its place."""
+def _block(index: int) -> TermFunction:
+    """Term: (N, 7) a block that is to be moved."""
+    return lambda world, task: block_poses(world, task)[:, task.pyramids + index]
 
-    def block(world: World, task: StackPyramid) -> Tensor:
-        return block_poses(world, task)[:, task.pyramids + index]
 
-    def grasp(world: World, task: StackPyramid) -> Tensor:
-        return picking.grasp_square(block(world, task))
+def _grasp(index: int) -> TermFunction:
+    """Term: (N, 7) the hand around it."""
+    block = _block(index)
+    return lambda world, task: picking.grasp_square(block(world, task))
+
+
+def _place(index: int) -> TermFunction:
+    """Term: (N, 7) its place, with the hand turned as the pyramid is."""
 
     def place(world: World, task: StackPyramid) -> Tensor:
-        return _place(world, task, index)
+        first = block_poses(world, task)[:, index % task.pyramids, 3:]
+        return torch.cat((places(world, task)[:, index], common.facing_down(picking.quarter_yaw(first))), dim=1)
 
-    # 3 mm too high, so that it does not press.
-    put = picking.hand_for(picking.raised(place, 0.003), block)
-    return picking.pick(world, grasp, clearance=0.12) + picking.put(put, height=0.22)
+    return place
+
+
+def _moving(world: World, index: int) -> tuple[Phase, ...]:
+    """Pick a block up and put it to its place, 3 mm too high, so that it does not press."""
+    put = picking.hand_for(picking.raised(_place(index), 0.003), _block(index))
+    return picking.pick(world, _grasp(index), clearance=0.12) + picking.put(put, height=0.22)
 
 
 def _parts(index: int) -> tuple[Subtask, Subtask]:
     """Pick a block up; put it to its place."""
-
-    def grasp(world: World, task: StackPyramid) -> Tensor:
-        return picking.grasp_square(block_poses(world, task)[:, task.pyramids + index])
-
-    def place(world: World, task: StackPyramid) -> Tensor:
-        return _place(world, task, index)
-
-    def raised(world: World, task: StackPyramid) -> Tensor:
-        return moved_positions(world, task)[:, index, 2] > SIZE
-
-    def put(world: World, task: StackPyramid) -> Tensor:
-        return put_down(world, task)[:, index]
-
-    return Subtask(grasp, raised), Subtask(place, put)
-
-
-def _place(world: World, task: StackPyramid, index: int) -> Tensor:
-    """(N, 7) a moved block's place, with the hand turned as the pyramid is."""
-    first = block_poses(world, task)[:, index % task.pyramids, 3:]
-    return torch.cat((places(world, task)[:, index], common.facing_down(picking.quarter_yaw(first))), dim=1)
+    return (
+        Subtask(_grasp(index), lambda world, task: moved_positions(world, task)[:, index, 2] > SIZE),
+        Subtask(_place(index), lambda world, task: put_down(world, task)[:, index]),
+    )
 
 
 @dataclass(kw_only=True)

@@ -67,6 +67,11 @@ def _ring(x: Array, y: Array) -> Array:
     return np.maximum(np.abs(x), np.abs(y))
 
 
+def _square(place: Array, count: int, slack: float = 1e-6) -> npt.NDArray[np.int_]:
+    """Which of ``count`` squares in a row places lie on, in lengths of one; an edge, within slack, is the next's."""
+    return np.clip(np.floor(place + slack).astype(int), 0, count - 1)
+
+
 def _inside(ring: Array, half: float) -> npt.NDArray[np.bool_]:
     return ring <= half + _EDGE
 
@@ -97,7 +102,7 @@ class Rough(TerrainKind):
         knots[[0, -1]], knots[:, [0, -1]] = 0.0, 0.0
 
         def height(x: Array, y: Array) -> Array:
-            column, row = (np.clip(np.floor((v + size / 2) / step + _EDGE).astype(int), 0, cells - 1) for v in (x, y))
+            column, row = (_square((v + size / 2) / step, cells, _EDGE) for v in (x, y))
             u, v = (x + size / 2) / step - column, (y + size / 2) / step - row
             start, across = knots[row, column], knots[row + 1, column + 1]
             # Each square is split along its rising diagonal, as height fields are.
@@ -164,7 +169,7 @@ class SteppingStones(TerrainKind):
 
         def height(x: Array, y: Array) -> Array:
             across, along = (v + size / 2 for v in (x, y))
-            column, row = (np.clip(np.floor(v / pitch + 1e-6).astype(int), 0, count - 1) for v in (across, along))
+            column, row = (_square(v / pitch, count) for v in (across, along))
             wide = pitch - apart + 1e-6
             gap = (across - column * pitch > wide) | (along - row * pitch > wide)
             ring = _ring(x, y)
@@ -189,7 +194,7 @@ class Boxes(TerrainKind):
         heights[[0, -1]], heights[:, [0, -1]] = 0.0, 0.0
 
         def height(x: Array, y: Array) -> Array:
-            column, row = (np.clip(np.floor((v / size + 0.5) * cells + 1e-6).astype(int), 0, cells - 1) for v in (x, y))
+            column, row = (_square((v / size + 0.5) * cells, cells) for v in (x, y))
             return np.where(_inside(_ring(x, y), self.platform / 2), 0.0, heights[row, column])
 
         return height
