@@ -203,11 +203,10 @@ class Cabinet(Task):
 
     def randomize(self) -> None:
         """The cabinet's masses, its friction and the fingers', the arm's gains, and noise on joints and drawer."""
-        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
         self.events.masses = EventTerm(randomize.masses("cabinet", Range(0.7, 1.5)), EventTime.STARTUP)
         friction = randomize.friction((common.ROBOT, "cabinet"), Range(0.6, 1.2))
         self.events.friction = EventTerm(friction, EventTime.STARTUP)
-        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
         common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, drawer=0.002)
 
     def success(self, world: World) -> Tensor:

@@ -80,11 +80,6 @@ def spinning(world: World, task: Cartpole) -> Tensor:
     return state(world, task)[:, 3].square()
 
 
-def force(world: World, task: Cartpole) -> Tensor:
-    """(N,) squared action."""
-    return common.squared_norm(task.last_action)
-
-
 @once_per_state
 def left(world: World, task: Cartpole) -> Tensor:
     """(N,) bool: the cart is 10 cm from an end of its rail."""
@@ -128,7 +123,7 @@ class CartpoleRewards:
     upright: RewardTerm | None = RewardTerm(upright, 2.0)
     off_center: RewardTerm | None = RewardTerm(off_center, -0.2)
     spinning: RewardTerm | None = RewardTerm(spinning, -0.01)
-    force: RewardTerm | None = RewardTerm(force, -0.01)
+    force: RewardTerm | None = RewardTerm(common.action_size, -0.01)
 
 
 @dataclass

@@ -294,9 +294,8 @@ class Hockey(Task):
 
     def randomize(self) -> None:
         """The friction of puck and ice, the arm's gains, and noise on joints and puck."""
-        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
         self.events.friction = EventTerm(randomize.friction(("puck", "ice"), Range(0.02, 0.08)), EventTime.STARTUP)
-        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
         common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, puck_position=0.002)
 
     def success(self, world: World) -> Tensor:

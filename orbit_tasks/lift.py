@@ -235,11 +235,10 @@ class Lift(Task):
 
     def randomize(self) -> None:
         """The cube's mass, its friction and the fingers', the arm's gains, and noise on joints and cube."""
-        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
         self.events.cube_mass = EventTerm(randomize.masses("cube", Range(0.5, 2.0)), EventTime.STARTUP)
         friction = randomize.friction((common.ROBOT, "cube", "table"), Range(0.5, 1.2))
         self.events.friction = EventTerm(friction, EventTime.STARTUP)
-        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
         common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, cube_pose=0.002)
 
     def success(self, world: World) -> Tensor:

@@ -317,11 +317,10 @@ class PegInHole(Task):
 
     def randomize(self) -> None:
         """The blocks' friction, the board's and the fingers', the arm's gains, and noise on joints and blocks."""
-        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
         blocks = tuple(f"block_{index}" for index in range(len(self.shapes)))
         friction = randomize.friction((*blocks, "board"), Range(0.2, 0.5))
         self.events.friction = EventTerm(friction, EventTime.STARTUP)
-        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
         noise = {"joint_positions": 0.005, "joint_velocities": 0.05, "hand_to_knobs": 0.0005, "offsets": 0.0005}
         common.add_noise(self.observations.policy, **noise)
 

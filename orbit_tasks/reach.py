@@ -147,9 +147,8 @@ class Reach(Task):
     def randomize(self) -> None:
         """The arm's masses and gains, and noise on its joints."""
         masses = randomize.masses(common.ROBOT, Range(0.9, 1.1))
-        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
         self.events.masses = EventTerm(masses, EventTime.STARTUP)
-        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
         common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05)
 
     def success(self, world: World) -> Tensor:

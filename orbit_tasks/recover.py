@@ -14,29 +14,16 @@ from torch import Tensor
 
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import measured_in, once_per_state
+from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import Node, Port, World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import Pose, Scene, look_at
 from orbit_tasks import walking
+from orbit_tasks.trunk import angular_velocity, projected_gravity
 
 _FALL = 1.25
 """Height from which a robot is dropped, over that of its home pose."""
-
-
-@measured_in("rad/s")
-@once_per_state
-def angular_velocity(world: World, task: Recover) -> Tensor:
-    """(N, 3) of the trunk, in its own axes."""
-    return walking.angular_velocity(common.robot_of(world))
-
-
-@measured_in("1")
-@once_per_state
-def projected_gravity(world: World, task: Recover) -> Tensor:
-    """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
-    return walking.projected_gravity(common.robot_of(world))
 
 
 @once_per_state
@@ -76,11 +63,6 @@ def at_home(world: World, task: Recover) -> Tensor:
 def restless(world: World, task: Recover) -> Tensor:
     """(N,) squared speed of the trunk, linear and angular."""
     return common.squared_norm(common.robot_of(world).root_velocity)
-
-
-def effort(world: World, task: Recover) -> Tensor:
-    """(N,) sum of squared joint efforts."""
-    return common.squared_norm(common.robot_of(world).joint_efforts)
 
 
 def drop(world: World, task: Recover, env_ids: Tensor) -> None:
@@ -131,7 +113,7 @@ class RecoverRewards:
     raised: RewardTerm | None = RewardTerm(raised, 1.0)
     at_home: RewardTerm | None = RewardTerm(at_home, 1.0)
     restless: RewardTerm | None = RewardTerm(restless, -0.02)
-    effort: RewardTerm | None = RewardTerm(effort, -1e-5)
+    effort: RewardTerm | None = RewardTerm(common.joint_effort, -1e-5)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.01)
 
 
@@ -200,11 +182,10 @@ class Recover(Task):
 
     def randomize(self) -> None:
         """All masses, the ground's friction, the legs' gains, and noise on what a real robot estimates."""
-        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
         friction = randomize.friction((common.ROBOT, randomize.TERRAIN), Range(0.5, 1.25))
         self.events.masses = EventTerm(randomize.masses(common.ROBOT, Range(0.85, 1.15)), EventTime.STARTUP)
         self.events.friction = EventTerm(friction, EventTime.STARTUP)
-        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
         common.add_noise(
             self.observations.policy,
             angular_velocity=0.2,

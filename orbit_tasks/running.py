@@ -19,32 +19,13 @@ from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import Pose, Scene, look_at
-from orbit_tasks import walking
+from orbit_tasks.trunk import angular_velocity, linear_velocity, projected_gravity
 
 
 @measured_in("m")
 def height(world: World, task: Running) -> Tensor:
     """(N, 1) of the trunk above the ground."""
     return common.robot_of(world).root_pose[:, 2:3]
-
-
-@measured_in("m/s")
-@once_per_state
-def linear_velocity(world: World, task: Running) -> Tensor:
-    """(N, 3) of the trunk, in its own axes."""
-    return walking.linear_velocity(common.robot_of(world))
-
-
-@measured_in("rad/s")
-def angular_velocity(world: World, task: Running) -> Tensor:
-    """(N, 3) of the trunk, in its own axes."""
-    return walking.angular_velocity(common.robot_of(world))
-
-
-@measured_in("1")
-def projected_gravity(world: World, task: Running) -> Tensor:
-    """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
-    return walking.projected_gravity(common.robot_of(world))
 
 
 @measured_in("1")
@@ -81,11 +62,6 @@ def standing_up(world: World, task: Running) -> Tensor:
 def energy(world: World, task: Running) -> Tensor:
     """(N,) sum over joints of the action's size times how fast the joint turns, in rad/s."""
     return (task.last_action * common.robot_of(world).joint_velocities).abs().sum(1)
-
-
-def effort(world: World, task: Running) -> Tensor:
-    """(N,) squared action."""
-    return common.squared_norm(task.last_action)
 
 
 @once_per_state
@@ -132,7 +108,7 @@ class RunningRewards:
     alive: RewardTerm | None = RewardTerm(alive, 0.5)
     facing_ahead: RewardTerm | None = RewardTerm(facing_ahead, 0.5)
     standing_up: RewardTerm | None = RewardTerm(standing_up, 0.1)
-    effort: RewardTerm | None = RewardTerm(effort, -0.005)
+    effort: RewardTerm | None = RewardTerm(common.action_size, -0.005)
     energy: RewardTerm | None = RewardTerm(energy, -0.01)
 
 

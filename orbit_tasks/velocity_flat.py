@@ -31,29 +31,9 @@ from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
 from orbit_core.sensors import ContactSensor
 from orbit_tasks import walking
 from orbit_tasks.trot import TrotGenerator
+from orbit_tasks.trunk import angular_velocity, linear_velocity, projected_gravity
 
 CONTACTS = "contacts"
-
-
-@measured_in("m/s")
-@once_per_state
-def linear_velocity(world: World, task: VelocityFlat) -> Tensor:
-    """(N, 3) of the trunk, in its own axes."""
-    return walking.linear_velocity(common.robot_of(world))
-
-
-@measured_in("rad/s")
-@once_per_state
-def angular_velocity(world: World, task: VelocityFlat) -> Tensor:
-    """(N, 3) of the trunk, in its own axes."""
-    return walking.angular_velocity(common.robot_of(world))
-
-
-@measured_in("1")
-@once_per_state
-def projected_gravity(world: World, task: VelocityFlat) -> Tensor:
-    """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
-    return walking.projected_gravity(common.robot_of(world))
 
 
 @measured_in("m/s, m/s, rad/s")
@@ -99,11 +79,6 @@ def tilt(world: World, task: VelocityFlat) -> Tensor:
     return common.squared_norm(projected_gravity(world, task)[:, :2])
 
 
-def effort(world: World, task: VelocityFlat) -> Tensor:
-    """(N,) sum of squared joint efforts."""
-    return common.squared_norm(common.robot_of(world).joint_efforts)
-
-
 def overspeed(world: World, task: VelocityFlat) -> Tensor:
     """(N,) rad/s, summed over joints: what they are beyond their velocity limits, which few engines hold."""
     speeds = common.robot_of(world).joint_velocities.abs()
@@ -121,10 +96,8 @@ def fallen(world: World, task: VelocityFlat) -> Tensor:
 
 def place_robot(world: World, task: VelocityFlat, env_ids: Tensor) -> None:
     """Place the robot at home height, facing anywhere, joints around their home."""
-    trunk = common.robot_of(world)
-    yaw = world.random.uniform((), -torch.pi, torch.pi, env_ids)
-    position = torch.tensor(trunk.spec.pose.position, device=world.device).expand(len(env_ids), 3)
-    trunk.set_root_pose(torch.cat((position, common.turned(yaw)), dim=1), env_ids)
+    position = torch.tensor(common.robot_of(world).spec.pose.position, device=world.device)
+    common.stand_facing_anywhere(world, position.expand(len(env_ids), 3), env_ids)
     common.randomize_robot_start(0.05)(world, task, env_ids)
 
 
@@ -165,7 +138,7 @@ class VelocityRewards:
     bouncing: RewardTerm | None = RewardTerm(bouncing, -2.0)
     rolling: RewardTerm | None = RewardTerm(rolling, -0.05)
     tilt: RewardTerm | None = RewardTerm(tilt, -5.0)
-    effort: RewardTerm | None = RewardTerm(effort, -2.5e-5)
+    effort: RewardTerm | None = RewardTerm(common.joint_effort, -2.5e-5)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.01)
     overspeed: RewardTerm | None = RewardTerm(overspeed, -0.2)
 
@@ -262,11 +235,10 @@ class VelocityFlat(Task):
 
     def randomize(self) -> None:
         """All masses, the ground's friction, the legs' gains, pushes, and noise on what a real robot estimates."""
-        gains = randomize.gains(common.ROBOT, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
         self.events.masses = EventTerm(randomize.masses(common.ROBOT, Range(0.85, 1.15)), EventTime.STARTUP)
         friction = randomize.friction((common.ROBOT, randomize.TERRAIN), Range(0.5, 1.25))
         self.events.friction = EventTerm(friction, EventTime.STARTUP)
-        self.events.gains = EventTerm(gains, EventTime.STARTUP)
+        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
         push = randomize.push(common.ROBOT, Range(0.0, 0.7, easy=0.0))
         self.events.push = EventTerm(push, EventTime.INTERVAL, interval=(3.0, 6.0))
         common.add_noise(

@@ -36,7 +36,6 @@ from orbit_tasks.velocity_flat import (
     VelocityRewards,
     VelocityState,
     command,
-    effort,
 )
 
 SCAN = "height_scan"
@@ -112,7 +111,7 @@ class RoughRewards(VelocityRewards):
     """As on the plane, but the trunk may tilt with the ground; long steps, and no knocks of shanks and thighs."""
 
     tilt: RewardTerm | None = None
-    effort: RewardTerm | None = RewardTerm(effort, -1e-5)
+    effort: RewardTerm | None = RewardTerm(common.joint_effort, -1e-5)
     flight: RewardTerm | None = RewardTerm(flight, 0.5)
     bumps: RewardTerm | None = RewardTerm(bumps, -0.5)
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.transforms import quat_rotate_inverse
+from orbit_core.dynamics.transforms import quat_rotate_inverse, yaw_angle
 from orbit_core.interfaces import Robot
 
 JOINT_SPEED_SCALE = 0.05
@@ -36,8 +36,7 @@ def projected_gravity(robot: Robot) -> Tensor:
 
 def heading(robot: Robot) -> Tensor:
     """(N,) rad: the direction that the trunk faces, about the vertical."""
-    w, x, y, z = robot.root_pose[:, 3:].unbind(1)
-    return torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return yaw_angle(robot.root_pose[:, 3:])
 
 
 READINGS: Mapping[str, Callable[[Robot], Tensor]] = {

@@ -110,10 +110,15 @@ def quat_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
     )
 
 
+def yaw_angle(q: Tensor) -> Tensor:
+    """Angles (...) in rad about z at which the x axes of rotations (..., 4) lie, seen from above."""
+    w, x, y, z = q.unbind(-1)
+    return torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
 def quat_yaw(q: Tensor) -> Tensor:
     """The heading alone: rotations (..., 4) about z with the same yaw."""
-    w, x, y, z = q.unbind(-1)
-    yaw = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    yaw = yaw_angle(q)
     zero = torch.zeros_like(yaw)
     return torch.stack(((0.5 * yaw).cos(), zero, zero, (0.5 * yaw).sin()), -1)
 

@@ -134,6 +134,16 @@ def action_rate(world: World, task: Task, agent: str | None = None) -> Tensor:
     return squared_norm(change if agent is None else change[:, task.action_slices[agent]])
 
 
+def action_size(world: World, task: Task) -> Tensor:
+    """(N,) sum of squared action."""
+    return squared_norm(task.last_action)
+
+
+def joint_effort(world: World, task: Task, agent: str = ROBOT) -> Tensor:
+    """(N,) sum of squared joint efforts."""
+    return squared_norm(robot_of(world, agent).joint_efforts)
+
+
 def joint_speed(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     """(N,) sum of squared joint velocities."""
     return squared_norm(robot_of(world, agent).joint_velocities)
@@ -192,6 +202,12 @@ def randomize_robot_start(spread: float, agent: str = ROBOT):
         robot.set_joint_state((robot.home_positions + offset).clamp(limits[:, 0], limits[:, 1]), env_ids=env_ids)
 
     return randomize
+
+
+def stand_facing_anywhere(world: World, position: Tensor, env_ids: Tensor) -> None:
+    """Put the task's robot to positions (n, 3) in the environments' frames, upright, facing anywhere."""
+    yaw = world.random.uniform((), -torch.pi, torch.pi, env_ids)
+    robot_of(world).set_root_pose(torch.cat((position, turned(yaw)), dim=1), env_ids)
 
 
 def place_markers(world: World, names: Sequence[str], positions: Tensor, env_ids: Tensor | None = None) -> None:

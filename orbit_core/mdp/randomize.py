@@ -108,6 +108,11 @@ def gains(entity: str, stiffness: Range, damping: Range, joints: Sequence[str] =
     return event
 
 
+def uncertain_gains(entity: str) -> EventFunction:
+    """Scale stiffness and damping of all actuators by 0.8 to 1.25: how well a real robot's are known, as a rule."""
+    return gains(entity, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))
+
+
 def push(entity: str, speed: Range) -> EventFunction:
     """Add a horizontal velocity of that speed (m/s), in any direction, to the entity's root.
 

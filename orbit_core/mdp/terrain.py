@@ -88,8 +88,7 @@ def place_on_terrain(world: World, task: OnTerrain, env_ids: Tensor) -> None:
     task.level[env_ids], task.spare_level[env_ids] = level, drawn
     home = torch.tensor(robot.spec.pose.position, device=world.device)
     position = task.cell_origins[level, task.kind[env_ids]] + home
-    yaw = world.random.uniform((), -torch.pi, torch.pi, env_ids)
-    robot.set_root_pose(torch.cat((position, common.turned(yaw)), dim=1), env_ids)
+    common.stand_facing_anywhere(world, position, env_ids)
     _NEAR_HOME(world, cast(Task, task), env_ids)
 
 

@@ -1,0 +1,32 @@
+"""Terms of what the trunk of a robot that walks or runs feels, in its own axes."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from orbit_core.envs import Task
+from orbit_core.envs.terms import measured_in, once_per_state
+from orbit_core.interfaces import World
+from orbit_core.mdp import common
+from orbit_tasks import walking
+
+
+@measured_in("m/s")
+@once_per_state
+def linear_velocity(world: World, task: Task) -> Tensor:
+    """(N, 3) of the trunk, in its own axes."""
+    return walking.linear_velocity(common.robot_of(world))
+
+
+@measured_in("rad/s")
+@once_per_state
+def angular_velocity(world: World, task: Task) -> Tensor:
+    """(N, 3) of the trunk, in its own axes."""
+    return walking.angular_velocity(common.robot_of(world))
+
+
+@measured_in("1")
+@once_per_state
+def projected_gravity(world: World, task: Task) -> Tensor:
+    """(N, 3) the direction of gravity in the trunk's axes; (0, 0, -1) when level."""
+    return walking.projected_gravity(common.robot_of(world))
