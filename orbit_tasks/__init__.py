@@ -53,3 +53,8 @@ def register(registry: TaskRegistry) -> None:
     registry.add("Cartpole-Swing-Up", "Swing a hanging pole up on a cart", "orbit_tasks.cartpole:CartpoleSwingUp")
     registry.add("Ant", "A robot of four legs runs as fast as it can", "orbit_tasks.running:Ant")
     registry.add("Humanoid", "A robot of two legs runs as fast as it can", "orbit_tasks.running:Humanoid")
+    registry.add(
+        "In-Hand-Repose",
+        "Turn an object in a hand to one sampled orientation after another",
+        "orbit_tasks.in_hand_repose:InHandRepose",
+    )

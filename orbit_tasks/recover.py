@@ -66,17 +66,11 @@ def restless(world: World, task: Recover) -> Tensor:
 
 
 def drop(world: World, task: Recover, env_ids: Tensor) -> None:
-    """Drop the robot in any orientation and any posture.
-
-    Orientations are uniform: Shoemake, Uniform Random Rotations (1992).
-    """
+    """Drop the robot in any orientation and any posture."""
     robot = common.robot_of(world)
-    u, v, w = world.random.uniform((3,), env_ids=env_ids).unbind(1)
-    v, w = 2.0 * torch.pi * v, 2.0 * torch.pi * w
-    near, far = (1.0 - u).sqrt(), u.sqrt()
     pose = torch.zeros(len(env_ids), 7, device=world.device)
     pose[:, 2] = _FALL * task.home_height
-    pose[:, 3:] = torch.stack((far * w.cos(), near * v.sin(), near * v.cos(), far * w.sin()), 1)
+    pose[:, 3:] = common.random_rotations(world, env_ids)
     robot.set_root_pose(pose, env_ids)
     low, high = robot.position_limits.unbind(1)
     home = robot.home_positions

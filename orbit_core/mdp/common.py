@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -202,6 +203,13 @@ def randomize_robot_start(spread: float, agent: str = ROBOT):
         robot.set_joint_state((robot.home_positions + offset).clamp(limits[:, 0], limits[:, 1]), env_ids=env_ids)
 
     return randomize
+
+
+def random_rotations(world: World, env_ids: Tensor | None) -> Tensor:
+    """(n, 4) uniform over all rotations: Shoemake, Uniform Random Rotations, Graphics Gems III (1992)."""
+    share, first, second = world.random.uniform((3,), 0.0, (1.0, math.tau, math.tau), env_ids).unbind(1)
+    a, b = (1.0 - share).sqrt(), share.sqrt()
+    return torch.stack((b * second.cos(), a * first.sin(), a * first.cos(), b * second.sin()), dim=1)
 
 
 def stand_facing_anywhere(world: World, position: Tensor, env_ids: Tensor) -> None:
