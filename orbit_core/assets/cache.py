@@ -27,7 +27,7 @@ from orbit_core.files import written_whole
 from orbit_core.interfaces.errors import AssetError, StorageError
 from orbit_core.scene import Articulation, Mesh, MeshCollision
 
-_NO_READERS = {"catalogue.py", "object_kinds.py", "objects.py", "parts.py"}
+_NO_READERS = {"catalogue.py", "decomposition.py", "object_kinds.py", "objects.py", "parts.py"}
 """Modules of this package that change nothing in what is read from a file."""
 
 
@@ -98,7 +98,7 @@ def _store(path: Path, articulation: Articulation, manifest: dict[str, Any]) -> 
     try:
         # Meshes first: whoever finds the description finds all that it names.
         manifest["articulation"] = _encode(articulation, cache_folder())
-        _write(path, lambda file: file.write_text(json.dumps(manifest), encoding="utf-8"))
+        write_cached(path, lambda file: file.write_text(json.dumps(manifest), encoding="utf-8"))
     except (StorageError, OSError) as error:
         warnings.warn(
             f"the model '{articulation.name}' could not be cached ({error}); set ORBIT_CACHE_DIR to a folder that can "
@@ -107,7 +107,7 @@ def _store(path: Path, articulation: Articulation, manifest: dict[str, Any]) -> 
         )
 
 
-def _write(path: Path, write: Callable[[Path], Any]) -> None:
+def write_cached(path: Path, write: Callable[[Path], Any]) -> None:
     """Write the whole file or nothing; other processes may be writing the same one."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(path) as written:
@@ -155,9 +155,9 @@ def _decode(value: Any, folder: Path) -> Any:
 
 def _store_mesh(mesh: Mesh, folder: Path) -> dict[str, Any]:
     arrays = {"vertices": np.ascontiguousarray(mesh.vertices), "faces": np.ascontiguousarray(mesh.faces)}
-    key = _digest_arrays(*arrays.values())
+    key = digest_arrays(*arrays.values())
     for name, array in arrays.items():
-        _write(_mesh_path(folder, key, name), functools.partial(np.save, arr=array, allow_pickle=False))
+        write_cached(_mesh_path(folder, key, name), functools.partial(np.save, arr=array, allow_pickle=False))
     return {
         "is": "stored mesh",
         "key": key,
@@ -173,12 +173,13 @@ def _load_mesh(folder: Path, key: str, collision: str, shapes: list[list[int]]) 
         array.flags.writeable = False
     if [list(vertices.shape), list(faces.shape)] != shapes:
         raise ValueError(f"mesh {key} has another size than its model says")
-    if _digest_arrays(vertices, faces) != key:
+    if digest_arrays(vertices, faces) != key:
         raise ValueError(f"mesh {key} has other contents than when it was stored")
     return Mesh(vertices, faces, MeshCollision(collision))
 
 
-def _digest_arrays(*arrays: np.ndarray) -> str:
+def digest_arrays(*arrays: np.ndarray) -> str:
+    """A key that changes with the arrays' types, shapes and contents."""
     digest = hashlib.sha256()
     for array in arrays:
         digest.update(f"{array.dtype.str}{array.shape}".encode())

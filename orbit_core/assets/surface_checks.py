@@ -57,7 +57,7 @@ def check_hulls(shapes: Iterable[Shape], where: str) -> None:
     """
     for index, shape in enumerate(shapes):
         mesh = shape.geometry
-        if isinstance(mesh, Mesh) and mesh.collision is MeshCollision.CONVEX_HULL and _extents(mesh) < 3:
+        if isinstance(mesh, Mesh) and mesh.collision is not MeshCollision.TRIANGLES and _extents(mesh) < 3:
             raise ArgumentError(
                 f"{where}[{repr(shape.name) if shape.name else index}].geometry lies in a plane, so that its convex "
                 "hull has no volume: give it thickness, or make it a thin box"

@@ -38,8 +38,9 @@ class ConvertSettings(ReadSettings):
     """Of a mesh, in kg/m^3; 500 if left out."""
     mass: float | None = None
     """Of a mesh, in kg; wins over the density."""
-    collision: Literal["hull", "triangles"] | None = None
-    """How a mesh collides: as its convex hull, which is what happens if this is left out, or as its own triangles."""
+    collision: Literal["hull", "pieces", "triangles"] | None = None
+    """How a mesh collides: as its convex hull, which is what happens if this is left out, as several convex pieces, or as
+    its own triangles."""
     scale: float | None = None
     """Metres of a mesh file's unit."""
     up: Literal["y", "z"] | None = None
@@ -80,8 +81,7 @@ def _read_mesh(settings: ConvertSettings, given: set[str]) -> Articulation:
 
     values = {name: getattr(settings, name) for name in given}
     if settings.collision is not None:
-        triangles = settings.collision == "triangles"
-        values["collision"] = MeshCollision.TRIANGLES if triangles else MeshCollision.CONVEX_HULL
+        values["collision"] = _COLLISIONS[settings.collision]
     return mesh_articulation(settings.source, MeshBody(**values), options=settings.options())
 
 

@@ -139,7 +139,7 @@ def _entity_needs(entity: Entity) -> Iterator[tuple[Capability, str]]:
 
 def _shape_needs(shape: Shape, culprit: str, moving: bool) -> Iterator[tuple[Capability, str]]:
     match shape.geometry:
-        case Mesh(collision=MeshCollision.CONVEX_HULL):
+        case Mesh(collision=MeshCollision.CONVEX_HULL | MeshCollision.CONVEX_DECOMPOSITION):
             yield Capability.CONVEX_MESHES, culprit
         case Mesh():
             yield (Capability.DYNAMIC_TRIANGLE_MESHES if moving else Capability.TRIANGLE_MESHES), culprit

@@ -51,6 +51,8 @@ class MeshCollision(Enum):
     """How a mesh collides; a visual mesh ignores it."""
 
     CONVEX_HULL = "convex_hull"
+    CONVEX_DECOMPOSITION = "convex_decomposition"
+    """Several convex pieces, into which the world splits it before an engine sees it."""
     TRIANGLES = "triangles"
     """The surface itself, as it is. Most engines take this for static shapes only."""
 

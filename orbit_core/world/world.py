@@ -13,6 +13,7 @@ from torch import Tensor
 from orbit_core.actuators import Actuators
 from orbit_core.actuators.stability import check_drives
 from orbit_core.assets.deformable_checks import check_attachments
+from orbit_core.assets.decomposition import decomposed_entity, decomposed_shapes
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.scene_data import check_data
 from orbit_core.assets.validation import validate_entity
@@ -386,12 +387,10 @@ def _prepared(scene: Scene) -> Scene:
         scene,
         robots=tuple(_prepared_entity(entity) for entity in scene.robots),
         objects=tuple(_prepared_entity(entity) for entity in scene.objects),
+        terrain=decomposed_shapes(scene.terrain, "the terrain"),
     )
 
 
 def _prepared_entity(entity: _EntityType) -> _EntityType:
     validate_entity(entity)
-    articulation = entity.articulation
-    if any(not joint.movable for joint in articulation.joints):
-        articulation = merge_fixed_links(articulation)
-    return replace(entity, articulation=articulation)
+    return decomposed_entity(replace(entity, articulation=merge_fixed_links(entity.articulation)))

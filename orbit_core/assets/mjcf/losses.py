@@ -40,7 +40,7 @@ def _has(link: Link, kind: type) -> bool:
 
 
 def _by_triangles(shape: Shape) -> bool:
-    return isinstance(shape.geometry, Mesh) and shape.geometry.collision is MeshCollision.TRIANGLES
+    return isinstance(shape.geometry, Mesh) and shape.geometry.collision is not MeshCollision.CONVEX_HULL
 
 
 def _bounces(shape: Shape) -> bool:

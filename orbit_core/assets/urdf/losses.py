@@ -59,7 +59,7 @@ def _has(link: Link, *kinds: type) -> bool:
 
 def _collides_by_triangles(link: Link) -> bool:
     meshes = (shape.geometry for shape in link.collisions if isinstance(shape.geometry, Mesh))
-    return any(mesh.collision is MeshCollision.TRIANGLES for mesh in meshes)
+    return any(mesh.collision is not MeshCollision.CONVEX_HULL for mesh in meshes)
 
 
 def _has_material(link: Link) -> bool:

@@ -97,6 +97,14 @@ class Placements:
         return matrix
 
 
+COLLISIONS = {
+    "none": MeshCollision.TRIANGLES,
+    "convexHull": MeshCollision.CONVEX_HULL,
+    "convexDecomposition": MeshCollision.CONVEX_DECOMPOSITION,
+}
+"""By USD's name of a collision approximation."""
+
+
 class Shapes:
     """Reads the geometry of one stage."""
 
@@ -147,9 +155,9 @@ class Shapes:
 
     def _collision(self, prim: Any) -> MeshCollision:
         approximation = attribute(prim, "physics:approximation")
-        if approximation == "none":
-            return MeshCollision.TRIANGLES
-        if approximation not in (None, "convexHull"):
+        if approximation in COLLISIONS:
+            return COLLISIONS[approximation]
+        if approximation is not None:
             self._reading.note(
                 f"{prim.GetPath()} asks for the collision approximation '{approximation}'; it has its convex hull"
             )

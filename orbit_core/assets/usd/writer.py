@@ -151,8 +151,8 @@ class _Writer:
     def _make_collider(self, prim: Any, shape: Shape) -> None:
         pxr().UsdPhysics.CollisionAPI.Apply(prim)
         if isinstance(shape.geometry, Mesh):
-            triangles = shape.geometry.collision is MeshCollision.TRIANGLES
-            assign(prim, "PhysicsMeshCollisionAPI", {"physics:approximation": "none" if triangles else "convexHull"})
+            approximation = _APPROXIMATIONS[shape.geometry.collision]
+            assign(prim, "PhysicsMeshCollisionAPI", {"physics:approximation": approximation})
         material = pxr().UsdShade.Material(self._material(shape.material))
         pxr().UsdShade.MaterialBindingAPI.Apply(prim).Bind(
             material, pxr().UsdShade.Tokens.weakerThanDescendants, "physics"
