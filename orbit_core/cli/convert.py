@@ -17,6 +17,11 @@ from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.scene import Articulation, MeshCollision
 
 _MESHES = (".obj", ".stl", ".glb", ".gltf", ".dae", ".ply", ".off")
+_COLLISIONS = {
+    "hull": MeshCollision.CONVEX_HULL,
+    "pieces": MeshCollision.CONVEX_DECOMPOSITION,
+    "triangles": MeshCollision.TRIANGLES,
+}
 _MESH_OPTIONS = ("friction", "restitution", "density", "mass", "collision", "scale", "up")
 
 
@@ -39,8 +44,8 @@ class ConvertSettings(ReadSettings):
     mass: float | None = None
     """Of a mesh, in kg; wins over the density."""
     collision: Literal["hull", "pieces", "triangles"] | None = None
-    """How a mesh collides: as its convex hull, which is what happens if this is left out, as several convex pieces, or as
-    its own triangles."""
+    """How a mesh collides: as its convex hull, which is what happens if this is left out, as several convex pieces, or
+    as its own triangles."""
     scale: float | None = None
     """Metres of a mesh file's unit."""
     up: Literal["y", "z"] | None = None

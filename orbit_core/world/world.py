@@ -12,8 +12,8 @@ from torch import Tensor
 
 from orbit_core.actuators import Actuators
 from orbit_core.actuators.stability import check_drives
-from orbit_core.assets.deformable_checks import check_attachments
 from orbit_core.assets.decomposition import decomposed_entity, decomposed_shapes
+from orbit_core.assets.deformable_checks import check_attachments
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.scene_data import check_data
 from orbit_core.assets.validation import validate_entity

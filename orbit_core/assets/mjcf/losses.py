@@ -11,7 +11,10 @@ from orbit_core.scene import Articulation, HeightField, JointType, Link, Mesh, M
 _OF_JOINTS: JointTraits = (("velocity limits", lambda joint: joint.movable and math.isfinite(joint.velocity_limit)),)
 _OF_LINKS: LinkTraits = (
     ("height fields without a file", lambda link: _has(link, HeightField)),
-    ("collision with a mesh's own triangles", lambda link: any(_by_triangles(shape) for shape in link.collisions)),
+    (
+        "collision with a mesh's own triangles or convex pieces",
+        lambda link: any(_not_by_hull(shape) for shape in link.collisions),
+    ),
     ("restitution and compliance", lambda link: any(_bounces(shape) for shape in link.collisions)),
     ("friction that differs at rest and sliding", lambda link: any(_two_frictions(shape) for shape in link.collisions)),
     ("semantic labels", lambda link: link.semantic_label),
@@ -39,7 +42,7 @@ def _has(link: Link, kind: type) -> bool:
     return any(isinstance(shape.geometry, kind) for shape in (*link.collisions, *link.visuals))
 
 
-def _by_triangles(shape: Shape) -> bool:
+def _not_by_hull(shape: Shape) -> bool:
     return isinstance(shape.geometry, Mesh) and shape.geometry.collision is not MeshCollision.CONVEX_HULL
 
 

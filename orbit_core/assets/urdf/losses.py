@@ -24,7 +24,7 @@ _OF_JOINTS: JointTraits = (
 )
 _OF_LINKS: LinkTraits = (
     ("planes and height fields", lambda link: _has(link, Plane, HeightField)),
-    ("collision with a mesh's own triangles", lambda link: _collides_by_triangles(link)),
+    ("collision with a mesh's own triangles or convex pieces", lambda link: _collides_otherwise_than_by_hulls(link)),
     ("friction, restitution and compliance", lambda link: _has_material(link)),
     ("semantic labels", lambda link: link.semantic_label),
 )
@@ -57,7 +57,7 @@ def _has(link: Link, *kinds: type) -> bool:
     return any(isinstance(shape.geometry, kinds) for shape in (*link.collisions, *link.visuals))
 
 
-def _collides_by_triangles(link: Link) -> bool:
+def _collides_otherwise_than_by_hulls(link: Link) -> bool:
     meshes = (shape.geometry for shape in link.collisions if isinstance(shape.geometry, Mesh))
     return any(mesh.collision is not MeshCollision.CONVEX_HULL for mesh in meshes)
 

@@ -97,7 +97,7 @@ class Placements:
         return matrix
 
 
-COLLISIONS = {
+APPROXIMATIONS = {
     "none": MeshCollision.TRIANGLES,
     "convexHull": MeshCollision.CONVEX_HULL,
     "convexDecomposition": MeshCollision.CONVEX_DECOMPOSITION,
@@ -155,8 +155,8 @@ class Shapes:
 
     def _collision(self, prim: Any) -> MeshCollision:
         approximation = attribute(prim, "physics:approximation")
-        if approximation in COLLISIONS:
-            return COLLISIONS[approximation]
+        if approximation in APPROXIMATIONS:
+            return APPROXIMATIONS[approximation]
         if approximation is not None:
             self._reading.note(
                 f"{prim.GetPath()} asks for the collision approximation '{approximation}'; it has its convex hull"

@@ -15,7 +15,7 @@ import numpy as np
 
 from orbit_core.assets.inertia import principal_axes
 from orbit_core.assets.usd.contents import FRAME, MASSLESS
-from orbit_core.assets.usd.geometry import UNNAMED
+from orbit_core.assets.usd.geometry import APPROXIMATIONS, UNNAMED
 from orbit_core.assets.usd.joint_writer import JointWriter
 from orbit_core.assets.usd.library import pxr
 from orbit_core.assets.usd.prims import assign, assign_custom, define, place, quatf
@@ -29,7 +29,6 @@ from orbit_core.scene import (
     JointType,
     Link,
     Mesh,
-    MeshCollision,
     PhysicsMaterial,
     Plane,
     Pose,
@@ -151,7 +150,7 @@ class _Writer:
     def _make_collider(self, prim: Any, shape: Shape) -> None:
         pxr().UsdPhysics.CollisionAPI.Apply(prim)
         if isinstance(shape.geometry, Mesh):
-            approximation = _APPROXIMATIONS[shape.geometry.collision]
+            (approximation,) = (name for name, kind in APPROXIMATIONS.items() if kind is shape.geometry.collision)
             assign(prim, "PhysicsMeshCollisionAPI", {"physics:approximation": approximation})
         material = pxr().UsdShade.Material(self._material(shape.material))
         pxr().UsdShade.MaterialBindingAPI.Apply(prim).Bind(
