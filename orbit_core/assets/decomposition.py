@@ -21,8 +21,8 @@ from orbit_core.scene import Articulation, Entity, Mesh, MeshCollision, ObjectSp
 
 _EntityType = TypeVar("_EntityType", bound=Entity)
 _Pieces = list[tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]]
-_FLAT = 1e-9
-"""A hull whose volume is less than this share of its box's diagonal cubed has none."""
+_FLAT = 1e-6
+"""Points whose least spread is less than this share of their greatest lie in a plane."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +121,8 @@ def _split(
             "or have it collide as its hull"
         ) from error
     coacd.set_log_level("error")
+    if not _has_volume(vertices):
+        raise _failed(where, "it lies in a plane")
     most = settings.max_pieces or -1
     try:
         with Console(stderr=True).status(f"splitting {where} into convex pieces ({len(faces)} triangles)"):
@@ -128,7 +130,7 @@ def _split(
     except (RuntimeError, ValueError) as error:
         raise _failed(where, str(error)) from error
     pieces = [(np.asarray(points, np.float64), np.asarray(sides, np.int64)) for points, sides in found]
-    solid = [piece for piece in pieces if _has_volume(*piece)]
+    solid = [piece for piece in pieces if _has_volume(piece[0])]
     if not solid:
         raise _failed(where, "no piece has a volume")
     return solid
@@ -141,12 +143,9 @@ def _failed(where: str, reason: str) -> AssetError:
     )
 
 
-def _has_volume(vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> bool:
-    if len(vertices) < 4:
-        return False
-    a, b, c = (vertices[faces] - vertices.mean(0)).swapaxes(0, 1)
-    volume = abs(float(np.einsum("fi,fi->", a, np.cross(b, c)))) / 6.0
-    return volume > _FLAT * float(np.linalg.norm(np.ptp(vertices, axis=0))) ** 3
+def _has_volume(vertices: npt.NDArray[np.float64]) -> bool:
+    spreads = np.linalg.svd(vertices - vertices.mean(0), compute_uv=False)
+    return len(vertices) > 3 and bool(spreads[2] > _FLAT * spreads[0])
 
 
 def _stored(path: Path) -> _Pieces | None:

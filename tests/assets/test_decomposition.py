@@ -60,7 +60,7 @@ def test_a_split_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_split_that_fails_names_the_mesh_and_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     flat = Mesh(np.eye(3), np.array([[0, 1, 2]]))
-    with pytest.raises(AssetError, match=r"lid\.obj could not be split .*no piece has a volume.*close its surface"):
+    with pytest.raises(AssetError, match=r"lid\.obj could not be split .*it lies in a plane.*close its surface"):
         convex_pieces(flat, where="lid.obj")
     with pytest.raises(AssetError, match=r"concavity of 0\.01 to 1"):
         convex_pieces(RING, ConvexDecomposition(concavity=0.0))
@@ -85,10 +85,10 @@ def test_a_ball_falls_through_a_ring_of_pieces_and_rests_on_its_hull(backend: st
         link = Link("ball", 0.1, (0.0, 0.0, 0.0), inertia, (Shape(Sphere(0.02)),))
         ball = ObjectSpec(name="ball", articulation=Articulation("ball", (link,)), pose=Pose((0.0, 0.0, 0.56)))
         world = simulate(Scene(objects=(ring, ball)), num_envs=1, backend=backend)
-        world.step(80)  # 0.4 s, in which a free ball falls 0.78 m
+        world.step(80)  # 0.4 s: to the ground through the hole
         heights[collision] = float(world.objects["ball"].root_pose[0, 2])
         world.close()
-    assert heights[MeshCollision.CONVEX_DECOMPOSITION] < 0.0
+    assert heights[MeshCollision.CONVEX_DECOMPOSITION] < 0.1
     assert heights[MeshCollision.CONVEX_HULL] == pytest.approx(0.54, abs=0.002)
 
 

@@ -13,7 +13,7 @@ _OF_LINKS: LinkTraits = (
     ("height fields without a file", lambda link: _has(link, HeightField)),
     (
         "collision with a mesh's own triangles or convex pieces",
-        lambda link: any(_not_by_hull(shape) for shape in link.collisions),
+        lambda link: _collides_otherwise_than_by_hulls(link),
     ),
     ("restitution and compliance", lambda link: any(_bounces(shape) for shape in link.collisions)),
     ("friction that differs at rest and sliding", lambda link: any(_two_frictions(shape) for shape in link.collisions)),
@@ -42,8 +42,9 @@ def _has(link: Link, kind: type) -> bool:
     return any(isinstance(shape.geometry, kind) for shape in (*link.collisions, *link.visuals))
 
 
-def _not_by_hull(shape: Shape) -> bool:
-    return isinstance(shape.geometry, Mesh) and shape.geometry.collision is not MeshCollision.CONVEX_HULL
+def _collides_otherwise_than_by_hulls(link: Link) -> bool:
+    meshes = (shape.geometry for shape in link.collisions if isinstance(shape.geometry, Mesh))
+    return any(mesh.collision is not MeshCollision.CONVEX_HULL for mesh in meshes)
 
 
 def _bounces(shape: Shape) -> bool:
