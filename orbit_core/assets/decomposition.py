@@ -126,7 +126,9 @@ def _split(
     most = settings.max_pieces or -1
     try:
         with Console(stderr=True).status(f"splitting {where} into convex pieces ({len(faces)} triangles)"):
-            found = coacd.run_coacd(coacd.Mesh(vertices, faces), threshold=settings.concavity, max_convex_hull=most)
+            found = coacd.run_coacd(
+                coacd.Mesh(vertices, faces.astype(np.int32)), threshold=settings.concavity, max_convex_hull=most
+            )
     except (RuntimeError, ValueError) as error:
         raise _failed(where, str(error)) from error
     pieces = [(np.asarray(points, np.float64), np.asarray(sides, np.int64)) for points, sides in found]
