@@ -16,6 +16,9 @@ def register(registry: TaskRegistry) -> None:
     registry.add("Stack-Pyramid", "Build two pyramids of coloured blocks", "orbit_tasks.stack_pyramid:StackPyramid")
     registry.add("Hockey", "Hit a puck with a stick into the net", "orbit_tasks.hockey:Hockey")
     registry.add("Peg-In-Hole", "Put blocks into the holes that match them", "orbit_tasks.peg_in_hole:PegInHole")
+    registry.add(
+        "Beat-The-Buzz", "Lead a ring along a bent rod without a touch", "orbit_tasks.beat_the_buzz:BeatTheBuzz"
+    )
     registry.add("Cabinet", "Open a drawer by its handle to a given position", "orbit_tasks.cabinet:Cabinet")
     registry.add(
         "Handover",

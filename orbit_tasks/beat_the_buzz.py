@@ -1,0 +1,319 @@
+"""Beat-The-Buzz: lead a ring along a bent rod without touching it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+from torch.linalg import vecdot, vector_norm
+
+from orbit_core.assets.compose import attach
+from orbit_core.assets.rods import Course, bent_rod, ring_on_handle, spline
+from orbit_core.audit.robots.postures import gripper_posture
+from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.transforms import (
+    pose_inverse,
+    pose_multiply,
+    quat_from_matrix,
+    quat_rotate,
+    quat_rotate_inverse,
+    transform_points,
+)
+from orbit_core.envs import (
+    EventTerm,
+    EventTime,
+    Expert,
+    ObservationGroup,
+    ObservationTerm,
+    Phase,
+    RewardTerm,
+    Task,
+)
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.terms import once_per_state
+from orbit_core.interfaces import ConfigurationError, World
+from orbit_core.mdp import common, randomize
+from orbit_core.motion.full_ik import FullIk
+from orbit_core.scene import ContactSensorSpec, Pose, RobotSpec, Scene, look_at
+from orbit_core.sensors import ContactSensor
+
+ROD, RING, TOUCH = "rod", "ring", "touch"
+HEIGHT = 0.2
+"""Metres of the rod's ends above the table."""
+THICKNESS, BAR = 0.006, 0.004
+"""Metres, radius of the rod and of the ring's bars."""
+REACH, RADIUS = 0.14, 0.035
+"""Metres from the hand to the ring's middle, and from there to the middle of its bars."""
+SPACING, EVERY, MARGIN = 0.005, 4, 0.05
+"""Metres between the course's points; points to a capsule of the rod; metres of the rod at either end left out."""
+AHEAD = 0.03
+"""Metres ahead of where the ring is that a reward and the expert look to."""
+LEAST_FORCE = 1e-3
+"""Newtons, that count as a touch."""
+BENDS: Mapping[str, Sequence[tuple[float, float]]] = {
+    "easy": ((0.0, 0.0), (0.0, 0.03), (0.0, 0.0), (0.0, -0.03), (0.0, 0.0)),
+    "medium": ((0.0, 0.0), (0.03, 0.04), (0.0, 0.0), (-0.03, -0.04), (0.0, 0.0)),
+    "hard": ((0.0, 0.0), (0.03, 0.04), (-0.03, 0.0), (0.03, -0.04), (-0.03, 0.0), (0.03, 0.04), (0.0, 0.0)),
+}
+"""Metres forward and up of corners that the rod is bent through, on even steps along 0.4 m from left to right."""
+
+
+def course_of(difficulty: str) -> Course:
+    """The whole rod's course about its middle.
+
+    Raises:
+        ConfigurationError: there is no such difficulty.
+    """
+    if difficulty not in BENDS:
+        raise ConfigurationError(f"no rod is '{difficulty}': choose one of {', '.join(BENDS)} as its difficulty")
+    bends = BENDS[difficulty]
+    step = 0.4 / (len(bends) - 1)
+    return spline([(x, 0.2 - step * index, z) for index, (x, z) in enumerate(bends)], SPACING)
+
+
+def ring_at(point: Tensor, tangent: Tensor) -> Tensor:
+    """(N, 7) the ring around the rod at ``point`` (N, 3), across ``tangent`` (N, 3), its handle as upright as can be."""
+    down = torch.zeros_like(tangent)
+    down[:, 2] = -1.0
+    z = down - vecdot(down, tangent)[:, None] * tangent
+    z = z / vector_norm(z, dim=1, keepdim=True)
+    matrix = torch.stack((torch.linalg.cross(tangent, z), tangent, z), dim=2)
+    return torch.cat((point, quat_from_matrix(matrix)), dim=1)
+
+
+def ahead(world: World, task: BeatTheBuzz, way: float = AHEAD) -> Tensor:
+    """(N, 7) of the ring ``way`` metres ahead of where it has come to on the rod, at most at its end."""
+    index = ((task.covered + way) / task.spacing).round().long().clamp(max=len(task.points) - 1)
+    local = ring_at(task.points[index], task.tangents[index])
+    return pose_multiply(world.objects[ROD].root_pose, local)
+
+
+def at_rod(world: World, task: BeatTheBuzz) -> Tensor:
+    """(N, 7) of the ring where it should be now."""
+    return ahead(world, task, 0.0)
+
+
+@once_per_state
+def offset(world: World, task: BeatTheBuzz) -> Tensor:
+    """(N, 3) in the ring's axes: from its middle to the rod's middle line, where it has come to."""
+    ring = common.hand_pose(world, task)
+    return quat_rotate_inverse(ring[:, 3:], at_rod(world, task)[:, :3] - ring[:, :3])
+
+
+@once_per_state
+def way_ahead(world: World, task: BeatTheBuzz) -> Tensor:
+    """(N, 6) in the ring's axes: from its middle to where it should come next, and the rod's direction there."""
+    ring, target = common.hand_pose(world, task), ahead(world, task)
+    tangent = quat_rotate(target[:, 3:], torch.eye(3, device=world.device)[1].expand(world.num_envs, 3))
+    parts = (target[:, :3] - ring[:, :3], tangent)
+    return torch.cat([quat_rotate_inverse(ring[:, 3:], part) for part in parts], dim=1)
+
+
+def covered(world: World, task: BeatTheBuzz) -> Tensor:
+    """(N, 1) metres of the rod covered."""
+    return task.covered[:, None]
+
+
+def centred(world: World, task: BeatTheBuzz) -> Tensor:
+    """(N,) in [0, 1]: how near the rod is to the ring's middle, and the ring to standing across it."""
+    return common.nearness(vector_norm(offset(world, task), dim=1), 0.02) * way_ahead(world, task)[:, 4].clamp_min(0.0)
+
+
+@once_per_state
+def touching(world: World, task: BeatTheBuzz) -> Tensor:
+    """(N,) bool: the ring touched the rod in this step."""
+    sensor = world.sensors[TOUCH]
+    assert isinstance(sensor, ContactSensor)
+    return (vector_norm(sensor.filtered_forces, dim=-1) > LEAST_FORCE).flatten(1).any(1)
+
+
+def place_rod(world: World, task: BeatTheBuzz, env_ids: Tensor) -> None:
+    """Up to 8 mm off its place, each way: the ring stays around it."""
+    offsets = world.random.uniform((3,), -0.008, 0.008, env_ids)
+    pose = torch.tensor((*task.place, 1.0, 0.0, 0.0, 0.0), device=world.device).repeat(len(env_ids), 1)
+    pose[:, :3] += offsets
+    world.objects[ROD].set_root_pose(pose, env_ids)
+    task.covered[env_ids] = 0.0
+    task.gained[env_ids] = 0.0
+    task.touches[env_ids] = 0.0
+    task.touched[env_ids] = False
+
+
+@dataclass
+class BuzzState(ObservationGroup):
+    """The arm's joints and the ring, the rod through it and ahead of it, what is covered, touch, the last action."""
+
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    ring_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    offset: ObservationTerm | None = ObservationTerm(offset, unit="m")
+    way_ahead: ObservationTerm | None = ObservationTerm(way_ahead, unit="m")
+    covered: ObservationTerm | None = ObservationTerm(covered, unit="m")
+    touching: ObservationTerm | None = ObservationTerm(
+        lambda world, task: touching(world, task).float()[:, None], unit="1"
+    )
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class BuzzObservations:
+    """Policy and critic see the state."""
+
+    policy: BuzzState = field(default_factory=BuzzState)
+    critic: ObservationGroup | None = None
+
+
+@dataclass
+class BuzzRewards:
+    """Rewards of the ring about the middle of the rod and on its way along it, less touches and what is abrupt."""
+
+    centre: RewardTerm | None = RewardTerm(centred, 1.0)
+    advance: RewardTerm | None = RewardTerm(lambda world, task: task.gained, 20.0)
+    done: RewardTerm | None = RewardTerm(lambda world, task: task.finished().float(), 8.0)
+    touch: RewardTerm | None = RewardTerm(lambda world, task: touching(world, task).float(), -4.0)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
+    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
+
+
+@dataclass
+class BuzzTerminations:
+    """Only the time limit ends an episode."""
+
+
+@dataclass
+class BuzzEvents:
+    """Robot and rod are placed anew for each episode; the arm's gains with domain randomisation."""
+
+    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.005))
+    place_rod: EventTerm | None = EventTerm(place_rod)
+    gains: EventTerm | None = None
+
+
+@dataclass(kw_only=True)
+class BeatTheBuzz(Task):
+    """The hand holds a ring for good, which is around one end of a bent rod, and leads it to the other.
+
+    Succeeds when the whole rod is covered and the ring has not touched it in the episode. Metric: metres of the rod
+    covered, less ``penalty`` for each touch.
+    """
+
+    robot: str = "franka_panda"
+    action: str = "joint_position"
+    episode_length: float = 10.0
+    ppo: PpoSettings = PpoSettings(iterations=800, initial_std=0.3, entropy_weight=0.005)
+    view: Pose = look_at(eye=(1.35, 0.5, 0.6), target=(0.5, 0.0, 0.25))
+    difficulty: str = "easy"
+    """How the rod is bent: easy (up and down), medium (forward and back as well) or hard (in shorter bends)."""
+    penalty: float = 0.05
+    """Metres, taken from the metric for each touch."""
+    observations: BuzzObservations = field(default_factory=BuzzObservations)
+    rewards: BuzzRewards = field(default_factory=BuzzRewards)
+    terminations: BuzzTerminations = field(default_factory=BuzzTerminations)
+    events: BuzzEvents = field(default_factory=BuzzEvents)
+    place: tuple[float, float, float] = field(init=False, default=(0.0, 0.0, 0.0))
+    """Metres, of the rod's middle where it is not moved."""
+    points: Tensor = field(init=False)
+    """(K, 3) of the rod's part that is to be covered, in the rod's frame."""
+    tangents: Tensor = field(init=False)
+    """(K, 3)"""
+    spacing: float = field(init=False, default=SPACING)
+    """Metres along the rod from a point to the next."""
+    covered: Tensor = field(init=False)
+    """(N,) metres of it."""
+    gained: Tensor = field(init=False)
+    """(N,) m/s, at which it was covered in this step."""
+    touches: Tensor = field(init=False)
+    """(N,) how often the ring has come to touch the rod."""
+    touched: Tensor = field(init=False)
+    """(N,) bool: it did in the step before."""
+
+    def scene(self) -> Scene:
+        robot = _with_ring(common.arm(self.robot, gripper=False))
+        box = robot.end_effector.workspace.placed(robot.pose)
+        course = course_of(self.difficulty)
+        self.place = (0.5 * (box.low[0] + box.high[0]), 0.5 * (box.low[1] + box.high[1]), HEIGHT)
+        return Scene(
+            robots=(_starting(robot, course.part(MARGIN), self.place),),
+            objects=(bent_rod(ROD, course, THICKNESS, EVERY, Pose(self.place)), common.work_bench()),
+            sensors=(ContactSensorSpec(name=TOUCH, entity=common.ROBOT, links=(RING,), filters=(ROD,)),),
+            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            physics_dt=self.physics_dt,
+        )
+
+    def start(self, world: World) -> None:
+        super().start(world)
+        course = course_of(self.difficulty).part(MARGIN)
+        self.points, self.tangents = (
+            torch.tensor(values, dtype=torch.float32, device=world.device)
+            for values in (course.points, course.tangents)
+        )
+        self.spacing = course.spacing
+        self.covered, self.gained, self.touches = (torch.zeros(world.num_envs, device=world.device) for _ in range(3))
+        self.touched = torch.zeros(world.num_envs, dtype=torch.bool, device=world.device)
+
+    def advance(self, world: World) -> None:
+        now = touching(world, self)
+        self.touches += (now & ~self.touched).float()
+        self.touched.copy_(now)
+        ring = transform_points(pose_inverse(world.objects[ROD].root_pose), common.hand_pose(world, self)[:, None, :3])
+        places = torch.arange(len(self.points), device=world.device) * self.spacing
+        # Only near where it has been: elsewhere the rod may come as near to the ring, which is not around it there.
+        far = (places - self.covered[:, None]).abs() > 0.05
+        nearest = vector_norm(ring - self.points, dim=2).masked_fill(far, torch.inf).argmin(1)
+        covered = torch.maximum(self.covered, places[nearest])
+        self.gained.copy_((covered - self.covered) / (self.physics_dt * self.decimation))
+        self.covered.copy_(covered)
+
+    def finished(self) -> Tensor:
+        """(N,) bool: the whole rod is covered, to a centimetre."""
+        return self.covered > (len(self.points) - 1) * self.spacing - 0.01
+
+    def randomize(self) -> None:
+        """The arm's gains, and noise on joints and on where the rod is."""
+        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
+        noise = {"joint_positions": 0.005, "joint_velocities": 0.05, "offset": 0.001, "way_ahead": 0.001}
+        common.add_noise(self.observations.policy, **noise)
+
+    def success(self, world: World) -> Tensor:
+        return self.finished() & (self.touches == 0.0)
+
+    def metrics(self, world: World) -> dict[str, Tensor]:
+        return {"covered_m": self.covered - self.penalty * self.touches, "touches": self.touches}
+
+    def expert(self, world: World) -> Expert:
+        return Expert(world, self, (Phase(ahead),), position_lead=0.05)
+
+
+def _with_ring(robot: RobotSpec) -> RobotSpec:
+    """The robot with a ring fixed in its hand, whose middle is what it moves; a gripper stays closed around the handle."""
+    effector = robot.end_effector
+    body = attach(robot.articulation, ring_on_handle(RING, RADIUS, BAR, REACH), effector.frame)
+    gripper = effector.gripper
+    home = gripper_posture(robot, gripper, gripper.closed_position) if gripper else robot.home
+    own = replace(effector, frame=f"{RING}_middle", gripper=None, finger_tips=())
+    return replace(robot, articulation=body, home=home, end_effectors=(own, *robot.end_effectors[1:]))
+
+
+def _starting(robot: RobotSpec, course: Course, place: tuple[float, float, float]) -> RobotSpec:
+    """The robot at home with its ring around the beginning of a course at ``place``.
+
+    Raises:
+        ConfigurationError: it cannot reach there.
+    """
+    tree = KinematicTree(robot.articulation)
+    names = robot.articulation.joint_names
+    home = torch.tensor([[robot.home.get(name, 0.0) for name in names]])
+    limits = torch.tensor([(joint.lower_limit, joint.upper_limit) for joint in robot.articulation.movable_joints])
+    joints = [names.index(name) for name in robot.end_effector.arm_joints]
+    first, tangent = (torch.tensor(values[:1], dtype=torch.float32) for values in (course.points, course.tangents))
+    root = torch.tensor([(*robot.pose.position, *robot.pose.orientation)])
+    target = pose_multiply(pose_inverse(root), ring_at(first + torch.tensor(place), tangent))
+    solution = FullIk(tree, robot.end_effector.frame, joints, limits, home[0]).solve(target, home)
+    if not solution.converged.item():
+        raise ConfigurationError(
+            f"robot '{robot.articulation.name}' cannot bring a ring to the rod: choose another robot"
+        )
+    home[:, joints] = solution.positions
+    return replace(robot, home=dict(zip(names, home[0].tolist(), strict=True)))
