@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 from torch.linalg import vecdot, vector_norm
 
-from orbit_core.assets.compose import attach
 from orbit_core.assets.rods import Course, bent_rod, ring_on_handle, spline
-from orbit_core.audit.robots.postures import gripper_posture
-from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import (
     pose_inverse,
     pose_multiply,
@@ -34,9 +31,8 @@ from orbit_core.envs import (
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common, randomize
-from orbit_core.motion.full_ik import FullIk
-from orbit_core.scene import ContactSensorSpec, Pose, RobotSpec, Scene, look_at
+from orbit_core.mdp import common, held, randomize
+from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
 from orbit_core.sensors import ContactSensor
 
 ROD, RING, TOUCH = "rod", "ring", "touch"
@@ -74,7 +70,7 @@ def course_of(difficulty: str) -> Course:
 
 
 def ring_at(point: Tensor, tangent: Tensor) -> Tensor:
-    """(N, 7) the ring around the rod at ``point`` (N, 3), across ``tangent`` (N, 3), its handle as upright as can be."""
+    """(N, 7) the ring around the rod at ``point`` (N, 3), across ``tangent`` (N, 3), the handle upright."""
     down = torch.zeros_like(tangent)
     down[:, 2] = -1.0
     z = down - vecdot(down, tangent)[:, None] * tangent
@@ -230,12 +226,16 @@ class BeatTheBuzz(Task):
     """(N,) bool: it did in the step before."""
 
     def scene(self) -> Scene:
-        robot = _with_ring(common.arm(self.robot, gripper=False))
+        ring = ring_on_handle(RING, RADIUS, BAR, REACH)
+        robot = held.with_tool(common.arm(self.robot, gripper=False), ring, f"{RING}_middle")
         box = robot.end_effector.workspace.placed(robot.pose)
         course = course_of(self.difficulty)
         self.place = (0.5 * (box.low[0] + box.high[0]), 0.5 * (box.low[1] + box.high[1]), HEIGHT)
+        part = course.part(MARGIN)
+        first, tangent = (torch.tensor(values[:1], dtype=torch.float32) for values in (part.points, part.tangents))
+        start = ring_at(first + torch.tensor(self.place), tangent)
         return Scene(
-            robots=(_starting(robot, course.part(MARGIN), self.place),),
+            robots=(held.starting_at(robot, start[0]),),
             objects=(bent_rod(ROD, course, THICKNESS, EVERY, Pose(self.place)), common.work_bench()),
             sensors=(ContactSensorSpec(name=TOUCH, entity=common.ROBOT, links=(RING,), filters=(ROD,)),),
             terrain=(common.floor(-common.BENCH_HEIGHT),),
@@ -284,36 +284,3 @@ class BeatTheBuzz(Task):
 
     def expert(self, world: World) -> Expert:
         return Expert(world, self, (Phase(ahead),), position_lead=0.05)
-
-
-def _with_ring(robot: RobotSpec) -> RobotSpec:
-    """The robot with a ring fixed in its hand, whose middle is what it moves; a gripper stays closed around the handle."""
-    effector = robot.end_effector
-    body = attach(robot.articulation, ring_on_handle(RING, RADIUS, BAR, REACH), effector.frame)
-    gripper = effector.gripper
-    home = gripper_posture(robot, gripper, gripper.closed_position) if gripper else robot.home
-    own = replace(effector, frame=f"{RING}_middle", gripper=None, finger_tips=())
-    return replace(robot, articulation=body, home=home, end_effectors=(own, *robot.end_effectors[1:]))
-
-
-def _starting(robot: RobotSpec, course: Course, place: tuple[float, float, float]) -> RobotSpec:
-    """The robot at home with its ring around the beginning of a course at ``place``.
-
-    Raises:
-        ConfigurationError: it cannot reach there.
-    """
-    tree = KinematicTree(robot.articulation)
-    names = robot.articulation.joint_names
-    home = torch.tensor([[robot.home.get(name, 0.0) for name in names]])
-    limits = torch.tensor([(joint.lower_limit, joint.upper_limit) for joint in robot.articulation.movable_joints])
-    joints = [names.index(name) for name in robot.end_effector.arm_joints]
-    first, tangent = (torch.tensor(values[:1], dtype=torch.float32) for values in (course.points, course.tangents))
-    root = torch.tensor([(*robot.pose.position, *robot.pose.orientation)])
-    target = pose_multiply(pose_inverse(root), ring_at(first + torch.tensor(place), tangent))
-    solution = FullIk(tree, robot.end_effector.frame, joints, limits, home[0]).solve(target, home)
-    if not solution.converged.item():
-        raise ConfigurationError(
-            f"robot '{robot.articulation.name}' cannot bring a ring to the rod: choose another robot"
-        )
-    home[:, joints] = solution.positions
-    return replace(robot, home=dict(zip(names, home[0].tolist(), strict=True)))

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 from torch.linalg import vecdot, vector_norm
 
-from orbit_core.assets.compose import add_frames, attach
 from orbit_core.assets.inertia import shapes_mass_properties
 from orbit_core.assets.objects import WOOD, box, cylinder, table
-from orbit_core.audit.robots.postures import gripper_posture
 from orbit_core.envs import (
     EventTerm,
     EventTime,
@@ -27,7 +25,7 @@ from orbit_core.envs import (
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, randomize
+from orbit_core.mdp import common, held, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import (
     Articulation,
@@ -314,17 +312,12 @@ class Hockey(Task):
 
 
 def _with_stick(robot: RobotSpec) -> RobotSpec:
-    """The robot with a stick fixed in its hand, whose blade is what it moves; a gripper stays closed around it."""
-    effector = robot.end_effector
+    """The robot with a stick fixed in its hand, whose blade is what it moves."""
     shaft = Shape(Cylinder(0.006, 0.5 * LENGTH), Pose((0.0, 0.0, 0.5 * LENGTH)), BLADE, WOOD, "shaft")
     blade = Shape(Box(BLADE_HALF), Pose((0.0, 0.0, LENGTH)), BLADE, RED, "blade")
-    stick = Articulation("stick", (_solid("stick", (shaft, blade), 600.0),))
     tip = Frame("blade", "stick", Pose((0.0, 0.0, LENGTH)))
-    body = add_frames(attach(robot.articulation, stick, effector.frame), tip)
-    gripper = effector.gripper
-    home = gripper_posture(robot, gripper, gripper.closed_position) if gripper else robot.home
-    own = replace(effector, frame="blade", gripper=None, finger_tips=())
-    return replace(robot, articulation=body, home=home, end_effectors=(own, *robot.end_effectors[1:]))
+    stick = Articulation("stick", (_solid("stick", (shaft, blade), 600.0),), frames=(tip,))
+    return held.with_tool(robot, stick, "blade")
 
 
 def _net(line: float) -> RobotSpec:

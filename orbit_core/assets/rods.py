@@ -5,6 +5,7 @@ Every engine has capsules as they are, so that a ring touches its rod at the sam
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -68,13 +69,13 @@ def spline(corners: Sequence[Vector3], spacing: float) -> Course:
 
 
 def bent_rod(name: str, course: Course, radius: float, every: int, pose: Pose) -> ObjectSpec:
-    """A fixed rod along a course, a capsule to ``every`` so many points, on two stands that go down to ``pose``'s plane.
+    """A fixed rod along a course, with a capsule to every so many points, on two stands.
 
-    The object's frame is the course's; the stands go down to z = -``pose``'s height.
+    The object's frame is the course's; its stands go down to the plane z = 0 of the frame that ``pose`` is in.
     """
     knots = course.points[np.unique(np.append(np.arange(0, len(course.points), every), len(course.points) - 1))]
     feet = [(*end[:2], -pose.position[2]) for end in (knots[0], knots[-1])]
-    lines = [*zip(knots[:-1], knots[1:], strict=True), (knots[0], feet[0]), (knots[-1], feet[1])]
+    lines = [*itertools.pairwise(knots), (knots[0], feet[0]), (knots[-1], feet[1])]
     shapes = tuple(_line(start, end, radius, _STEEL) for start, end in lines)
     articulation = Articulation(name, (_solid(name, shapes),))
     return ObjectSpec(name=name, articulation=articulation, pose=pose, fixed_base=True, semantic_label="rod")
@@ -100,7 +101,7 @@ def ring_on_handle(name: str, radius: float, thickness: float, reach: float, pie
         )
     angles = 2.0 * math.pi * np.arange(pieces + 1) / pieces
     around = np.stack((radius * np.sin(angles), np.zeros_like(angles), reach - radius * np.cos(angles)), 1)
-    lines = [*zip(around[:-1], around[1:], strict=True), (np.zeros(3), around[0])]
+    lines = [*itertools.pairwise(around), (np.zeros(3), around[0])]
     shapes = tuple(_line(start, end, thickness, _BRASS) for start, end in lines)
     frame = Frame(f"{name}_middle", name, Pose((0.0, 0.0, reach)))
     return Articulation(name, (_solid(name, shapes),), frames=(frame,))
