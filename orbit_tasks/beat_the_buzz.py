@@ -16,7 +16,6 @@ from orbit_core.dynamics.transforms import (
     quat_from_matrix,
     quat_rotate,
     quat_rotate_inverse,
-    transform_points,
 )
 from orbit_core.envs import (
     EventTerm,
@@ -56,15 +55,15 @@ BENDS: Mapping[str, Sequence[tuple[float, float]]] = {
 """Metres forward and up of corners that the rod is bent through, on even steps along 0.4 m from left to right."""
 
 
-def course_of(difficulty: str) -> Course:
+def course_of(rod: str) -> Course:
     """The whole rod's course about its middle.
 
     Raises:
-        ConfigurationError: there is no such difficulty.
+        ConfigurationError: there is no such rod.
     """
-    if difficulty not in BENDS:
-        raise ConfigurationError(f"no rod is '{difficulty}': choose one of {', '.join(BENDS)} as its difficulty")
-    bends = BENDS[difficulty]
+    if rod not in BENDS:
+        raise ConfigurationError(f"no rod is called '{rod}': choose one of {', '.join(BENDS)} as the rod")
+    bends = BENDS[rod]
     step = 0.4 / (len(bends) - 1)
     return spline([(x, 0.2 - step * index, z) for index, (x, z) in enumerate(bends)], SPACING)
 
@@ -197,10 +196,10 @@ class BeatTheBuzz(Task):
 
     robot: str = "franka_panda"
     action: str = "joint_position"
-    episode_length: float = 10.0
+    episode_length: float = 6.0
     ppo: PpoSettings = PpoSettings(iterations=800, initial_std=0.3, entropy_weight=0.005)
     view: Pose = look_at(eye=(1.35, 0.5, 0.6), target=(0.5, 0.0, 0.25))
-    difficulty: str = "easy"
+    rod: str = "easy"
     """How the rod is bent: easy (up and down), medium (forward and back as well) or hard (in shorter bends)."""
     penalty: float = 0.05
     """Metres, taken from the metric for each touch."""
@@ -229,7 +228,7 @@ class BeatTheBuzz(Task):
         ring = ring_on_handle(RING, RADIUS, BAR, REACH)
         robot = held.with_tool(common.arm(self.robot, gripper=False), ring, f"{RING}_middle")
         box = robot.end_effector.workspace.placed(robot.pose)
-        course = course_of(self.difficulty)
+        course = course_of(self.rod)
         self.place = (0.5 * (box.low[0] + box.high[0]), 0.5 * (box.low[1] + box.high[1]), HEIGHT)
         part = course.part(MARGIN)
         first, tangent = (torch.tensor(values[:1], dtype=torch.float32) for values in (part.points, part.tangents))
@@ -237,14 +236,14 @@ class BeatTheBuzz(Task):
         return Scene(
             robots=(held.starting_at(robot, start[0]),),
             objects=(bent_rod(ROD, course, THICKNESS, EVERY, Pose(self.place)), common.work_bench()),
-            sensors=(ContactSensorSpec(name=TOUCH, entity=common.ROBOT, links=(RING,), filters=(ROD,)),),
+            sensors=(ContactSensorSpec(name=TOUCH, entity=ROD, filters=(common.ROBOT,)),),
             terrain=(common.floor(-common.BENCH_HEIGHT),),
             physics_dt=self.physics_dt,
         )
 
     def start(self, world: World) -> None:
         super().start(world)
-        course = course_of(self.difficulty).part(MARGIN)
+        course = course_of(self.rod).part(MARGIN)
         self.points, self.tangents = (
             torch.tensor(values, dtype=torch.float32, device=world.device)
             for values in (course.points, course.tangents)
@@ -257,11 +256,11 @@ class BeatTheBuzz(Task):
         now = touching(world, self)
         self.touches += (now & ~self.touched).float()
         self.touched.copy_(now)
-        ring = transform_points(pose_inverse(world.objects[ROD].root_pose), common.hand_pose(world, self)[:, None, :3])
+        ring = pose_multiply(pose_inverse(world.objects[ROD].root_pose), common.hand_pose(world, self))
         places = torch.arange(len(self.points), device=world.device) * self.spacing
         # Only near where it has been: elsewhere the rod may come as near to the ring, which is not around it there.
         far = (places - self.covered[:, None]).abs() > 0.05
-        nearest = vector_norm(ring - self.points, dim=2).masked_fill(far, torch.inf).argmin(1)
+        nearest = vector_norm(ring[:, None, :3] - self.points, dim=2).masked_fill(far, torch.inf).argmin(1)
         covered = torch.maximum(self.covered, places[nearest])
         self.gained.copy_((covered - self.covered) / (self.physics_dt * self.decimation))
         self.covered.copy_(covered)
