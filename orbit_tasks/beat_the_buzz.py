@@ -50,7 +50,7 @@ LEAST_FORCE = 1e-3
 BENDS: Mapping[str, Sequence[tuple[float, float]]] = {
     "easy": ((0.0, 0.0), (0.0, 0.03), (0.0, 0.0), (0.0, -0.03), (0.0, 0.0)),
     "medium": ((0.0, 0.0), (0.03, 0.04), (0.0, 0.0), (-0.03, -0.04), (0.0, 0.0)),
-    "hard": ((0.0, 0.0), (0.03, 0.04), (-0.03, 0.0), (0.03, -0.04), (-0.03, 0.0), (0.03, 0.04), (0.0, 0.0)),
+    "hard": ((0.0, 0.0), (0.02, 0.03), (-0.02, 0.0), (0.02, -0.03), (-0.02, 0.0), (0.02, 0.03), (0.0, 0.0)),
 }
 """Metres forward and up of corners that the rod is bent through, on even steps along 0.4 m from left to right."""
 
