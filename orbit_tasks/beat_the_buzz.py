@@ -258,7 +258,7 @@ class BeatTheBuzz(Task):
         self.touched.copy_(now)
         ring = pose_multiply(pose_inverse(world.objects[ROD].root_pose), common.hand_pose(world, self))
         places = torch.arange(len(self.points), device=world.device) * self.spacing
-        # Only near where it has been: elsewhere the rod may come as near to the ring, which is not around it there.
+        # Only near where it has come to: elsewhere the rod may come as near to the ring, which is not around it there.
         far = (places - self.covered[:, None]).abs() > 0.05
         nearest = vector_norm(ring[:, None, :3] - self.points, dim=2).masked_fill(far, torch.inf).argmin(1)
         covered = torch.maximum(self.covered, places[nearest])
