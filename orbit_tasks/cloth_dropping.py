@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.assets.deformables import open_box
-from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm
+from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, Retry, RewardTerm
 from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, matter
@@ -97,7 +97,7 @@ class ClothDropping(cloth.ClothTask):
     the gripper does not touch it at the episode's end. Metric: that distance.
     """
 
-    episode_length: float = 8.0
+    episode_length: float = 12.0
     view: Pose = look_at(eye=(1.3, 0.9, 0.75), target=(0.45, 0.12, 0.08))
     particles: int = 25
     """Along each side; no further apart than half a pad's width, or fingers poke through the cloth and stay in it."""
@@ -125,9 +125,16 @@ class ClothDropping(cloth.ClothTask):
 
     def expert(self, world: World) -> Expert:
         above, within = cloth.over(container, CARRIED), cloth.over(container, LOWERED)
+        pinching = cloth.pinching(world)
         phases = (
-            *cloth.pinching(world),
-            Phase(cloth.here(CARRIED), gripper_open=False, position_tolerance=0.03, timeout=1.0),
+            *pinching,
+            Phase(
+                cloth.here(CARRIED),
+                False,
+                position_tolerance=0.03,
+                timeout=1.0,
+                retry=Retry(len(pinching) + 1, cloth.held),
+            ),
             Phase(above, gripper_open=False, position_tolerance=0.02, timeout=2.0),
             Phase(within, gripper_open=False, position_tolerance=0.015, dwell=0.4, timeout=1.2),
             Phase(within, position_tolerance=1.0, dwell=0.3),

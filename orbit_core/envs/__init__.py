@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
-    from orbit_core.envs.expert import Expert, Phase
+    from orbit_core.envs.expert import Expert, Phase, Retry
     from orbit_core.envs.making import make
     from orbit_core.envs.ppo import PpoSettings
     from orbit_core.envs.registry import TaskEntry, TaskRegistry, task_entries, task_entry
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _MODULES: dict[str, tuple[str, ...]] = {
     "environment": ("Environment",),
-    "expert": ("Expert", "Phase"),
+    "expert": ("Expert", "Phase", "Retry"),
     "making": ("make",),
     "ppo": ("PpoSettings",),
     "registry": ("TaskEntry", "TaskRegistry", "task_entries", "task_entry"),
@@ -48,7 +48,7 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 
 __all__ = [
     "CurriculumTerm", "Environment", "EventTerm", "EventTime", "Expert", "ObservationGroup", "ObservationTerm",
-    "Phase", "PpoSettings", "RewardTerm", "Task", "TaskEntry", "TaskRegistry", "TerminationTerm", "make",
+    "Phase", "PpoSettings", "Retry", "RewardTerm", "Task", "TaskEntry", "TaskRegistry", "TerminationTerm", "make",
     "once_per_state", "task_entries", "task_entry",
 ]  # fmt: skip
 

@@ -31,6 +31,18 @@ _JOINT_LEAD = 0.5
 
 
 @dataclass(frozen=True)
+class Retry:
+    """What to do where a phase, once it is over, has not brought about what the next one needs."""
+
+    phases: int
+    """How many phases to go back: 1 does the phase itself again."""
+    unless: TermFunction
+    """(N,) bool: where it holds, all is well."""
+    most: int = 2
+    """How often in an episode; after that the expert goes on all the same."""
+
+
+@dataclass(frozen=True)
 class Phase:
     """Lead the hand to ``target`` (N, 7), in each environment's frame, with the gripper open or closed.
 
@@ -38,7 +50,7 @@ class Phase:
     within limits, and the joints go there together until the hand is near.
 
     The phase is over once the hand is within both tolerances and ``dwell`` seconds have passed since it began; or, if
-    ``timeout`` is given, after that many seconds. The last phase goes on for ever.
+    ``timeout`` is given, after that many seconds. Then ``retry`` may lead back. The last phase goes on for ever.
     """
 
     target: TermFunction
@@ -48,6 +60,7 @@ class Phase:
     dwell: float = 0.0
     timeout: float | None = None
     free: bool = False
+    retry: Retry | None = None
 
 
 class Expert(Node):
@@ -60,7 +73,8 @@ class Expert(Node):
     once it is over for all.
 
     Raises:
-        ConfigurationError: an agent has no phases, or another number than the others.
+        ConfigurationError: an agent has no phases, or another number than the others; or a phase is to be retried that
+            never ends, or from before the first.
     """
 
     def __init__(
@@ -81,18 +95,29 @@ class Expert(Node):
         if {*by_agent} != {*task.agents} or len(counts) != 1:
             raise ConfigurationError(f"an expert needs equally many phases for each agent: {', '.join(task.agents)}")
         self._last = counts.pop() - 1
+        self._retries = [
+            (number, phase.retry) for own in by_agent.values() for number, phase in enumerate(own) if phase.retry
+        ]
+        for number, retry in self._retries:
+            if number == self._last or not 1 <= retry.phases <= number + 1:
+                raise ConfigurationError(
+                    f"phase {number} of 0 to {self._last} cannot go back {retry.phases} phases: the last "
+                    "one never ends, and none comes before the first"
+                )
         lead = torch.tensor([position_lead, rotation_lead], device=world.device)
         self._arms = [_Arm(agent, by_agent[agent], lead, world, task) for agent in task.agents]
         self.phase = torch.zeros(world.num_envs, dtype=torch.int64, device=world.device)
         self._elapsed = torch.zeros(world.num_envs, device=world.device)
+        self._tries = torch.zeros(world.num_envs, len(self._retries), dtype=torch.int64, device=world.device)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         rows = slice(None) if env_ids is None else env_ids
         self.phase[rows] = 0
         self._elapsed[rows] = 0.0
+        self._tries[rows] = 0
 
     def memory(self) -> Mapping[str, Tensor]:
-        return {"phase": self.phase, "elapsed": self._elapsed}
+        return {"phase": self.phase, "elapsed": self._elapsed, "tries": self._tries}
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         self.reset((self._task.episode_step == 0).nonzero().squeeze(-1))
@@ -103,9 +128,18 @@ class Expert(Node):
             command, finished = arm.compute(self.phase, elapsed, self._elapsed == 0.0)
             commands.append(command)
             over = over & finished
-        self.phase += over
+        self.phase += torch.where(over, 1 - self._back(over), 0)
         self._elapsed.copy_(elapsed.masked_fill(over, 0.0))
         return {"action": torch.cat(commands, dim=1).clamp(-1.0, 1.0)}
+
+    def _back(self, over: Tensor) -> Tensor:
+        """(N,) by how many phases to go back, where phases are over (N,) that have not done what they should."""
+        back = torch.zeros_like(self.phase)
+        for (number, retry), tries in zip(self._retries, self._tries.unbind(1), strict=True):
+            failed = over & (self.phase == number) & ~retry.unless(self._world, self._task) & (tries < retry.most)
+            back = torch.where(failed, retry.phases, back)
+            tries += failed
+        return back
 
 
 class _Arm:

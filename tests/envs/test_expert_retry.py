@@ -1,0 +1,51 @@
+"""An expert goes back where a phase has not done what it should, as often as it may."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+import torch
+from torch import Tensor
+
+from orbit_core.envs import Environment, Expert, Phase, Retry, Task, make
+from orbit_core.interfaces import ConfigurationError, World
+from orbit_core.mdp import common
+
+
+@pytest.fixture(scope="module")
+def environment() -> Iterator[Environment]:
+    made = make("Reach", 3, "mujoco", seed=0)
+    yield made
+    made.close()
+
+
+def here(world: World, task: Task) -> Tensor:
+    return common.hand_pose(world, task)
+
+
+def in_the_first(world: World, task: Task) -> Tensor:
+    """(N,) bool: all is well in environment 0 alone."""
+    return torch.arange(world.num_envs) == 0
+
+
+def test_phases_are_done_again_where_they_failed_and_no_oftener_than_told(environment: Environment) -> None:
+    phases = (Phase(here), Phase(here, retry=Retry(2, in_the_first, most=2)), Phase(here))
+    expert = Expert(environment.world, environment.task, phases)
+    environment.reset(seed=0)
+    seen = []
+    for _ in range(8):
+        environment.step(expert.compute({})["action"])
+        seen.append(expert.phase.clone())
+    told = torch.stack(seen, 1).tolist()
+    assert told[0] == [1, 2, 2, 2, 2, 2, 2, 2]
+    assert told[1] == told[2] == [1, 0, 1, 0, 1, 2, 2, 2]
+    expert.reset(torch.tensor([1]))
+    assert expert.memory()["tries"][:, 0].tolist() == [0, 0, 2]
+
+
+@pytest.mark.parametrize(("number", "phases"), [(2, 1), (0, 2), (1, 0)])
+def test_a_retry_that_could_not_be_is_refused(environment: Environment, number: int, phases: int) -> None:
+    script = [Phase(here, retry=Retry(phases, in_the_first) if i == number else None) for i in range(3)]
+    with pytest.raises(ConfigurationError, match=f"phase {number} of 0 to 2 cannot go back {phases} phases"):
+        Expert(environment.world, environment.task, script)
