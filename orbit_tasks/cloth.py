@@ -106,11 +106,6 @@ def let_go(world: World, task: Task) -> Tensor:
     return vector_norm(world.deformables[CLOTH].positions - hand, dim=2).amin(1) > 0.03
 
 
-def held(world: World, task: Task) -> Tensor:
-    """(N,) bool: whether a part of the cloth is in the hand."""
-    return ~let_go(world, task)
-
-
 def at_height(position: Tensor, height: float) -> Tensor:
     """(N, 7) the hand pointing down, over or at positions (N, 3), its frame at a height in the environment."""
     return common.pointing_down(torch.cat((position[:, :2], torch.full_like(position[:, :1], height)), dim=1))
