@@ -46,14 +46,14 @@ def check_mesh(mesh: Mesh, where: str) -> None:
 
 
 def check_hulls(shapes: Iterable[Shape], where: str) -> None:
-    """Hold meshes that collide as their convex hulls to hulls with a volume.
+    """Hold meshes that collide as their convex hulls to hulls with a volume, and those with a field to be closed.
 
     Args:
         shapes: what collides; meshes among it have passed :func:`check_mesh`.
         where: the name of the shapes, for the message.
 
     Raises:
-        ArgumentError: all points of a mesh lie in one plane.
+        ArgumentError: all points of a mesh lie in one plane, or a mesh that collides by distances is not closed.
     """
     for index, shape in enumerate(shapes):
         mesh = shape.geometry
@@ -61,6 +61,11 @@ def check_hulls(shapes: Iterable[Shape], where: str) -> None:
             raise ArgumentError(
                 f"{where}[{repr(shape.name) if shape.name else index}].geometry lies in a plane, so that its convex "
                 "hull has no volume: give it thickness, or make it a thin box"
+            )
+        if isinstance(mesh, Mesh) and mesh.collision is MeshCollision.SIGNED_DISTANCE and not _closed(mesh):
+            raise ArgumentError(
+                f"{where}[{repr(shape.name) if shape.name else index}].geometry is not closed, so that distances to it "
+                "have no sign: close its surface, or have it collide otherwise"
             )
 
 
@@ -81,6 +86,13 @@ def check_height_field(field: HeightField, where: str) -> None:
         raise ArgumentError(f"{where}.heights hold one that is not finite, or beyond {MAX_DISTANCE:g} m: mend it")
     if not all(1e-9 <= length <= MAX_DISTANCE for length in field.size):
         raise wrong(f"{where}.size", field.size, f"lengths of 1e-09 to {MAX_DISTANCE:g} m")
+
+
+def _closed(mesh: Mesh) -> bool:
+    """Whether each edge of a face is that of one other, the other way round."""
+    edges = np.stack((mesh.faces, np.roll(mesh.faces, -1, axis=1)), -1).reshape(-1, 2)
+    there, back = (np.unique(each, axis=0) for each in (edges, edges[:, ::-1]))
+    return len(there) == len(edges) and np.array_equal(there, back)
 
 
 def _extents(mesh: Mesh) -> int:

@@ -68,6 +68,7 @@ class Capability(Enum):
     CONVEX_MESHES = "convex mesh collision"
     TRIANGLE_MESHES = "static triangle mesh collision"
     DYNAMIC_TRIANGLE_MESHES = "moving triangle mesh collision"
+    SIGNED_DISTANCE_FIELDS = "mesh collision by signed distance fields"
     HEIGHT_FIELDS = "height field terrain"
     CONTACT_FORCES = "contact forces per link and pair"
     JOINT_WRENCHES = "joint reaction wrenches"

@@ -141,6 +141,8 @@ def _shape_needs(shape: Shape, culprit: str, moving: bool) -> Iterator[tuple[Cap
     match shape.geometry:
         case Mesh(collision=MeshCollision.CONVEX_HULL | MeshCollision.CONVEX_DECOMPOSITION):
             yield Capability.CONVEX_MESHES, culprit
+        case Mesh(collision=MeshCollision.SIGNED_DISTANCE):
+            yield Capability.SIGNED_DISTANCE_FIELDS, culprit
         case Mesh():
             yield (Capability.DYNAMIC_TRIANGLE_MESHES if moving else Capability.TRIANGLE_MESHES), culprit
         case HeightField():

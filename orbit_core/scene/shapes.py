@@ -53,6 +53,8 @@ class MeshCollision(Enum):
     CONVEX_HULL = "convex_hull"
     CONVEX_DECOMPOSITION = "convex_decomposition"
     """Several convex pieces, into which the world splits it before an engine sees it."""
+    SIGNED_DISTANCE = "signed_distance"
+    """The surface itself, closed, by a field of signed distances to it; it may move and be hollow."""
     TRIANGLES = "triangles"
     """The surface itself, as it is. Most engines take this for static shapes only."""
 

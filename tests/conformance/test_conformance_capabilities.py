@@ -37,12 +37,14 @@ from .conftest import MakeEngine
 TETRAHEDRON = Mesh(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 )
+FIELD = Mesh(TETRAHEDRON.vertices, TETRAHEDRON.faces, MeshCollision.SIGNED_DISTANCE)
 TRIANGLES = Mesh(TETRAHEDRON.vertices, TETRAHEDRON.faces, MeshCollision.TRIANGLES)
 
 SCENES: dict[Capability, Callable[[], Scene]] = {
     Capability.CLOTH: lambda: Scene(deformables=(Cloth("cloth", TETRAHEDRON, 1.0),)),
     Capability.SOFT_BODIES: lambda: Scene(deformables=(SoftBody("soft", TETRAHEDRON, 1000.0),)),
     Capability.TRIANGLE_MESHES: lambda: scene(fixed("rock", TRIANGLES, Pose())),
+    Capability.SIGNED_DISTANCE_FIELDS: lambda: scene(_with(cube(), Shape(FIELD))),
     Capability.DYNAMIC_TRIANGLE_MESHES: lambda: scene(_with(cube(), Shape(TRIANGLES))),
     Capability.CONVEX_MESHES: lambda: scene(_with(cube(), Shape(TETRAHEDRON))),
     Capability.HEIGHT_FIELDS: lambda: scene(cube(), terrain=(Shape(HeightField(np.zeros((3, 3)), (1.0, 1.0))),)),

@@ -101,6 +101,7 @@ APPROXIMATIONS = {
     "none": MeshCollision.TRIANGLES,
     "convexHull": MeshCollision.CONVEX_HULL,
     "convexDecomposition": MeshCollision.CONVEX_DECOMPOSITION,
+    "sdf": MeshCollision.SIGNED_DISTANCE,  # of PhysX' schema
 }
 """By USD's name of a collision approximation."""
 

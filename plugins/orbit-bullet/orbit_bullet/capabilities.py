@@ -41,6 +41,9 @@ CAPABILITIES = Capabilities(
         Capability.COMPLIANT_CONTACT: approximate("stiffness and damping act at each contact point"),
         Capability.CONVEX_MESHES: approximate("a hull's edges are rounded by its margin of 1 mm"),
         Capability.TRIANGLE_MESHES: EXACT,
+        Capability.SIGNED_DISTANCE_FIELDS: unsupported(
+            "Bullet collides moving meshes as hulls or pieces; its distance fields are read from files alone"
+        ),
         Capability.DYNAMIC_TRIANGLE_MESHES: unsupported(
             "Bullet collides triangle meshes that stand still: split the mesh into convex pieces"
         ),

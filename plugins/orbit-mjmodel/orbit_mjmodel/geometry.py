@@ -21,6 +21,8 @@ _GROUND_DEPTH = 0.1
 """Metres of ground below the lowest point of a height field."""
 _LEAST_WIDTH = 1e-5
 """Metres; narrower triangles are left out."""
+_FIELD_DEPTH = 7
+"""Levels of the octree that holds a mesh's distances: its finest cells are 2^-7 of the mesh's box."""
 Part = tuple[mujoco.mjtGeom, tuple[float, float, float], str, Pose]
 """A geom's type, size, asset and pose."""
 
@@ -31,6 +33,7 @@ class GeomBuilder:
     def __init__(self, spec: mujoco.MjSpec) -> None:
         self._spec = spec
         self._hulls: dict[Mesh, str] = {}
+        self._fields: dict[Mesh, str] = {}
 
     def add(self, body: mujoco.MjsBody, part: Part, contact: ContactParameters, name: str = "") -> None:
         """Add ``part`` to ``body``, under a name or none."""
@@ -39,7 +42,7 @@ class GeomBuilder:
             name=name,
             type=kind,
             size=size,
-            meshname=asset if kind == mujoco.mjtGeom.mjGEOM_MESH else "",
+            meshname=asset if kind in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF) else "",
             hfieldname=asset if kind == mujoco.mjtGeom.mjGEOM_HFIELD else "",
             pos=pose.position,
             quat=pose.orientation,
@@ -70,6 +73,8 @@ class GeomBuilder:
                 yield mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 1), "", pose
             case Mesh(collision=MeshCollision.CONVEX_HULL) as mesh:
                 yield mujoco.mjtGeom.mjGEOM_MESH, (0, 0, 0), self._hull(mesh), pose
+            case Mesh(collision=MeshCollision.SIGNED_DISTANCE) as mesh:
+                yield mujoco.mjtGeom.mjGEOM_SDF, (0, 0, 0), self._field(mesh), pose
             case Mesh() as mesh if body.mocap or body == self._spec.worldbody:
                 for prism in _prisms(mesh):
                     yield mujoco.mjtGeom.mjGEOM_MESH, (0, 0, 0), self._asset(prism), pose
@@ -83,6 +88,18 @@ class GeomBuilder:
         if mesh not in self._hulls:
             self._hulls[mesh] = self._asset(np.asarray(mesh.vertices, dtype=np.float64))
         return self._hulls[mesh]
+
+    def _field(self, mesh: Mesh) -> str:
+        """The mesh with an octree of distances, which MuJoCo makes as it compiles."""
+        if mesh not in self._fields:
+            asset = self._spec.add_mesh(
+                name=f"mesh{len(self._spec.meshes)}",
+                uservert=np.asarray(mesh.vertices, dtype=np.float64).ravel(),
+                userface=np.asarray(mesh.faces, dtype=np.int32).ravel(),
+                octree_maxdepth=_FIELD_DEPTH,
+            )
+            self._fields[mesh] = asset.name
+        return self._fields[mesh]
 
     def _asset(self, vertices: npt.NDArray[np.float64]) -> str:
         """The convex hull of ``vertices``: MuJoCo makes it of vertices that come without faces."""

@@ -26,6 +26,7 @@ _COMMON = {
     Capability.STATIC_FRICTION: approximate("one coefficient of sliding friction, the dynamic one"),
     Capability.CONVEX_MESHES: EXACT,
     Capability.TRIANGLE_MESHES: EXACT,
+    Capability.SIGNED_DISTANCE_FIELDS: unsupported("Newton builds distance fields of meshes on a GPU only"),
     Capability.DYNAMIC_TRIANGLE_MESHES: unsupported("Newton collides two moving surfaces on a GPU only"),
     Capability.HEIGHT_FIELDS: EXACT,
     Capability.EXTERNAL_WRENCHES: EXACT,

@@ -90,6 +90,9 @@ CAPABILITIES = Capabilities(
         Capability.COMPLIANT_CONTACT: unsupported("SAPIEN does not pass on the damping of PhysX's compliant contacts"),
         Capability.CONVEX_MESHES: approximate("hulls of many vertices are simplified by PhysX's cooking"),
         Capability.TRIANGLE_MESHES: EXACT,
+        Capability.SIGNED_DISTANCE_FIELDS: unsupported(
+            "SAPIEN's binding of PhysX cooks convex and triangle meshes, and no distance fields"
+        ),
         Capability.DYNAMIC_TRIANGLE_MESHES: unsupported(
             "PhysX moves triangle meshes on the GPU only: split the mesh into convex pieces"
         ),

@@ -1,0 +1,128 @@
+"""Bolts and nuts with a right-handed metric thread, as meshes whose threads really meet.
+
+The profile is the basic one of ISO 68-1: flanks of 60 degrees, crests cut by an eighth of the fundamental triangle's
+height, roots by a quarter.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.interfaces.errors import AssetError
+from orbit_core.scene import Mesh, MeshCollision
+
+_ROWS = 10
+"""Rows of vertices in each turn of a thread."""
+_AROUND = 48
+"""Vertices around."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thread:
+    """A single-start thread; the defaults are those of M16."""
+
+    radius: float = 0.008
+    """Metres, of the crests of the bolt."""
+    lead: float = 0.002
+    """Metres that a nut moves along the axis in a turn."""
+
+    @property
+    def minor_radius(self) -> float:
+        """Metres, of the roots: five eighths of the fundamental triangle's height below the crests."""
+        return self.radius - 0.625 * 0.5 * math.sqrt(3.0) * self.lead
+
+    def radii(self, angles: npt.NDArray[np.float64], heights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """The radius of the bolt's surface (m) at angles about its axis (rad) and heights along it (m)."""
+        phase = (heights / self.lead - angles / (2.0 * math.pi)) % 1.0
+        rise = np.clip((0.375 - np.abs(phase - 0.5)) / 0.3125, 0.0, 1.0)
+        return self.minor_radius + (self.radius - self.minor_radius) * rise
+
+
+def bolt(length: float, thread: Thread = Thread()) -> Mesh:
+    """A threaded rod along z that stands on the origin; its last turn is a pilot of the roots' radius.
+
+    Args:
+        length: metres.
+        thread: the thread on it.
+
+    Raises:
+        AssetError: it is shorter than two turns, or the roots have no radius.
+    """
+    _check(length, thread)
+    heights = _heights(length, thread)
+    grid, angles = np.meshgrid(heights, _angles(), indexing="ij")
+    pilot = grid > length - thread.lead
+    rows = _rows(np.where(pilot, thread.minor_radius, thread.radii(angles, grid)), heights)
+    ends = np.array(((0.0, 0.0, 0.0), (0.0, 0.0, length)))
+    count, last, k = len(rows), len(rows) - _AROUND, np.arange(_AROUND)
+    after = (k + 1) % _AROUND
+    below = np.stack((np.full(_AROUND, count), after, k), 1)
+    above = np.stack((np.full(_AROUND, count + 1), last + k, last + after), 1)
+    faces = np.concatenate((_sides(len(heights)), below, above))
+    return Mesh(np.concatenate((rows, ends)), faces, MeshCollision.SIGNED_DISTANCE)
+
+
+def nut(height: float, outer_radius: float, thread: Thread = Thread(), *, clearance: float = 1e-4) -> Mesh:
+    """A round nut about z that stands on the origin, in phase with :func:`bolt` at whole numbers of leads above it.
+
+    Args:
+        height: metres.
+        outer_radius: metres.
+        thread: that of the bolt.
+        clearance: metres by which the radius of its thread exceeds the bolt's.
+
+    Raises:
+        AssetError: it is lower than two turns, the roots have no radius, there is no clearance, or too thin a wall.
+    """
+    _check(height, thread)
+    if not 0.0 < clearance < outer_radius - thread.radius:
+        raise AssetError(
+            f"a nut of {1e3 * outer_radius:g} mm outer radius on a thread of {1e3 * thread.radius:g} mm cannot have a "
+            f"clearance of {1e3 * clearance:g} mm: give one above zero that leaves a wall"
+        )
+    heights = _heights(height, thread)
+    grid, angles = np.meshgrid(heights, _angles(), indexing="ij")
+    inner = _rows(thread.radii(angles, grid) + clearance, heights)
+    outer = _rows(np.full_like(grid, outer_radius), heights)
+    count, last, k = len(inner), len(inner) - _AROUND, np.arange(_AROUND)
+    after, sides = (k + 1) % _AROUND, _sides(len(heights))
+    below = [np.stack((k, after, count + after), 1), np.stack((k, count + after, count + k), 1)]
+    above = [last + side[:, ::-1] for side in below]
+    faces = np.concatenate((sides[:, ::-1], count + sides, *below, *above))
+    return Mesh(np.concatenate((inner, outer)), faces, MeshCollision.SIGNED_DISTANCE)
+
+
+def _check(length: float, thread: Thread) -> None:
+    if not (length >= 2.0 * thread.lead > 0.0 and thread.minor_radius > 0.0):
+        raise AssetError(
+            f"{thread} on {1e3 * length:g} mm cannot be: give a length of two leads or more, and a lead below "
+            f"{1e3 * thread.radius / 0.5413:.3g} mm, which leaves roots with a radius"
+        )
+
+
+def _angles() -> npt.NDArray[np.float64]:
+    return 2.0 * math.pi * np.arange(_AROUND) / _AROUND
+
+
+def _heights(length: float, thread: Thread) -> npt.NDArray[np.float64]:
+    return np.linspace(0.0, length, math.ceil(_ROWS * length / thread.lead) + 1)
+
+
+def _rows(radii: npt.NDArray[np.float64], heights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Vertices (rows * around, 3) at radii (rows, around)."""
+    up = np.broadcast_to(heights[:, None], radii.shape)
+    return np.stack((radii * np.cos(_angles()), radii * np.sin(_angles()), up), -1).reshape(-1, 3)
+
+
+def _sides(rows: int) -> npt.NDArray[np.int64]:
+    """Faces between rows of vertices, seen from outside."""
+    k = np.arange(_AROUND)
+    low = (np.arange(rows - 1)[:, None] * _AROUND + k).ravel()
+    after = (np.arange(rows - 1)[:, None] * _AROUND + (k + 1) % _AROUND).ravel()
+    first = np.stack((low, after, after + _AROUND), 1)
+    second = np.stack((low, after + _AROUND, low + _AROUND), 1)
+    return np.concatenate((first, second))
