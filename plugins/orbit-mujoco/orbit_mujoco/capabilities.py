@@ -6,6 +6,10 @@ from orbit_mjmodel.capabilities import shared_support
 CAPABILITIES = Capabilities(
     shared_support("MuJoCo")
     | {
+        Capability.SIGNED_DISTANCE_FIELDS: approximate(
+            "distances are interpolated in an octree whose finest cells are 2^-7 of the mesh's box, and contacts are "
+            "found by descent from 40 points, other ones from step to step: what rests on them creeps and trembles"
+        ),
         Capability.COPIED_STATES: EXACT,
         Capability.DETERMINISTIC: EXACT,
         Capability.SHADOWS: approximate(
