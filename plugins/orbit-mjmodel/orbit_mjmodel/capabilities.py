@@ -57,9 +57,7 @@ def shared_support(engine: str) -> dict[Capability, Support]:
         Capability.DYNAMIC_TRIANGLE_MESHES: unsupported(
             f"{engine} collides the convex hull of a moving mesh: split the mesh into convex pieces"
         ),
-        Capability.SIGNED_DISTANCE_FIELDS: unsupported(
-            f"{engine}'s distance fields are not connected to this backend"
-        ),
+        Capability.SIGNED_DISTANCE_FIELDS: unsupported(f"{engine}'s distance fields are not connected to this backend"),
         Capability.HEIGHT_FIELDS: EXACT,
         Capability.CONTACT_FORCES: EXACT,
         Capability.JOINT_WRENCHES: EXACT,

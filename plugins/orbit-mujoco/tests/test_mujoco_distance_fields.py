@@ -1,4 +1,4 @@
-"""Contact by signed distance fields: a nut that screws itself down a bolt, and who refuses such meshes."""
+"""Contact by signed distance fields: the lead of a screw, a ball on a ring, and who refuses such meshes."""
 
 from __future__ import annotations
 
@@ -8,15 +8,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from orbit_core.assets.inertia import mass_properties
 from orbit_core.assets.threads import Thread, bolt, nut
 from orbit_core.interfaces import Capability, UnsupportedCapabilityError
 from orbit_core.interfaces.errors import ArgumentError, AssetError
-from orbit_core.scene import Articulation, Link, Mesh, ObjectSpec, PhysicsMaterial, Pose, Scene, Shape
+from orbit_core.scene import (
+    Articulation,
+    Link,
+    Mesh,
+    MeshCollision,
+    ObjectSpec,
+    PhysicsMaterial,
+    Pose,
+    Scene,
+    Shape,
+    Sphere,
+)
 from orbit_core.world import simulate
 
-THREAD = Thread()
+THREAD = Thread(lead=0.004)
+CLEARANCE = 3e-4
 SLIPPERY = PhysicsMaterial(0.01, 0.01)
 
 
@@ -27,7 +40,10 @@ def thing(name: str, mesh: Mesh, height: float = 0.0, *, fixed: bool = False) ->
 
 
 def screw() -> Scene:
-    parts = (thing("bolt", bolt(0.016), fixed=True), thing("nut", nut(0.006, 0.013), 0.008))
+    parts = (
+        thing("bolt", bolt(0.032, THREAD), fixed=True),
+        thing("nut", nut(0.012, 0.013, THREAD, clearance=CLEARANCE), 0.016),
+    )
     return Scene(objects=parts, terrain=(), physics_dt=0.001)
 
 
@@ -36,24 +52,36 @@ def yaw(pose: torch.Tensor) -> float:
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-def test_a_nut_moves_down_its_bolt_by_the_lead_in_a_turn() -> None:
+def test_a_nut_driven_by_a_torque_moves_down_its_bolt_by_the_lead_in_a_turn() -> None:
     world = simulate(screw(), num_envs=1, backend="mujoco")
     own = world.objects["nut"]
-    rate = -12.0
-    own.set_root_velocity(torch.tensor([[0.0, 0.0, rate * THREAD.lead / (2.0 * math.pi), 0.0, 0.0, rate]]))
-    world.step(100)  # until the nut lies on the flanks
-    height, angles = float(own.root_pose[0, 2]), [yaw(own.root_pose)]
-    for _ in range(40):
+    heights, angles = [], []
+    for _ in range(80):
+        torque = min(max(-0.002 * (float(own.root_velocity[0, 5]) + 8.0), -0.02), 0.02)
+        own.set_wrenches(torch.tensor([[[0.0, 0.0, 0.0, 0.0, 0.0, torque]]]))
         world.step(10)
+        heights.append(float(own.root_pose[0, 2]))
         angles.append(yaw(own.root_pose))
-    turns = float(np.unwrap(angles)[-1] - angles[0]) / (2.0 * math.pi)
-    travel = float(own.root_pose[0, 2]) - height
     across = float(own.root_pose[0, :2].norm())
     world.close()
-    print(turns, travel, across)
-    assert turns < -0.5
-    assert travel / turns == pytest.approx(THREAD.lead, rel=0.05)
-    assert across < 2e-4
+    settled = 20  # by then the nut lies on the flanks
+    turns = float(np.ptp(np.unwrap(angles)[settled:])) / (2.0 * math.pi)
+    assert turns > 0.8
+    assert (heights[settled] - heights[-1]) / turns == pytest.approx(THREAD.lead, rel=0.03)
+    assert across < CLEARANCE
+
+
+def test_a_ball_rests_on_the_rim_of_a_ring() -> None:
+    surface = trimesh.creation.annulus(0.05, 0.08, 0.04, sections=48)
+    ring = thing("ring", Mesh(surface.vertices, surface.faces, MeshCollision.SIGNED_DISTANCE), fixed=True)
+    radius = 0.055
+    link = Link("ball", 0.3, (0.0, 0.0, 0.0), np.eye(3) * 0.4 * 0.3 * radius**2, (Shape(Sphere(radius)),))
+    ball = ObjectSpec(name="ball", articulation=Articulation("ball", (link,)), pose=Pose((0.0, 0.0, 0.045)))
+    world = simulate(Scene(objects=(ring, ball), terrain=()), num_envs=1, backend="mujoco")
+    world.step(200)
+    place = world.objects["ball"].root_pose[0, :3].tolist()
+    world.close()
+    assert place == pytest.approx((0.0, 0.0, 0.02 + math.sqrt(radius**2 - 0.05**2)), abs=1.5e-3)
 
 
 def test_engines_without_fields_refuse_such_meshes() -> None:
