@@ -1,0 +1,95 @@
+"""A node that drives a base along its path."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import ConfigurationError, Node, Port, Robot
+from orbit_core.motion.base_velocity import BaseVelocityConfig
+
+_PURSUIT_RATE = 2.0
+"""1/s: the velocity asked for, over the displacement that is left."""
+
+
+class BasePathFollower(Node):
+    """Gives the commands of :class:`~orbit_core.motion.BaseVelocityConfig` that lead each base along a path of its own.
+
+    The base goes from place to place, the heading to that of the end; an environment without a path stands still.
+
+    Args:
+        name: of the node.
+        robot: with a planar base.
+        config: of the generator that takes the commands.
+        tolerance: metres from a place at which the next one is headed for.
+
+    Raises:
+        ConfigurationError: the robot has no planar base.
+    """
+
+    def __init__(self, name: str, robot: Robot, config: BaseVelocityConfig, tolerance: float = 0.05) -> None:
+        config.default_joints(robot.spec)  # raises where there is no such base
+        self.name = name
+        self.outputs = (Port("command", (3,)),)
+        self._robot, self._config, self._tolerance = robot, config, tolerance
+        self._link = robot.link_names.index(robot.spec.base_link)
+        pose = self._pose()
+        self._rows = torch.arange(len(pose), device=pose.device)
+        self._places = pose[:, None, :2].clone()
+        self._heading = pose[:, 2].clone()
+        self._last, self._next = torch.zeros(2, len(pose), dtype=torch.int64, device=pose.device).unbind()
+        self._drives = torch.zeros(len(pose), dtype=torch.bool, device=pose.device)
+
+    def load(self, paths: Mapping[int, Tensor], headings: Mapping[int, float]) -> None:
+        """Begin paths (P, 2), in the environments' frames, in some environments, each to end at its heading (rad).
+
+        Raises:
+            ConfigurationError: a path is not of finite places (P, 2), or has no heading.
+        """
+        for env, path in paths.items():
+            if path.ndim != 2 or path.shape[1] != 2 or not len(path) or not bool(path.isfinite().all()):
+                raise ConfigurationError(f"node '{self.name}': the path of environment {env} is not of finite (P, 2)")
+            if env not in headings:
+                raise ConfigurationError(f"node '{self.name}': the path of environment {env} has no heading at its end")
+        longest = max([self._places.shape[1], *(len(path) for path in paths.values())])
+        grown = self._places.new_zeros(len(self._places), longest, 2)
+        grown[:, : self._places.shape[1]] = self._places
+        self._places = grown
+        for env, path in paths.items():
+            self._places[env, : len(path)] = path
+            self._heading[env], self._last[env], self._next[env] = headings[env], len(path) - 1, 0
+            self._drives[env] = True
+
+    @property
+    def finished(self) -> Tensor:
+        """(N,) bool, where the base is at its path's end, or has no path."""
+        away = torch.linalg.vector_norm(self._places[self._rows, self._last] - self._pose()[:, :2], dim=1)
+        return ~self._drives | ((self._next == self._last) & (away < self._tolerance))
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        pose = self._pose()
+        way = self._places[self._rows, self._next] - pose[:, :2]
+        near = torch.linalg.vector_norm(way, dim=1) < self._tolerance
+        self._next.copy_(torch.minimum(self._next + near, self._last))
+        way = self._places[self._rows, self._next] - pose[:, :2]
+        cos, sin = pose[:, 2].cos(), pose[:, 2].sin()
+        local = torch.stack((cos * way[:, 0] + sin * way[:, 1], cos * way[:, 1] - sin * way[:, 0]), 1)
+        planar = local * (_PURSUIT_RATE / self._config.max_speed)
+        planar = planar / torch.linalg.vector_norm(planar, dim=1, keepdim=True).clamp_min(1.0)
+        left = self._heading - pose[:, 2]
+        turn = torch.atan2(left.sin(), left.cos()) * (_PURSUIT_RATE / self._config.max_yaw_rate)
+        command = torch.cat((planar, turn.clamp(-1.0, 1.0)[:, None]), 1)
+        return {"command": command * self._drives[:, None]}
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        self._drives[slice(None) if env_ids is None else env_ids] = False
+
+    def memory(self) -> Mapping[str, Tensor]:
+        return {"next": self._next, "last": self._last, "drives": self._drives, "heading": self._heading}
+
+    def _pose(self) -> Tensor:
+        """(N, 3) x, y and heading of the base, which stands upright."""
+        pose = self._robot.link_poses[:, self._link]
+        return torch.cat((pose[:, :2], 2.0 * torch.atan2(pose[:, 6:], pose[:, 3:4])), 1)
