@@ -67,7 +67,7 @@ class BasePlanner:
         self._axes = [np.arange(a, b, config.resolution) for a, b in zip(config.low, config.high, strict=True)]
 
     def plan(self, start: Tensor, goal: Tensor, env: int = 0) -> Tensor:
-        """(P, 2) places in the environment's frame, between which straight lines keep off everything.
+        """(P, 2) places in the environment's frame, between which straight lines keep the radius free, to a cell.
 
         Args:
             start: (2,) of the base's middle.
@@ -97,22 +97,22 @@ class BasePlanner:
         """(X, Y) bool cells that the base's middle may be in, and a function that names the thing nearest to a cell."""
         config, step = self.config, self.config.resolution
         x, y = np.meshgrid(*self._axes, indexing="ij")
-        low, high = torch.full((x.size,), torch.inf), torch.zeros(x.size, dtype=torch.int64)
+        gap, owners = torch.full((x.size,), torch.inf), torch.zeros(x.size, dtype=torch.int64)
         places = torch.as_tensor(np.stack((x.ravel(), y.ravel()), 1), dtype=torch.float32, device=self._world.device)
         for height in np.arange(step, max(config.height, 1.5 * step), step):
             points = torch.cat((places, places.new_full((len(places), 1), config.floor + float(height))), 1)
             distances = self._obstacles.distances(points[None], env)[0][0]
             if distances.shape[1]:
                 least = distances.min(1)
-                nearer = least.values.cpu() < low
-                high = torch.where(nearer, least.indices.cpu(), high)
-                low = torch.where(nearer, least.values.cpu(), low)
+                nearer = least.values.cpu() < gap
+                owners = torch.where(nearer, least.indices.cpu(), owners)
+                gap = torch.where(nearer, least.values.cpu(), gap)
         # Cells whose corner a shape may touch: it is nearer than half a cell's diagonal, and the floor is not.
-        taken = (low < 0.75 * step).numpy().reshape(x.shape)
+        taken = (gap < 0.75 * step).numpy().reshape(x.shape)
         if not taken.any():
             return np.ones(x.shape, dtype=bool), lambda cell: "the map's edge"
         away, index = self._ndimage.distance_transform_edt(~taken, sampling=step, return_indices=True)
-        owner = high.numpy().reshape(x.shape)
+        owner = owners.numpy().reshape(x.shape)
         return away > config.radius, lambda cell: self._obstacles.names[owner[tuple(index[:, cell[0], cell[1]])]]
 
     def _cell(self, what: str, place: Tensor, free: _Array, nearest: Any) -> tuple[int, int]:
