@@ -33,6 +33,7 @@ from orbit_core.conformance.scenarios import (
     springs,
     stacks,
     terrain,
+    touching,
     turning_friction,
     velocities,
 )
@@ -58,6 +59,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     *velocities.SCENARIOS,
     *grasp.SCENARIOS,
     *contact_forces.SCENARIOS,
+    *touching.SCENARIOS,
     *sensing.SCENARIOS,
     *rays.SCENARIOS,
     *terrain.SCENARIOS,
