@@ -126,10 +126,8 @@ def touching(world: World, task: BeatTheBuzz) -> Tensor:
 
 def place_rod(world: World, task: BeatTheBuzz, env_ids: Tensor) -> None:
     """Up to 8 mm off its place, each way: the ring stays around it."""
-    offsets = world.random.uniform((3,), -0.008, 0.008, env_ids)
-    pose = torch.tensor((*task.place, 1.0, 0.0, 0.0, 0.0), device=world.device).repeat(len(env_ids), 1)
-    pose[:, :3] += offsets
-    world.objects[ROD].set_root_pose(pose, env_ids)
+    low, high = ((*(value + way for value in task.place), 0.0) for way in (-0.008, 0.008))
+    world.objects[ROD].set_root_pose(common.standing(world.random.uniform((4,), low, high, env_ids)), env_ids)
     task.covered[env_ids] = 0.0
     task.gained[env_ids] = 0.0
     task.touches[env_ids] = 0.0
