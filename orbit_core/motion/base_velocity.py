@@ -18,6 +18,8 @@ from orbit_core.scene import RobotSpec
 
 _PURSUIT_RATE = 2.0
 """1/s: the velocity that an expert asks for, over the displacement that is left."""
+_ROUNDING = 1e-5
+"""Of a command that is meant to be at its limit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,16 +73,27 @@ class BaseVelocity(MotionGenerator):
         self._limits = torch.tensor([config.max_speed, config.max_speed, config.max_yaw_rate], device=self.device)
         fastest = joint_limits(robot.spec, "velocity_limit")[joints]
         self._fastest = torch.as_tensor(fastest, dtype=torch.float32, device=self.device)
+        self.clamped = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
+        """(N,) commands since the reset that asked for more than the limits of speed or yaw rate, and were kept to
+        them."""
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         command = inputs["command"]
-        excess = torch.linalg.vector_norm(command[:, :2], dim=1, keepdim=True).clamp_min(1.0)
-        planar, turn = command[:, :2] / excess, command[:, 2:]
+        speed = torch.linalg.vector_norm(command[:, :2], dim=1, keepdim=True)
+        planar, turn = command[:, :2] / speed.clamp_min(1.0), command[:, 2:].clamp(-1.0, 1.0)
+        most = torch.maximum(speed, command[:, 2:].abs()).squeeze(1)
+        self.clamped += most > 1.0 + _ROUNDING
         positions = self.positions
         velocities = torch.cat((_turned(planar, positions[:, 2]), turn), dim=1) * self._limits
         # A base that a joint's limit holds back keeps its curve.
         velocities = velocities / (velocities.abs() / self._fastest).amax(1, keepdim=True).clamp_min(1.0)
         return {JointTarget.POSITION.value: positions, JointTarget.VELOCITY.value: velocities}
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        self.clamped[slice(None) if env_ids is None else env_ids] = 0
+
+    def memory(self) -> Mapping[str, Tensor]:
+        return {"clamped": self.clamped}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         velocities = _PURSUIT_RATE * towards_pose(self.robot, self.joints, pose) / self._limits

@@ -32,6 +32,12 @@ def test_commands_are_turned_with_the_base_and_kept_within_their_limits(kinemati
     diagonal = 0.5 / 2.0**0.5
     wanted = [[0.0, 0.5, 0.0], [-0.5, 0.0, 0.0], [-0.4, 0.3, 1.0], [diagonal, diagonal, -2.0]]
     torch.testing.assert_close(velocities, torch.tensor(wanted), atol=1e-6, rtol=0.0)
+    command = torch.tensor([[0.0, 0.0, -3.0], [0.0, 0.0, 1.0], [2.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    velocities = base.compute({"command": command})["velocity_targets"]
+    assert velocities[:, 2].tolist() == [-2.0, 2.0, 0.0, 0.0]
+    assert base.clamped.tolist() == [1, 0, 1, 1]
+    base.reset(torch.tensor([0]))
+    assert base.clamped.tolist() == [0, 0, 1, 1]
 
 
 def test_a_hand_without_end_effector_spans_its_joints(kinematic_robot: MakeRobot) -> None:
