@@ -41,12 +41,12 @@ unit: $(VENV)/.ready-dev
 coverage: $(VENV)/.ready-dev
 	$(BIN)/pytest -n auto --dist worksteal --ignore tests/conformance/test_scenarios.py --cov --cov-report=term:skip-covered --cov-fail-under=90
 
-# Every scenario (what tests/conformance/test_scenarios.py collects for those who write them) and kept policy on every
-# backend, quickly; every task and every robot of the catalogue on two. `orbit conformance` is the whole matrix; throughput
+# Every scenario (what tests/conformance/test_scenarios.py collects for those who write them) on every backend, quickly;
+# every task, every kept policy and every robot of the catalogue on two. `orbit conformance` is the whole matrix; throughput
 # is for idle machines: the committed report and benchmarks/ have it.
 conformance: $(VENV)/.ready-dev
-	$(BIN)/orbit conformance --quick --part scenarios transfers --output out/conformance
-	$(BIN)/orbit conformance --quick --part tasks --backend mujoco sapien --output out/conformance-tasks
+	$(BIN)/orbit conformance --quick --part scenarios --output out/conformance
+	$(BIN)/orbit conformance --quick --part tasks transfers --backend mujoco sapien --output out/conformance-tasks
 	$(BIN)/orbit conformance --part robots --backend mujoco sapien --output out/conformance-robots
 
 # The backend that docs/write-a-backend.md builds, installed beside the environment so that nothing else sees it, and a
