@@ -68,8 +68,9 @@ def course_of(rod: str) -> Course:
     return spline([(x, 0.2 - step * index, z) for index, (x, z) in enumerate(bends)], SPACING)
 
 
-def ring_at(point: Tensor, tangent: Tensor) -> Tensor:
-    """(N, 7) the ring around the rod at ``point`` (N, 3), across ``tangent`` (N, 3), the handle upright."""
+def rings_along(course: Course) -> Tensor:
+    """(K, 7) the ring around each point of a course: across the tangent, the handle as upright as can be."""
+    point, tangent = (torch.tensor(values, dtype=torch.float32) for values in (course.points, course.tangents))
     down = torch.zeros_like(tangent)
     down[:, 2] = -1.0
     z = down - vecdot(down, tangent)[:, None] * tangent
@@ -80,9 +81,8 @@ def ring_at(point: Tensor, tangent: Tensor) -> Tensor:
 
 def ahead(world: World, task: BeatTheBuzz, way: float = AHEAD) -> Tensor:
     """(N, 7) of the ring ``way`` metres ahead of where it has come to on the rod, at most at its end."""
-    index = ((task.covered + way) / task.spacing).round().long().clamp(max=len(task.points) - 1)
-    local = ring_at(task.points[index], task.tangents[index])
-    return pose_multiply(world.objects[ROD].root_pose, local)
+    index = ((task.covered + way) / task.spacing).round().long().clamp(max=len(task.rings) - 1)
+    return pose_multiply(world.objects[ROD].root_pose, task.rings[index])
 
 
 def at_rod(world: World, task: BeatTheBuzz) -> Tensor:
@@ -207,10 +207,8 @@ class BeatTheBuzz(Task):
     events: BuzzEvents = field(default_factory=BuzzEvents)
     place: tuple[float, float, float] = field(init=False, default=(0.0, 0.0, 0.0))
     """Metres, of the rod's middle where it is not moved."""
-    points: Tensor = field(init=False)
-    """(K, 3) of the rod's part that is to be covered, in the rod's frame."""
-    tangents: Tensor = field(init=False)
-    """(K, 3)"""
+    rings: Tensor = field(init=False)
+    """(K, 7) of the ring along the rod's part that is to be covered, in the rod's frame."""
     spacing: float = field(init=False, default=SPACING)
     """Metres along the rod from a point to the next."""
     covered: Tensor = field(init=False)
@@ -228,11 +226,10 @@ class BeatTheBuzz(Task):
         box = robot.end_effector.workspace.placed(robot.pose)
         course = course_of(self.rod)
         self.place = (0.5 * (box.low[0] + box.high[0]), 0.5 * (box.low[1] + box.high[1]), HEIGHT)
-        part = course.part(MARGIN)
-        first, tangent = (torch.tensor(values[:1], dtype=torch.float32) for values in (part.points, part.tangents))
-        start = ring_at(first + torch.tensor(self.place), tangent)
+        start = rings_along(course.part(MARGIN))[0]
+        start[:3] += torch.tensor(self.place)
         return Scene(
-            robots=(held.starting_at(robot, start[0]),),
+            robots=(held.starting_at(robot, start),),
             objects=(bent_rod(ROD, course, THICKNESS, EVERY, Pose(self.place)), common.work_bench()),
             sensors=(ContactSensorSpec(name=TOUCH, entity=ROD, filters=(common.ROBOT,)),),
             terrain=(common.floor(-common.BENCH_HEIGHT),),
@@ -242,10 +239,7 @@ class BeatTheBuzz(Task):
     def start(self, world: World) -> None:
         super().start(world)
         course = course_of(self.rod).part(MARGIN)
-        self.points, self.tangents = (
-            torch.tensor(values, dtype=torch.float32, device=world.device)
-            for values in (course.points, course.tangents)
-        )
+        self.rings = rings_along(course).to(world.device)
         self.spacing = course.spacing
         self.covered, self.gained, self.touches = (torch.zeros(world.num_envs, device=world.device) for _ in range(3))
         self.touched = torch.zeros(world.num_envs, dtype=torch.bool, device=world.device)
@@ -255,17 +249,17 @@ class BeatTheBuzz(Task):
         self.touches += (now & ~self.touched).float()
         self.touched.copy_(now)
         ring = pose_multiply(pose_inverse(world.objects[ROD].root_pose), common.hand_pose(world, self))
-        places = torch.arange(len(self.points), device=world.device) * self.spacing
+        places = torch.arange(len(self.rings), device=world.device) * self.spacing
         # Only near where it has come to: elsewhere the rod may come as near to the ring, which is not around it there.
         far = (places - self.covered[:, None]).abs() > 0.05
-        nearest = vector_norm(ring[:, None, :3] - self.points, dim=2).masked_fill(far, torch.inf).argmin(1)
+        nearest = vector_norm(ring[:, None, :3] - self.rings[:, :3], dim=2).masked_fill(far, torch.inf).argmin(1)
         covered = torch.maximum(self.covered, places[nearest])
         self.gained.copy_((covered - self.covered) / (self.physics_dt * self.decimation))
         self.covered.copy_(covered)
 
     def finished(self) -> Tensor:
         """(N,) bool: the whole rod is covered, to a centimetre."""
-        return self.covered > (len(self.points) - 1) * self.spacing - 0.01
+        return self.covered > (len(self.rings) - 1) * self.spacing - 0.01
 
     def randomize(self) -> None:
         """The arm's gains, and noise on joints and on where the rod is."""

@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vecdot, vector_norm
 
-from orbit_core.assets.inertia import shapes_mass_properties
-from orbit_core.assets.objects import WOOD, box, cylinder, table
+from orbit_core.assets.objects import WOOD, box, cylinder, solid_link, table
 from orbit_core.envs import (
     EventTerm,
     EventTime,
@@ -316,7 +315,7 @@ def _with_stick(robot: RobotSpec) -> RobotSpec:
     shaft = Shape(Cylinder(0.006, 0.5 * LENGTH), Pose((0.0, 0.0, 0.5 * LENGTH)), BLADE, WOOD, "shaft")
     blade = Shape(Box(BLADE_HALF), Pose((0.0, 0.0, LENGTH)), BLADE, RED, "blade")
     tip = Frame("blade", "stick", Pose((0.0, 0.0, LENGTH)))
-    stick = Articulation("stick", (_solid("stick", (shaft, blade), 600.0),), frames=(tip,))
+    stick = Articulation("stick", (solid_link("stick", (shaft, blade), 600.0),), frames=(tip,))
     return held.with_tool(robot, stick, "blade")
 
 
@@ -332,14 +331,9 @@ def _net(line: float) -> RobotSpec:
     rail = Joint("rail", JointType.PRISMATIC, "mount", "net", axis=(0.0, 1.0, 0.0), lower_limit=-0.3, upper_limit=0.3)
     return RobotSpec(
         name="net",
-        articulation=Articulation("net", (Link("mount"), _solid("net", boards, 1000.0)), (rail,)),
+        articulation=Articulation("net", (Link("mount"), solid_link("net", boards, 1000.0)), (rail,)),
         pose=Pose((line, 0.0, THICKNESS)),
         fixed_base=True,
         actuators=(ImplicitPd(joints=("rail",), stiffness=2000.0, damping=60.0),),
         gravity_compensation=True,
     )
-
-
-def _solid(name: str, shapes: tuple[Shape, ...], density: float) -> Link:
-    properties = shapes_mass_properties(shapes, density)
-    return Link(name, properties.mass, properties.center_of_mass, properties.inertia, shapes, shapes)

@@ -82,11 +82,6 @@ def dropped(world: World, task: InHandRepose) -> Tensor:
     return slipped(world, task) > task.reach
 
 
-def effort_of_action(world: World, task: InHandRepose) -> Tensor:
-    """(N,) squared action."""
-    return common.squared_norm(task.last_action)
-
-
 def place_object(world: World, task: InHandRepose, env_ids: Tensor) -> None:
     """Place the object above the palm, within 5 mm and turned anyhow; it falls into the fingers."""
     offset = world.random.uniform((3,), -0.005, 0.005, env_ids)
@@ -128,7 +123,7 @@ class HandRewards:
     turned: RewardTerm | None = RewardTerm(lambda world, task: 1.0 / (task.distance + 0.1), 1.0)
     reached: RewardTerm | None = RewardTerm(lambda world, task: task.reached.float(), 250.0)
     slipped: RewardTerm | None = RewardTerm(slipped, -10.0)
-    action: RewardTerm | None = RewardTerm(effort_of_action, -1e-3)
+    action: RewardTerm | None = RewardTerm(common.action_size, -1e-3)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.01)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -2.5e-5)
 

@@ -16,13 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.assets.cache import cache_folder, digest_arrays, write_cached
+from orbit_core.assets.surface_checks import extents
 from orbit_core.interfaces.errors import AssetError, StorageError
 from orbit_core.scene import Articulation, Entity, Mesh, MeshCollision, ObjectSpec, Shape
 
 _EntityType = TypeVar("_EntityType", bound=Entity)
 _Pieces = list[tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]]
-_FLAT = 1e-6
-"""Points whose least spread is less than this share of their greatest lie in a plane."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +120,7 @@ def _split(
             "or have it collide as its hull"
         ) from error
     coacd.set_log_level("error")
-    if not _has_volume(vertices):
+    if extents(vertices) < 3:
         raise _failed(where, "it lies in a plane")
     most = settings.max_pieces or -1
     try:
@@ -132,7 +131,7 @@ def _split(
     except (RuntimeError, ValueError) as error:
         raise _failed(where, str(error)) from error
     pieces = [(np.asarray(points, np.float64), np.asarray(sides, np.int64)) for points, sides in found]
-    solid = [piece for piece in pieces if _has_volume(piece[0])]
+    solid = [piece for piece in pieces if extents(piece[0]) == 3]
     if not solid:
         raise _failed(where, "no piece has a volume")
     return solid
@@ -143,11 +142,6 @@ def _failed(where: str, reason: str) -> AssetError:
         f"{where} could not be split into convex pieces ({reason}): close its surface in its file, or have it collide "
         "as its hull"
     )
-
-
-def _has_volume(vertices: npt.NDArray[np.float64]) -> bool:
-    spreads = np.linalg.svd(vertices - vertices.mean(0), compute_uv=False)
-    return len(vertices) > 3 and bool(spreads[2] > _FLAT * spreads[0])
 
 
 def _stored(path: Path) -> _Pieces | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-from orbit_core.scene import Articulation, Joint, Link
+from orbit_core.scene import Articulation, Geometry, Joint, Link, Mesh, MeshCollision
 
 JointTraits = tuple[tuple[str, Callable[[Joint], object]], ...]
 """Properties of joints that a format lacks, each with its test."""
@@ -24,6 +24,17 @@ def missing_traits(
     for what, link_has in of_links:
         if names := [link.name for link in articulation.links if link_has(link)]:
             yield f"{file_format} does not hold {what}, which links have: {listed(names)}"
+
+
+def has_geometry(link: Link, *kinds: type[Geometry]) -> bool:
+    """Whether the link collides as, or is drawn as, a geometry of one of these kinds."""
+    return any(isinstance(shape.geometry, kinds) for shape in (*link.collisions, *link.visuals))
+
+
+def collides_otherwise_than_by_hulls(link: Link) -> bool:
+    """Whether a mesh of the link collides otherwise than as its convex hull."""
+    meshes = (shape.geometry for shape in link.collisions if isinstance(shape.geometry, Mesh))
+    return any(mesh.collision is not MeshCollision.CONVEX_HULL for mesh in meshes)
 
 
 def listed(names: Iterable[str]) -> str:

@@ -173,6 +173,12 @@ def _halves(name: str, size: Vector3) -> Vector3:
     return (_half(name, size[0]), _half(name, size[1]), _half(name, size[2]))
 
 
+def solid_link(name: str, shapes: Sequence[Shape], density: float) -> Link:
+    """A link that is drawn and collides as shapes of one density in kg/m^3. Where shapes overlap, mass counts twice."""
+    body = shapes_mass_properties(shapes, density)
+    return Link(name, body.mass, body.center_of_mass, body.inertia, tuple(shapes), tuple(shapes))
+
+
 def _half(name: str, length: float) -> float:
     return _positive(name, length, "length") / 2
 

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.assets.inertia import shapes_mass_properties
-from orbit_core.assets.objects import DENSITY, WOOD
+from orbit_core.assets.objects import DENSITY, WOOD, solid_link
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.scene import (
     Articulation,
@@ -23,7 +22,6 @@ from orbit_core.scene import (
     Cylinder,
     Frame,
     Geometry,
-    Link,
     Mesh,
     ObjectSpec,
     PhysicsMaterial,
@@ -116,9 +114,8 @@ def block(name: str, kind: str, *, color: Color, material: PhysicsMaterial | Non
         parts = [_prism(piece, BODY_HEIGHT) for piece in _inside(own.outline)]
     parts.append((Box((0.5 * KNOB, 0.5 * KNOB, 0.5 * KNOB)), Pose((0.0, 0.0, GRIP_HEIGHT))))
     shapes = tuple(Shape(geometry, pose, surface, color) for geometry, pose in parts)
-    body = shapes_mass_properties(shapes, DENSITY)
-    link = Link(name, body.mass, body.center_of_mass, body.inertia, shapes, shapes)
-    return ObjectSpec(name=name, articulation=Articulation(name, (link,)), semantic_label="block")
+    articulation = Articulation(name, (solid_link(name, shapes, DENSITY),))
+    return ObjectSpec(name=name, articulation=articulation, semantic_label="block")
 
 
 def board(
@@ -149,9 +146,7 @@ def board(
         for piece in _outside(_hole(kind, clearance)):
             geometry, pose = _prism(piece, BOARD_HEIGHT)
             shapes.append(Shape(geometry, place @ pose, surface, color))
-    body = shapes_mass_properties(shapes, DENSITY)
-    link = Link(name, body.mass, body.center_of_mass, body.inertia, tuple(shapes), tuple(shapes))
-    articulation = Articulation(name, (link,), frames=tuple(frames))
+    articulation = Articulation(name, (solid_link(name, shapes, DENSITY),), frames=tuple(frames))
     return ObjectSpec(name=name, articulation=articulation, fixed_base=True, semantic_label="board")
 
 

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.assets.inertia import shapes_mass_properties
-from orbit_core.assets.objects import DENSITY
+from orbit_core.assets.objects import DENSITY, solid_link
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.scene import Articulation, Capsule, Color, Frame, Link, ObjectSpec, Pose, Shape
+from orbit_core.scene import Articulation, Capsule, Color, Frame, ObjectSpec, Pose, Shape
 from orbit_core.scene.pose import Vector3
 
 _FINE = 100
@@ -77,7 +76,7 @@ def bent_rod(name: str, course: Course, radius: float, every: int, pose: Pose) -
     feet = [(*end[:2], -pose.position[2]) for end in (knots[0], knots[-1])]
     lines = [*itertools.pairwise(knots), (knots[0], feet[0]), (knots[-1], feet[1])]
     shapes = tuple(_line(start, end, radius, _STEEL) for start, end in lines)
-    articulation = Articulation(name, (_solid(name, shapes),))
+    articulation = Articulation(name, (solid_link(name, shapes, DENSITY),))
     return ObjectSpec(name=name, articulation=articulation, pose=pose, fixed_base=True, semantic_label="rod")
 
 
@@ -104,7 +103,7 @@ def ring_on_handle(name: str, radius: float, thickness: float, reach: float, pie
     lines = [*itertools.pairwise(around), (np.zeros(3), around[0])]
     shapes = tuple(_line(start, end, thickness, _BRASS) for start, end in lines)
     frame = Frame(f"{name}_middle", name, Pose((0.0, 0.0, reach)))
-    return Articulation(name, (_solid(name, shapes),), frames=(frame,))
+    return Articulation(name, (solid_link(name, shapes, DENSITY),), frames=(frame,))
 
 
 def _piece(corners: npt.NDArray[np.float64], u: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -124,8 +123,3 @@ def _line(start: npt.ArrayLike, end: npt.ArrayLike, radius: float, color: Color)
     px, py, pz = (0.5 * (first + last)).tolist()
     pose = Pose.from_axis_angle(axis, math.atan2(across, z), (px, py, pz))
     return Shape(Capsule(radius, 0.5 * length), pose, color=color)
-
-
-def _solid(name: str, shapes: tuple[Shape, ...]) -> Link:
-    body = shapes_mass_properties(shapes, DENSITY)
-    return Link(name, body.mass, body.center_of_mass, body.inertia, shapes, shapes)

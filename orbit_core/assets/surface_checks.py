@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+import numpy.typing as npt
 
 from orbit_core.interfaces.divergence import MAX_DISTANCE
 from orbit_core.interfaces.errors import ArgumentError
@@ -41,7 +42,7 @@ def check_mesh(mesh: Mesh, where: str) -> None:
         raise ArgumentError(
             f"{where} has a triangle of vertex {culprit}, and vertices 0 to {len(vertices) - 1}: mend its faces"
         )
-    if _extents(mesh) < 2:
+    if extents(mesh.vertices) < 2:
         raise ArgumentError(f"{where} has all its vertices on one line: give it a surface")
 
 
@@ -56,16 +57,18 @@ def check_hulls(shapes: Iterable[Shape], where: str) -> None:
         ArgumentError: all points of a mesh lie in one plane, or a mesh that collides by distances is not closed.
     """
     for index, shape in enumerate(shapes):
-        mesh = shape.geometry
-        if isinstance(mesh, Mesh) and mesh.collision is not MeshCollision.TRIANGLES and _extents(mesh) < 3:
+        mesh, culprit = shape.geometry, f"{where}[{repr(shape.name) if shape.name else index}].geometry"
+        if not isinstance(mesh, Mesh) or mesh.collision is MeshCollision.TRIANGLES:
+            continue
+        if extents(mesh.vertices) < 3:
             raise ArgumentError(
-                f"{where}[{repr(shape.name) if shape.name else index}].geometry lies in a plane, so that its convex "
-                "hull has no volume: give it thickness, or make it a thin box"
+                f"{culprit} lies in a plane, so that its convex hull has no volume: give it thickness, or make it a "
+                "thin box"
             )
-        if isinstance(mesh, Mesh) and mesh.collision is MeshCollision.SIGNED_DISTANCE and not _closed(mesh):
+        if mesh.collision is MeshCollision.SIGNED_DISTANCE and not _closed(mesh):
             raise ArgumentError(
-                f"{where}[{repr(shape.name) if shape.name else index}].geometry is not closed, so that distances to it "
-                "have no sign: close its surface, or have it collide otherwise"
+                f"{culprit} is not closed, so that distances to it have no sign: close its surface, or have it collide "
+                "otherwise"
             )
 
 
@@ -95,9 +98,9 @@ def _closed(mesh: Mesh) -> bool:
     return len(there) == len(edges) and np.array_equal(there, back)
 
 
-def _extents(mesh: Mesh) -> int:
-    """The number of directions in which the vertices spread."""
-    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+def extents(points: npt.ArrayLike) -> int:
+    """The number of directions, 0 to 3, in which points (V, 3) spread."""
+    vertices = np.asarray(points, dtype=np.float64)
     centred = vertices - vertices.mean(axis=0)
     spreads = np.sqrt(np.maximum(np.linalg.eigvalsh(centred.T @ centred / len(centred)), 0.0))
     return int((spreads > max(_FLAT * spreads[-1], 1e-12)).sum())

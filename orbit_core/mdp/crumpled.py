@@ -12,9 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from orbit_core.assets.cache import cache_folder
+from orbit_core.assets.cache import cache_folder, write_cached
 from orbit_core.dynamics.transforms import quat_from_rotation_vector, quat_multiply, quat_rotate
-from orbit_core.files import written_whole
 from orbit_core.interfaces import World
 from orbit_core.scene import Scene
 from orbit_core.world import simulate
@@ -42,9 +41,7 @@ def crumpled(world: World, name: str, count: int = 16) -> Tensor:
     path = cache_folder() / "crumpled" / f"{_key(scene, count)}.npy"
     if not path.exists():
         made = _dropped(scene, 2 * count, world)[:count].cpu().numpy()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with written_whole(path) as written, written.open("wb") as file:
-            np.save(file, made, allow_pickle=False)
+        write_cached(path, lambda file: np.save(file, made, allow_pickle=False))
     return torch.as_tensor(np.load(path, allow_pickle=False), device=world.device)
 
 

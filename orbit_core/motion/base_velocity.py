@@ -40,6 +40,11 @@ class BaseVelocityConfig(ActionTerm):
     max_yaw_rate: float = 1.0
     """rad/s."""
 
+    @property
+    def limits(self) -> tuple[float, float, float]:
+        """What a command of 1 stands for: m/s forward, m/s to the left, rad/s."""
+        return (self.max_speed, self.max_speed, self.max_yaw_rate)
+
     def default_joints(self, spec: RobotSpec) -> Sequence[str]:
         base = spec.planar_base
         if base is None:
@@ -70,7 +75,7 @@ class BaseVelocity(MotionGenerator):
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, 3, (JointTarget.POSITION, JointTarget.VELOCITY))
         self.config = config
-        self._limits = torch.tensor([config.max_speed, config.max_speed, config.max_yaw_rate], device=self.device)
+        self._limits = torch.tensor(config.limits, device=self.device)
         fastest = joint_limits(robot.spec, "velocity_limit")[joints]
         self._fastest = torch.as_tensor(fastest, dtype=torch.float32, device=self.device)
         self.clamped = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
@@ -96,10 +101,21 @@ class BaseVelocity(MotionGenerator):
         return {"clamped": self.clamped}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
-        velocities = _PURSUIT_RATE * towards_pose(self.robot, self.joints, pose) / self._limits
-        planar = _turned(velocities[:, :2], -self.positions[:, 2])
-        excess = torch.linalg.vector_norm(planar, dim=1, keepdim=True).clamp_min(1.0)
-        return torch.cat((planar / excess, velocities[:, 2:].clamp(-1.0, 1.0)), dim=1)
+        return command_towards(towards_pose(self.robot, self.joints, pose), self.positions[:, 2], self._limits)
+
+
+def command_towards(displacement: Tensor, heading: Tensor, limits: Tensor) -> Tensor:
+    """(N, 3) the command, within its limits, that closes a displacement of the base.
+
+    Args:
+        displacement: (N, 3) x and y in m, yaw in rad, in the axes of the plane.
+        heading: (N,) rad, of the base in the plane.
+        limits: (3,) :attr:`BaseVelocityConfig.limits`.
+    """
+    velocities = _PURSUIT_RATE * displacement / limits
+    planar = _turned(velocities[:, :2], -heading)
+    excess = torch.linalg.vector_norm(planar, dim=1, keepdim=True).clamp_min(1.0)
+    return torch.cat((planar / excess, velocities[:, 2:].clamp(-1.0, 1.0)), dim=1)
 
 
 def _turned(vectors: Tensor, angle: Tensor) -> Tensor:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_core.dynamics.transforms import yaw_angle
 from orbit_core.interfaces import ConfigurationError, PlanningError
 from orbit_core.motion import BaseVelocityConfig
 from orbit_core.motion.planning import BasePathFollower, BasePlanner, BasePlannerConfig
@@ -48,7 +49,7 @@ def test_a_base_drives_around_a_wall(backend: str) -> None:
     assert torch.linalg.vector_norm(beyond.clamp_min(0.0), dim=1).min() > MAP.radius - 0.06  # it cuts its corners
     assert follower.finished.all()
     torch.testing.assert_close(driven[-1, 0, :2], goal, atol=0.03, rtol=0.0)
-    heading = 2.0 * torch.atan2(driven[-1, 0, 6], driven[-1, 0, 3])
+    heading = yaw_angle(driven[-1, 0, 3:])
     assert float(heading) == pytest.approx(1.0, abs=0.03)
     assert driven[:, 1, :2].abs().max() < 0.01  # without a path it stays
     base.world.close()

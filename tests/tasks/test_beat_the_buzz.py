@@ -18,7 +18,7 @@ from tests.tasks.experts import episode
 def test_the_expert_covers_the_rod_without_a_touch(backend: str, rod: str) -> None:
     environment, success = episode("Beat-The-Buzz", backend, 2, rod=rod, episode_length=5.0)
     task = environment.task
-    length = (len(task.points) - 1) * task.spacing
+    length = (len(task.rings) - 1) * task.spacing
     covered = task.metrics(environment.world)["covered_m"]
     environment.close()
     assert success.all()

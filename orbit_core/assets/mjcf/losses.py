@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from orbit_core.assets.losses import JointTraits, LinkTraits, listed, missing_traits
-from orbit_core.scene import Articulation, HeightField, JointType, Link, Mesh, MeshCollision, Plane, Shape
+from orbit_core.assets.losses import (
+    JointTraits,
+    LinkTraits,
+    collides_otherwise_than_by_hulls,
+    has_geometry,
+    listed,
+    missing_traits,
+)
+from orbit_core.scene import Articulation, HeightField, JointType, Plane, Shape
 
 _OF_JOINTS: JointTraits = (("velocity limits", lambda joint: joint.movable and math.isfinite(joint.velocity_limit)),)
 _OF_LINKS: LinkTraits = (
-    ("height fields without a file", lambda link: _has(link, HeightField)),
-    (
-        "collision with a mesh's own triangles or convex pieces",
-        lambda link: _collides_otherwise_than_by_hulls(link),
-    ),
+    ("height fields without a file", lambda link: has_geometry(link, HeightField)),
+    ("collision with a mesh's own triangles or convex pieces", collides_otherwise_than_by_hulls),
     ("restitution and compliance", lambda link: any(_bounces(shape) for shape in link.collisions)),
     ("friction that differs at rest and sliding", lambda link: any(_two_frictions(shape) for shape in link.collisions)),
     ("semantic labels", lambda link: link.semantic_label),
@@ -27,7 +31,7 @@ def losses(articulation: Articulation) -> tuple[str, ...]:
 
 
 def _of_the_whole(articulation: Articulation) -> Iterable[str]:
-    if any(_has(link, Plane) for link in articulation.links[1:]):
+    if any(has_geometry(link, Plane) for link in articulation.links[1:]):
         yield "MJCF does not hold planes that move"
     endless = [
         joint.name
@@ -36,15 +40,6 @@ def _of_the_whole(articulation: Articulation) -> Iterable[str]:
     ]
     if endless:
         yield f"joints without limits become continuous: {listed(endless)}"
-
-
-def _has(link: Link, kind: type) -> bool:
-    return any(isinstance(shape.geometry, kind) for shape in (*link.collisions, *link.visuals))
-
-
-def _collides_otherwise_than_by_hulls(link: Link) -> bool:
-    meshes = (shape.geometry for shape in link.collisions if isinstance(shape.geometry, Mesh))
-    return any(mesh.collision is not MeshCollision.CONVEX_HULL for mesh in meshes)
 
 
 def _bounces(shape: Shape) -> bool:

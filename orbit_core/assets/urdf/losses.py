@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from orbit_core.assets.losses import JointTraits, LinkTraits, listed, missing_traits
+from orbit_core.assets.losses import (
+    JointTraits,
+    LinkTraits,
+    collides_otherwise_than_by_hulls,
+    has_geometry,
+    listed,
+    missing_traits,
+)
 from orbit_core.scene import (
     Articulation,
     Capsule,
     HeightField,
     Link,
-    Mesh,
-    MeshCollision,
     PhysicsMaterial,
     Plane,
     Pose,
@@ -23,8 +28,8 @@ _OF_JOINTS: JointTraits = (
     ("higher powers of couplings", lambda joint: joint.mimic is not None and not joint.mimic.linear),
 )
 _OF_LINKS: LinkTraits = (
-    ("planes and height fields", lambda link: _has(link, Plane, HeightField)),
-    ("collision with a mesh's own triangles or convex pieces", lambda link: _collides_otherwise_than_by_hulls(link)),
+    ("planes and height fields", lambda link: has_geometry(link, Plane, HeightField)),
+    ("collision with a mesh's own triangles or convex pieces", collides_otherwise_than_by_hulls),
     ("friction, restitution and compliance", lambda link: _has_material(link)),
     ("semantic labels", lambda link: link.semantic_label),
 )
@@ -46,20 +51,11 @@ def _of_the_whole(articulation: Articulation) -> Iterable[str]:
         yield "URDF does not say that the links collide with each other"
     if articulation.collision_exclusions:
         yield f"URDF does not hold {len(articulation.collision_exclusions)} pairs of links that never collide"
-    if any(_has(link, Capsule) for link in articulation.links):
+    if any(has_geometry(link, Capsule) for link in articulation.links):
         yield "capsules are written as <capsule>, which physics engines read and ROS does not"
     moved = [joint.child for joint in articulation.joints if joint.child_pose != Pose()]
     if moved:
         yield f"frames of links are written at their joints' frames: {listed(moved)}"
-
-
-def _has(link: Link, *kinds: type) -> bool:
-    return any(isinstance(shape.geometry, kinds) for shape in (*link.collisions, *link.visuals))
-
-
-def _collides_otherwise_than_by_hulls(link: Link) -> bool:
-    meshes = (shape.geometry for shape in link.collisions if isinstance(shape.geometry, Mesh))
-    return any(mesh.collision is not MeshCollision.CONVEX_HULL for mesh in meshes)
 
 
 def _has_material(link: Link) -> bool:

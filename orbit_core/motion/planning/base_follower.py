@@ -7,11 +7,10 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.transforms import yaw_angle
 from orbit_core.interfaces import ConfigurationError, Node, Port, Robot
-from orbit_core.motion.base_velocity import BaseVelocityConfig
-
-_PURSUIT_RATE = 2.0
-"""1/s: the velocity asked for, over the displacement that is left."""
+from orbit_core.motion.base_velocity import BaseVelocityConfig, command_towards
+from orbit_core.motion.planning.follower import longer
 
 
 class BasePathFollower(Node):
@@ -33,9 +32,10 @@ class BasePathFollower(Node):
         config.default_joints(robot.spec)  # raises where there is no such base
         self.name = name
         self.outputs = (Port("command", (3,)),)
-        self._robot, self._config, self._tolerance = robot, config, tolerance
+        self._robot, self._tolerance = robot, tolerance
         self._link = robot.link_names.index(robot.spec.base_link)
         pose = self._pose()
+        self._limits = torch.tensor(config.limits, device=pose.device)
         self._rows = torch.arange(len(pose), device=pose.device)
         self._places = pose[:, None, :2].clone()
         self._heading = pose[:, 2].clone()
@@ -54,9 +54,7 @@ class BasePathFollower(Node):
             if env not in headings:
                 raise ConfigurationError(f"node '{self.name}': the path of environment {env} has no heading at its end")
         longest = max([self._places.shape[1], *(len(path) for path in paths.values())])
-        grown = self._places.new_zeros(len(self._places), longest, 2)
-        grown[:, : self._places.shape[1]] = self._places
-        self._places = grown
+        self._places = longer(self._places, longest)
         for env, path in paths.items():
             self._places[env, : len(path)] = path
             self._heading[env], self._last[env], self._next[env] = headings[env], len(path) - 1, 0
@@ -74,14 +72,9 @@ class BasePathFollower(Node):
         near = torch.linalg.vector_norm(way, dim=1) < self._tolerance
         self._next.copy_(torch.minimum(self._next + near, self._last))
         way = self._places[self._rows, self._next] - pose[:, :2]
-        cos, sin = pose[:, 2].cos(), pose[:, 2].sin()
-        local = torch.stack((cos * way[:, 0] + sin * way[:, 1], cos * way[:, 1] - sin * way[:, 0]), 1)
-        planar = local * (_PURSUIT_RATE / self._config.max_speed)
-        planar = planar / torch.linalg.vector_norm(planar, dim=1, keepdim=True).clamp_min(1.0)
         left = self._heading - pose[:, 2]
-        turn = torch.atan2(left.sin(), left.cos()) * (_PURSUIT_RATE / self._config.max_yaw_rate)
-        command = torch.cat((planar, turn.clamp(-1.0, 1.0)[:, None]), 1)
-        return {"command": command * self._drives[:, None]}
+        displacement = torch.cat((way, torch.atan2(left.sin(), left.cos())[:, None]), 1)
+        return {"command": command_towards(displacement, pose[:, 2], self._limits) * self._drives[:, None]}
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         self._drives[slice(None) if env_ids is None else env_ids] = False
@@ -90,6 +83,6 @@ class BasePathFollower(Node):
         return {"next": self._next, "last": self._last, "drives": self._drives, "heading": self._heading}
 
     def _pose(self) -> Tensor:
-        """(N, 3) x, y and heading of the base, which stands upright."""
+        """(N, 3) x, y and heading of the base."""
         pose = self._robot.link_poses[:, self._link]
-        return torch.cat((pose[:, :2], 2.0 * torch.atan2(pose[:, 6:], pose[:, 3:4])), 1)
+        return torch.cat((pose[:, :2], yaw_angle(pose[:, 3:])[:, None]), 1)

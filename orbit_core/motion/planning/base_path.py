@@ -161,7 +161,7 @@ def _straightened(free: _Array, cells: list[tuple[int, int]]) -> list[tuple[int,
         here = next(there for there in range(len(cells) - 1, here, -1) if there == here + 1 or
                     _sees(free, cells[here], cells[there]))  # fmt: skip
         corners.append(cells[here])
-    return corners if len(corners) > 1 else [cells[0], cells[-1]]
+    return corners
 
 
 def _sees(free: _Array, first: tuple[int, int], second: tuple[int, int]) -> bool:

@@ -51,7 +51,7 @@ class TrajectoryFollower(Node):
                     f"of {trajectory.positions.shape[1]}"
                 )
         longest = max([self._positions.shape[1], *(len(t.positions) for t in trajectories.values())])
-        self._positions, self._velocities = (_longer(part, longest) for part in (self._positions, self._velocities))
+        self._positions, self._velocities = (longer(part, longest) for part in (self._positions, self._velocities))
         for env, trajectory in trajectories.items():
             length = len(trajectory.positions)
             for own, given in ((self._positions, trajectory.positions), (self._velocities, trajectory.velocities)):
@@ -88,7 +88,8 @@ class TrajectoryFollower(Node):
         return {"elapsed": self._elapsed, "last": self._last, "step": self._step}
 
 
-def _longer(part: Tensor, length: int) -> Tensor:
+def longer(part: Tensor, length: int) -> Tensor:
+    """(N, length, D) the part (N, L, D), with zeros at the end."""
     grown = part.new_zeros(part.shape[0], length, part.shape[2])
     grown[:, : part.shape[1]] = part
     return grown

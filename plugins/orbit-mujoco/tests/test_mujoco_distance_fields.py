@@ -12,6 +12,7 @@ import trimesh
 
 from orbit_core.assets.inertia import mass_properties
 from orbit_core.assets.threads import Thread, bolt, nut
+from orbit_core.dynamics.transforms import yaw_angle
 from orbit_core.interfaces import Capability, UnsupportedCapabilityError
 from orbit_core.interfaces.errors import ArgumentError, AssetError
 from orbit_core.scene import (
@@ -47,11 +48,6 @@ def screw() -> Scene:
     return Scene(objects=parts, terrain=(), physics_dt=0.001)
 
 
-def yaw(pose: torch.Tensor) -> float:
-    w, x, y, z = (float(part) for part in pose[0, 3:])
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-
-
 def test_a_nut_driven_by_a_torque_moves_down_its_bolt_by_the_lead_in_a_turn() -> None:
     world = simulate(screw(), num_envs=1, backend="mujoco")
     own = world.objects["nut"]
@@ -61,7 +57,7 @@ def test_a_nut_driven_by_a_torque_moves_down_its_bolt_by_the_lead_in_a_turn() ->
         own.set_wrenches(torch.tensor([[[0.0, 0.0, 0.0, 0.0, 0.0, torque]]]))
         world.step(10)
         heights.append(float(own.root_pose[0, 2]))
-        angles.append(yaw(own.root_pose))
+        angles.append(float(yaw_angle(own.root_pose[0, 3:])))
     across = float(own.root_pose[0, :2].norm())
     world.close()
     settled = 20  # by then the nut lies on the flanks
