@@ -17,7 +17,7 @@ from orbit_core.assets.object_kinds import BoxConfig, ObjectConfig
 from orbit_core.dynamics import transforms
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import once_per_state
+from orbit_core.envs.terms import POSE, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
@@ -100,11 +100,11 @@ class HandState(ObservationGroup):
 
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
-    finger_tips: ObservationTerm | None = ObservationTerm(finger_tips)
-    object_pose: ObservationTerm | None = ObservationTerm(object_pose)
-    object_velocity: ObservationTerm | None = ObservationTerm(object_velocity)
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal)
-    turn: ObservationTerm | None = ObservationTerm(turn)
+    finger_tips: ObservationTerm | None = ObservationTerm(finger_tips, unit="m")
+    object_pose: ObservationTerm | None = ObservationTerm(object_pose, unit=POSE)
+    object_velocity: ObservationTerm | None = ObservationTerm(object_velocity, unit="m/s, rad/s")
+    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal, unit="quaternion (w, x, y, z)")
+    turn: ObservationTerm | None = ObservationTerm(turn, unit="rad")
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

@@ -42,8 +42,9 @@ def test_a_kept_policy_does_its_task(name: str) -> None:
     """Learned on one engine, played on another by its name: at least 3 of 4 episodes."""
     learned = load_policy(policy_path(name)).description
     settings = RunSettings(
-        task=learned.task, action=learned.action, backend=default_backend(), agent=name, num_envs=24, episodes=24
-    )
+        task=learned.task, robot=learned.robot, action=learned.action, backend=default_backend(), agent=name,
+        num_envs=24, episodes=24,
+    )  # fmt: skip
     assert run(settings).success_rate.value >= 0.75
 
 
