@@ -26,6 +26,7 @@ COMMANDS = {
     "run": ("run", "Run a task's episodes with an expert, random or zero agent, and report how they went"),
     "view": ("view", "Watch a task live in the browser"),
     "record": ("record", "Record a task's episodes as a dataset of demonstrations"),
+    "teleop": ("teleop", "Drive a task's robot yourself, and record demonstrations"),
     "augment": ("augment", "Make many demonstrations of a few, moved to where things are in new episodes"),
     "data": ("data", "Tell about, convert, merge, filter, split and replay datasets of demonstrations"),
     "grasp": ("grasp", "Choose, accept and move grasps of an arm in the browser, and take the arm"),

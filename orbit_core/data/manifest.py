@@ -130,6 +130,8 @@ class Manifest:
     seed: int
     assets: dict[str, str]
     """Digests of everything that is simulated, by its name in the scene: links, masses, shapes, joints, meshes."""
+    input_device: str = ""
+    """What a person moved, where one acted."""
     format: int = field(default=FORMAT)
 
     @staticmethod

@@ -108,6 +108,11 @@ class DemonstrationRecorder(StepObserver):
         if "final" in info:
             self._finish(info["final"])
 
+    def finish(self, end: EpisodeEnd) -> None:
+        """Write episodes that are ended from outside, now, as if their last step had ended them."""
+        self._rings[DONES][(self._step - 1) % self._capacity, end.env_ids] = True
+        self._finish(end)
+
     def _put(self, name: str, value: Tensor) -> None:
         ring = self._rings.get(name)
         if ring is None:

@@ -57,7 +57,11 @@ class RecordingFile:
             dataset.close()
             recorded = dataset.known()
         found = [] if recorded is None else differences(recorded, manifest)
-        found = [each for each in found if each.kind is not Kind.NOTE or not each.path.startswith("versions")]
+        found = [
+            each
+            for each in found
+            if each.kind is not Kind.NOTE or not each.path.startswith(("versions", "input_device"))
+        ]
         if found:
             told = "; ".join(str(difference) for difference in found)
             raise ConfigurationError(f"{self.path} was recorded with other settings, so it cannot go on: {told}")

@@ -1,0 +1,163 @@
+"""The viewer's page as a device: a gizmo for the hand, sliders for joints, buttons to hold, and keys."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+from orbit_core.teleoperation.device import Device, Event, Reading, Speeds
+from orbit_core.teleoperation.driver import Driver
+from orbit_core.viewer.scene_view import SceneView
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+_HELD = 0.12
+"""s that a button counts as held after it was last heard of; it is heard of 30 times a second."""
+_RESTS = 0.4
+"""s after a person's last move of gizmo or sliders from which on they follow the robot again."""
+_TURN = 6.28
+"""rad: a joint without limits is moved by a turn either way."""
+_HAND_BUTTONS = (
+    ("Forward", 0, 1.0), ("Back", 0, -1.0), ("Left", 1, 1.0), ("Right", 1, -1.0), ("Up", 2, 1.0), ("Down", 2, -1.0),
+    ("Turn left", 5, 1.0), ("Turn right", 5, -1.0),
+)  # fmt: skip
+_BASE_BUTTONS = (
+    ("Drive forward", 0, 1.0), ("Drive back", 0, -1.0), ("Drive left", 1, 1.0), ("Drive right", 1, -1.0),
+    ("Swing left", 2, 1.0), ("Swing right", 2, -1.0),
+)  # fmt: skip
+_EVENTS = {
+    Event.RECORD: ("Record", "R", "Begin a new episode, and record it"),
+    Event.SAVE: ("Save", "V", "End the recorded episode, and keep it"),
+    Event.DISCARD: ("Discard", "X", "Forget the recorded episode"),
+    Event.RESET: ("Start over", "Z", "Begin the episode anew"),
+    Event.SUCCESS: ("Mark success", "M", "Say that the episode succeeded, or take it back"),
+    Event.GRIPPER: ("Open or close", "G", "The gripper"),
+    Event.NEXT: ("Next robot", "N", "Drive another robot"),
+}
+
+
+class Browser(Device):
+    """What a person does on the viewer's page; :meth:`attach` puts it there.
+
+    Args:
+        speeds: of the hand, by buttons.
+        driver: whose robots are driven.
+    """
+
+    def __init__(self, speeds: Speeds, driver: Driver) -> None:
+        self._speeds, self._driver = speeds, driver
+        self._lock = threading.Lock()
+        self._pose: tuple[float, ...] | None = None
+        self._joints: dict[str, float] | None = None
+        self._events: list[Event] = []
+        self._held: dict[tuple[str, int, float], float] = {}
+        self._moved: float | None = None
+        self._last = -_RESTS
+        self._dragging = False
+        self._server: Any = None
+        self._gizmo: Any = None
+        self._sliders: dict[str, Any] = {}
+
+    def read(self) -> Reading:
+        now = time.perf_counter()
+        hand, base = [0.0] * 6, [0.0] * 3
+        with self._lock:
+            for (kind, axis, sign), heard in self._held.items():
+                if now - heard < _HELD:
+                    (hand if kind == "hand" else base)[axis] += sign
+            reading = Reading(
+                twist=self._speeds.twist(hand),
+                pose=self._pose,
+                joints=self._joints,
+                base=(base[0], base[1], base[2]),
+                events=tuple(self._events),
+                moved_at=self._moved,
+            )
+            self._pose = self._joints = self._moved = None
+            self._events = []
+        return reading
+
+    def attach(self, server: ViserServer, scene: SceneView) -> Browser:
+        """Put everything on the page; gives what the viewer brings up to date."""
+        self._server = server
+        self._gizmo = server.scene.add_transform_controls("/teleoperation/gizmo", scale=0.15, visible=False)
+        self._gizmo.on_update(self._dragged)
+        gui = server.gui
+        with gui.add_folder("Teleoperation", order=-1.0):
+            for event, (label, key, hint) in _EVENTS.items():
+                if event is Event.NEXT and len(self._driver.robots) < 2:
+                    continue
+                button = gui.add_button(label, hint=f"{hint} ({key})", color="gray")
+                button.on_click(lambda _, event=event: self._ask(event))
+                command = gui.add_command(label, description=hint, hotkey=key)
+                command.on_trigger(lambda _, event=event: self._ask(event))
+            if self._driver.hands:
+                self._add_held(gui, "Hand", "hand", _HAND_BUTTONS)
+            self._add_held(gui, "Base", "base", _BASE_BUTTONS)
+            if self._driver.hand is not None:
+                with gui.add_folder("Joints", expand_by_default=False):
+                    self._add_sliders(gui)
+        return self
+
+    def update(self) -> None:
+        """Let gizmo and sliders follow the robot while nobody moves them. Called in the simulation's thread."""
+        hand = self._driver.hand
+        if self._gizmo is None or hand is None or self._dragging or time.perf_counter() - self._last < _RESTS:
+            return
+        pose = hand.target[0].cpu().numpy()
+        with self._server.atomic():
+            self._gizmo.position, self._gizmo.wxyz, self._gizmo.visible = pose[:3], pose[3:], True
+            for name, slider in self._sliders.items():
+                at = float(hand.robot.joint_positions[0, hand.robot.joint_names.index(name)])
+                slider.value = round(min(max(at, slider.min), slider.max), 2)
+
+    # What the person does, in the web server's threads
+
+    def _dragged(self, event: Any) -> None:
+        with self._lock:
+            self._dragging = event.phase != "end"
+            self._pose = (*map(float, self._gizmo.position), *map(float, self._gizmo.wxyz))
+            self._joints = None
+            self._heard()
+
+    def _slid(self, name: str, event: Any) -> None:
+        if event.client is None:  # a program set it
+            return
+        with self._lock:
+            self._joints = {**(self._joints or {}), name: float(event.target.value)}
+            self._heard()
+
+    def _ask(self, event: Event) -> None:
+        with self._lock:
+            self._events.append(event)
+            self._heard()
+
+    def _hold(self, which: tuple[str, int, float]) -> None:
+        with self._lock:
+            self._held[which] = time.perf_counter()
+            self._heard()
+
+    def _heard(self) -> None:
+        self._last = time.perf_counter()
+        self._moved = self._moved or self._last
+
+    # Making the page
+
+    def _add_held(self, gui: Any, title: str, kind: str, buttons: tuple[tuple[str, int, float], ...]) -> None:
+        with gui.add_folder(title, expand_by_default=kind == "hand"):
+            for label, axis, sign in buttons:
+                button = gui.add_button(label, color="gray", hint="Hold it")
+                button.on_hold(lambda _, which=(kind, axis, sign): self._hold(which), callback_hz=30.0)
+
+    def _add_sliders(self, gui: Any) -> None:
+        hand = self._driver.hand
+        assert hand is not None
+        for joint in hand.robot.find_joints(*hand.robot.spec.end_effector.arm_joints):
+            name = hand.robot.joint_names[joint]
+            low, high = (max(-_TURN, min(_TURN, float(each))) for each in hand.robot.position_limits[joint])
+            at = min(max(float(hand.robot.joint_positions[0, joint]), low), high)
+            slider = gui.add_slider(name, round(low, 2), round(high, 2), 0.01, round(at, 2))
+            slider.on_update(lambda event, name=name: self._slid(name, event))
+            self._sliders[name] = slider

@@ -1,0 +1,81 @@
+"""What every device gives: readings of what a person asks for now."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from orbit_core.interfaces.errors import OrbitError
+
+
+class DeviceLostError(OrbitError):
+    """A device was unplugged, or its other end went away."""
+
+
+class Event(Enum):
+    """What a person asks for once, by a key or a button; the value is its word in messages and frames."""
+
+    RECORD = "record"
+    """Begin a new episode, and record it."""
+    SAVE = "save"
+    """End the episode that is recorded, and keep it."""
+    DISCARD = "discard"
+    """Forget the episode that is recorded, and begin anew without recording."""
+    RESET = "reset"
+    """Begin a new episode; one that is recorded is forgotten, and its successor recorded."""
+    SUCCESS = "success"
+    """Mark the episode that is recorded as successful, or take the mark back."""
+    GRIPPER = "gripper"
+    """Open or close the gripper."""
+    NEXT = "next"
+    """Drive the next robot, where several act."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a person asks for at one moment; None where the device says nothing of it."""
+
+    twist: tuple[float, ...] | None = None
+    """Six: m/s and rad/s of the end effector, in world axes."""
+    pose: tuple[float, ...] | None = None
+    """Seven: position (m) and quaternion (w, x, y, z) of the end effector, in the environment's frame."""
+    joints: Mapping[str, float] | None = None
+    """rad or m by the robot's joint names."""
+    base: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """(forward, left, turn) of a base, as shares of its limits."""
+    gripper_open: bool | None = None
+    events: tuple[Event, ...] = ()
+    moved_at: float | None = None
+    """``time.perf_counter()`` of the oldest move of the person that the reading holds."""
+
+
+@dataclass(frozen=True)
+class Speeds:
+    """How fast the hand moves at a device's full deflection."""
+
+    linear: float = 0.25
+    """m/s"""
+    angular: float = 1.0
+    """rad/s"""
+
+    def twist(self, shares: Sequence[float]) -> tuple[float, ...]:
+        """The twist of six shares in [-1, 1]."""
+        scales = (self.linear,) * 3 + (self.angular,) * 3
+        return tuple(share * scale for share, scale in zip(shares, scales, strict=True))
+
+
+class Device(ABC):
+    """Something that a person moves."""
+
+    @abstractmethod
+    def read(self) -> Reading:
+        """What is asked for now; waits for nothing.
+
+        Raises:
+            DeviceLostError: the device is gone.
+        """
+
+    def close(self) -> None:
+        """Give the device back."""

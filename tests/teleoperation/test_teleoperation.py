@@ -1,0 +1,283 @@
+"""Teleoperation: devices by recorded streams, any motion generator by any device, and recordings that lose nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from orbit_core.backends import default_backend
+from orbit_core.cli import main
+from orbit_core.data.hdf5 import Hdf5Dataset
+from orbit_core.data.recording import RecordingFile
+from orbit_core.dynamics.transforms import pose_error
+from orbit_core.envs import Environment, make
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.teleoperation.device import Device, DeviceLostError, Event, Reading, Speeds
+from orbit_core.teleoperation.devices import open_device
+from orbit_core.teleoperation.driver import Driver
+from orbit_core.teleoperation.gamepad import Gamepad
+from orbit_core.teleoperation.keyboard import Keyboard
+from orbit_core.teleoperation.leader import Leader
+from orbit_core.teleoperation.session import Session
+from orbit_core.teleoperation.spacemouse import SpaceMouse
+
+BACKEND = default_backend()
+SPEEDS = Speeds()
+UP = Reading(twist=(0.0, 0.0, 0.2, 0.0, 0.0, 0.0))
+
+
+class Played(Device):
+    """Gives the readings that it was given, and is then unplugged."""
+
+    def __init__(self, *readings: Reading) -> None:
+        self._left = list(readings)
+
+    def read(self) -> Reading:
+        if not self._left:
+            raise DeviceLostError("the device was unplugged")
+        return self._left.pop(0)
+
+
+@pytest.fixture(scope="module")
+def environment() -> Iterator[Environment]:
+    made = make("Lift", 1, BACKEND, seed=2, episode_length=10.0)
+    yield made
+    made.close()
+
+
+# Devices ----------------------------------------------------------------------------------------------------------------
+
+
+def test_a_terminal_moves_hand_and_base_and_asks() -> None:
+    controller, terminal = pty.openpty()
+    keyboard = Keyboard(SPEEDS, terminal)
+    os.write(controller, b"w\x1b[A vw")
+    time.sleep(0.05)
+    reading = keyboard.read()
+    assert reading.twist == (0.25, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert reading.base == (1.0, 0.0, 0.0)
+    assert reading.events == (Event.GRIPPER, Event.SAVE)
+    assert reading.moved_at is not None
+    time.sleep(0.2)
+    assert keyboard.read() == Reading(twist=(0.0,) * 6)
+    keyboard.close()
+    os.close(controller)
+    with pytest.raises(DeviceLostError, match="terminal"):
+        keyboard.read()
+
+
+def test_a_gamepad_by_a_recorded_stream_of_events() -> None:
+    import pygame
+
+    types = (pygame.JOYAXISMOTION, pygame.JOYBUTTONDOWN, pygame.JOYBUTTONUP, pygame.JOYDEVICEREMOVED)
+    stream = [
+        [pygame.event.Event(types[0], axis=1, value=-1.0), pygame.event.Event(types[0], axis=5, value=1.0)],
+        [pygame.event.Event(types[1], button=0), pygame.event.Event(types[1], button=5)],
+        [pygame.event.Event(types[2], button=5), pygame.event.Event(types[0], axis=1, value=0.05)],
+        [pygame.event.Event(types[3])],
+    ]
+    pad = Gamepad(SPEEDS, lambda: stream.pop(0), types)
+    assert pad.read().twist == (0.25, 0.0, 0.25, 0.0, 0.0, 0.0)
+    second = pad.read()
+    assert second.events == (Event.GRIPPER,)
+    assert second.base == (1.0, 0.0, 0.0)
+    assert second.twist is not None
+    assert second.twist[0] == 0.0
+    assert pad.read().twist == (0.0, 0.0, 0.25, 0.0, 0.0, 0.0)
+    with pytest.raises(DeviceLostError, match="unplugged"):
+        pad.read()
+
+
+def test_a_spacemouse_by_recorded_reports() -> None:
+    reports = [
+        b"\x01" + struct.pack("<3h", 0, -350, -175), b"\x02" + struct.pack("<3h", 0, 0, 700), b"\x03\x01", b"",
+        b"\x01" + struct.pack("<6h", 175, 0, 0, 0, 0, 3), b"\x03\x03", b"",
+    ]  # fmt: skip
+    mouse = SpaceMouse(SPEEDS, lambda: reports.pop(0))
+    first = mouse.read()
+    assert first.twist == pytest.approx((0.25, 0.0, 0.125, 0.0, 0.0, -1.0))
+    assert first.events == (Event.GRIPPER,)
+    second = mouse.read()
+    assert second.twist == pytest.approx((0.0, -0.125, 0.0, 0.0, 0.0, 0.0))
+    assert second.events == (Event.RECORD,)
+    with pytest.raises(DeviceLostError, match="unplugged"):
+        SpaceMouse(SPEEDS, lambda: (_ for _ in ()).throw(OSError("read error"))).read()
+
+
+def test_a_leader_sends_lines_and_is_told_what_is_wrong() -> None:
+    leader = Leader(("a", "b"), 0)
+    with socket.create_connection(("127.0.0.1", leader.port)) as client, client.makefile("rb") as answers:
+        for bad in (
+            b"no json\n",
+            b'{"joints": {"c": 1}}\n',
+            b'{"joints": {"a": "1"}}\n',
+            b'{"joint": {}}\n',
+            b"\xff\n",
+        ):
+            client.sendall(bad)
+            assert "error" in json.loads(answers.readline())
+        client.sendall(b'{"joints": {"a": 0.5}}\n{"gripper_open": false, "event": "record"}\n')
+        with socket.create_connection(("127.0.0.1", leader.port)) as other:
+            assert b"another leader" in other.recv(1000)
+        end = time.monotonic() + 5.0
+        while not (reading := leader.read()).events and time.monotonic() < end:
+            time.sleep(0.01)
+        assert reading == Reading(
+            joints={"a": 0.5}, gripper_open=False, events=(Event.RECORD,), moved_at=reading.moved_at
+        )
+    end = time.monotonic() + 5.0
+    with pytest.raises(DeviceLostError, match="closed"):
+        while time.monotonic() < end:
+            leader.read()
+    leader.close()
+
+
+# Driving ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "action", ["joint_position", "joint_velocity", "ik_absolute", "ik_relative", "operational_space", "rmpflow"]
+)
+def test_a_twist_moves_the_hand_in_every_action_space(action: str) -> None:
+    environment = make("Reach", 1, BACKEND, action=action, episode_length=10.0)
+    driver = Driver(environment)
+    driver.restart()
+    hand = driver.hand
+    assert hand is not None
+    begin = hand.measured
+    for _ in range(50):
+        environment.step(driver.act(UP))
+    for _ in range(25):
+        environment.step(driver.act(Reading(twist=(0.0,) * 6)))
+    moved = pose_error(begin, hand.measured)[0]
+    assert moved[2] == pytest.approx(0.2, abs=0.05)
+    assert moved[:2].abs().max() < 0.03
+    assert moved[3:].abs().max() < 0.15
+    environment.close()
+
+
+@pytest.mark.parametrize("action", ["joint_position", "ik_relative"])
+def test_joint_values_and_poses_are_followed(action: str) -> None:
+    environment = make("Reach", 1, BACKEND, action=action, episode_length=10.0)
+    driver = Driver(environment)
+    driver.restart()
+    hand = driver.hand
+    assert hand is not None
+    name = hand.robot.joint_names[0]
+    for _ in range(75):
+        environment.step(driver.act(Reading(joints={name: 0.3})))
+    assert hand.robot.joint_positions[0, 0] == pytest.approx(0.3, abs=0.05)
+    wanted = hand.target[0].clone()
+    wanted[2] += 0.1
+    for _ in range(75):
+        environment.step(driver.act(Reading(pose=tuple(wanted.tolist()))))
+    assert (hand.measured[0, :3] - wanted[:3]).norm() < 0.02
+    with pytest.raises(UnknownNameError, match="joint 'elbow'"):
+        driver.act(Reading(joints={"elbow": 0.0}))
+    environment.close()
+
+
+def test_several_robots_are_driven_in_turn() -> None:
+    environment = make("Handover", 1, BACKEND)
+    driver = Driver(environment)
+    driver.restart()
+    first, second = driver.robots
+    begin = {name: hand.measured for name, hand in driver.hands.items()}
+    driver.act(Reading(events=(Event.NEXT,)))
+    assert driver.active == second
+    for _ in range(30):
+        environment.step(driver.act(UP))
+    assert driver.hands[second].measured[0, 2] - begin[second][0, 2] > 0.08
+    assert (driver.hands[first].measured - begin[first])[0, :3].norm() < 0.02
+    environment.close()
+
+
+def test_a_base_takes_what_is_for_bases() -> None:
+    environment = make("Velocity-Flat", 1, BACKEND, action="locomotion")
+    driver = Driver(environment)
+    driver.restart()
+    assert driver.act(Reading(base=(1.0, -0.5, 0.25))).tolist() == [[1.0, -0.5, 0.25]]
+    environment.close()
+    environment = make("Velocity-Flat", 1, BACKEND)
+    with pytest.raises(ConfigurationError, match="locomotion"):
+        Driver(environment)
+    environment.close()
+
+
+# Recording --------------------------------------------------------------------------------------------------------------
+
+
+def run(session: Session) -> None:
+    session.reset()
+    while True:
+        session.step(session.act())
+
+
+def test_episodes_are_kept_on_demand_and_survive_a_lost_device(environment: Environment, tmp_path: Path) -> None:
+    path = tmp_path / "own.hdf5"
+    ask = {event: Reading(events=(event,)) for event in Event}
+    stream = [
+        UP, ask[Event.SAVE], ask[Event.RECORD], *[UP] * 9, ask[Event.SUCCESS], ask[Event.SAVE], UP, ask[Event.RECORD], UP,
+        ask[Event.DISCARD], ask[Event.RECORD], UP, UP, ask[Event.RESET], UP, ask[Event.SAVE], ask[Event.RECORD], UP,
+    ]  # fmt: skip
+    session = Session(environment, Driver(environment), Played(*stream), "gamepad", RecordingFile(path), "Lift", 2)
+    with pytest.raises(DeviceLostError, match="unplugged"):
+        run(session)
+    assert session.close() == 2
+    dataset = Hdf5Dataset(path)
+    assert [(info.length, info.success) for info in dataset.episodes] == [(11, True), (2, False)]
+    assert dataset.known().input_device == "gamepad"
+    episode = dataset.read(0)
+    assert episode.arrays["dones"].tolist() == [False] * 10 + [True]
+    heights = episode.named("poses/")["robot/hand" if "robot/hand" in episode.named("poses/") else next(
+        iter(episode.named("poses/")))][:, 2]  # fmt: skip
+    assert heights[-1] > heights[0]
+    dataset.close()
+    again = Session(environment, Driver(environment), Played(ask[Event.RECORD], UP, ask[Event.SAVE]), "browser",
+                    RecordingFile(path), "Lift", 2)  # fmt: skip
+    with pytest.raises(DeviceLostError):
+        run(again)
+    assert again.close() == 3
+
+
+def test_nothing_is_left_where_nothing_was_saved(environment: Environment, tmp_path: Path) -> None:
+    path = tmp_path / "none.hdf5"
+    session = Session(environment, Driver(environment), Played(UP), "leader", RecordingFile(path), "Lift", 2)
+    with pytest.raises(DeviceLostError):
+        run(session)
+    assert session.close() == 0
+    assert [*tmp_path.iterdir()] == []
+
+
+# Bad input --------------------------------------------------------------------------------------------------------------
+
+
+def test_bad_calls_are_told_in_one_line(capsys: pytest.CaptureFixture[str], environment: Environment) -> None:
+    assert main(["teleop", "Lift", "--device", "joystick"]) == 2
+    assert "device 'joystick'" in capsys.readouterr().err
+    assert main(["teleop", "Lift", "--device", "browser", "--seconds", "-1"]) == 2
+    assert "seconds" in capsys.readouterr().err
+    driver = Driver(environment)
+    with pytest.raises(ConfigurationError, match="no gamepad"):
+        open_device("gamepad", SPEEDS, driver, 0)
+    with pytest.raises(ConfigurationError, match="no SpaceMouse"):
+        open_device("spacemouse", SPEEDS, driver, 0)
+    several = SimpleNamespace(num_envs=2)
+    with pytest.raises(ConfigurationError, match="one environment"):
+        Driver(several)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_taken_port_is_named() -> None:
+    leader = Leader(("a",), 0)
+    with pytest.raises(ConfigurationError, match=str(leader.port)):
+        Leader(("a",), leader.port)
+    leader.close()
