@@ -40,6 +40,7 @@ RANKS = {
     "rollout": 5.5,
     "data": 5.8,
     "viewer": 6,
+    "teleoperation": 6.5,
     "learning": 7,
     "conformance": 8,
     "cli": 9,

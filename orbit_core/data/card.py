@@ -42,6 +42,7 @@ def facts(dataset: Dataset) -> dict[str, str]:
             "action": ", ".join(f"{n} ({len(term.components)})" for n, term in manifest.action_terms.items()),
             "rate": f"{1.0 / manifest.step_dt:g} Hz",
             "matter": manifest.matter or "none",
+            **({"shown by a person with": manifest.input_device} if manifest.input_device else {}),
             "seed": str(manifest.seed),
             "versions": ", ".join(f"{name} {version}" for name, version in manifest.versions.items()),
         }

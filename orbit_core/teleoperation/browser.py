@@ -12,6 +12,7 @@ from orbit_core.viewer.scene_view import SceneView
 
 if TYPE_CHECKING:
     from viser import ViserServer
+    from viser._messages import HotkeyKey
 
 _HELD = 0.12
 """s that a button counts as held after it was last heard of; it is heard of 30 times a second."""
@@ -27,7 +28,7 @@ _BASE_BUTTONS = (
     ("Drive forward", 0, 1.0), ("Drive back", 0, -1.0), ("Drive left", 1, 1.0), ("Drive right", 1, -1.0),
     ("Swing left", 2, 1.0), ("Swing right", 2, -1.0),
 )  # fmt: skip
-_EVENTS = {
+_EVENTS: dict[Event, tuple[str, HotkeyKey, str]] = {
     Event.RECORD: ("Record", "R", "Begin a new episode, and record it"),
     Event.SAVE: ("Save", "V", "End the recorded episode, and keep it"),
     Event.DISCARD: ("Discard", "X", "Forget the recorded episode"),
@@ -82,7 +83,9 @@ class Browser(Device):
     def attach(self, server: ViserServer, scene: SceneView) -> Browser:
         """Put everything on the page; gives what the viewer brings up to date."""
         self._server = server
-        self._gizmo = server.scene.add_transform_controls("/teleoperation/gizmo", scale=0.15, visible=False)
+        self._gizmo = server.scene.add_transform_controls(
+            "/teleoperation/gizmo", scale=0.15, visible=False, depth_test=False
+        )
         self._gizmo.on_update(self._dragged)
         gui = server.gui
         with gui.add_folder("Teleoperation", order=-1.0):

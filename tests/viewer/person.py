@@ -1,0 +1,54 @@
+"""What tests need to act as a person in a real browser."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, sync_playwright
+
+from orbit_core.viewer.viewer import Viewer
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+ARGUMENTS = [
+    "--headless", "--no-sandbox", "--disable-gpu-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
+]  # fmt: skip
+
+
+@contextmanager
+def opened_page() -> Iterator[Page]:
+    """An empty page of a headless Chromium."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium is installed")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        opened = browser.new_page(viewport={"width": 640, "height": 480})
+        opened.set_default_timeout(60_000.0)
+        yield opened
+        browser.close()
+
+
+def until(condition: Callable[[], bool], page: Page, seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come about in time"
+        page.wait_for_timeout(100)
+
+
+def pixel(viewer: Viewer, point: np.ndarray) -> tuple[float, float]:
+    """Where a point of the world is on the page."""
+    camera = next(iter(viewer._server.get_clients().values())).camera
+    forward = camera.look_at - camera.position
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, camera.up_direction)
+    right = right / np.linalg.norm(right)
+    arm, scale = point - camera.position, 0.5 * camera.image_height / np.tan(0.5 * camera.fov)
+    depth = arm @ forward
+    x, y = arm @ right / depth, arm @ np.cross(right, forward) / depth
+    return 0.5 * camera.image_width + scale * x, 0.5 * camera.image_height - scale * y

@@ -1,0 +1,93 @@
+"""A person lifts the cube in a real browser, by dragging the gizmo, and the episode is kept."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from playwright.sync_api import Page
+
+from orbit_core.backends import default_backend
+from orbit_core.data.hdf5 import Hdf5Dataset
+from orbit_core.data.recording import RecordingFile
+from orbit_core.dynamics.transforms import quat_to_matrix
+from orbit_core.envs import make
+from orbit_core.teleoperation.browser import Browser
+from orbit_core.teleoperation.device import Speeds
+from orbit_core.teleoperation.driver import Driver
+from orbit_core.teleoperation.session import Session
+from orbit_core.viewer.viewer import Viewer
+
+Running = tuple[Viewer, Session, Browser, Driver]
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Iterator[Running]:
+    environment = make("Lift", num_envs=1, backend=default_backend(), seed=3, episode_length=120.0)
+    driver = Driver(environment)
+    device = Browser(Speeds(), driver)
+    session = Session(environment, driver, device, "browser", RecordingFile(tmp_path / "own.hdf5"), "Lift", 3)
+    with Viewer(session, session, port=8170, information=lambda _: session.information(), tool=device.attach) as viewer:
+        thread = threading.Thread(target=viewer.run)
+        thread.start()
+        yield viewer, session, device, driver
+        viewer.controls.stop()
+        thread.join(10.0)
+    environment.close()
+
+
+def drag_to(page: Page, person: ModuleType, running: Running, target: NDArray[np.float32], tolerance: float) -> None:
+    """Drag the gizmo's arrows until the hand is at a point."""
+    viewer, _, device, driver = running
+    hand = driver.hand
+    assert hand is not None
+    for _ in range(5):
+        page.wait_for_timeout(700)
+        if np.abs(target - hand.measured[0, :3].numpy()).max() < tolerance:
+            return
+        axes = quat_to_matrix(hand.target[0, 3:]).numpy()
+        for axis in axes.T:
+            page.wait_for_timeout(600)  # the gizmo is back at the hand
+            place = np.array(device._gizmo.position)
+            way = float((target - place) @ axis)
+            if abs(way) > 0.5 * tolerance:
+                page.mouse.move(*person.pixel(viewer, place + 0.1 * axis))
+                page.mouse.down()
+                page.mouse.move(*person.pixel(viewer, place + (0.1 + way) * axis), steps=6)
+                page.mouse.up()
+    raise AssertionError(f"the hand is at {hand.measured[0, :3]}, not at {target}")
+
+
+def test_a_person_lifts_the_cube_by_the_gizmo(page: Page, person: ModuleType, running: Running, tmp_path: Path) -> None:
+    viewer, session, _, driver = running
+    page.goto(viewer.url)
+    person.until(lambda: len(viewer._server.get_clients()) == 1, page)
+    page.get_by_role("button", name="Record").wait_for()
+    page.wait_for_timeout(2000)
+    page.keyboard.press("r")
+    person.until(lambda: session.recording, page)
+    cube = session.world.objects["cube"]
+    at = cube.root_pose[0, :3].numpy().copy()
+    drag_to(page, person, running, at + np.float32((0.0, 0.0, 0.12)), 0.01)
+    drag_to(page, person, running, at, 0.008)
+    page.keyboard.press("g")
+    page.wait_for_timeout(1000)
+    drag_to(page, person, running, at + np.float32((0.0, 0.0, 0.15)), 0.02)
+    page.screenshot(path=tmp_path / "teleop.png")
+    assert cube.root_pose[0, 2] > at[2] + 0.1
+    page.get_by_role("button", name="Mark success").click()
+    page.keyboard.press("v")
+    person.until(lambda: session.kept == 1, page)
+    assert sum(session.latencies) / len(session.latencies) < 1.0
+    viewer.controls.stop()
+    assert session.close() == 1
+    dataset = Hdf5Dataset(tmp_path / "own.hdf5")
+    assert dataset.episodes[0].success
+    heights = dataset.read(0).arrays["poses/cube"][:, 2]
+    assert heights[-1] > heights[0] + 0.1
+    dataset.close()
