@@ -22,7 +22,8 @@ _TURN = 6.28
 """rad: a joint without limits is moved by a turn either way."""
 _HAND_BUTTONS = (
     ("Forward", 0, 1.0), ("Back", 0, -1.0), ("Left", 1, 1.0), ("Right", 1, -1.0), ("Up", 2, 1.0), ("Down", 2, -1.0),
-    ("Turn left", 5, 1.0), ("Turn right", 5, -1.0),
+    ("Turn left", 5, 1.0), ("Turn right", 5, -1.0), ("Tilt down", 4, 1.0), ("Tilt up", 4, -1.0), ("Roll left", 3, -1.0),
+    ("Roll right", 3, 1.0),
 )  # fmt: skip
 _BASE_BUTTONS = (
     ("Drive forward", 0, 1.0), ("Drive back", 0, -1.0), ("Drive left", 1, 1.0), ("Drive right", 1, -1.0),

@@ -63,14 +63,33 @@ def drag_to(page: Page, person: ModuleType, running: Running, target: NDArray[np
     raise AssertionError(f"the hand is at {hand.measured[0, :3]}, not at {target}")
 
 
+def point_down(page: Page, driver: Driver) -> None:
+    """Hold the button that tilts the hand until its fingers point downwards."""
+    hand = driver.hand
+    assert hand is not None
+    button = page.get_by_role("button", name="Tilt down", exact=True)
+    button.scroll_into_view_if_needed()
+    button.hover()
+    page.mouse.down()
+    for _ in range(100):
+        if quat_to_matrix(hand.target[0, 3:])[0, 2] < 0.06:
+            break
+        page.wait_for_timeout(20)
+    page.mouse.up()
+    page.wait_for_timeout(500)
+    assert quat_to_matrix(hand.measured[0, 3:])[2, 2] < -0.98
+
+
 def test_a_person_lifts_the_cube_by_the_gizmo(page: Page, person: ModuleType, running: Running, tmp_path: Path) -> None:
     viewer, session, _, driver = running
+    page.set_viewport_size({"width": 1000, "height": 640})
     page.goto(viewer.url)
     person.until(lambda: len(viewer._server.get_clients()) == 1, page)
     page.get_by_role("button", name="Record").wait_for()
     page.wait_for_timeout(2000)
     page.keyboard.press("r")
     person.until(lambda: session.recording, page)
+    point_down(page, driver)
     cube = session.world.objects["cube"]
     at = cube.root_pose[0, :3].numpy().copy()
     drag_to(page, person, running, at + np.float32((0.0, 0.0, 0.12)), 0.01)
