@@ -42,7 +42,7 @@ class Panel:
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.gui.main_panel.dock_right()
         server.gui.set_panel_label(title)
-        self._status = server.gui.add_markdown("")
+        self._status = server.gui.add_markdown("", order=-2.0)
         self._add_buttons()
         if num_envs > 1:
             self._add_choice(num_envs)
