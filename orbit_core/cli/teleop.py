@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from orbit_core.cli.checks import check_output, check_positive
+from orbit_core.cli.checks import check_output
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console
 from orbit_core.cli.parsing import parse_settings
@@ -73,7 +74,8 @@ def teleop(settings: TeleopSettings) -> None:
 
     check_device(settings.input_device)
     for name in ("seconds", "linear_speed", "angular_speed"):
-        check_positive(name, getattr(settings, name))
+        if not 0.0 < getattr(settings, name) < math.inf:
+            raise ConfigurationError(f"{name} must be above zero and finite, not {getattr(settings, name):g}")
     file = RecordingFile(settings.output)
     _prepare(settings, file)
     fields = {**settings.fields, "episode_length": settings.seconds}

@@ -82,7 +82,8 @@ def open_gamepad(speeds: Speeds) -> Gamepad:
         pygame: Any = importlib.import_module("pygame")
     except ImportError:
         raise ConfigurationError('a gamepad needs pygame-ce: pip install "orbit-core[teleoperation]"') from None
-    pygame.init()
+    pygame.display.init()
+    pygame.joystick.init()
     if not pygame.joystick.get_count():
         raise ConfigurationError("there is no gamepad: plug one in, or take another --device, such as browser")
     pad = pygame.joystick.Joystick(0)

@@ -275,6 +275,23 @@ def test_bad_calls_are_told_in_one_line(capsys: pytest.CaptureFixture[str], envi
         Driver(several)  # pyright: ignore[reportArgumentType]
 
 
+def test_the_command_serves_its_page_and_leaves_nothing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    output = tmp_path / "own.hdf5"
+    words = ["teleop", "Lift", "--backend", BACKEND, "--max-steps", "5", "--port", "8180", "--output", str(output)]
+    assert main([*words, "--device", "leader", "--leader-port", "0"]) == 0
+    told = capsys.readouterr().out
+    assert "drive and watch at http://127.0.0.1:" in told
+    assert "a leader connects to 127.0.0.1:" in told
+    assert [*tmp_path.iterdir()] == []
+    with open(os.devnull) as nothing:
+        monkeypatch.setattr("sys.stdin", nothing)
+        assert main([*words, "--device", "keyboard"]) == 2
+    assert "standard input is none" in capsys.readouterr().err
+    assert [*tmp_path.iterdir()] == []
+
+
 def test_a_taken_port_is_named() -> None:
     leader = Leader(("a",), 0)
     with pytest.raises(ConfigurationError, match=str(leader.port)):
