@@ -26,6 +26,7 @@ def main() -> None:
     parser.add_argument("--task", default="Lift")
     parser.add_argument("--num-envs", type=int, nargs="+", default=[4096])
     parser.add_argument("--action")
+    parser.add_argument("--robot")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--steps", type=int, default=200, help="environment steps of a block")
     parser.add_argument("--blocks", type=int, default=5)
@@ -40,7 +41,7 @@ def main() -> None:
 def measure(arguments: argparse.Namespace, num_envs: int) -> dict[str, object]:
     """Measure one number of environments."""
     settings = {name: json.loads(value) for name, _, value in (item.partition("=") for item in arguments.setting)}
-    fields = {"action": arguments.action} if arguments.action else {}
+    fields = {name: value for name in ("action", "robot") if (value := getattr(arguments, name))}
     begun = time.perf_counter()
     environment = make(
         arguments.task,
@@ -84,6 +85,7 @@ def measure(arguments: argparse.Namespace, num_envs: int) -> dict[str, object]:
         _profile(environment, actions, arguments.profile)
     result = {
         "task": arguments.task,
+        "robot": arguments.robot,
         "compile": arguments.compile,
         "num_envs": num_envs,
         "device": torch.cuda.get_device_name() if environment.device.type == "cuda" else "cpu",
