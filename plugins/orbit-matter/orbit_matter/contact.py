@@ -53,23 +53,33 @@ def bound(links: Links, shapes: Shapes):
     links.reach[env, s] = shapes.reach[env % shapes.kind.shape[0], s] + wp.length(way)
 
 
+@wp.func
+def range_of(p: Particles, step: float, env: int, i: int) -> float:
+    """Metres from a particle within which it may meet a surface in this physics step."""
+    return wp.length(p.v[env, i]) * step + p.radius[i] + MARGIN
+
+
+@wp.func
+def is_near(shapes: Shapes, kind: int, s: int, pose: wp.transform, reach: float, x: wp.vec3, moved: float) -> bool:
+    """Whether what is at x and may move that far may meet a shape, at its pose at the step's end."""
+    reach += moved
+    close = reach > 0.0 and wp.length_sq(x - wp.transform_get_translation(pose)) < reach * reach
+    if close:
+        local = wp.transform_point(wp.transform_inverse(pose), x)
+        if shapes.kind[kind, s] == PLANE:
+            close = local[2] < moved
+        elif shapes.kind[kind, s] < PLANE:
+            close = distance(shapes, kind, s, local, reach)[3] < reach - shapes.reach[kind, s]
+    return close
+
+
 @wp.kernel(enable_backward=False)
 def find_near(p: Particles, links: Links, shapes: Shapes, felt: Felt, step: float):
-    """Which shapes each particle may meet, with ``links.shape`` at the step's end."""
+    """Which shapes each particle may meet."""
     env, i = wp.tid()
-    kind = env % shapes.kind.shape[0]
-    x, count = p.x[env, i], int(0)
-    moved = wp.length(p.v[env, i]) * step + p.radius[i] + MARGIN
+    count, kind, moved = int(0), env % shapes.kind.shape[0], range_of(p, step, env, i)
     for s in range(shapes.kind.shape[1]):
-        after, reach = links.shape[env, s], links.reach[env, s] + moved
-        close = reach > 0.0 and wp.length_sq(x - wp.transform_get_translation(after)) < reach * reach
-        if close:
-            local = wp.transform_point(wp.transform_inverse(after), x)
-            if shapes.kind[kind, s] == PLANE:
-                close = local[2] < moved
-            elif shapes.kind[kind, s] < PLANE:
-                close = distance(shapes, kind, s, local, reach)[3] < reach - shapes.reach[kind, s]
-        if close and count < NEAREST:
+        if count < NEAREST and is_near(shapes, kind, s, links.shape[env, s], links.reach[env, s], p.x[env, i], moved):
             felt.near[env, i, count] = s
             count += 1
     for k in range(count, NEAREST):
@@ -77,7 +87,7 @@ def find_near(p: Particles, links: Links, shapes: Shapes, felt: Felt, step: floa
 
 
 @wp.func
-def feel(felt: Felt, links: Links, shapes: Shapes, env: int, owner: int, link: int, x: wp.vec3, force: wp.vec3):
+def feel(felt: Felt, links: Links, env: int, owner: int, link: int, force: wp.vec3, x: wp.vec3):
     """Add the force on a link at a point."""
     if link < felt.torques.shape[1]:
         wp.atomic_add(felt.forces, env, owner, link, force)
@@ -85,100 +95,112 @@ def feel(felt: Felt, links: Links, shapes: Shapes, env: int, owner: int, link: i
         wp.atomic_add(felt.torques, env, link, wp.cross(arm, force))
 
 
-@wp.kernel(enable_backward=False)
-def finish(
-    p: Particles,
-    links: Links,
-    shapes: Shapes,
-    felt: Felt,
-    gravity: wp.array[wp.vec3],
-    stiffness: float,
-    h: float,
-    share: float,
-):
-    """The end of a substep: what is held goes back, contacts are solved, displacements become velocities."""
-    env, i = wp.tid()
-    link = p.anchor[env, i]
+@wp.func
+def end_substep(
+    p: Particles, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], stiffness: float, h: float,
+    share: float, env: int, i: int,
+) -> int:  # fmt: skip
+    """What is held goes back, contact with one surface is solved, displacements become velocities.
+
+    Returns how many surfaces the particle is in; where they are several nothing was done yet.
+    """
+    link, kind = p.anchor[env, i], env % shapes.kind.shape[0]
+    count, k, depth = int(0), int(0), float(0.0)
+    d, n, only = wp.vec3(p.d[env, i]), wp.vec3(), int(-1)
     if link != FREE:
         inertia = mass_of(p, env, i) / (h * h)
         goal = target(p, links, env, i)
-        pulled = p.x[env, i] + p.d[env, i] - goal
+        pulled = p.x[env, i] + d - goal
         if link >= 0:
             force = (pulled * (inertia * HELD) + gravity[env] * mass_of(p, env, i)) * share
-            feel(felt, links, shapes, env, p.owner[i], link, goal, force)
-        p.d[env, i] = goal - p.x[env, i]
-    elif felt.near[env, i, 0] >= 0:
-        meet(p, links, shapes, felt, env, i, stiffness, share, h)
-    p.v[env, i] = p.d[env, i] / h
-    p.x[env, i] = p.x[env, i] + p.d[env, i]
-
-
-@wp.func
-def meet(
-    p: Particles, links: Links, shapes: Shapes, felt: Felt, env: int, i: int, stiffness: float, share: float, h: float
-):
-    """Push a particle out of what it is in: most are in one surface at most."""
-    kind = env % shapes.kind.shape[0]
-    x, inertia = p.x[env, i] + p.d[env, i], 1.0 / (p.w[env, i] * h * h)
-    normals, depths, in_one, count, k = Normals(), Depths(), int(0), int(0), int(0)
+            feel(felt, links, env, p.owner[i], link, force, goal)
+        d = goal - p.x[env, i]
+        k = NEAREST
     while k < NEAREST:
         s = felt.near[env, i, k]
+        k += 1
         if s < 0:
             k = NEAREST
         else:
-            pose = links.shape[env, s]
-            local = wp.transform_point(wp.transform_inverse(pose), x)
-            found = distance(shapes, kind, s, local, 10.0 * p.radius[i] + MARGIN)
-            depth = p.radius[i] - found[3]
-            if depth > 0.0:
-                n = wp.transform_vector(pose, wp.vec3(found[0], found[1], found[2]))
-                depths[k] = depth
-                normals[k, 0] = n[0]
-                normals[k, 1] = n[1]
-                normals[k, 2] = n[2]
-                in_one = k
+            found = surface(links, shapes, env, kind, s, p.x[env, i] + d, p.radius[i])
+            if found[3] > 0.0:
+                n = wp.vec3(found[0], found[1], found[2])
+                only, depth = s, found[3]
                 count += 1
-            k += 1
-    if count == 1:
-        n = normal_of(normals, in_one)
-        press(p, links, shapes, felt, env, i, felt.near[env, i, in_one], n, depths[in_one], inertia, stiffness, share)
     if count > 1:
-        press_all(p, links, shapes, felt, env, i, normals, depths, inertia, stiffness, share, h)
+        return count
+    if count == 1:
+        # In closed form.
+        inertia = 1.0 / (p.w[env, i] * h * h)
+        normal = stiffness * depth * inertia / (inertia + stiffness)
+        d += n * (normal / inertia)
+        here = p.x[env, i] + d
+        most = wp.max(p.parameters[env, p.owner[i], 3], felt.friction[env, only]) * normal / inertia
+        slid = held_back(d - carried(links, env, only, here), n, most)
+        d -= slid
+        feel(felt, links, env, p.owner[i], shapes.link[kind, only], (slid * inertia - n * normal) * share, here)
+    settle(p, env, i, d, h)
+    return count
 
 
 @wp.func
-def press(
-    p: Particles, links: Links, shapes: Shapes, felt: Felt, env: int, i: int, shape: int, n: wp.vec3, depth: float,
-    inertia: float, stiffness: float, share: float,
+def settle(p: Particles, env: int, i: int, d: wp.vec3, h: float):
+    """Where a particle is at the end of the substep, d metres from its beginning."""
+    p.d[env, i] = d
+    p.v[env, i] = d / h
+    p.x[env, i] = p.x[env, i] + d
+
+
+@wp.kernel(enable_backward=False)
+def finish(
+    p: Particles, links: Links, shapes: Shapes, felt: Felt, gravity: wp.array[wp.vec3], stiffness: float, h: float,
+    share: float,
 ):  # fmt: skip
-    """Contact with one surface, in closed form."""
-    normal = stiffness * depth * inertia / (inertia + stiffness)
-    d = p.d[env, i] + n * (normal / inertia)
-    here = p.x[env, i] + d
-    slid = d - carried(links, env, shape, here)
-    slid = slid - n * wp.dot(n, slid)
-    hold = wp.max(p.parameters[env, p.owner[i], 3], felt.friction[env, shape]) * normal / inertia
-    length = wp.length(slid)
-    if length > hold:
-        slid = slid * (hold / length)
-    p.d[env, i] = d - slid
-    force = (slid * inertia - n * normal) * share
-    feel(felt, links, shapes, env, p.owner[i], shapes.link[env % shapes.kind.shape[0], shape], here, force)
+    env, i = wp.tid()
+    if end_substep(p, links, shapes, felt, gravity, stiffness, h, share, env, i) > 1:
+        end_between(p, links, shapes, felt, stiffness, h, share, env, i)
 
 
 @wp.func
-def press_all(
-    p: Particles, links: Links, shapes: Shapes, felt: Felt, env: int, i: int, normals: Normals, depths: Depths,
-    inertia: float, stiffness: float, share: float, step: float,
-):  # fmt: skip
-    """Contact with several surfaces at once; ``depths`` are positive for those that the particle is in."""
+def surface(links: Links, shapes: Shapes, env: int, kind: int, shape: int, x: wp.vec3, radius: float) -> wp.vec4:
+    """Normal of a shape near x, and how deep a ball around x is in it."""
+    axes = links.axes[env, shape]
+    local = (x - wp.transform_get_translation(links.shape[env, shape])) @ axes
+    found = distance(shapes, kind, shape, local, 10.0 * radius + MARGIN)
+    n = axes @ wp.vec3(found[0], found[1], found[2])
+    return wp.vec4(n[0], n[1], n[2], radius - found[3])
+
+
+@wp.func
+def held_back(slid: wp.vec3, n: wp.vec3, most: float) -> wp.vec3:
+    """What friction takes, at ``most`` metres, from a way along a surface of normal n."""
+    along = slid - n * wp.dot(n, slid)
+    length = wp.length(along)
+    if length > most:
+        along = along * (most / length)
+    return along
+
+
+@wp.func
+def end_between(
+    p: Particles, links: Links, shapes: Shapes, felt: Felt, stiffness: float, h: float, share: float, env: int, i: int
+):
+    """The end of a substep for a particle that is in several surfaces at once."""
     kind = env % shapes.kind.shape[0]
+    x, inertia = p.x[env, i] + p.d[env, i], 1.0 / (p.w[env, i] * h * h)
+    normals, depths, looked = Normals(), Depths(), int(0)
+    while looked < NEAREST and felt.near[env, i, wp.min(looked, NEAREST - 1)] >= 0:
+        found = surface(links, shapes, env, kind, felt.near[env, i, looked], x, p.radius[i])
+        depths[looked] = found[3]
+        for axis in range(3):
+            normals[looked, axis] = found[axis]
+        looked += 1
     # Twice: the first pass finds surfaces at the place without contact, the second those that then still push.
     moved = wp.vec3()
     for _attempt in range(2):
         matrix = wp.identity(n=3, dtype=float) * inertia
         pushes = wp.vec3()
-        for k in range(NEAREST):
+        for k in range(looked):
             n = normal_of(normals, k)
             if depths[k] > 0.0 and depths[k] - wp.dot(n, moved) > 0.0:
                 matrix += wp.outer(n, n) * stiffness
@@ -188,10 +210,10 @@ def press_all(
     here = p.x[env, i] + d
     # The surface that holds best: the particle goes with it where it can.
     limits, best = Depths(), int(-1)
-    for k in range(NEAREST):
+    for k in range(looked):
         s = felt.near[env, i, k]
         normal = stiffness * (depths[k] - wp.dot(normal_of(normals, k), moved))
-        if s < 0 or depths[k] <= 0.0:
+        if depths[k] <= 0.0:
             normal = float(0.0)
         depths[k] = wp.max(normal, 0.0)
         if normal > 0.0:
@@ -199,24 +221,24 @@ def press_all(
             if best < 0 or limits[k] > limits[best]:
                 best = k
     if best < 0:
-        p.d[env, i] = d
+        settle(p, env, i, d, h)
         return
     way = carried(links, env, felt.near[env, i, best], here)
     # Surfaces that move against it rub with all of their friction; the others hold with it.
     hold = float(0.0)
-    for k in range(NEAREST):
+    for k in range(looked):
         if depths[k] > 0.0:
             n = normal_of(normals, k)
             s = felt.near[env, i, k]
             rubbed = way - carried(links, env, s, here)
             rubbed = rubbed - n * wp.dot(n, rubbed)
             length = wp.length(rubbed)
-            if length > STILL * step:
+            if length > STILL * h:
                 rub = rubbed * (limits[k] / length)
                 limits[k] = float(0.0)
                 d = d - rub
                 felt_at = (rub * inertia - n * depths[k]) * share
-                feel(felt, links, shapes, env, p.owner[i], shapes.link[kind, s], here, felt_at)
+                feel(felt, links, env, p.owner[i], shapes.link[kind, s], felt_at, here)
             else:
                 hold += limits[k]
     n = normal_of(normals, best)
@@ -225,12 +247,12 @@ def press_all(
     if wp.length(slid) > hold:
         slid = slid * (hold / wp.length(slid))
     d = d - slid
-    for k in range(NEAREST):
+    for k in range(looked):
         if limits[k] > 0.0:
             s = felt.near[env, i, k]
             force = (slid * (inertia * limits[k] / hold) - normal_of(normals, k) * depths[k]) * share
-            feel(felt, links, shapes, env, p.owner[i], shapes.link[kind, s], here, force)
-    p.d[env, i] = d
+            feel(felt, links, env, p.owner[i], shapes.link[kind, s], force, here)
+    settle(p, env, i, d, h)
 
 
 @wp.func
@@ -241,6 +263,8 @@ def normal_of(normals: Normals, k: int) -> wp.vec3:
 
 @wp.func
 def carried(links: Links, env: int, shape: int, x: wp.vec3) -> wp.vec3:
-    """How far a shape's point that is now at x went in the substep."""
-    local = wp.transform_point(wp.transform_inverse(links.shape[env, shape]), x)
-    return x - wp.transform_point(links.shape_before[env, shape], local)
+    """How far the point of a shape that is now at x went in the substep."""
+    turn = links.turn[env, shape]
+    v = wp.vec3(turn[0], turn[1], turn[2])
+    across = wp.cross(v, x - wp.transform_get_translation(links.shape[env, shape])) * 2.0
+    return links.way[env, shape] + across * turn[3] - wp.cross(v, across)

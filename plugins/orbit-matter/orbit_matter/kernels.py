@@ -66,6 +66,12 @@ class Links:
     shape: wp.array2d[wp.transform]
     """(N, S)"""
     shape_before: wp.array2d[wp.transform]
+    axes: wp.array2d[wp.mat33]
+    """(N, S) turn vectors of a shape's frame into the world's."""
+    way: wp.array2d[wp.vec3]
+    """(N, S) that a shape's origin goes in the substep."""
+    turn: wp.array2d[wp.quat]
+    """(N, S) by which it turns in the substep; zero but for its last number where it does not."""
     reach: wp.array2d[float]
     """(N, S) metres from a shape's origin within which it is or comes in this physics step."""
 
@@ -108,27 +114,47 @@ def place_links(links: Links, count: int, share: float):
     links.link[env, link] = pose
 
 
+@wp.func
+def turn_between(before: wp.quat, after: wp.quat) -> wp.quat:
+    """``after`` times the inverse of ``before``, exactly no turn where they are the same."""
+    a, b = wp.vec3(after[0], after[1], after[2]), wp.vec3(before[0], before[1], before[2])
+    v = (b * -after[3]) + a * before[3] - wp.cross(a, b)
+    if after == before:
+        v = wp.vec3()
+    return wp.quat(v, after[3] * before[3] + wp.dot(a, b))
+
+
 @wp.kernel(enable_backward=False)
 def place_shapes(links: Links, shapes: Shapes, first: int):
     env, shape = wp.tid()
     kind = env % shapes.kind.shape[0]
     if first == 0:
         links.shape_before[env, shape] = links.shape[env, shape]
-    links.shape[env, shape] = links.link[env, shapes.link[kind, shape]] * shapes.pose[kind, shape]
+    pose = links.link[env, shapes.link[kind, shape]] * shapes.pose[kind, shape]
+    links.shape[env, shape] = pose
     if first == 1:
-        links.shape_before[env, shape] = links.shape[env, shape]
+        links.shape_before[env, shape] = pose
+    before = links.shape_before[env, shape]
+    links.axes[env, shape] = wp.quat_to_matrix(wp.transform_get_rotation(pose))
+    links.way[env, shape] = wp.transform_get_translation(pose) - wp.transform_get_translation(before)
+    links.turn[env, shape] = turn_between(wp.transform_get_rotation(before), wp.transform_get_rotation(pose))
 
 
-@wp.kernel(enable_backward=False)
-def predict(p: Particles, links: Links, gravity: wp.array[wp.vec3], h: float):
-    """Where particles would go without forces between them; what is held goes with what holds it."""
-    env, i = wp.tid()
+@wp.func
+def go_on(p: Particles, links: Links, gravity: wp.array[wp.vec3], h: float, env: int, i: int):
+    """Where a particle would go without forces between them; what is held goes with what holds it."""
     link = p.anchor[env, i]
     if link == FREE:
         v = (p.v[env, i] + gravity[env] * h) * p.kept[i]
         p.d[env, i] = v * h
     else:
         p.d[env, i] = target(p, links, env, i) - p.x[env, i]
+
+
+@wp.kernel(enable_backward=False)
+def predict(p: Particles, links: Links, gravity: wp.array[wp.vec3], h: float):
+    env, i = wp.tid()
+    go_on(p, links, gravity, h, env, i)
 
 
 @wp.kernel(enable_backward=False)
@@ -226,10 +252,8 @@ def solve_symmetric(a: float, b: float, c: float, d: float, e: float, f: float, 
     return x / (a * aa + b * ab + c * ac)
 
 
-@wp.kernel(enable_backward=False)
-def solve_triangles(p: Particles, t: Triangles, first: int, h: float, sweep: int, sweeps: int):
-    env, number = wp.tid()
-    c = first + number
+@wp.func
+def solve_triangle(p: Particles, t: Triangles, h: float, sweep: int, sweeps: int, env: int, c: int):
     s = stretch_of(p, t, env, c)
     w0 = p.w[env, t.particles[c, 0]]
     w1 = p.w[env, t.particles[c, 1]]
@@ -256,6 +280,12 @@ def solve_triangles(p: Particles, t: Triangles, first: int, h: float, sweep: int
         t.multiplier[env, c] = change
     elif sweep + 1 < sweeps:
         t.multiplier[env, c] = t.multiplier[env, c] + change
+
+
+@wp.kernel(enable_backward=False)
+def solve_triangles(p: Particles, t: Triangles, first: int, h: float, sweep: int, sweeps: int):
+    env, number = wp.tid()
+    solve_triangle(p, t, h, sweep, sweeps, env, first + number)
 
 
 # Edges of ropes ------------------------------------------------------------------------------------------------------
@@ -339,10 +369,8 @@ def pull_bend(p: Particles, b: Bends, env: int, c: int, change: wp.vec3):
             push(p, env, i, change * (b.weights[c, k] * p.w[env, i]))
 
 
-@wp.kernel(enable_backward=False)
-def solve_bends(p: Particles, b: Bends, first: int, h: float):
-    env, number = wp.tid()
-    c = first + number
+@wp.func
+def solve_bend(p: Particles, b: Bends, h: float, env: int, c: int):
     curvature, w = wp.vec3(), float(0.0)
     for k in range(4):
         i = b.particles[c, k]
@@ -351,3 +379,9 @@ def solve_bends(p: Particles, b: Bends, first: int, h: float):
         w += p.w[env, i] * weight * weight
     soft = b.weights[c, 4] / (h * h * p.parameters[env, b.owner[c], 2])
     pull_bend(p, b, env, c, -curvature / (w + soft))
+
+
+@wp.kernel(enable_backward=False)
+def solve_bends(p: Particles, b: Bends, first: int, h: float):
+    env, number = wp.tid()
+    solve_bend(p, b, h, env, first + number)

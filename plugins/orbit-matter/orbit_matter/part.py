@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from torch import Tensor
 
-from orbit_matter import contact, kernels, self_contact
+from orbit_matter import contact, kernels, rows, self_contact
 from orbit_matter.colliders import Colliders
 from orbit_matter.model import Constraints, Model
 
@@ -87,6 +87,8 @@ class Part:
         made.link = wp.zeros((self._n, self._count + 1), dtype=wp.transform)
         made.shape, made.shape_before = wp.zeros(shapes, dtype=wp.transform), wp.zeros(shapes, dtype=wp.transform)
         made.reach = wp.zeros(shapes, dtype=float)
+        made.axes, made.way = wp.zeros(shapes, dtype=wp.mat33), wp.zeros(shapes, dtype=wp.vec3)
+        made.turn = wp.zeros(shapes, dtype=wp.quat)
         return made
 
     def _make_edges(self) -> Any:
@@ -109,6 +111,11 @@ class Part:
         made.cell = 2.0 * float(model.own_radii.max()) + MARGIN
         return made
 
+    @property
+    def takes_rows(self) -> bool:
+        """Whether one launch thread takes an environment, and not a particle or a constraint."""
+        return bool(self._particles.x.device.is_cpu)
+
     def hold(self, chosen: Tensor) -> None:
         """What is held in chosen environments, of all (N,) bool, is from now on held where it is."""
         mine = wp.from_torch(chosen[self._rows])
@@ -129,7 +136,10 @@ class Part:
         self._place(1.0, 0)
         wp.launch(contact.bound, (self._n, self._colliders.count), inputs=[self._links, self._colliders.shapes])
         near = [self._particles, self._links, self._colliders.shapes, self._felt, self._stepping.physics_dt]
-        wp.launch(contact.find_near, (self._n, self._p), inputs=near)
+        if self.takes_rows:
+            wp.launch(rows.find_near, self._n, inputs=near)
+        else:
+            wp.launch(contact.find_near, (self._n, self._p), inputs=near)
         self._place(0.0, 1)
         if self._neighbours is not None:
             self._neighbours.stale.zero_()
@@ -152,27 +162,49 @@ class Part:
         wp.launch(self_contact.find, shape, inputs=[self._particles, near, MARGIN])
 
     def _launch_substep(self, share: float) -> None:
-        n, shape, h = self._n, (self._n, self._p), self._stepping.h
         self._place(share, 0)
+        contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]
+        numbers = [self._stepping.contact_stiffness, self._stepping.h, 1.0 / self._stepping.substeps]
+        if self.takes_rows:
+            self._launch_rows([*contacts, *numbers])
+        else:
+            self._launch_wide([*contacts, *numbers])
+
+    def _launch_rows(self, contacts: list[Any]) -> None:
+        """The rest of a substep, one launch thread for each environment."""
+        n, h = self._n, self._stepping.h
+        wp.launch(rows.predict, n, inputs=[self._particles, self._links, self._gravity, h])
+        if self._model.triangles.ranges:
+            inputs = [self._particles, self._triangles, h, self._stepping.sweeps]
+            wp.launch(rows.solve_triangles, n, inputs=inputs)
+        if self._model.bends.ranges:
+            wp.launch(rows.solve_bends, n, inputs=[self._particles, self._bends, h])
+        self._launch_edges()
+        if self._neighbours is not None:
+            wp.launch(rows.separate, n, inputs=[self._particles, self._neighbours, h])
+        wp.launch(rows.finish, n, inputs=contacts)
+
+    def _launch_wide(self, contacts: list[Any]) -> None:
+        """The rest of a substep, one launch thread for each particle, and for each constraint of a colour."""
+        n, shape, h = self._n, (self._n, self._p), self._stepping.h
         wp.launch(kernels.predict, shape, inputs=[self._particles, self._links, self._gravity, h])
-        self._launch_membranes()
+        for sweep in range(self._stepping.sweeps):
+            for first, stop in self._model.triangles.ranges:
+                inputs = [self._particles, self._triangles, first, h, sweep, self._stepping.sweeps]
+                wp.launch(kernels.solve_triangles, (n, stop - first), inputs=inputs)
         for first, stop in self._model.bends.ranges:
             wp.launch(kernels.solve_bends, (n, stop - first), inputs=[self._particles, self._bends, first, h])
-        if ropes := len(self._model.edges.ranges):  # last, so that nothing makes them longer again
-            wp.launch(kernels.solve_edges, (n, ropes), inputs=[self._particles, self._edges, h])
+        self._launch_edges()
         if self._neighbours is not None:
             wp.launch(self_contact.separate, shape, inputs=[self._particles, self._neighbours, h])
             wp.launch(self_contact.move, shape, inputs=[self._particles, self._neighbours])
-        contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]
-        numbers = [self._stepping.contact_stiffness, h, 1.0 / self._stepping.substeps]
-        wp.launch(contact.finish, shape, inputs=[*contacts, *numbers])
+        wp.launch(contact.finish, shape, inputs=contacts)
 
-    def _launch_membranes(self) -> None:
-        h, sweeps = self._stepping.h, self._stepping.sweeps
-        for sweep in range(sweeps):
-            for first, stop in self._model.triangles.ranges:
-                inputs = [self._particles, self._triangles, first, h, sweep, sweeps]
-                wp.launch(kernels.solve_triangles, (self._n, stop - first), inputs=inputs)
+    def _launch_edges(self) -> None:
+        """Last of what holds matter together, so that nothing makes ropes longer again."""
+        if ropes := len(self._model.edges.ranges):
+            inputs = [self._particles, self._edges, self._stepping.h]
+            wp.launch(kernels.solve_edges, (self._n, ropes), inputs=inputs)
 
 
 def _struct(made: Any, constraints: Constraints) -> Any:

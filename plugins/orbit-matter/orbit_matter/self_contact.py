@@ -133,10 +133,9 @@ def find(p: Particles, n: Neighbours, margin: float):
         n.found[env, i, count] = -1
 
 
-@wp.kernel(enable_backward=False)
-def separate(p: Particles, n: Neighbours, step: float):
-    """The move of each particle that its pairs ask for."""
-    env, i = wp.tid()
+@wp.func
+def gather(p: Particles, n: Neighbours, step: float, env: int, i: int):
+    """The move of a particle that its pairs ask for."""
     total = wp.vec3()
     x = at(p, env, i)
     k = int(0)
@@ -165,6 +164,12 @@ def separate(p: Particles, n: Neighbours, step: float):
     if p.anchor[env, i] != FREE:
         total = wp.vec3()
     n.moves[env, i] = total * RELAXED
+
+
+@wp.kernel(enable_backward=False)
+def separate(p: Particles, n: Neighbours, step: float):
+    env, i = wp.tid()
+    gather(p, n, step, env, i)
 
 
 @wp.kernel(enable_backward=False)

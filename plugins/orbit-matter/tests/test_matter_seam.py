@@ -30,6 +30,7 @@ from orbit_core.scene import (
     look_at,
 )
 from orbit_core.world import simulate
+from orbit_matter.part import Part
 
 COUNTS = (9, 9)
 CLOTH = Cloth("cloth", sheet((0.2, 0.2), COUNTS), 0.2, Pose((0.0, 0.0, 0.15)), key_points=corners(COUNTS))
@@ -79,6 +80,19 @@ def test_a_run_repeats_bit_for_bit_after_a_reset_a_snapshot_and_in_every_environ
     fresh.reset()
     fresh.step(60)
     assert torch.equal(body.positions, end)
+
+
+def test_kernels_of_a_cpu_compute_the_bits_of_those_of_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fallen() -> torch.Tensor:
+        world = simulate(SCENE, 2, "mujoco", matter="orbit-matter")
+        world.step(50)
+        found = world.deformables["cloth"].positions.clone()
+        world.close()
+        return found
+
+    in_rows = fallen()
+    monkeypatch.setattr(Part, "takes_rows", property(lambda part: False))
+    assert torch.equal(fallen(), in_rows)
 
 
 def test_a_reset_of_one_environment_leaves_the_others_alone(fresh: World) -> None:

@@ -62,9 +62,10 @@ class Graphs:
             for key, launch in launches.items():
                 self.run(key, launch)
             return
-        with wp.ScopedDevice(self.device), _announced(self.device):
-            for key in launches.keys() - self._recorded.keys():
-                self._recorded[key] = self._record(launches[key], None)
+        if missing := launches.keys() - self._recorded.keys():
+            with wp.ScopedDevice(self.device), _announced(self.device):
+                for key in missing:
+                    self._recorded[key] = self._record(launches[key], None)
         self._threads = self._threads or ThreadPoolExecutor(len(launches) - 1, "orbit-warp")
         first, *others = (self._recorded[key] for key in launches)
         running = [self._threads.submit(wp.capture_launch, other) for other in others]
