@@ -24,6 +24,7 @@ from orbit_core.envs import (
     ObservationGroup,
     ObservationTerm,
     Phase,
+    PremiseTerm,
     RewardTerm,
     Task,
 )
@@ -184,6 +185,16 @@ class BuzzEvents:
     gains: EventTerm | None = None
 
 
+@dataclass
+class BuzzPremises:
+    """The ring is around the rod, and free of it."""
+
+    free: PremiseTerm | None = PremiseTerm(
+        lambda world, task: vector_norm(offset(world, task), dim=1) < RADIUS - BAR - THICKNESS,
+        "the ring touches the rod, or is not around it",
+    )
+
+
 @dataclass(kw_only=True)
 class BeatTheBuzz(Task):
     """The hand holds a ring for good, which is around one end of a bent rod, and leads it to the other.
@@ -205,6 +216,7 @@ class BeatTheBuzz(Task):
     rewards: BuzzRewards = field(default_factory=BuzzRewards)
     terminations: BuzzTerminations = field(default_factory=BuzzTerminations)
     events: BuzzEvents = field(default_factory=BuzzEvents)
+    premises: BuzzPremises = field(default_factory=BuzzPremises)
     place: tuple[float, float, float] = field(init=False, default=(0.0, 0.0, 0.0))
     """Metres, of the rod's middle where it is not moved."""
     rings: Tensor = field(init=False)

@@ -17,6 +17,7 @@ from orbit_core.envs import (
     ObservationGroup,
     ObservationTerm,
     Phase,
+    PremiseTerm,
     RewardTerm,
     Task,
     TerminationTerm,
@@ -24,7 +25,7 @@ from orbit_core.envs import (
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, held, randomize
+from orbit_core.mdp import common, held, premises, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import (
     Articulation,
@@ -227,6 +228,19 @@ class HockeyEvents:
     gains: EventTerm | None = None
 
 
+@dataclass
+class HockeyPremises:
+    """The puck lies still on the ice, and outside of the net."""
+
+    still: PremiseTerm | None = PremiseTerm(
+        lambda world, task: premises.standing(world, ("puck",), THICKNESS + 0.5 * HEIGHT),
+        "the puck does not lie still and flat on the ice, so that it began inside another thing, or slid away",
+    )
+    outside: PremiseTerm | None = PremiseTerm(
+        lambda world, task: ~inside(world, task), "the puck is in the net already"
+    )
+
+
 @dataclass(kw_only=True)
 class Hockey(Task):
     """The hand holds a stick for good. The puck lies before it on ice, the net stands at the end of its reach.
@@ -246,6 +260,7 @@ class Hockey(Task):
     rewards: HockeyRewards = field(default_factory=HockeyRewards)
     terminations: HockeyTerminations = field(default_factory=HockeyTerminations)
     events: HockeyEvents = field(default_factory=HockeyEvents)
+    premises: HockeyPremises = field(default_factory=HockeyPremises)
     net_middle: Tensor = field(init=False)
     """(N,) metres, where the net is in the middle of its way."""
     net_phase: Tensor = field(init=False)

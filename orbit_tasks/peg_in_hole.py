@@ -26,6 +26,7 @@ from orbit_core.envs import (
     ObservationGroup,
     ObservationTerm,
     Phase,
+    PremiseTerm,
     RewardTerm,
     Task,
     TerminationTerm,
@@ -33,7 +34,7 @@ from orbit_core.envs import (
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import POSE, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, randomize
+from orbit_core.mdp import common, premises, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import Color, PhysicsMaterial, Scene
 
@@ -269,6 +270,19 @@ class PegEvents:
     gains: EventTerm | None = None
 
 
+@dataclass
+class PegPremises:
+    """Blocks stand free on the table."""
+
+    standing: PremiseTerm | None = PremiseTerm(
+        lambda world, task: premises.standing(world, task.blocks, 0.0),
+        "a block does not stand still and upright on the table, so that it began inside another thing, or fell over",
+    )
+    outside: PremiseTerm | None = PremiseTerm(
+        lambda world, task: inserted(world, task).amax(1) == 0.0, "a block is in its hole already"
+    )
+
+
 @dataclass(kw_only=True)
 class PegInHole(Task):
     """Blocks stand before a board with a hole for each; each is to be put into its own.
@@ -291,6 +305,7 @@ class PegInHole(Task):
     rewards: PegRewards = field(default_factory=PegRewards)
     terminations: PegTerminations = field(default_factory=PegTerminations)
     events: PegEvents = field(default_factory=PegEvents)
+    premises: PegPremises = field(default_factory=PegPremises)
     blocks: tuple[str, ...] = field(init=False, default=())
     """The objects' names."""
     turn: Tensor = field(init=False)

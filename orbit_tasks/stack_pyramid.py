@@ -18,6 +18,7 @@ from orbit_core.envs import (
     ObservationGroup,
     ObservationTerm,
     Phase,
+    PremiseTerm,
     RewardTerm,
     Task,
     TerminationTerm,
@@ -26,7 +27,7 @@ from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common, picking, randomize
+from orbit_core.mdp import common, picking, premises, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import Color, Pose, Scene
 
@@ -208,6 +209,19 @@ class StackEvents:
     gains: EventTerm | None = None
 
 
+@dataclass
+class StackPremises:
+    """Blocks stand free on the table."""
+
+    standing: PremiseTerm | None = PremiseTerm(
+        lambda world, task: premises.standing(world, (*task.first, *task.moved), 0.5 * SIZE),
+        "a block does not stand still and upright on the table, so that it began inside another thing, or fell over",
+    )
+    apart: PremiseTerm | None = PremiseTerm(
+        lambda world, task: distances(world, task).amin(1) > task.tolerance, "a block is at its place already"
+    )
+
+
 @dataclass(kw_only=True)
 class StackPyramid(Task):
     """Pyramids of coloured blocks, each built where its first block stands: a second beside it, and a third on both.
@@ -230,6 +244,7 @@ class StackPyramid(Task):
     rewards: StackRewards = field(default_factory=StackRewards)
     terminations: StackTerminations = field(default_factory=StackTerminations)
     events: StackEvents = field(default_factory=StackEvents)
+    premises: StackPremises = field(default_factory=StackPremises)
     ways: tuple[Tensor, ...] = field(init=False, default=())
     """(3,) from a pyramid's first block to the places of its others, in the first one's frame."""
 

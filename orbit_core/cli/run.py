@@ -40,6 +40,10 @@ def _table(result: RunResult) -> Table:
     table.add_row("success rate", result.success_rate.percent())
     for name, metric in result.metrics.items():
         table.add_row(name, _words(metric))
+    for check in result.premises:
+        if check.failed:
+            told = f"fails in {check.failed} of {check.starts} sampled starts: {check.reason}"
+            table.add_row(f"premise '{check.name}'", told)
     table.add_row("return", _words(result.episode_return))
     table.add_row("episode steps", _words(result.episode_steps))
     table.add_row("environment steps per second", f"{result.env_steps_per_second:,.0f}")

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from orbit_core.envs.environment import Environment, EpisodeEnd
+    from orbit_core.envs.premises import PremiseCheck
     from orbit_core.viewer.video import VideoRecorder
 
 
@@ -44,6 +45,8 @@ class RunResult:
     """Means and deviations of the task's metrics by name; the first leads."""
     episode_return: Statistic
     episode_steps: Statistic
+    premises: tuple[PremiseCheck, ...]
+    """What the task takes for granted of an episode's start, and in how many sampled starts it did not hold."""
     env_steps_per_second: float
     """Steps of single environments over the time spent acting and stepping; building and filming left out."""
     wall_seconds: float
@@ -96,6 +99,7 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
         metrics={name: statistic(values.tolist()) for name, values in episodes.metrics.items()},
         episode_return=statistic(episodes.returns.tolist()),
         episode_steps=statistic(episodes.steps.tolist()),
+        premises=environment.premises.checks,
         env_steps_per_second=pace.env_steps_per_second,
         wall_seconds=time.perf_counter() - start,
     )

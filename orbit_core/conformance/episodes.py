@@ -12,6 +12,7 @@ from torch import Tensor
 from orbit_core.envs import Environment, make
 from orbit_core.envs.actors import Actor
 from orbit_core.envs.environment import EpisodeEnd
+from orbit_core.envs.premises import PremiseCheck
 from orbit_core.rollout.counter import EpisodeCounter
 from orbit_core.rollout.estimates import Estimate, mean
 from orbit_core.rollout.recording import EpisodeRecorder, Recording
@@ -35,6 +36,8 @@ class TaskResult:
     episode_return: Estimate
     seconds_to_success: Estimate | None
     """Time until the goal is reached for good, over the episodes that succeed; None if none does."""
+    premises: tuple[PremiseCheck, ...] = ()
+    """What the task takes for granted of an episode's start, and in how many sampled starts it does not hold here."""
 
 
 class _SuccessTimes(StepObserver):
@@ -103,6 +106,7 @@ class FirstEpisodes:
             metrics={name: mean(values.tolist()) for name, values in episodes.metrics.items()},
             episode_return=mean(episodes.returns.tolist()),
             seconds_to_success=mean(seconds.tolist()) if len(seconds) else None,
+            premises=environment.premises.checks,
         )
 
     def recording(self) -> Recording:

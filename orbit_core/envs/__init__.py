@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         EventTime,
         ObservationGroup,
         ObservationTerm,
+        PremiseTerm,
         RewardTerm,
         TerminationTerm,
         once_per_state,
@@ -39,6 +40,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "EventTime",
         "ObservationGroup",
         "ObservationTerm",
+        "PremiseTerm",
         "RewardTerm",
         "TerminationTerm",
         "once_per_state",
@@ -48,8 +50,8 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 
 __all__ = [
     "CurriculumTerm", "Environment", "EventTerm", "EventTime", "Expert", "ObservationGroup", "ObservationTerm",
-    "Phase", "PpoSettings", "Retry", "RewardTerm", "Task", "TaskEntry", "TaskRegistry", "TerminationTerm", "make",
-    "once_per_state", "task_entries", "task_entry",
+    "Phase", "PpoSettings", "PremiseTerm", "Retry", "RewardTerm", "Task", "TaskEntry", "TaskRegistry",
+    "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
 ]  # fmt: skip
 
 

@@ -33,12 +33,13 @@ class CapturedStep:
         compile: whether to compile the parts.
         whole: whether the resets are in the step, so that nothing waits for the device; else they are another part, run
             only where an episode ended, which on a CPU costs nothing to know.
+        settles: whether time passes in a reset, which then is Python; each step waits to know whether an episode ended.
 
     Raises:
         ConfigurationError: it should be compiled, and nothing compiles here.
     """
 
-    def __init__(self, environment: StepParts, compile: bool, whole: bool) -> None:
+    def __init__(self, environment: StepParts, compile: bool, whole: bool, settles: bool = False) -> None:
         if compile:
             check_compiler(environment.device)
         self._environment = environment
@@ -46,8 +47,9 @@ class CapturedStep:
         """The last observation of all environments, for the part that renews it where episodes begin."""
         self._leaves = len(self._observed)
         self._metrics: tuple[str, ...] = ()
-        self._ended = environment.done if whole else environment.done.numpy()
-        parts = (self._play_and_renew,) if whole else (self._play, self._renew)
+        self._settles = settles
+        self._ended = environment.done.numpy() if environment.device.type == "cpu" else environment.done
+        parts = (self._play,) if settles else (self._play_and_renew,) if whole else (self._play, self._renew)
         self.parts = [self._phased(part, compile) for part in parts]
 
     def _phased(self, part: Callable[[], tuple[Tensor, ...]], compile: bool) -> PhasedFunction:
@@ -63,12 +65,16 @@ class CapturedStep:
         if not self.parts[0].ready:
             self._environment.cut.observe()  # in Python, acting demands it
         outputs = self.parts[0]()
-        running = len(self.parts) > 1 and self.parts[1].ready and not self._ended.any()
+        ready = self._settles or (len(self.parts) > 1 and self.parts[1].ready)
+        running = ready and not self._ended.any()
         copies = [output.clone() for output in (outputs[: self._leaves + 3] if running else outputs)]
         seen, (reward, terminated, truncated, *end) = copies[: self._leaves], copies[self._leaves :]
         if running:
             return self._tree(seen), reward, terminated, truncated, {}
-        if len(self.parts) > 1:
+        if self._settles:
+            end += seen
+            seen = self._renew_in_python()
+        elif len(self.parts) > 1:
             end += seen
             seen = [output.clone() for output in self.parts[1]()]
         return self._tree(seen), reward, terminated, truncated, self._info(end)
@@ -115,6 +121,15 @@ class CapturedStep:
         with environment.world.masking.only(done):
             seen = leaves_of(environment.observer())
         return tuple(_where(done, new, last) for new, last in zip(seen, self._observed, strict=True))
+
+    def _renew_in_python(self) -> list[Tensor]:
+        """As :meth:`_renew`, environments by index, outside of any trace."""
+        environment, done = self._environment, self._environment.done
+        environment.progress()
+        environment.begin(done.nonzero().squeeze(-1))
+        with environment.world.masking.only(done):
+            seen = leaves_of(environment.observer())
+        return [_where(done, new, last) for new, last in zip(seen, self._observed, strict=True)]
 
     def _play_and_renew(self) -> tuple[Tensor, ...]:
         """What :meth:`_play` gives with the new observation in the place of the last, which comes at the end."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import functools
-import math
 import warnings
 from collections.abc import Mapping
 from typing import Any
@@ -17,7 +16,6 @@ from orbit_core.backends import default_backend
 from orbit_core.dynamics.arguments import (
     FINITE,
     MOST_ENVIRONMENTS,
-    MOST_STEPS,
     as_floats,
     check_numbers,
     seed_number,
@@ -35,10 +33,12 @@ from orbit_core.envs.observation_check import check_finite as check_observation
 from orbit_core.envs.observation_groups import POLICY, with_sensors_of_terms
 from orbit_core.envs.observation_layout import Observation, leaf_shapes, leaves_of, observation_of
 from orbit_core.envs.observation_manager import ObservationManager
+from orbit_core.envs.premises import PremiseManager
 from orbit_core.envs.reward_manager import RewardManager
+from orbit_core.envs.settings_check import check_no_backend, curriculum_of, whole_steps
 from orbit_core.envs.task import Task
 from orbit_core.envs.term_values import per_environment
-from orbit_core.envs.terms import CurriculumTerm, TerminationTerm, terms_of
+from orbit_core.envs.terms import TerminationTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, Node, Port, ShapeError
 from orbit_core.interfaces.fields import settings_table
 from orbit_core.world import WorldFactory, simulate
@@ -71,6 +71,8 @@ class Environment:
     Raises:
         ConfigurationError: among others, nothing compiles here, or the task's step cannot be compiled.
         NonFiniteError: a term gives what is not finite; names it. :meth:`reset` and :meth:`step` raise it too.
+        PremiseError: the task's premise of that name holds in no start in this engine; where it fails in some, there
+            is a warning.
     """
 
     def __init__(
@@ -95,7 +97,7 @@ class Environment:
         self.task = task = copy.deepcopy(task)
         if task.domain_randomization:
             task.randomize()
-        self.max_episode_steps = _whole_steps(task)
+        self.max_episode_steps = whole_steps(task)
         scene = task.scene()
         terms = action_terms(task, scene)
         scene = with_sensors_of_terms(driven_scene(scene, terms), task)
@@ -108,7 +110,7 @@ class Environment:
         else:
             drawn = {"renderer": renderer, "renderer_settings": renderer_settings}
             matters = {"matter": matter, "matter_settings": matter_settings}
-            _check_no_backend({"backend": backend, "settings": settings, **drawn, **matters})
+            check_no_backend({"backend": backend, "settings": settings, **drawn, **matters})
             self.world = world(scene, num_envs, usable_device(device), seed)
         self.num_envs = num_envs
         self.device = self.world.device
@@ -117,7 +119,7 @@ class Environment:
         self._rewards = RewardManager(self.world, task, self.step_dt)
         self.reward_terms, self.reward_sums = self._rewards.terms, self._rewards.sums
         self.termination_terms = terms_of(task.terminations, TerminationTerm)
-        self._curriculum = _curriculum(task)
+        self._curriculum = curriculum_of(task)
         self.all_ids = torch.arange(num_envs, device=self.device)
         self.done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         """(N,) whose episode ended in the last step."""
@@ -141,9 +143,12 @@ class Environment:
         self._compile = compile
         self._started = False
         """Whether a step was made, and with it all that is made at first use: a trace would make it anew each time."""
+        self.premises = PremiseManager(self.world, task, simulated=world is None)
+        """What the task takes for granted of an episode's start, and how often it does not hold."""
         self._closed = self._close_step()
         self._events = EventManager(self.world, task, self.step_dt, lambda: remembered(task, self.cut))
         self._events.startup()
+        self.premises.sample(self.begin)
         self.begin(None)
         self._observe()
 
@@ -253,7 +258,7 @@ class Environment:
             raise ConfigurationError(f"the step cannot be compiled, for it needs Python each time: {reason}")
         if reason or (self.device.type == "cpu" and not self._compile):
             return None
-        return CapturedStep(self, self._compile, whole=self.device.type != "cpu")
+        return CapturedStep(self, self._compile, self.device.type != "cpu", settles=self.premises.settle_steps > 0)
 
     def _step_closed(self, closed: CapturedStep) -> StepResult:
         result = closed()
@@ -339,8 +344,8 @@ class Environment:
         )
 
     def metrics(self) -> dict[str, Tensor]:
-        """The task's, and the difficulty where a curriculum sets it."""
-        metrics = self.task.metrics(self.world)
+        """The task's, which premises held at the episode's start, and the difficulty where a curriculum sets it."""
+        metrics = {**self.task.metrics(self.world), **self.premises.metrics()}
         return {**metrics, "difficulty": self.task.difficulty} if self._curriculum else metrics
 
     def progress(self) -> None:
@@ -358,43 +363,8 @@ class Environment:
         self.observer.reset(env_ids)
         self._rewards.reset(env_ids)
         self._events.reset(env_ids)
+        self.premises.begin(env_ids)
 
 
 def _no_policy(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
     raise ConfigurationError("the environment's agent is cut at its policy: actions come from outside")
-
-
-def _check_no_backend(given: Mapping[str, object]) -> None:
-    named = [name for name, value in given.items() if value is not None]
-    if named:
-        raise ConfigurationError(
-            f"{' and '.join(named)} given beside a world of your own: only what is simulated has any; leave one out"
-        )
-
-
-def _curriculum(task: Task) -> dict[str, CurriculumTerm]:
-    if not task.curriculum_enabled:
-        return {}
-    if task.curriculum is None:
-        raise ConfigurationError(
-            f"task {type(task).__name__} has no curriculum: leave curriculum_enabled out, or give it a dataclass of "
-            "CurriculumTerm"
-        )
-    return terms_of(task.curriculum, CurriculumTerm)
-
-
-def _whole_steps(task: Task) -> int:
-    """Steps of the environment in an episode."""
-    for name in ("physics_dt", "episode_length"):
-        seconds = getattr(task, name)
-        if not 0.0 < seconds < math.inf:
-            raise ConfigurationError(f"{name} must be above zero seconds, not {seconds:g}")
-    whole_number(task.decimation, "decimation", 1, MOST_STEPS)
-    step_dt = task.physics_dt * task.decimation
-    steps = round(task.episode_length / step_dt)
-    if steps < 1 or abs(steps * step_dt - task.episode_length) > 1e-6 * task.episode_length:
-        raise ConfigurationError(
-            f"episode_length {task.episode_length} s is no whole number of steps of {step_dt} s (physics_dt x "
-            f"decimation): use {max(1, steps) * step_dt:g}"
-        )
-    return steps

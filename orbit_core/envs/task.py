@@ -39,9 +39,9 @@ class Subtask:
 class Task(ABC):
     """A goal over a world. Subclasses are dataclasses: their fields are the task's configuration.
 
-    ``rewards``, ``terminations``, ``events`` and ``curriculum`` are dataclasses of terms, ``observations`` is one of
-    :class:`~orbit_core.envs.ObservationGroup`. The attributes that are set by :meth:`start` hold what a task remembers
-    while it runs; terms read and write them.
+    ``rewards``, ``terminations``, ``events``, ``curriculum`` and ``premises`` are dataclasses of terms,
+    ``observations`` is one of :class:`~orbit_core.envs.ObservationGroup`. The attributes that are set by :meth:`start`
+    hold what a task remembers while it runs; terms read and write them.
     """
 
     agents: ClassVar[tuple[str, ...]] = (ROBOT,)
@@ -66,6 +66,14 @@ class Task(ABC):
     terminations: Any = None
     events: Any = None
     curriculum: Any = None
+    premises: Any = None
+    """What must hold when an episode begins, a dataclass of :class:`~orbit_core.envs.PremiseTerm`; None: nothing. Each
+    premise is a metric, ``premise_<name>``: 1 where it held at the episode's start."""
+    settle_time: float = 0.0
+    """Seconds simulated after each reset, commands held, before premises are checked and anything is observed. They
+    cost a step of all environments each time, whoever begins; zero costs nothing."""
+    premise_time: float = 0.5
+    """Seconds simulated in the starts that are sampled when an environment is built, where a task has premises."""
     domain_randomization: bool = False
     """Whether physical parameters and noise are randomised between environments, as :meth:`randomize` says."""
     curriculum_enabled: bool = False

@@ -82,6 +82,16 @@ class TerminationTerm:
     function: TermFunction
 
 
+@dataclass(frozen=True)
+class PremiseTerm:
+    """``function`` (N,) bool must hold when an episode begins, after the reset has settled
+    (:attr:`Task.settle_time`); what a run makes of starts in which it does not hold is worth nothing."""
+
+    function: TermFunction
+    reason: str
+    """What is wrong with a start in which it does not hold, for whoever mends it; a clause without a full stop."""
+
+
 class EventTime(Enum):
     """When an event happens."""
 

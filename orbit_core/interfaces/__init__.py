@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         NonFiniteError,
         OrbitError,
         PlanningError,
+        PremiseError,
         ShapeError,
         SimulationError,
         StorageError,
@@ -80,7 +81,8 @@ _MODULES = {
     "entities": ("Deformable", "Marker", "Object", "Robot"),
     "errors": (
         "ArgumentError", "AssetError", "BackendNotInstalledError", "BuildError", "ClosedError", "ConfigurationError",
-        "NonFiniteError", "OrbitError", "PlanningError", "ShapeError", "SimulationError", "StorageError",
+        "NonFiniteError", "OrbitError", "PlanningError", "PremiseError", "ShapeError",
+        "SimulationError", "StorageError",
         "UnknownNameError", "UnsupportedCapabilityError",
     ),
     "gaps": ("Gap",),
@@ -102,8 +104,8 @@ __all__ = [
     "Capabilities", "Capability", "CaptureFacet", "ClosedError", "ConfigurationError", "ContactQuery", "Deformable",
     "DriveIntegration", "Engine", "EntityLayout", "Gap", "Image", "JointParameters", "Level", "Marker", "Matter",
     "MatterSolver", "NamedThings", "Node", "NonFiniteError", "Object", "OrbitError", "PlanningError", "Port",
-    "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError", "StorageError",
-    "Support", "UnknownNameError", "UnsupportedCapabilityError", "World", "WorldClock", "WorldMasking",
+    "PremiseError", "RayHits", "Renderer", "Robot", "SceneLayout", "Sensor", "ShapeError", "SimulationError",
+    "StorageError", "Support", "UnknownNameError", "UnsupportedCapabilityError", "World", "WorldClock", "WorldMasking",
     "WorldRandom", "albedo_table", "approximate", "diverged", "divergence_error", "drawn_shapes", "find_name",
     "first_few", "match_names", "match_values", "matter_divergence_error", "required_capabilities", "unsupported",
 ]  # fmt: skip

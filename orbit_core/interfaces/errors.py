@@ -68,5 +68,9 @@ class PlanningError(OrbitError):
     """A motion that cannot be planned: says which constraint stands against it."""
 
 
+class PremiseError(OrbitError):
+    """What a task takes for granted when an episode begins holds in none of the starts that were tried."""
+
+
 class SimulationError(OrbitError):
     """The engine failed or diverged while stepping."""

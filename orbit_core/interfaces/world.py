@@ -132,6 +132,23 @@ class World(ABC):
         """
         raise self._unsupported("servos at the physics rate")
 
+    def settle(self, steps: int, env_ids: Tensor | None = None) -> None:
+        """Simulate some environments for physics steps that count nowhere: no sensor measures, and others stand still.
+
+        What moves in them has come to another place then; robots are held by their commands. All environments are
+        stepped for it and those that are not meant put back, which takes as long as a step of all. Where
+        ``Capability.SNAPSHOTS`` is approximate, these go on a little otherwise, as it says.
+
+        Args:
+            steps: of physics.
+            env_ids: indices (n,) int64; all environments if None.
+
+        Raises:
+            SimulationError: the engine diverged.
+            UnsupportedCapabilityError: nothing is simulated, or the engine has no snapshots of this scene.
+        """
+        raise self._unsupported("time of its own to let pass")
+
     def save_state(self) -> Any:
         """Everything that the continuation depends on."""
         raise self._unsupported("snapshots")

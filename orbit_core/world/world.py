@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from orbit_core.actuators import Actuators
 from orbit_core.actuators.stability import check_drives
-from orbit_core.assets.decomposition import decomposed_entity, decomposed_shapes
 from orbit_core.assets.deformable_checks import check_attachments
-from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.scene_data import check_data
-from orbit_core.assets.validation import validate_entity
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_config, check_scene, choose_matter
 from orbit_core.backends import renderer as find_renderer
@@ -44,7 +41,7 @@ from orbit_core.interfaces import (
     World,
 )
 from orbit_core.interfaces.fields import settings_table
-from orbit_core.scene import CameraSpec, Entity, Scene
+from orbit_core.scene import CameraSpec, Scene
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.build_check import check_build
 from orbit_core.world.capacity import check_capacity
@@ -58,9 +55,9 @@ from orbit_core.world.forking import give_up_in_forks
 from orbit_core.world.frames import with_frames
 from orbit_core.world.markers import SimulatedMarker, identity_poses
 from orbit_core.world.matter_pictures import with_matter
+from orbit_core.world.preparation import prepared
 from orbit_core.world.robots import SimulatedRobot
-
-_EntityType = TypeVar("_EntityType", bound=Entity)
+from orbit_core.world.settling import settle
 
 
 @dataclass(frozen=True)
@@ -107,7 +104,7 @@ class SimulatedWorld(World):
         if not isinstance(scene, Scene):
             raise ConfigurationError(f"a world needs a Scene, not a {type(scene).__name__}")
         check_data(scene, "scene")
-        scene = _prepared(scene)
+        scene = prepared(scene)
         check_attachments(scene)
         solver = choose_matter(plugin, scene, matter)
         check_scene(plugin, scene, self._renderer_plugin, solver)
@@ -120,9 +117,9 @@ class SimulatedWorld(World):
         self.physics_dt = scene.physics_dt
         self.backend = backend
         self.settings = config = backend_config(plugin, settings)
-        shared = settings_table(settings, backend) if self._renderer_plugin.name == backend else {}
-        own = settings_table(renderer_settings, "the renderer")
-        self._renderer_config = backend_config(self._renderer_plugin, {**shared, **own})
+        drawn = settings_table(settings, backend) if self._renderer_plugin.name == backend else {}
+        drawn = {**drawn, **settings_table(renderer_settings, "the renderer")}
+        self._renderer_config = backend_config(self._renderer_plugin, drawn)
         check_capacity(self.layout, num_envs, self.device)
         check_drives(self.layout, plugin)
         engine = plugin.create_engine(rigid_part(self.layout, solver), num_envs, self.device, config)
@@ -164,8 +161,7 @@ class SimulatedWorld(World):
         self.markers = NamedThings(markers, "marker", "world.markers", self._names)
 
     def _add_sensors(self) -> None:
-        parts = (self._engine, self.layout, self.physics_dt, self.random, lambda: self.renderer)
-        self._sensing = SensorContext(*parts)
+        self._sensing = SensorContext(self._engine, self.layout, self.physics_dt, self.random, lambda: self.renderer)
         self._timed = {spec.name: create_sensor(spec, self._sensing) for spec in self.scene.sensors}
         self.sensors = NamedThings(self._timed, "sensor", "world.sensors", self._names)
         self._servos: list[Callable[[], None]] = []
@@ -240,6 +236,11 @@ class SimulatedWorld(World):
             for sensor in self._timed.values():
                 sensor.advance(stretch)
             steps -= stretch
+
+    def settle(self, steps: int, env_ids: Tensor | None = None) -> None:
+        rows, steps = self.masking.choose(env_ids).rows, whole_number(steps, "steps", 1, MOST_STEPS)
+        settle(self._engine, self.actuators, self._step_engine, steps, rows)
+        self.clock.touch()
 
     def _step_engine(self, steps: int) -> None:
         if not self._steps_singly:
@@ -379,18 +380,3 @@ class SimulatedWorld(World):
     def _identity(self) -> tuple[str, int, tuple[str, ...]]:
         specs = (*self.scene.entities, *self.scene.deformables, *self.scene.sensors, *self.scene.markers)
         return self.backend, self.num_envs, tuple(spec.name for spec in specs)
-
-
-def _prepared(scene: Scene) -> Scene:
-    """The scene with every articulation checked, and links that cannot move against each other made one."""
-    return replace(
-        scene,
-        robots=tuple(_prepared_entity(entity) for entity in scene.robots),
-        objects=tuple(_prepared_entity(entity) for entity in scene.objects),
-        terrain=decomposed_shapes(scene.terrain, "the terrain"),
-    )
-
-
-def _prepared_entity(entity: _EntityType) -> _EntityType:
-    validate_entity(entity)
-    return decomposed_entity(replace(entity, articulation=merge_fixed_links(entity.articulation)))

@@ -108,6 +108,13 @@ def test_events_written_for_indices_hold_under_a_mask(task: str) -> None:
     assert_same_life(plain, closed(other, whole=True), exact=True)
 
 
+def test_time_passes_in_resets_of_a_closed_step() -> None:
+    plain, other = (make("Hockey", 3, BACKEND, episode_length=0.2, settle_time=0.05) for _ in range(2))
+    other.task.episode_step[:] = plain.task.episode_step[:] = torch.tensor([0, 3, 7])
+    other._closed = CapturedStep(other, compile=False, whole=False, settles=True)
+    assert_same_life(plain, other, exact=True)
+
+
 def restless() -> VelocityFlat:
     """With all that happens within a step: pushes, late and wrong measurements, a curriculum."""
     task = VelocityFlat(episode_length=0.2, curriculum_enabled=True)

@@ -1,0 +1,143 @@
+"""What must hold when an episode begins, checked in the engine at hand: in starts sampled at build, and each time."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.arguments import MOST_STEPS
+from orbit_core.dynamics.indexing import take_rows, write_rows
+from orbit_core.envs.task import Task
+from orbit_core.envs.term_values import per_environment
+from orbit_core.envs.terms import PremiseTerm, terms_of
+from orbit_core.interfaces import ConfigurationError, PremiseError, World
+
+LEAST_STARTS = 8
+"""Starts in which premises are checked at build, if there are not as many environments."""
+METRIC = "premise_"
+"""Before a premise's name, the name of its metric: 1 where it held when the episode began, else 0."""
+
+
+@dataclass(frozen=True)
+class PremiseCheck:
+    """How a premise fared in the starts that were sampled at build."""
+
+    name: str
+    reason: str
+    """What a start is in which it does not hold, as the task says it."""
+    starts: int
+    failed: int
+
+
+class PremiseManager:
+    """Settles environments whose episode begins, and checks the task's premises in them.
+
+    Args:
+        world: that is simulated.
+        task: whose premises they are.
+        simulated: whether time may pass in the world ahead of an episode: recorded states and real robots do not wait.
+
+    Raises:
+        ConfigurationError: a time that cannot be.
+        TypeError: the premises hold something else than terms.
+    """
+
+    def __init__(self, world: World, task: Task, simulated: bool) -> None:
+        self._world, self._task = world, task
+        self.terms = {} if task.premises is None else terms_of(task.premises, PremiseTerm)
+        steps = _steps(task, "settle_time"), _steps(task, "premise_time")
+        self.settle_steps, self._sampled_steps = steps if simulated else (0, 0)
+        """Physics steps that pass before an episode's first observation."""
+        self._simulated = simulated
+        self.held = torch.ones(len(self.terms), world.num_envs, dtype=torch.bool, device=world.device)
+        """(P, N) which premises held when each environment's episode began."""
+        self.checks: tuple[PremiseCheck, ...] = ()
+        """What the starts sampled at build were like; empty without premises."""
+
+    def begin(self, env_ids: Tensor | None) -> None:
+        """After the events of a reset: let time pass, then note which premises hold.
+
+        Args:
+            env_ids: environments by index, or all if None; by mask in a traced step, where nothing settles.
+        """
+        if self.settle_steps:
+            self._world.settle(self.settle_steps, env_ids)
+        for number, value in enumerate(self._values()):
+            write_rows(self.held[number], take_rows(value, env_ids), env_ids)
+
+    def metrics(self) -> dict[str, Tensor]:
+        """(N,) 1 where a premise held when the episode began, else 0, by the metric's name."""
+        return {f"{METRIC}{name}": self.held[number].float() for number, name in enumerate(self.terms)}
+
+    def sample(self, begin: Callable[[None], None]) -> None:
+        """Begin some episodes, simulate them for ``premise_time``, and say which premises do not hold then.
+
+        The environments' random streams go on as if nothing had been drawn.
+
+        Args:
+            begin: begins episodes in all environments.
+
+        Raises:
+            PremiseError: a premise holds in none of the starts.
+        """
+        if not (self.terms and self._simulated):
+            return
+        world = self._world
+        streams = world.random.save_state()
+        rounds = math.ceil(LEAST_STARTS / world.num_envs)
+        failed = torch.zeros(len(self.terms), dtype=torch.int64, device=world.device)
+        for _ in range(rounds):
+            begin(None)
+            if (left := self._sampled_steps - self.settle_steps) > 0:
+                world.settle(left)
+            failed += torch.stack([~value for value in self._values()]).sum(1)
+        world.random.load_state(streams)
+        starts = rounds * world.num_envs
+        self.checks = tuple(
+            PremiseCheck(name, term.reason, starts, count)
+            for (name, term), count in zip(self.terms.items(), failed.tolist(), strict=True)
+        )
+        self._report()
+
+    def _report(self) -> None:
+        for check in self.checks:
+            if check.failed == check.starts:
+                raise PremiseError(
+                    f"{self._who(check)} holds in none of {check.starts} starts: {check.reason}. {self._remedy(check)}"
+                )
+            if check.failed:
+                share = f"fails in {check.failed} of {check.starts} starts"
+                text = f"{self._who(check)} {share}: {check.reason}. {self._remedy(check)}"
+                warnings.warn(text, RuntimeWarning, stacklevel=6)
+
+    def _who(self, check: PremiseCheck) -> str:
+        return f"on backend '{self._world.backend}', premise '{check.name}' of task {type(self._task).__name__}"
+
+    def _remedy(self, check: PremiseCheck) -> str:
+        return (
+            "Change the task's reset events, give it settle_time, or give this backend other settings; "
+            f"premises.{check.name}=None goes without it"
+        )
+
+    def _values(self) -> list[Tensor]:
+        return [self._value(name, term) for name, term in self.terms.items()]
+
+    def _value(self, name: str, term: PremiseTerm) -> Tensor:
+        what = f"premise '{name}'"
+        value = per_environment(term.function(self._world, self._task), what, self._world.num_envs)
+        if value.dtype != torch.bool:
+            raise ConfigurationError(f"{what} gives {value.dtype}: its function must give torch.bool")
+        return value
+
+
+def _steps(task: Task, name: str) -> int:
+    """Physics steps of one of the task's times."""
+    seconds = getattr(task, name)
+    if not 0.0 <= seconds <= MOST_STEPS * task.physics_dt:
+        raise ConfigurationError(f"{name} must be zero seconds or more, not {seconds:g}")
+    return math.ceil(seconds / task.physics_dt - 1e-6)
