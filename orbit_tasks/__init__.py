@@ -26,6 +26,11 @@ def register(registry: TaskRegistry) -> None:
         "orbit_tasks.handover:Handover",
     )
     registry.add(
+        "Mobile-Reach",
+        "Drive to a sampled pose and bring the end effector there",
+        "orbit_tasks.mobile_reach:MobileReach",
+    )
+    registry.add(
         "Velocity-Flat",
         "A legged robot follows a commanded velocity on a plane",
         "orbit_tasks.velocity_flat:VelocityFlat",

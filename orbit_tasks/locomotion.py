@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -15,9 +15,11 @@ from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.learning.policy import Policy, load_policy
 from orbit_core.motion import ActionTerm, MotionGenerator, preset_terms
 from orbit_core.motion.base import JointTarget
+from orbit_core.motion.base_velocity import ROUNDING
+from orbit_core.motion.embodiment import leg_joints
 from orbit_core.pretrained import policy_path
 from orbit_core.scene import RobotSpec
-from orbit_tasks.walking import COMMAND, LAST_ACTION, READINGS
+from orbit_tasks.walking import COMMAND, JOINT_READINGS, LAST_ACTION, READINGS
 
 _PURSUIT_RATE = 1.0
 """1/s: the velocity that an expert asks for, over the displacement that is left."""
@@ -30,6 +32,9 @@ class LocomotionConfig(ActionTerm):
     The policy is one learned by a walking task, Velocity-Flat as a rule, for a robot with the same joints: it sees the
     robot and the velocity, and gives the commands of the action space that it was learned with. It is asked at the rate
     that it was learned at, whatever the task's is.
+
+    ``joints`` are those that the policy sees and moves. None takes all; of a robot on more than two feet that carries
+    an arm, those of its legs.
     """
 
     name: ClassVar[str] = "locomotion"
@@ -43,6 +48,15 @@ class LocomotionConfig(ActionTerm):
     """m/s"""
     max_yaw_rate: float = 1.0
     """rad/s"""
+
+    @property
+    def limits(self) -> tuple[float, float, float]:
+        """What a command of 1 stands for: m/s forward, m/s to the left, rad/s."""
+        return (self.max_forward, self.max_sideways, self.max_yaw_rate)
+
+    def default_joints(self, spec: RobotSpec) -> Sequence[str]:
+        # A biped's arms swing as it walks, and its policies move them; a quadruped only carries one.
+        return leg_joints(spec) if spec.has_arm and len(spec.feet) > 2 else super().default_joints(spec)
 
     def components(self, spec: RobotSpec, name: str) -> tuple[str, ...]:
         return ("forward", "left", "turn")
@@ -65,11 +79,12 @@ class Locomotion(MotionGenerator):
         self._policy = load_policy(policy_path(config.policy), self.device)
         self._check_seen(self._policy, config.policy)
         self._lower = self._legs(self._policy)
-        self._check_sizes(self._policy, config.policy)
-        limits = (config.max_forward, config.max_sideways, config.max_yaw_rate)
-        self._limits = torch.tensor(limits, device=self.device)
+        self._limits = torch.tensor(config.limits, device=self.device)
+        self.clamped = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
+        """(N,) commands since the reset that asked for more than the limits, and were kept to them."""
         self._velocity = torch.zeros(self.num_envs, 3, device=self.device)
         self._legs_command = torch.zeros(self.num_envs, self._lower.command_size, device=self.device)
+        self._check_sizes(self._policy, config.policy)
         self._waited = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
         self._every, self._each, self._since = 1, 0, 0
 
@@ -89,7 +104,9 @@ class Locomotion(MotionGenerator):
             world.add_servo(self._turn)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        self._velocity.copy_(inputs["command"] * self._limits)
+        command = inputs["command"]
+        self.clamped += command.abs().amax(1) > 1.0 + ROUNDING
+        self._velocity.copy_(command.clamp(-1.0, 1.0) * self._limits)
         self._since = 0
         if self._every == 1:
             self._legs_command.copy_(self._asked())
@@ -109,10 +126,16 @@ class Locomotion(MotionGenerator):
     def reset(self, env_ids: Tensor | None = None) -> None:
         write_rows(self._legs_command, 0.0, env_ids)
         write_rows(self._waited, 0, env_ids)
+        write_rows(self.clamped, 0, env_ids)
         self._lower.reset(env_ids)
 
     def memory(self) -> Mapping[str, Tensor]:
-        return {"velocity": self._velocity, "legs_command": self._legs_command, "waited": self._waited}
+        own = {"velocity": self._velocity, "legs_command": self._legs_command}
+        return own | {"waited": self._waited, "clamped": self.clamped}
+
+    @property
+    def base_limits(self) -> Tensor:
+        return self._limits
 
     def _turn(self) -> None:
         """Before each physics step: ask the policy anew where its period is over within a control step."""
@@ -131,7 +154,10 @@ class Locomotion(MotionGenerator):
 
     def _seen(self, part: str) -> Tensor:
         own = {COMMAND: self._velocity, LAST_ACTION: self._legs_command}
-        return own[part] if part in own else READINGS[part](self.robot)
+        if part in own:
+            return own[part]
+        seen = READINGS[part](self.robot)
+        return seen[:, self._columns] if part in JOINT_READINGS else seen
 
     def _legs(self, policy: Policy) -> MotionGenerator:
         """The generator that the policy was learned with."""
@@ -153,7 +179,7 @@ class Locomotion(MotionGenerator):
     def _check_sizes(self, policy: Policy, source: str) -> None:
         sizes = {COMMAND: 3, LAST_ACTION: self._lower.command_size}
         for part in policy.description.observation_parts:
-            size = sizes.get(part.name) or READINGS[part.name](self.robot).shape[1]
+            size = sizes.get(part.name) or self._seen(part.name).shape[1]
             if size != part.size:
                 raise ConfigurationError(
                     f"action term '{self.name}': policy '{source}' was learned with robot "

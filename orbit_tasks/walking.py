@@ -47,3 +47,6 @@ READINGS: Mapping[str, Callable[[Robot], Tensor]] = {
     "joint_velocities": lambda robot: JOINT_SPEED_SCALE * robot.joint_velocities,
 }
 """By the names that observations give them, besides :data:`COMMAND` and :data:`LAST_ACTION`."""
+
+JOINT_READINGS = ("joint_positions", "joint_velocities")
+"""Those with a component for each joint."""

@@ -10,7 +10,7 @@ from orbit_core.envs.task import COMPOSED, Task
 from orbit_core.envs.terms import terms_of
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.interfaces.typed import Typed
-from orbit_core.motion import ActionTerm, preset_terms, with_drives_for
+from orbit_core.motion import ActionTerm, with_drives_for
 from orbit_core.scene import RobotSpec, Scene
 
 
@@ -62,7 +62,7 @@ def _preset(task: Task, specs: Mapping[str, RobotSpec]) -> dict[str, ActionTerm]
             "action space"
         )
     several = len(specs) > 1
-    parts = [preset_terms(spec, task.action, f"{agent}_" if several else "") for agent, spec in specs.items()]
+    parts = [task.preset_terms(spec, f"{agent}_" if several else "") for agent, spec in specs.items()]
     return {name: term for part in parts for name, term in part.items()}
 
 

@@ -17,6 +17,7 @@ from orbit_core.dynamics.transforms import (
     quat_from_rotation_vector,
     quat_multiply,
 )
+from orbit_core.envs.expert_base import DrivenBase
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import TermFunction
 from orbit_core.interfaces import ConfigurationError, Node, Port
@@ -25,9 +26,12 @@ from orbit_core.motion.full_ik import FullIk
 if TYPE_CHECKING:
     from orbit_core.interfaces import Robot, World
     from orbit_core.motion.base import MotionGenerator
+    from orbit_core.motion.planning import BasePlannerConfig
 
 _JOINT_LEAD = 0.5
 """rad or m by which the joint that travels most leads on a free way."""
+_THERE = 0.1
+"""rad or m within which all joints are at the end of a free way, although a base that sways may have moved its end."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +53,15 @@ class Phase:
     The hand goes there in a straight line. Where the way is ``free``, full inverse kinematics finds joint positions
     within limits, and the joints go there together until the hand is near.
 
+    With ``base`` in the place of a target, the robot drives: (N, 3) x and y in m and heading in rad, in each
+    environment's frame, are read when the phase begins, the tolerances are the base's, and the arm goes to its home
+    meanwhile. In the phases that follow the base stays there.
+
     The phase is over once the hand is within both tolerances and ``dwell`` seconds have passed since it began; or, if
     ``timeout`` is given, after that many seconds. Then ``retry`` may lead back. The last phase goes on for ever.
     """
 
-    target: TermFunction
+    target: TermFunction | None = None
     gripper_open: bool = True
     position_tolerance: float = 0.01
     rotation_tolerance: float = 0.1
@@ -61,6 +69,11 @@ class Phase:
     timeout: float | None = None
     free: bool = False
     retry: Retry | None = None
+    base: TermFunction | None = None
+
+    def __post_init__(self) -> None:
+        if (self.target is None) == (self.base is None):
+            raise ConfigurationError("a phase of an expert leads the hand to its target or drives the base: give one")
 
 
 class Expert(Node):
@@ -72,9 +85,14 @@ class Expert(Node):
     Where several robots act, ``phases`` holds as many for each, by agent. They wait for each other: a phase is over
     once it is over for all.
 
+    Bases drive around what stands on the floor where a ``planner`` says how, else straight.
+
+    Drives whose arm's weight nothing cancels hold it only by what they lack to their targets. With a ``sag_rate`` (1/s)
+    what the hand lacks near its target is summed up at that rate, and asked for on top.
+
     Raises:
-        ConfigurationError: an agent has no phases, or another number than the others; or a phase is to be retried that
-            never ends, or from before the first.
+        ConfigurationError: an agent has no phases, or another number than the others; a phase is to be retried that
+            never ends, or from before the first; or a base is to drive that takes no velocities over the floor.
     """
 
     def __init__(
@@ -84,6 +102,8 @@ class Expert(Node):
         phases: Sequence[Phase] | Mapping[str, Sequence[Phase]],
         position_lead: float = 0.1,
         rotation_lead: float = 0.5,
+        planner: BasePlannerConfig | None = None,
+        sag_rate: float = 0.0,
     ) -> None:
         self.name = "policy"
         self.outputs = (Port("action", (sum(generator.command_size for generator in task.generators),)),)
@@ -105,7 +125,8 @@ class Expert(Node):
                     "one never ends, and none comes before the first"
                 )
         lead = torch.tensor([position_lead, rotation_lead], device=world.device)
-        self._arms = [_Arm(agent, by_agent[agent], lead, world, task) for agent in task.agents]
+        self._arms = [_Arm(agent, by_agent[agent], lead, world, task, planner) for agent in task.agents]
+        self._sag_share = sag_rate * self._dt
         self.phase = torch.zeros(world.num_envs, dtype=torch.int64, device=world.device)
         self._elapsed = torch.zeros(world.num_envs, device=world.device)
         self._tries = torch.zeros(world.num_envs, len(self._retries), dtype=torch.int64, device=world.device)
@@ -115,9 +136,16 @@ class Expert(Node):
         self.phase[rows] = 0
         self._elapsed[rows] = 0.0
         self._tries[rows] = 0
+        for arm in self._arms:
+            arm.reset(env_ids)
 
     def memory(self) -> Mapping[str, Tensor]:
-        return {"phase": self.phase, "elapsed": self._elapsed, "tries": self._tries}
+        bases = [arm.base for arm in self._arms if arm.base is not None]
+        own = {"phase": self.phase, "elapsed": self._elapsed, "tries": self._tries}
+        own |= {f"sag_{number}": arm.sag for number, arm in enumerate(self._arms)}
+        for number, base in enumerate(bases):
+            own |= {f"base_{number}_{key}": value for key, value in base.memory().items()}
+        return own
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         self.reset((self._task.episode_step == 0).nonzero().squeeze(-1))
@@ -125,7 +153,7 @@ class Expert(Node):
         commands: list[Tensor] = []
         over = self.phase < self._last
         for arm in self._arms:
-            command, finished = arm.compute(self.phase, elapsed, self._elapsed == 0.0)
+            command, finished = arm.compute(self.phase, elapsed, self._elapsed == 0.0, self._sag_share)
             commands.append(command)
             over = over & finished
         self.phase += torch.where(over, 1 - self._back(over), 0)
@@ -145,7 +173,15 @@ class Expert(Node):
 class _Arm:
     """One robot's part in the phases."""
 
-    def __init__(self, agent: str, phases: Sequence[Phase], lead: Tensor, world: World, task: Task) -> None:
+    def __init__(
+        self,
+        agent: str,
+        phases: Sequence[Phase],
+        lead: Tensor,
+        world: World,
+        task: Task,
+        planner: BasePlannerConfig | None = None,
+    ) -> None:
         self._world = world
         self._task = task
         self._phases = tuple(phases)
@@ -161,32 +197,63 @@ class _Arm:
         self._timeouts = torch.tensor(timeouts, device=world.device)
         self._open = torch.tensor([phase.gripper_open for phase in phases], device=world.device)
         self._free = torch.tensor([phase.free for phase in phases], device=world.device)
-        self._route = _Route(self._robot, self._generators) if any(phase.free for phase in phases) else None
+        self._drives = torch.tensor([phase.base is not None for phase in phases], device=world.device)
+        drives = any(phase.base is not None for phase in phases)
+        self._route = _Route(self._robot, self._generators) if drives or any(phase.free for phase in phases) else None
+        self.base = DrivenBase(self._robot, self._generators, world, task, planner) if drives else None
+        self.sag = torch.zeros(world.num_envs, 6, device=world.device)
+        """(N, 6) m and rad asked for on top."""
 
-    def compute(self, phase: Tensor, elapsed: Tensor, begun: Tensor) -> tuple[Tensor, Tensor]:
+    def reset(self, env_ids: Tensor | None) -> None:
+        """Forget where the base was going, and how much the arm sags."""
+        self.sag[slice(None) if env_ids is None else env_ids] = 0.0
+        if self.base is not None:
+            self.base.reset(env_ids)
+
+    def compute(self, phase: Tensor, elapsed: Tensor, begun: Tensor, sag_share: float) -> tuple[Tensor, Tensor]:
         """The command (N, A) in those phases (N,), and whether (N,) they are over after ``elapsed`` seconds (N,).
 
-        ``begun`` (N,) says which of them begin now.
+        ``begun`` (N,) says which of them begin now; ``sag_share`` of what the hand lacks is added to :attr:`sag`.
         """
         hand = self._robot.frame_pose(self._frame)
-        targets = torch.stack([own.target(self._world, self._task) for own in self._phases])
-        target = targets[phase, self._rows]
+        targets = [hand if own.target is None else own.target(self._world, self._task) for own in self._phases]
+        target = torch.stack(targets)[phase, self._rows]
         error = pose_error(hand, target)
         distances = torch.stack((error[:, :3].norm(dim=1), error[:, 3:].norm(dim=1)), dim=1)
         step = error.view(-1, 2, 3) * (self._lead / distances.clamp_min(1e-9)).clamp(max=1.0)[..., None]
+        if sag_share:
+            most = 0.5 * self._lead[:, None]
+            self.sag += sag_share * error * (distances < self._lead).all(1, keepdim=True)
+            self.sag.copy_((self.sag.view(-1, 2, 3).clamp(-most, most)).view(-1, 6))
+            step = step + self.sag.view(-1, 2, 3)
         turned = quat_multiply(quat_from_rotation_vector(step[:, 1]), hand[:, 3:])
         waypoint = torch.cat((hand[:, :3] + step[:, 0], turned), dim=1)
         opened = self._open[phase]
         commands = [generator.encode(waypoint, opened) for generator in self._generators]
         if self._route is not None:
-            free = self._free[phase]
+            free, drives = self._free[phase], self._drives[phase]
             self._route.plan(target, begun & free)
-            far = (free & self._route.known & (distances > 0.5 * self._lead).any(1))[:, None]
-            positions, pose = self._route.next()
+            way, near = self._route.way(drives)
+            far = free & self._route.known & ~near & (distances > 0.5 * self._lead).any(1)
+            positions, pose = self._route.along(way)
             others = [generator.encode_posture(positions, pose, opened) for generator in self._generators]
-            commands = [torch.where(far, other, own) for own, other in zip(commands, others, strict=True)]
+            led = (far | drives)[:, None]
+            commands = [torch.where(led, other, own) for own, other in zip(commands, others, strict=True)]
+        if self.base is not None:
+            distances = self._drive(self.base, commands, phase, begun, distances)
         arrived = (distances <= self._tolerances[phase]).all(1) & (elapsed >= self._dwell[phase])
         return torch.cat(commands, dim=1), arrived | (elapsed >= self._timeouts[phase])
+
+    def _drive(self, base: DrivenBase, commands: list[Tensor], phase: Tensor, begun: Tensor, hand: Tensor) -> Tensor:
+        """Put the base's command among the others; (N, 2) distances of what each phase (N,) leads, hand or base."""
+        for number, own in enumerate(self._phases):
+            begins = begun & (phase == number)
+            if own.base is not None and bool(begins.any()):
+                base.begin(own.base(self._world, self._task), begins)
+        for number, generator in enumerate(self._generators):
+            if generator.base_limits is not None:
+                commands[number] = base.command()
+        return torch.where(self._drives[phase][:, None], base.distances, hand)
 
 
 class _Route:
@@ -218,11 +285,18 @@ class _Route:
         self._goal[env_ids] = goal
         self.known[env_ids] = solution.converged
 
-    def next(self) -> tuple[Tensor, Tensor]:
-        """Joint positions (N, J) a step ahead on the way, and the hand's pose (N, 7) there in the environment."""
+    def way(self, home: Tensor) -> tuple[Tensor, Tensor]:
+        """(N, J) rad or m that the joints have to go, those of the arm to their home where ``home`` (N,); and (N,) bool
+        whether they are as good as there."""
         here = self._robot.joint_positions
-        way = self._goal - here
+        resting = here.clone()
+        resting[:, self._joints] = self._robot.home_positions[self._joints]
+        way = torch.where(home[:, None], resting, self._goal) - here
+        return way, way[:, self._joints].abs().amax(1) < _THERE
+
+    def along(self, way: Tensor) -> tuple[Tensor, Tensor]:
+        """Joint positions (N, J) a step on along the way (N, J), and the hand's pose (N, 7) in the environment then."""
         longest = way[:, self._joints].abs().amax(1, keepdim=True).clamp_min(1e-9)
-        positions = here + way * (_JOINT_LEAD / longest).clamp(max=1.0)
+        positions = self._robot.joint_positions + way * (_JOINT_LEAD / longest).clamp(max=1.0)
         links = self._tree.forward(self._robot.root_pose, positions)
         return positions, self._tree.frame_pose(links, self._frame)

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError, Node
-from orbit_core.scene import Pose, Scene, look_at
+from orbit_core.scene import Pose, RobotSpec, Scene, look_at
 
 if TYPE_CHECKING:
     from orbit_core.interfaces import World
-    from orbit_core.motion import MotionGenerator
+    from orbit_core.motion import ActionTerm, MotionGenerator
 
 ROBOT = "robot"
 """The robot that acts, where a task has one."""
@@ -115,6 +115,21 @@ class Task(ABC):
             f"task {type(self).__name__} has no randomisation of its own: leave domain_randomization out, and set "
             "its terms yourself (orbit_core.mdp.randomize)"
         )
+
+    def preset_terms(self, spec: RobotSpec, prefix: str) -> dict[str, ActionTerm]:
+        """The action terms that the word ``action`` stands for, of one of the robots that act. Extend where a task's
+        robots are moved by more.
+
+        Args:
+            spec: of the robot.
+            prefix: begins the terms' names.
+
+        Raises:
+            UnknownNameError: there is no such action space.
+        """
+        from orbit_core.motion import preset_terms  # heavier than what is needed to list tasks
+
+        return preset_terms(spec, self.action, prefix)
 
     @abstractmethod
     def scene(self) -> Scene:

@@ -91,6 +91,12 @@ class MotionGenerator(Node):
         return None
 
     @property
+    def base_limits(self) -> Tensor | None:
+        """(3,) m/s forward, m/s to the left, rad/s that a command of 1 stands for, where a command is the velocity of
+        what carries the robot, in its own axes; None elsewhere."""
+        return None
+
+    @property
     def positions(self) -> Tensor:
         """(N, k) measured positions of the generator's joints."""
         return self.robot.joint_positions[:, self._columns]

@@ -18,7 +18,7 @@ from orbit_core.scene import RobotSpec
 
 _PURSUIT_RATE = 2.0
 """1/s: the velocity that an expert asks for, over the displacement that is left."""
-_ROUNDING = 1e-5
+ROUNDING = 1e-5
 """Of a command that is meant to be at its limit."""
 
 
@@ -87,7 +87,7 @@ class BaseVelocity(MotionGenerator):
         speed = torch.linalg.vector_norm(command[:, :2], dim=1, keepdim=True)
         planar, turn = command[:, :2] / speed.clamp_min(1.0), command[:, 2:].clamp(-1.0, 1.0)
         most = torch.maximum(speed, command[:, 2:].abs()).squeeze(1)
-        self.clamped += most > 1.0 + _ROUNDING
+        self.clamped += most > 1.0 + ROUNDING
         positions = self.positions
         velocities = torch.cat((_turned(planar, positions[:, 2]), turn), dim=1) * self._limits
         # A base that a joint's limit holds back keeps its curve.
@@ -99,6 +99,10 @@ class BaseVelocity(MotionGenerator):
 
     def memory(self) -> Mapping[str, Tensor]:
         return {"clamped": self.clamped}
+
+    @property
+    def base_limits(self) -> Tensor:
+        return self._limits
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return command_towards(towards_pose(self.robot, self.joints, pose), self.positions[:, 2], self._limits)

@@ -46,6 +46,20 @@ def base_joints(spec: RobotSpec) -> tuple[str, ...]:
     return ()
 
 
+def leg_joints(spec: RobotSpec) -> tuple[str, ...]:
+    """Patterns of the driven joints between a walking robot's root and its feet."""
+    articulation = spec.articulation
+    above = {joint.child: joint for joint in articulation.joints}
+    found: set[str] = set()
+    for foot in spec.feet:
+        link = foot if foot in articulation.link_names else articulation.frame(foot).link
+        while link in above:
+            found.add(above[link].name)
+            link = above[link].parent
+    names = (articulation.joint_names[joint] for joint in driven_joints(spec))
+    return tuple(re.escape(name) for name in names if name in found)
+
+
 def arm_joints_of(spec: RobotSpec, frame: str | None = None) -> tuple[str, ...]:
     """Patterns of the joints that move the end effector with that frame, or the first one.
 

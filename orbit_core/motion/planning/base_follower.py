@@ -12,6 +12,11 @@ from orbit_core.interfaces import ConfigurationError, Node, Port, Robot
 from orbit_core.motion.base_velocity import BaseVelocityConfig, command_towards
 from orbit_core.motion.planning.follower import longer
 
+_ARRIVING = 0.5
+"""Metres from the end of its path within which a base turns to its heading there."""
+_AHEAD = 0.9
+"""Cosine of the angle to where it goes within which a base that faces its way goes on."""
+
 
 class BasePathFollower(Node):
     """Gives the commands of :class:`~orbit_core.motion.BaseVelocityConfig` that lead each base along a path of its own.
@@ -20,22 +25,34 @@ class BasePathFollower(Node):
 
     Args:
         name: of the node.
-        robot: with a planar base.
-        config: of the generator that takes the commands.
+        robot: that drives or walks.
+        config: of the generator that takes the commands; or that generator's
+            :attr:`~orbit_core.motion.MotionGenerator.base_limits`, where another than a planar base moves.
         tolerance: metres from a place at which the next one is headed for.
+        face_way: whether the base turns to where it goes first, and to the end's heading once it is within half a metre
+            of the end; else it turns to that on the way.
 
     Raises:
         ConfigurationError: the robot has no planar base.
     """
 
-    def __init__(self, name: str, robot: Robot, config: BaseVelocityConfig, tolerance: float = 0.05) -> None:
-        config.default_joints(robot.spec)  # raises where there is no such base
+    def __init__(
+        self,
+        name: str,
+        robot: Robot,
+        config: BaseVelocityConfig | Tensor,
+        tolerance: float = 0.05,
+        face_way: bool = False,
+    ) -> None:
+        if isinstance(config, BaseVelocityConfig):
+            config.default_joints(robot.spec)  # raises where there is no such base
+            config = torch.tensor(config.limits)
         self.name = name
         self.outputs = (Port("command", (3,)),)
-        self._robot, self._tolerance = robot, tolerance
+        self._robot, self._tolerance, self._face_way = robot, tolerance, face_way
         self._link = robot.link_names.index(robot.spec.base_link)
         pose = self._pose()
-        self._limits = torch.tensor(config.limits, device=pose.device)
+        self._limits = config.to(pose.device)
         self._rows = torch.arange(len(pose), device=pose.device)
         self._places = pose[:, None, :2].clone()
         self._heading = pose[:, 2].clone()
@@ -73,6 +90,10 @@ class BasePathFollower(Node):
         self._next.copy_(torch.minimum(self._next + near, self._last))
         way = self._places[self._rows, self._next] - pose[:, :2]
         left = self._heading - pose[:, 2]
+        if self._face_way:
+            far = (self._next < self._last) | (torch.linalg.vector_norm(way, dim=1) > _ARRIVING)
+            left = torch.where(far, torch.atan2(way[:, 1], way[:, 0]) - pose[:, 2], left)
+            way = way * (~far | (left.cos() > _AHEAD))[:, None]
         displacement = torch.cat((way, torch.atan2(left.sin(), left.cos())[:, None]), 1)
         return {"command": command_towards(displacement, pose[:, 2], self._limits) * self._drives[:, None]}
 

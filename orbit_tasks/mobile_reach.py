@@ -1,0 +1,127 @@
+"""Mobile-Reach: drive to where the arm reaches a sampled pose, and bring the end effector there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.transforms import quat_from_euler, quat_multiply
+from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, TerminationTerm
+from orbit_core.interfaces import World
+from orbit_core.mdp import common
+from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
+from orbit_tasks.mobile import (
+    Mobile,
+    ahead_of,
+    base_pose,
+    mobile,
+    near_to,
+    over_floor,
+    reach_ahead,
+    sag_rate,
+    start_within,
+    tipped,
+)
+from orbit_tasks.reach import (
+    Reach,
+    ReachEvents,
+    ReachObservations,
+    ReachPixelObservations,
+    ReachRewards,
+    ReachState,
+    ReachTerminations,
+)
+
+NEAREST, FARTHEST = 1.5, 2.5
+"""Metres over the floor from where the base starts to the goal; an arm reaches less than one."""
+
+
+def sample_goal(world: World, task: MobileReach, env_ids: Tensor) -> None:
+    """Sample the goal in a ring around the base, at the heights of the hand's workspace, turned by any angle."""
+    low, high = common.workspace(world)
+    bounds = (NEAREST, -math.pi, low[2], -0.3, -0.3, -math.pi), (FARTHEST, math.pi, high[2], 0.3, 0.3, math.pi)
+    distance, bearing, height, roll, pitch, yaw = world.random.uniform((6,), *bounds, env_ids).unbind(1)
+    start = over_floor(base_pose(world, task)[env_ids])
+    place = start[:, :2] + torch.stack((distance * bearing.cos(), distance * bearing.sin()), 1)
+    tilt = quat_from_euler(roll, pitch, torch.zeros_like(yaw))
+    orientation = quat_multiply(common.turned(yaw), quat_multiply(tilt, common.facing_down(torch.zeros_like(yaw))))
+    task.goal[env_ids] = goal = torch.cat((place, height[:, None], orientation), dim=1)
+    world.markers["goal"].set_pose(goal, env_ids)
+
+
+def before_goal(world: World, task: MobileReach) -> Tensor:
+    """(N, 3) the base where the goal lies ahead, in the middle of the workspace."""
+    return ahead_of(over_floor(task.goal), reach_ahead(world))
+
+
+@dataclass
+class MobileReachState(ReachState):
+    """As the state of Reach, and where the base is."""
+
+    base_pose: ObservationTerm | None = ObservationTerm(base_pose)
+
+
+@dataclass
+class MobileReachObservations(ReachObservations):
+    """Policy and critic see the state."""
+
+    policy: ReachState = field(default_factory=MobileReachState)
+
+
+@dataclass
+class MobileReachRewards(ReachRewards):
+    """As those of Reach, but for the distance, whose reward grows over the metres that the base drives."""
+
+    position: RewardTerm | None = RewardTerm(near_to(lambda world, task: task.goal, 1.0), 2.0)
+
+
+@dataclass
+class MobileReachTerminations(ReachTerminations):
+    """An episode ends early where the base falls over."""
+
+    tipped: TerminationTerm | None = TerminationTerm(tipped)
+
+
+@dataclass
+class MobileReachEvents(ReachEvents):
+    """As those of Reach; the base starts about the middle, facing anywhere."""
+
+    place_robot: EventTerm | None = EventTerm(start_within((-0.5, -0.5), (0.5, 0.5), spread=0.2))
+    sample_goal: EventTerm | None = EventTerm(sample_goal)
+
+
+@dataclass(kw_only=True)
+class MobileReach(Mobile, Reach):
+    """As Reach, with the goal 1.5 to 2.5 m from where the base starts, in any direction and turned by any angle."""
+
+    observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {}
+    episode_length: float = 12.0
+    view: Pose = look_at(eye=(3.2, 2.6, 2.4), target=(0.0, 0.0, 0.3))
+    observations: ReachObservations | ReachPixelObservations = field(default_factory=MobileReachObservations)
+    rewards: ReachRewards = field(default_factory=MobileReachRewards)
+    terminations: ReachTerminations = field(default_factory=MobileReachTerminations)
+    events: ReachEvents = field(default_factory=MobileReachEvents)
+
+    def scene(self) -> Scene:
+        return Scene(
+            robots=(mobile(self.robot, gripper=False),),
+            terrain=(common.floor(),),
+            markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.15),),
+            physics_dt=self.physics_dt,
+        )
+
+    def expert(self, world: World) -> Expert:
+        return Expert(
+            world,
+            self,
+            (
+                Phase(base=before_goal, position_tolerance=0.08, rotation_tolerance=0.15),
+                Phase(lambda world, task: task.goal, free=True),
+            ),
+            sag_rate=sag_rate(world),
+        )

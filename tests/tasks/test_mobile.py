@@ -1,0 +1,52 @@
+"""Tasks of arms on bases: experts drive and reach, starts lie out of reach, and what a robot lacks is told."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from orbit_core.envs import make
+from orbit_core.interfaces import ConfigurationError
+from orbit_tasks import mobile_reach
+from orbit_tasks.mobile import base_pose
+from tests.tasks.experts import episode
+
+
+@pytest.mark.parametrize("backend", ["mujoco", "bullet"])
+def test_the_expert_drives_to_the_goal_and_reaches_it(backend: str) -> None:
+    environment, success = episode("Mobile-Reach", backend, 4)
+    environment.close()
+    assert success.all()
+
+
+def test_goals_lie_beyond_the_arms_reach() -> None:
+    environment = make("Mobile-Reach", 16, "mujoco", seed=1)
+    environment.reset(seed=1)
+    task, world = environment.task, environment.world
+    assert isinstance(task, mobile_reach.MobileReach)
+    away = torch.linalg.vector_norm(task.goal[:, :2] - base_pose(world, task)[:, :2], dim=1)
+    environment.close()
+    assert (away >= mobile_reach.NEAREST - 1e-4).all()
+    assert (away <= mobile_reach.FARTHEST + 1e-4).all()
+
+
+def test_a_walking_robot_is_led_by_a_kept_policy() -> None:
+    environment = make("Mobile-Reach", 2, "mujoco", robot="anymal_c_kinova_gen3")
+    names = [generator.name for generator in environment.task.generators]
+    legs = environment.task.generators[-1]
+    moved = {environment.world.robots["robot"].joint_names[joint] for joint in legs.joints}
+    environment.close()
+    assert names == ["joint_position", "gripper", "base"]
+    assert moved == {f"{leg}_{joint}" for leg in ("LF", "RF", "LH", "RH") for joint in ("HAA", "HFE", "KFE")}
+
+
+def test_a_robot_without_a_base_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"'ur10' has no base that moves.*base_omni\+ur10"):
+        make("Mobile-Reach", 1, "mujoco", robot="ur10")
+
+
+def test_an_action_space_that_moves_no_base_alone_has_no_expert() -> None:
+    environment = make("Mobile-Reach", 1, "mujoco", action="whole_body_ik")
+    with pytest.raises(ConfigurationError, match="drives a base by velocities.*'whole_body_ik'"):
+        environment.expert()
+    environment.close()
