@@ -1,20 +1,29 @@
 """What action spaces cost over joint positions, in the whole step of a task.
 
     python benchmarks/motion_costs.py --backend mujoco --envs 64
-    python benchmarks/motion_costs.py --backend warp --device cuda --envs 4096
+    python benchmarks/motion_costs.py --backend warp --device cuda --envs 4096 --json costs.json
 
-Steps are compiled, and on a GPU captured in a CUDA graph. Random actions, resets included. On a CPU the time is the
-own time of the process, on a GPU that of the wall. The action spaces take turns, so that what else the machine does
-meets all alike. Prints a table in Markdown: ms a step, the median of the turns, and the share over the first one.
+Steps are compiled, and on a GPU captured in a CUDA graph. Random actions, resets included. Each action space has a
+process of its own; all compile at once, and then they take turns, one at a time, so that what else the machine does
+meets all alike. On a CPU the time is the own time of the process, on a GPU that of the wall. Prints a table in
+Markdown: ms a step, the median of the turns, the share over the first one, and how many operations of arithmetic for
+each environment the law's own kernel has, or why there is none.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import time
+import traceback
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
 
 import torch
 
+from orbit_core.capture.fusion import Fused
 from orbit_core.envs import Environment, make
 
 BASELINE = "joint_position"
@@ -49,6 +58,60 @@ def turn(env: Environment, actions: torch.Tensor, steps: int) -> float:
     return 1e3 * (clock() - begin) / steps
 
 
+def kernels(env: Environment) -> str:
+    """What became of the generators' own kernels."""
+    runners = env.cut.graph.runners
+    parts = {id(part): part for r in runners for part in _values(r.node) if isinstance(part, Fused)}
+    return ", ".join(part.refusal or f"{part.operations} operations" for part in parts.values())
+
+
+def _values(node: object) -> list[object]:
+    """A node's attributes, and those of the generator that it may hold."""
+    own = list(vars(node).values())
+    return own + [value for part in own if hasattr(part, "__dict__") for value in vars(part).values()]
+
+
+def work(arguments: argparse.Namespace, action: str, line: Connection) -> None:
+    """In a process: build, tell, and time each turn that is asked for."""
+    torch.set_num_threads(1)
+    try:
+        begin = time.perf_counter()
+        env, actions = prepared(arguments, action)
+        line.send({"built_s": time.perf_counter() - begin, "kernels": kernels(env)})
+        while line.recv():
+            line.send(turn(env, actions, arguments.steps))
+    except EOFError:
+        return
+    except Exception:
+        line.send({"error": traceback.format_exc()})
+
+
+def measured(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Results of each action space, by name."""
+    names, context = [BASELINE, *arguments.actions], get_context("spawn")
+    lines: dict[str, Any] = {}
+    workers = []
+    for name in names:
+        lines[name], other = context.Pipe()
+        workers.append(context.Process(target=work, args=(arguments, name, other), daemon=True))
+        workers[-1].start()
+        if arguments.one_at_a_time:
+            lines[name].poll(None)
+    results = {name: {**lines[name].recv(), "times": []} for name in names}
+    for _ in range(arguments.turns):
+        for name in names:
+            if "error" in results[name]:
+                continue
+            lines[name].send(True)
+            results[name]["times"].append(lines[name].recv())
+    for name in names:
+        if "error" not in results[name]:
+            lines[name].send(False)
+    for worker in workers:
+        worker.join(10.0)
+    return results
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--task", default="Lift")
@@ -59,17 +122,24 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=50, help="of one turn")
     parser.add_argument("--turns", type=int, default=7)
     parser.add_argument("--compile", action=argparse.BooleanOptionalAction, default=True)
+    parser.add_argument("--one-at-a-time", action="store_true", help="build one after the other: for few cores")
+    parser.add_argument("--json", type=Path, help="file for all numbers")
     arguments = parser.parse_args()
-    names = [BASELINE, *arguments.actions]
-    environments = {name: prepared(arguments, name) for name in names}
-    times: dict[str, list[float]] = {name: [] for name in names}
-    for _ in range(arguments.turns):
-        for name in names:
-            times[name].append(turn(*environments[name], arguments.steps))
-    medians = {name: sorted(values)[len(values) // 2] for name, values in times.items()}
-    print("| action space | ms a step | over joint positions |\n|---|---|---|")
-    for name, value in medians.items():
-        print(f"| `{name}` | {value:.2f} | {100 * (value / medians[BASELINE] - 1):.0f} % |")
+    results = measured(arguments)
+    baseline = results[BASELINE]["times"]
+    print("| action space | ms a step | over joint positions | the law's kernel |\n|---|---|---|---|")
+    for name, result in results.items():
+        if "error" in result:
+            print(f"| `{name}` | - | - | {result['error'].strip().splitlines()[-1]} |")
+            continue
+        result["ms"] = sorted(result["times"])[len(result["times"]) // 2]
+        shares = [a / b - 1.0 for a, b in zip(result["times"], baseline, strict=True)]
+        result["share"] = sorted(shares)[len(shares) // 2]
+        print(f"| `{name}` | {result['ms']:.2f} | {100 * result['share']:.0f} % | {result['kernels']} |")
+    if arguments.json is not None:
+        cuda = torch.cuda.get_device_name() if arguments.device != "cpu" else ""
+        settings = {key: str(value) for key, value in vars(arguments).items()}
+        arguments.json.write_text(json.dumps({"device": cuda, **settings, "results": results}, indent=1))
 
 
 if __name__ == "__main__":

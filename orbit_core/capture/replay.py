@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, fx
 
 from orbit_core.capture.compile import compiled
+from orbit_core.capture.fusion import fusing
 from orbit_core.capture.stages import Trace
 from orbit_core.capture.trace import NotTraceable, Tracer
 from orbit_core.interfaces import World
@@ -37,6 +38,7 @@ class CapturedFunction:
         self._operations = operations
         self._memory = memory
         self._build = compiled if compile else _as_it_is
+        self._compiles = compile
         self.replay: Callable[[], tuple[Tensor, ...]] | None = None
         self.refusal = ""
         """Why the operations cannot be repeated without Python; empty if they can, or have not run."""
@@ -50,7 +52,7 @@ class CapturedFunction:
         world.touch()  # what was derived before must not be taken for part of the step
         world.masking.traced = True
         try:
-            with torch.no_grad(), tracer.tracing():
+            with torch.no_grad(), fusing(self._compiles), tracer.tracing():
                 outputs = self._operations()
         finally:
             world.masking.traced = False

@@ -21,12 +21,16 @@ _GRAVITY = (0.0, 0.0, -9.81)
 
 @dataclass(frozen=True, eq=False)
 class ArmState:
-    """Positions, velocities and bias (N, k), and the mass matrix (N, k, k), of the joints that move.
+    """Positions, velocities and bias (N, k), and the mass matrix (N, k, k), of the joints that move; and all poses.
 
     The bias are the efforts that leave the joints without acceleration: gravity, Coriolis and centrifugal forces, and
     the mechanism's own damping.
     """
 
+    poses: Tensor
+    """(N, L, 7) of all links."""
+    speeds: Tensor
+    """(N, J) of all joints."""
     positions: Tensor
     velocities: Tensor
     mass: Tensor
@@ -42,7 +46,7 @@ class ArmState:
 
 
 class ArmDynamics:
-    """Reads a robot's state, and makes the equation of motion of it.
+    """Makes the equation of motion of a robot's state.
 
     Where the robot's own controller compensates gravity, gravity is no part of the bias.
 
@@ -66,18 +70,25 @@ class ArmDynamics:
         self._joints = torch.tensor(list(joints), dtype=torch.int64, device=device)
         self._damping = torch.as_tensor(damping, dtype=torch.float32, device=device)[self._joints]
 
+    def measured(self) -> dict[str, Tensor]:
+        """What :meth:`state_of` takes, of the present."""
+        robot = self.robot
+        return {"poses": robot.link_poses, "positions": robot.joint_positions, "velocities": robot.joint_velocities}
+
     def state(self) -> ArmState:
         """Of the present."""
-        robot, joints = self.robot, self._joints
-        poses, velocities = robot.link_poses, robot.joint_velocities
-        moving = velocities.index_select(1, joints)
-        mass, bias = self.model.equation_of_motion(poses, robot.root_velocity, velocities)
-        mass, bias = mass.index_select(1, joints).index_select(2, joints), bias.index_select(1, joints)
-        return ArmState(
-            robot.joint_positions.index_select(1, joints), moving, mass, torch.addcmul(bias, self._damping, moving)
-        )
+        return self.state_of(**self.measured())
 
-    def drift(self, frame: str) -> Tensor:
+    def state_of(self, poses: Tensor, positions: Tensor, velocities: Tensor) -> ArmState:
+        """Of link poses (N, L, 7), and positions and velocities (N, J) of all joints."""
+        joints = self._joints
+        moving = velocities.index_select(1, joints)
+        at_rest = velocities.new_zeros((velocities.shape[0], 6))
+        mass, bias = self.model.equation_of_motion(poses, at_rest, velocities)
+        mass, bias = mass.index_select(1, joints).index_select(2, joints), bias.index_select(1, joints)
+        bias = torch.addcmul(bias, self._damping, moving)
+        return ArmState(poses, velocities, positions.index_select(1, joints), moving, mass, bias)
+
+    def drift(self, state: ArmState, frame: str) -> Tensor:
         """(N, 6) acceleration of a frame while no joint accelerates."""
-        tree = self.model.kinematics
-        return tree.frame_drift(self.robot.link_poses, self.robot.joint_velocities, frame)
+        return self.model.kinematics.frame_drift(state.poses, state.speeds, frame)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -9,7 +10,6 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import Robot
-from orbit_core.motion.arm_dynamics import ArmState
 from orbit_core.motion.compliant import Compliant, CompliantConfig, HandState, without_free
 from orbit_core.motion.servo import check_rate
 
@@ -49,13 +49,13 @@ class CartesianImpedance(Compliant):
         check_rate(self.name, (step * fastest) ** 2 + 4.0 * step * self.gains.most_damped * fastest, told)
         self.check_posture()
 
-    def hand_accelerations(self, state: ArmState, hand: HandState, free: Tensor) -> Tensor:
-        stiffness = self.gains.stiffness
-        weights = (2.0 * self.gains.damping_ratio * stiffness).sqrt()
+    def hand_accelerations(self, hand: HandState, free: Tensor, aims: Mapping[str, Tensor]) -> Tensor:
+        stiffness, ratio = self.gains.of(aims)
+        weights = (2.0 * ratio * stiffness).sqrt()
         roots = stiffness.sqrt()
         inverse_rate = inverse_root(roots.unsqueeze(-1) * hand.inverse_inertia * roots.unsqueeze(-2))
         damping = weights * torch.bmm(inverse_rate, (weights * hand.velocity).unsqueeze(-1)).squeeze(-1)
-        wrench = stiffness * self.error(hand) - damping
+        wrench = stiffness * self.error(hand, aims) - damping
         return hand.joint_accelerations(wrench - hand.wrench(without_free(hand, free))) + free
 
 

@@ -20,6 +20,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.kinematics import PointJacobian
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.dynamics.workspace import workspace_positions
@@ -76,6 +77,8 @@ class HandState:
     """(N, 6, 6) ``J M^-1 J^T``, regularised."""
     drift: Tensor
     """(N, 6) ``J' v``"""
+    links: Tensor
+    """(N, L, 7) poses of all links."""
 
     def wrench(self, acceleration: Tensor) -> Tensor:
         """(N, 6) that accelerates the frame by (N, 6), as if at rest."""
@@ -103,10 +106,11 @@ class Compliant(Servo):
         self._goal = LastTargets(self.num_envs, (7,), self.device)
         self._home = robot.home_positions[joints]
         self._posture = config.posture_stiffness
+        self._jacobian = PointJacobian(robot.spec.articulation, link_of(robot, self.frame), joints, self.device)
         self._regular = _REGULAR * torch.eye(6, device=self.device)
 
     @abstractmethod
-    def hand_accelerations(self, state: ArmState, hand: HandState, free: Tensor) -> Tensor:
+    def hand_accelerations(self, hand: HandState, free: Tensor, aims: Mapping[str, Tensor]) -> Tensor:
         """(N, k) of the joints; ``free`` (N, k) is what those want that the hand leaves free."""
 
     def workspace_mobility(self) -> Tensor:
@@ -129,22 +133,26 @@ class Compliant(Servo):
         self._goal.keep(self._pose.target(command[:, :6]))
         self.gains.take(command[:, 6:])
 
-    def accelerations(self, state: ArmState) -> Tensor:
+    def aims(self) -> dict[str, Tensor]:
+        return {**self._goal.parts(), **self.gains.varying()}
+
+    def accelerations(self, state: ArmState, aims: Mapping[str, Tensor]) -> Tensor:
         free = self._posture * (self._home - state.positions) - 2.0 * self._posture**0.5 * state.velocities
-        return self.hand_accelerations(state, self.hand_state(state), free)
+        return self.hand_accelerations(self.hand_state(state), free, aims)
 
     def hand_state(self, state: ArmState) -> HandState:
-        """Of the present."""
-        jacobian = self.robot.jacobian(self.frame, self.joints)
+        """Of an arm's state."""
+        pose = self.dynamics.model.kinematics.frame_pose(state.poses, self.frame)
+        jacobian = self._jacobian(state.poses, pose[:, :3])
         response = solve_spd(state.mass, jacobian.mT)
         inverse = torch.bmm(jacobian, response) + self._regular
         velocity = torch.bmm(jacobian, state.velocities.unsqueeze(-1)).squeeze(-1)
-        drift = self.dynamics.drift(self.frame)
-        return HandState(self.robot.frame_pose(self.frame), velocity, jacobian, response, inverse, drift)
+        drift = self.dynamics.drift(state, self.frame)
+        return HandState(pose, velocity, jacobian, response, inverse, drift, state.poses)
 
-    def error(self, hand: HandState) -> Tensor:
+    def error(self, hand: HandState, aims: Mapping[str, Tensor]) -> Tensor:
         """(N, 6) from the measured pose to the goal."""
-        return pose_error(hand.pose, self._goal.read(hand.pose))
+        return pose_error(hand.pose, LastTargets.read_of(aims, hand.pose))
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return torch.cat((self._pose.encode(pose), self.gains.encode(self.num_envs)), 1)
@@ -156,6 +164,11 @@ class Compliant(Servo):
     def memory(self) -> Mapping[str, Tensor]:
         pose = {f"pose_{key}": value for key, value in self._pose.memory().items()}
         return {**pose, **self._goal.memory(), **self.gains.memory()}
+
+
+def link_of(robot: Robot, frame: str) -> int:
+    """Index of the link that carries a link's own or a named frame."""
+    return robot.link_names.index(robot.spec.articulation.frame(frame).link)
 
 
 def without_free(hand: HandState, free: Tensor) -> Tensor:

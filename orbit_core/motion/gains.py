@@ -100,6 +100,16 @@ class CommandedGains:
         if self._command is GainCommand.IMPEDANCE:
             self.damping_ratio.copy_(_geometric(command[:, self._size :], self._ratio))
 
+    def varying(self) -> dict[str, Tensor]:
+        """The gains, by name, where commands set them."""
+        return dict(self.memory())
+
+    def of(self, varying: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Stiffness and damping ratio, (N, n) of :meth:`varying`, or (n,) where they are fixed."""
+        if self._command is GainCommand.FIXED:
+            return self._nominal, torch.full_like(self._nominal, self._given)
+        return varying["stiffness"], varying["damping_ratio"]
+
     def encode(self, num_envs: int) -> Tensor:
         """(N, 0, n or 2 n): the command that stands for the gains which the configuration gives."""
         parts: list[float] = []

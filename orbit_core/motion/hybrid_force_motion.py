@@ -12,7 +12,6 @@ from torch import Tensor
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import quat_to_matrix
 from orbit_core.interfaces import ConfigurationError, Robot, World
-from orbit_core.motion.arm_dynamics import ArmState
 from orbit_core.motion.compliant import HandState, without_free
 from orbit_core.motion.force_reading import ForceReading
 from orbit_core.motion.gains import CommandedGains
@@ -109,21 +108,24 @@ class HybridForceMotion(OperationalSpace):
         check_rate(self.name, 2.0 * self.physics_dt * float(quickest), told)
 
     def aim(self, command: Tensor) -> None:
-        rotation = self._rotation()
+        rotation = self._rotation(self.robot.link_poses)
         along = _turned(rotation, command[:, :6] * self._moves)
         self._goal.keep(self._pose.target(along, self._selection(rotation)))
         self._wanted.copy_(_turned(rotation, command[:, :6] * (1.0 - self._moves) * self._scale))
         self.gains.take(command[:, 6:])
 
-    def hand_accelerations(self, state: ArmState, hand: HandState, free: Tensor) -> Tensor:
-        selection = self._selection(self._rotation())
-        moving = torch.bmm(selection, self.spring_accelerations(hand).unsqueeze(-1)).squeeze(-1)
-        pushing = self._pushing() - self._damping * hand.velocity
+    def aims(self) -> dict[str, Tensor]:
+        return {**super().aims(), "pushing": self._pushing()}
+
+    def hand_accelerations(self, hand: HandState, free: Tensor, aims: Mapping[str, Tensor]) -> Tensor:
+        selection = self._selection(self._rotation(hand.links))
+        moving = torch.bmm(selection, self.spring_accelerations(hand, aims).unsqueeze(-1)).squeeze(-1)
+        pushing = aims["pushing"] - self._damping * hand.velocity
         pushing = pushing - torch.bmm(selection, pushing.unsqueeze(-1)).squeeze(-1)
         return hand.joint_accelerations(hand.wrench(moving - without_free(hand, free)) + pushing) + free
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
-        rotation = self._rotation()
+        rotation = self._rotation(self.robot.link_poses)
         command = super().encode(pose, gripper_open)
         along = _turned(rotation.mT, command[:, :6]) * self._moves
         return torch.cat((along, command[:, 6:]), 1)
@@ -145,11 +147,11 @@ class HybridForceMotion(OperationalSpace):
         self._integral.copy_(torch.clamp(grown, -self._scale, self._scale))
         return self._wanted + self.config.force_gain * missing + self._integral
 
-    def _rotation(self) -> Tensor:
-        """(N, 3, 3) of the axes, in the world's."""
+    def _rotation(self, links: Tensor) -> Tensor:
+        """(N, 3, 3) of the axes, in the world's, for link poses (N, L, 7)."""
         if self.config.axes is None:
-            return torch.eye(3, device=self.device).expand(self.num_envs, 3, 3)
-        return quat_to_matrix(self.robot.frame_pose(self.config.axes)[:, 3:])
+            return torch.eye(3, device=self.device).expand(links.shape[0], 3, 3)
+        return quat_to_matrix(self.dynamics.model.kinematics.frame_pose(links, self.config.axes)[:, 3:])
 
     def _selection(self, rotation: Tensor) -> Tensor:
         """(N, 6, 6) projection on the directions that move."""

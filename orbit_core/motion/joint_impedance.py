@@ -94,9 +94,12 @@ class JointImpedance(Servo):
         self._last.keep(torch.clamp(targets, self.lower_limits, self.upper_limits))
         self.gains.take(command[:, count:])
 
-    def accelerations(self, state: ArmState) -> Tensor:
-        stiffness, ratio = self.gains.stiffness, self.gains.damping_ratio
-        offset = self._last.read(state.positions) - state.positions
+    def aims(self) -> dict[str, Tensor]:
+        return {**self._last.parts(), **self.gains.varying()}
+
+    def accelerations(self, state: ArmState, aims: Mapping[str, Tensor]) -> Tensor:
+        stiffness, ratio = self.gains.of(aims)
+        offset = LastTargets.read_of(aims, state.positions) - state.positions
         if self.config.inertia_compensation:
             wanted = stiffness * offset - 2.0 * ratio * stiffness.sqrt() * state.velocities
             return (

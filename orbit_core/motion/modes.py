@@ -36,6 +36,15 @@ class LastTargets:
         """(N, *shape)"""
         return torch.where(self._stale, measured, self._targets)
 
+    def parts(self) -> dict[str, Tensor]:
+        """What :meth:`read_of` takes, for laws that are functions of tensors."""
+        return {"targets": self._targets, "stale": self._stale}
+
+    @staticmethod
+    def read_of(parts: Mapping[str, Tensor], measured: Tensor) -> Tensor:
+        """(N, *shape) of :meth:`parts`."""
+        return torch.where(parts["stale"], measured, parts["targets"])
+
     def keep(self, targets: Tensor) -> None:
         """Remember what is asked for now."""
         self._targets.copy_(targets)

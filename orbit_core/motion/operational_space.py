@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 from torch import Tensor
 
 from orbit_core.interfaces import Robot
-from orbit_core.motion.arm_dynamics import ArmState
 from orbit_core.motion.compliant import Compliant, CompliantConfig, HandState, without_free
 from orbit_core.motion.servo import check_rate
 
@@ -37,11 +37,11 @@ class OperationalSpace(Compliant):
             check_rate(self.name, step**2 * stiffness + 4.0 * step * ratio * stiffness**0.5, what)
         self.check_posture()
 
-    def hand_accelerations(self, state: ArmState, hand: HandState, free: Tensor) -> Tensor:
-        wanted = self.spring_accelerations(hand) - without_free(hand, free)
+    def hand_accelerations(self, hand: HandState, free: Tensor, aims: Mapping[str, Tensor]) -> Tensor:
+        wanted = self.spring_accelerations(hand, aims) - without_free(hand, free)
         return hand.joint_accelerations(hand.wrench(wanted)) + free
 
-    def spring_accelerations(self, hand: HandState) -> Tensor:
+    def spring_accelerations(self, hand: HandState, aims: Mapping[str, Tensor]) -> Tensor:
         """(N, 6) of the unit masses on their springs."""
-        stiffness = self.gains.stiffness
-        return stiffness * self.error(hand) - 2.0 * self.gains.damping_ratio * stiffness.sqrt() * hand.velocity
+        stiffness, ratio = self.gains.of(aims)
+        return stiffness * self.error(hand, aims) - 2.0 * ratio * stiffness.sqrt() * hand.velocity

@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
+from orbit_core.capture.fusion import Fused
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.motion.arm_dynamics import ArmDynamics, ArmState
@@ -37,6 +38,8 @@ class Servo(MotionGenerator):
 
     dynamics: ArmDynamics
     physics_dt: float
+    law: Fused
+    """Efforts from the robot's state and the aims."""
 
     def __init__(self, name: str, robot: Robot, joints: Sequence[int], command_size: int) -> None:
         super().__init__(name, robot, joints, command_size, ())
@@ -56,8 +59,16 @@ class Servo(MotionGenerator):
         """Take a command (N, command_size) in."""
 
     @abstractmethod
-    def accelerations(self, state: ArmState) -> Tensor:
-        """(N, k) rad/s^2 or m/s^2 that the joints shall have now."""
+    def aims(self) -> dict[str, Tensor]:
+        """What the law aims at: all tensors (N, ...) besides the robot's state that it depends on, by name."""
+
+    @abstractmethod
+    def accelerations(self, state: ArmState, aims: Mapping[str, Tensor]) -> Tensor:
+        """(N, k) rad/s^2 or m/s^2 that the joints shall have now.
+
+        A function of its arguments and of constants alone, so that it can be one kernel
+        (:class:`orbit_core.capture.fusion.Fused`).
+        """
 
     def check_stable(self) -> None:
         """Refuse gains with which steps of ``physics_dt`` diverge.
@@ -70,6 +81,7 @@ class Servo(MotionGenerator):
         self.physics_dt = world.physics_dt
         self.dynamics = ArmDynamics(self.robot, self.joints, world.physics_dt, world.scene.gravity)
         self.check_stable()
+        self.law = Fused(self._efforts)
         world.add_servo(self.turn)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
@@ -78,9 +90,14 @@ class Servo(MotionGenerator):
 
     def turn(self) -> None:
         """Set the efforts for the next physics step; the world calls it."""
-        state = self.dynamics.state()
-        efforts = state.efforts(self._within_limits(state, self.accelerations(state)))
-        self.robot.set_effort_targets(torch.clamp(efforts, -self._strongest, self._strongest), self.joints)
+        (efforts,) = self.law(**self.dynamics.measured(), **self.aims())
+        self.robot.set_effort_targets(efforts, self.joints)
+
+    def _efforts(self, poses: Tensor, positions: Tensor, velocities: Tensor, **aims: Tensor) -> tuple[Tensor]:
+        """(N, k)"""
+        state = self.dynamics.state_of(poses, positions, velocities)
+        efforts = state.efforts(self._within_limits(state, self.accelerations(state, aims)))
+        return (torch.clamp(efforts, -self._strongest, self._strongest),)
 
     def _within_limits(self, state: ArmState, accelerations: Tensor) -> Tensor:
         highest = torch.minimum(self._fastest, _LIMIT_RATE * (self.upper_limits - state.positions))

@@ -1,0 +1,166 @@
+"""Arithmetic on the numbers of one environment, as a graph in which nothing is computed twice, and zeros vanish."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+Number = float | bool
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Expression:
+    """One number: a constant, an element of the environment's row of inputs, or an operation on others.
+
+    The same operation on the same numbers is the same object, as a :class:`Builder` makes them.
+    """
+
+    builder: Builder
+    operation: str
+    operands: tuple[Expression, ...] = ()
+    value: Number = 0.0
+    """Of a constant."""
+    place: int = 0
+    """Of an element, in the row."""
+    is_bool: bool = False
+
+    @property
+    def constant(self) -> bool:
+        """Whether it is the same in all environments, and known."""
+        return self.operation == "constant"
+
+    def __add__(self, other: Expression) -> Expression:
+        return self.builder.add(self, other)
+
+    def __sub__(self, other: Expression) -> Expression:
+        return self.builder.add(self, -other)
+
+    def __mul__(self, other: Expression) -> Expression:
+        return self.builder.multiply(self, other)
+
+    def __neg__(self) -> Expression:
+        return self.builder.negative(self)
+
+
+FOLDED: dict[str, Callable[..., Number]] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "neg": lambda a: -a,
+    "reciprocal": lambda a: 1.0 / a if a else math.inf,
+    "sqrt": math.sqrt,
+    "sin": math.sin,
+    "cos": math.cos,
+    "atan2": math.atan2,
+    "abs": lambda a: abs(a),
+    "min": lambda a, b: min(a, b),
+    "max": lambda a, b: max(a, b),
+    "lt": lambda a, b: a < b,
+    "le": lambda a, b: a <= b,
+    "eq": lambda a, b: a == b,
+    "and": lambda a, b: a and b,
+    "or": lambda a, b: a or b,
+    "not": lambda a: not a,
+    "where": lambda c, a, b: a if c else b,
+}
+"""Every operation, on known numbers."""
+_BOOLEAN = {"lt", "le", "eq", "and", "or", "not"}
+
+
+class Builder:
+    """Makes expressions, simplified as far as signs, zeros, ones and constants go."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[object, ...], Expression] = {}
+
+    def constant(self, value: Number) -> Expression:
+        """A known number; a bool stays one."""
+        if isinstance(value, bool):
+            return self._made("constant", value=value, is_bool=True)
+        return self._made("constant", value=float(value) + 0.0)
+
+    def element(self, place: int) -> Expression:
+        """What stands at a place of the row of inputs."""
+        return self._made("element", place=place)
+
+    def apply(self, operation: str, *operands: Expression) -> Expression:
+        """An operation of :data:`FOLDED`."""
+        if all(operand.constant for operand in operands):
+            return self.constant(FOLDED[operation](*(operand.value for operand in operands)))
+        if operation == "where":
+            condition, first, second = operands
+            if condition.constant:
+                return first if condition.value else second
+            if first is second:
+                return first
+        return self._made(operation, operands, is_bool=operation in _BOOLEAN)
+
+    def number(self, value: Expression) -> Expression:
+        """A bool as zero or one."""
+        return self.apply("where", value, self.constant(1.0), self.constant(0.0)) if value.is_bool else value
+
+    def add(self, a: Expression, b: Expression) -> Expression:
+        """``a + b``"""
+        if _is(a, 0.0):
+            return b
+        if _is(b, 0.0):
+            return a
+        if b.operation == "neg":
+            return self._subtracted(a, b.operands[0])
+        if a.operation == "neg":
+            return self._subtracted(b, a.operands[0])
+        return self.apply("add", *self._ordered(a, b))
+
+    def multiply(self, a: Expression, b: Expression) -> Expression:
+        """``a b``; nothing times zero is zero."""
+        a, b = self.number(a), self.number(b)
+        for one, other in ((a, b), (b, a)):
+            if _is(one, 0.0):
+                return one
+            if _is(one, 1.0):
+                return other
+            if _is(one, -1.0):
+                return self.negative(other)
+            if one.operation == "neg":
+                return self.negative(self.multiply(one.operands[0], other))
+            if one.constant and isinstance(one.value, float) and one.value < 0.0:
+                return self.negative(self.multiply(self.constant(-one.value), other))
+        return self.apply("mul", *self._ordered(a, b))
+
+    def negative(self, a: Expression) -> Expression:
+        """``-a``"""
+        if a.operation == "neg":
+            return a.operands[0]
+        if a.operation == "sub":
+            return self._subtracted(a.operands[1], a.operands[0])
+        return self.apply("neg", a)
+
+    def _subtracted(self, a: Expression, b: Expression) -> Expression:
+        if a is b:
+            return self.constant(0.0)
+        return self.negative(b) if _is(a, 0.0) else self.apply("sub", a, b)
+
+    @staticmethod
+    def _ordered(a: Expression, b: Expression) -> tuple[Expression, Expression]:
+        """The same for ``a b`` and ``b a``."""
+        return (a, b) if id(a) <= id(b) else (b, a)
+
+    def _made(
+        self,
+        operation: str,
+        operands: tuple[Expression, ...] = (),
+        value: Number = 0.0,
+        place: int = 0,
+        is_bool: bool = False,
+    ) -> Expression:
+        key = (operation, *map(id, operands), value, place, is_bool)
+        found = self._known.get(key)
+        if found is None:
+            found = Expression(self, operation, operands, value, place, is_bool)
+            self._known[key] = found
+        return found
+
+
+def _is(expression: Expression, value: float) -> bool:
+    return expression.constant and not expression.is_bool and expression.value == value

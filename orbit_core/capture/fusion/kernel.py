@@ -1,0 +1,84 @@
+"""Source text made into something that runs."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import subprocess
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from orbit_core.capture.fusion.interpreter import Unfusable
+
+_THREADS = 32
+"""Of a block on a GPU: few, so that a few thousand environments fill all multiprocessors."""
+_FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC", "-w")
+
+
+Launch = Callable[[Tensor, Tensor], None]
+"""Of rows (N, width), and memory for what becomes of them."""
+
+
+def launcher(source: str, device: torch.device) -> Launch:
+    """Runs a program.
+
+    Raises:
+        Unfusable: the compiler refuses it, or there is none.
+    """
+    return _of_library(_compiled(source)) if device.type == "cpu" else _of_gpu(source)
+
+
+def _compiled(source: str) -> Path:
+    """A library of the source, from the cache beside that of torch's compiler if it was made before."""
+    from torch._inductor.cpp_builder import get_cpp_compiler
+    from torch._inductor.runtime.cache_dir_utils import cache_dir
+
+    compiler = get_cpp_compiler()
+    name = hashlib.sha256("\n".join((source, compiler, *_FLAGS, _processor())).encode()).hexdigest()[:32]
+    folder = Path(cache_dir()) / "orbit_fusion"
+    library = folder / f"{name}.so"
+    if library.is_file():
+        return library
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder) as work:
+        text, made = Path(work) / "fused.cpp", Path(work) / "fused.so"
+        text.write_text(source)
+        run = subprocess.run([compiler, *_FLAGS, "-o", str(made), str(text)], capture_output=True, text=True)
+        if run.returncode:
+            raise Unfusable(f"{compiler} refuses it: {next(iter(run.stderr.splitlines()), '')}")
+        os.replace(made, library)  # at once, for other processes may be looking
+    return library
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return ""
+    return next((line for line in lines if line.startswith(("flags", "Features"))), "")
+
+
+def _of_library(library: Path) -> Launch:
+    function: Any = ctypes.CDLL(str(library)).fused
+    function.argtypes, function.restype = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int), None
+    return lambda rows, outputs: function(rows.data_ptr(), outputs.data_ptr(), rows.shape[0])
+
+
+def _of_gpu(source: str) -> Launch:
+    try:
+        kernel: Any = torch.cuda._compile_kernel(source, "fused")  # pyright: ignore[reportPrivateUsage]
+    except Exception as error:  # torch's release has none, there is no NVRTC, or it refuses the source
+        what = next(iter(str(error).splitlines()), "")
+        raise Unfusable(f"no kernel on the GPU, for {type(error).__name__}: {what}") from error
+
+    def launch(rows: Tensor, outputs: Tensor) -> None:
+        count = rows.shape[0]
+        kernel(grid=(-(-count // _THREADS), 1, 1), block=(_THREADS, 1, 1), args=[rows, outputs, count])
+
+    return launch
