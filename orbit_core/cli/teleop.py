@@ -103,12 +103,21 @@ def teleop(settings: TeleopSettings) -> None:
 def _show(settings: TeleopSettings, session: Session, device: Device) -> None:
     from orbit_core.viewer.viewer import Viewer
 
-    attach = getattr(device, "attach", None)
+    attach, pages = getattr(device, "attach", None), getattr(device, "pages", ())
     title = f"ORBIT {settings.task} by {settings.input_device}"
     with Viewer(
-        session, session, settings.host, settings.port, title, lambda _: session.information(), tool=attach
+        session,
+        session,
+        settings.host,
+        settings.port,
+        title,
+        lambda _: session.information(),
+        tool=attach,
+        pages=pages,
     ) as viewer:
         print(f"drive and watch at {viewer.url}", flush=True)
+        for url in viewer.page_urls:
+            print(f"a gamepad on the screen, for a phone as well, at {url}", flush=True)
         if (port := getattr(device, "port", None)) is not None:
             print(f"a leader connects to 127.0.0.1:{port}", flush=True)
         viewer.run(settings.max_steps)

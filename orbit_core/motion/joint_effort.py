@@ -76,12 +76,11 @@ class JointEffort(MotionGenerator):
 
         Drives are not in the model.
         """
-        frequency = _PURSUIT_FREQUENCY
-        displacement = towards_pose(self.robot, self.joints, pose)
-        acceleration = frequency**2 * displacement - 2.0 * frequency * self.velocities
-        if self._dynamics is None:
-            self._dynamics = ArmDynamics(self.robot, self.joints)
-        return self.encode_efforts(self._dynamics.state().efforts(acceleration))
+        return self._pursuing(towards_pose(self.robot, self.joints, pose))
+
+    def encode_positions(self, positions: Tensor) -> Tensor:
+        """The command (N, k) that accelerates the joints towards ``positions`` (N, k), likewise."""
+        return self._pursuing(positions - self.positions)
 
     def encode_efforts(self, efforts: Tensor) -> Tensor:
         """The command that asks for efforts (N, joints) in N m or N, as far as it can."""
@@ -92,6 +91,13 @@ class JointEffort(MotionGenerator):
 
     def memory(self) -> Mapping[str, Tensor]:
         return self._last.memory() if self.config.mode is CommandMode.INTEGRATED else {}
+
+    def _pursuing(self, displacement: Tensor) -> Tensor:
+        frequency = _PURSUIT_FREQUENCY
+        acceleration = frequency**2 * displacement - 2.0 * frequency * self.velocities
+        if self._dynamics is None:
+            self._dynamics = ArmDynamics(self.robot, self.joints)
+        return self.encode_efforts(self._dynamics.state().efforts(acceleration))
 
     def _origin(self) -> Tensor | float:
         """What commands are added to."""

@@ -61,16 +61,22 @@ class JointVelocity(MotionGenerator):
         return {JointTarget.POSITION.value: self.positions, JointTarget.VELOCITY.value: targets}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
-        wanted = _PURSUIT_RATE * towards_pose(self.robot, self.joints, pose)
-        velocities = wanted - self._origin()
-        # Slowed down together, so that the hand keeps its direction.
-        return velocities / velocities.abs().amax(-1, keepdim=True).clamp_min(self.config.scale)
+        return self._pursuing(towards_pose(self.robot, self.joints, pose))
+
+    def encode_positions(self, positions: Tensor) -> Tensor:
+        """The command (N, k) that lets the joints go to ``positions`` (N, k)."""
+        return self._pursuing(positions - self.positions)
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         self._last.reset(env_ids)
 
     def memory(self) -> Mapping[str, Tensor]:
         return self._last.memory() if self.config.mode is CommandMode.INTEGRATED else {}
+
+    def _pursuing(self, displacement: Tensor) -> Tensor:
+        velocities = _PURSUIT_RATE * displacement - self._origin()
+        # Slowed down together, so that the hand keeps its direction.
+        return velocities / velocities.abs().amax(-1, keepdim=True).clamp_min(self.config.scale)
 
     def _origin(self) -> Tensor | float:
         """What commands are added to."""

@@ -1,13 +1,16 @@
-"""The viewer's page as a device: a gizmo for the hand, sliders for joints, buttons to hold, and keys."""
+"""The viewer's page as a device: a gizmo for the hand, sliders for joints, a gamepad, buttons to hold, and keys."""
 
 from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from orbit_core.teleoperation.body import Hand
 from orbit_core.teleoperation.device import Device, Event, Reading, Speeds
 from orbit_core.teleoperation.driver import Driver
+from orbit_core.teleoperation.pad import PATH, Pad
 from orbit_core.viewer.scene_view import SceneView
 
 if TYPE_CHECKING:
@@ -18,6 +21,9 @@ _HELD = 0.12
 """s that a button counts as held after it was last heard of; it is heard of 30 times a second."""
 _RESTS = 0.4
 """s after a person's last move of gizmo or sliders from which on they follow the robot again."""
+_SHOWN = 0.1
+"""s from one time that sliders follow the robot to the next: each is a message to the page."""
+_PAD = f'<iframe src="{PATH}" title="gamepad" style="width:100%;height:22em;border:0;border-radius:6px"></iframe>'
 _TURN = 6.28
 """rad: a joint without limits is moved by a turn either way."""
 _HAND_BUTTONS = (
@@ -36,7 +42,7 @@ _EVENTS: dict[Event, tuple[str, HotkeyKey, str]] = {
     Event.RESET: ("Start over", "Z", "Begin the episode anew"),
     Event.SUCCESS: ("Mark success", "M", "Say that the episode succeeded, or take it back"),
     Event.GRIPPER: ("Open or close", "G", "The gripper"),
-    Event.NEXT: ("Next robot", "N", "Drive another robot"),
+    Event.NEXT: ("Next hand", "N", "Drive another end effector or robot"),
 }
 
 
@@ -60,11 +66,17 @@ class Browser(Device):
         self._dragging = False
         self._server: Any = None
         self._gizmo: Any = None
-        self._sliders: dict[str, Any] = {}
+        self._sliders: dict[str, dict[str, Any]] = {}
+        """By the name of what is driven, and of the joint."""
+        self._folders: dict[str, Any] = {}
+        self._shown = -_SHOWN
+        self._pad = Pad(self._padded)
+        self.pages = (self._pad.page,)
+        """What the server has besides the viewer's page: the gamepad, which a phone may show by itself."""
 
     def read(self) -> Reading:
         now = time.perf_counter()
-        hand, base = [0.0] * 6, [0.0] * 3
+        hand, base = map(list, self._pad.shares)
         with self._lock:
             for (kind, axis, sign), heard in self._held.items():
                 if now - heard < _HELD:
@@ -91,30 +103,48 @@ class Browser(Device):
         gui = server.gui
         with gui.add_folder("Teleoperation", order=-1.0):
             for event, (label, key, hint) in _EVENTS.items():
-                if event is Event.NEXT and len(self._driver.robots) < 2:
+                if event is Event.NEXT and len(self._driver.choices) < 2:
                     continue
                 button = gui.add_button(label, hint=f"{hint} ({key})", color="gray")
                 button.on_click(lambda _, event=event: self._ask(event))
                 command = gui.add_command(label, description=hint, hotkey=key)
                 command.on_trigger(lambda _, event=event: self._ask(event))
+            with gui.add_folder("Gamepad", expand_by_default=False):
+                gui.add_html(_PAD)
             if self._driver.hands:
                 self._add_held(gui, "Hand", "hand", _HAND_BUTTONS)
             self._add_held(gui, "Base", "base", _BASE_BUTTONS)
-            if self._driver.hand is not None:
-                with gui.add_folder("Joints", expand_by_default=False):
-                    self._add_sliders(gui)
+            for name, hand in self._driver.hands.items():
+                title = "Joints" if len(self._driver.hands) == 1 else f"Joints of {name}"
+                self._folders[name] = gui.add_folder(title, expand_by_default=False)
+                with self._folders[name]:
+                    self._sliders[name] = self._add_sliders(gui, hand)
         return self
+
+    def tell(self, rows: Mapping[str, str]) -> None:
+        self._pad.rows = rows
 
     def update(self) -> None:
         """Let gizmo and sliders follow the robot while nobody moves them. Called in the simulation's thread."""
-        hand = self._driver.hand
-        if self._gizmo is None or hand is None or self._dragging or time.perf_counter() - self._last < _RESTS:
+        now, hand = time.perf_counter(), self._driver.hand
+        if self._gizmo is None or self._dragging or now - self._last < _RESTS:
             return
-        pose = hand.target[0].cpu().numpy()
         with self._server.atomic():
-            self._gizmo.position, self._gizmo.wxyz, self._gizmo.visible = pose[:3], pose[3:], True
-            for name, slider in self._sliders.items():
-                at = float(hand.robot.joint_positions[0, hand.robot.joint_names.index(name)])
+            self._gizmo.visible = hand is not None and bool(hand.arm)
+            if hand is not None:
+                pose = hand.target[0].cpu().numpy()
+                self._gizmo.position, self._gizmo.wxyz = pose[:3], pose[3:]
+            if now - self._shown >= _SHOWN:
+                self._shown = now
+                self._show_joints()
+
+    def _show_joints(self) -> None:
+        for name, folder in self._folders.items():
+            folder.visible = name == self._driver.active
+        if (hand := self._driver.hand) is not None:
+            positions = hand.robot.joint_positions[0].tolist()
+            for name, slider in self._sliders[self._driver.active].items():
+                at = positions[hand.robot.joint_names.index(name)]
                 slider.value = round(min(max(at, slider.min), slider.max), 2)
 
     # What the person does, in the web server's threads
@@ -138,6 +168,12 @@ class Browser(Device):
             self._events.append(event)
             self._heard()
 
+    def _padded(self, event: Event | None) -> None:
+        with self._lock:
+            self._events += [event] if event else []
+            self._pose = self._joints = None
+            self._heard()
+
     def _hold(self, which: tuple[str, int, float]) -> None:
         with self._lock:
             self._held[which] = time.perf_counter()
@@ -155,13 +191,15 @@ class Browser(Device):
                 button = gui.add_button(label, color="gray", hint="Hold it")
                 button.on_hold(lambda _, which=(kind, axis, sign): self._hold(which), callback_hz=30.0)
 
-    def _add_sliders(self, gui: Any) -> None:
-        hand = self._driver.hand
-        assert hand is not None
-        for joint in hand.robot.find_joints(*hand.robot.spec.end_effector.arm_joints):
+    def _add_sliders(self, gui: Any, hand: Hand) -> dict[str, Any]:
+        """A slider for each joint of the arm, and of a hand with fingers of its own."""
+        fingers = hand.fingers if hand.effector.finger_tips or not hand.arm else []
+        sliders: dict[str, Any] = {}
+        for joint in (*hand.arm, *fingers):
             name = hand.robot.joint_names[joint]
             low, high = (max(-_TURN, min(_TURN, float(each))) for each in hand.robot.position_limits[joint])
             at = min(max(float(hand.robot.joint_positions[0, joint]), low), high)
             slider = gui.add_slider(name, round(low, 2), round(high, 2), 0.01, round(at, 2))
             slider.on_update(lambda event, name=name: self._slid(name, event))
-            self._sliders[name] = slider
+            sliders[name] = slider
+        return sliders

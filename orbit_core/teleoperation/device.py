@@ -30,7 +30,7 @@ class Event(Enum):
     GRIPPER = "gripper"
     """Open or close the gripper."""
     NEXT = "next"
-    """Drive the next robot, where several act."""
+    """Drive the next end effector, of the same robot or another, where there are several."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,9 @@ class Device(ABC):
         Raises:
             DeviceLostError: the device is gone.
         """
+
+    def tell(self, rows: Mapping[str, str]) -> None:
+        """Let the person know how things stand, where the device has a way to."""
 
     def close(self) -> None:
         """Give the device back."""

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
 
 
+_TOLD = 0.2
+"""s from one telling of how things stand to the next."""
+
+
 class Session:
     """What the viewer shows and steps: an environment that a device drives, whose episodes are recorded on demand.
 
@@ -56,21 +60,19 @@ class Session:
         self._success = False
         self._moved: float | None = None
         self._lost: DeviceLostError | None = None
+        self.kept = len(file.infos())
+        """Episodes in the file."""
         self.message = ""
         """What became of the person's last wish."""
         self.latencies: deque[float] = deque(maxlen=50)
         """s from a person's last moves to the end of the step that did what they asked for."""
         self._stepped: deque[float] = deque(maxlen=50)
+        self._told_at = -_TOLD
 
     @property
     def recording(self) -> bool:
         """Whether the episode is being recorded."""
         return self._recorder is not None
-
-    @property
-    def kept(self) -> int:
-        """Episodes in the file."""
-        return len(self._file.infos())
 
     # What the viewer calls
 
@@ -101,18 +103,24 @@ class Session:
     def step(self, action: Tensor) -> tuple[Any, Tensor, Tensor, Tensor, Mapping[str, Any]]:
         """One step of the environment."""
         result = self._environment.step(action)
-        self._stepped.append(time.perf_counter())
+        now = time.perf_counter()
+        self._stepped.append(now)
         if self._moved is not None:
-            self.latencies.append(self._stepped[-1] - self._moved)
+            self.latencies.append(now - self._moved)
         final = result[4].get("final")
         if self._recorder:
             if final:
                 final = replace(final, success=final.success | self._success)
             self._recorder.stepped(action, (*result[:4], {"final": final} if final else {}))
+            if final:
+                self.kept = len(self._file.infos())
         if final:
             self.message = self._told("its time was over" if bool(result[3].any()) else "the task ended it")
             self._recorder = None
             self._driver.restart()
+        if now - self._told_at >= _TOLD:
+            self._told_at = now
+            self._device.tell(self.information())
         return result
 
     def information(self) -> dict[str, str]:
@@ -132,10 +140,10 @@ class Session:
         """Forget an open episode, gather what was kept; gives the number of episodes in the file."""
         self._recorder = None
         if self._file.parts.infos():
-            return self._file.gather()
-        kept = self.kept
-        self._file.parts.remove()
-        return kept
+            self.kept = self._file.gather()
+        else:
+            self._file.parts.remove()
+        return self.kept
 
     # What the person asks for
 
@@ -185,6 +193,7 @@ class Session:
             steps=environment.task.episode_step.clone(),
         )
         recorder.finish(end)
+        self.kept = len(self._file.infos())
         self.message = self._told("saved")
         self._begin(False)
 

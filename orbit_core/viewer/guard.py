@@ -14,8 +14,9 @@ import ipaddress
 import secrets
 import threading
 import urllib.parse
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import websockets.asyncio.server
@@ -27,7 +28,19 @@ from orbit_core.interfaces import ConfigurationError
 
 _COOKIE = "orbit-viewer"
 _PATCHING = threading.Lock()
+Listener = Callable[[ServerConnection], Awaitable[None]]
 ProcessRequest = Callable[[ServerConnection, Request], Response | None]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page beside the library's, at the same address and behind the same guard."""
+
+    path: str
+    """``/name``"""
+    html: bytes
+    listen: Listener
+    """Talks with whoever opens a websocket at the path, until it is closed."""
 
 
 def is_loopback(host: str) -> bool:
@@ -45,9 +58,12 @@ class Guard:
 
     Args:
         host: address that the server listens at.
+        pages: that it has besides the library's.
     """
 
-    def __init__(self, host: str) -> None:
+    def __init__(self, host: str, pages: Sequence[Page] = ()) -> None:
+        self.pages = {page.path: page for page in pages}
+        """By their paths."""
         self._loopback = is_loopback(host)
         self.token = "" if self._loopback else secrets.token_urlsafe(24)
         """What the first request must carry as ``?token=``; empty where only this computer reaches the server."""
@@ -65,8 +81,14 @@ class Guard:
         query = urllib.parse.parse_qs(urllib.parse.urlsplit(request.path).query)
         if self._is_token(query.get("token", [""])[0]):
             cookie = f"{_COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
-            return Response(http.HTTPStatus.FOUND, "Found", Headers(Location="/", **{"Set-Cookie": cookie}), b"")
+            page = self.page(request)
+            headers = Headers(Location=page.path if page else "/", **{"Set-Cookie": cookie})
+            return Response(http.HTTPStatus.FOUND, "Found", headers, b"")
         return _refusal("open the address that was printed where the viewer was started: it holds a token")
+
+    def page(self, request: Request) -> Page | None:
+        """The page that a request asks for, if it is one of :attr:`pages`."""
+        return self.pages.get(request.path.partition("?")[0])
 
     def _is_known(self, headers: Headers) -> bool:
         cookies = http.cookies.SimpleCookie()
@@ -92,14 +114,23 @@ def guarded(guard: Guard) -> Iterator[None]:
     serve = websockets.asyncio.server.serve
     wrapped = 0
 
-    def serve_guarded(*arguments: Any, process_request: ProcessRequest | None = None, **options: Any) -> Any:
+    def serve_guarded(
+        handler: Listener, *arguments: Any, process_request: ProcessRequest | None = None, **options: Any
+    ) -> Any:
         def process(connection: ServerConnection, request: Request) -> Response | None:
-            answer = guard.answer(request)
-            return answer if answer or process_request is None else process_request(connection, request)
+            if answer := guard.answer(request):
+                return answer
+            if page := guard.page(request):
+                return None if request.headers.get("Upgrade") else _shown(page)
+            return None if process_request is None else process_request(connection, request)
+
+        async def handle(connection: ServerConnection) -> None:
+            page = guard.page(connection.request) if connection.request else None
+            await (page.listen if page else handler)(connection)
 
         nonlocal wrapped
         wrapped += 1
-        return serve(*arguments, process_request=process, **options)
+        return serve(handle, *arguments, process_request=process, **options)
 
     with _PATCHING:
         websockets.asyncio.server.serve = serve_guarded  # pyright: ignore[reportAttributeAccessIssue]
@@ -117,6 +148,11 @@ def guarded(guard: Guard) -> Iterator[None]:
 def _name_of(host: str) -> str:
     """The name or address in a ``Host`` header, without the port."""
     return urllib.parse.urlsplit(f"//{host}").hostname or ""
+
+
+def _shown(page: Page) -> Response:
+    headers = Headers({"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(page.html))})
+    return Response(http.HTTPStatus.OK, "OK", headers, page.html)
 
 
 def _refusal(why: str) -> Response:

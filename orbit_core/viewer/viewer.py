@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -23,6 +23,8 @@ from orbit_core.viewer.scene_view import FloatArray, Frame, SceneView
 
 if TYPE_CHECKING:
     from viser import ViserServer
+
+    from orbit_core.viewer.guard import Page
 
 FRAME_PERIOD = 1.0 / 30.0
 """Seconds from one frame of the scene to the next, at the least."""
@@ -102,6 +104,7 @@ class Viewer:
         paused: wait for the person to press play.
         frames: begin with axes at the robots' bases, end effectors, finger tips, feet and wheels.
         tool: makes what the page has besides, given its server and scene.
+        pages: that the server has besides this one.
 
     Raises:
         ConfigurationError: the web server's library is not installed.
@@ -118,6 +121,7 @@ class Viewer:
         paused: bool = False,
         frames: bool = False,
         tool: Callable[[ViserServer, SceneView], ViewerTool] | None = None,
+        pages: Sequence[Page] = (),
     ) -> None:
         self._env = env
         self._agent = agent
@@ -125,9 +129,12 @@ class Viewer:
         self._cameras = _camera_channels(env.world)
         self.controls = Controls(env.num_envs, paused)
         self.controls.select(frames=frames)
-        self._server, token = _start_server(host, port, title)
-        self.url = f"http://{host}:{self._server.get_port()}{f'/?token={token}' if token else ''}"
+        self._server, token = _start_server(host, port, title, pages)
+        root, query = f"http://{host}:{self._server.get_port()}", f"?token={token}" if token else ""
+        self.url = f"{root}/{query}" if token else root
         """Address of the page, with a token where other computers reach it."""
+        self.page_urls = tuple(f"{root}{page.path}{query}" for page in pages)
+        """Addresses of the other pages, likewise."""
         self._scene = SceneView(self._server, env.world.layout)
         self._panel = Panel(self._server, self.controls, env.num_envs, list(self._cameras), title)
         self._tool = tool(self._server, self._scene) if tool else None
@@ -255,7 +262,7 @@ class Viewer:
         return rows | dict(self._information(index) if self._information else {})
 
 
-def _start_server(host: str, port: int, title: str) -> tuple[ViserServer, str]:
+def _start_server(host: str, port: int, title: str, pages: Sequence[Page]) -> tuple[ViserServer, str]:
     """A server that answers its own pages alone and is never shared over the internet; and its token."""
     try:
         from viser import ViserServer
@@ -263,7 +270,7 @@ def _start_server(host: str, port: int, title: str) -> tuple[ViserServer, str]:
         from orbit_core.viewer.guard import Guard, guarded
     except ImportError:
         raise ConfigurationError('the viewer needs viser: pip install "orbit-core[viewer]"') from None
-    guard = Guard(host)
+    guard = Guard(host, pages)
     with guarded(guard):
         server = ViserServer(host, port, label=title, verbose=False)
     server.request_share_url = _share_nothing

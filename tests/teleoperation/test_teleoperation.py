@@ -189,7 +189,7 @@ def test_several_robots_are_driven_in_turn() -> None:
     environment = make("Handover", 1, BACKEND)
     driver = Driver(environment)
     driver.restart()
-    first, second = driver.robots
+    first, second = driver.choices
     begin = {name: hand.measured for name, hand in driver.hands.items()}
     driver.act(Reading(events=(Event.NEXT,)))
     assert driver.active == second

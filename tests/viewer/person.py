@@ -22,13 +22,14 @@ ARGUMENTS = [
 
 
 @contextmanager
-def opened_page() -> Iterator[Page]:
-    """An empty page of a headless Chromium."""
+def opened_page(touched: bool = False) -> Iterator[Page]:
+    """An empty page of a headless Chromium; ``touched`` as a phone's, held sideways."""
     if CHROMIUM is None:
         pytest.skip("no Chromium is installed")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
-        opened = browser.new_page(viewport={"width": 640, "height": 480})
+        width, height = (844, 390) if touched else (640, 480)
+        opened = browser.new_page(viewport={"width": width, "height": height}, has_touch=touched, is_mobile=touched)
         opened.set_default_timeout(60_000.0)
         yield opened
         browser.close()
@@ -39,6 +40,15 @@ def until(condition: Callable[[], bool], page: Page, seconds: float = 60.0) -> N
     while not condition():
         assert time.monotonic() < end, "it did not come about in time"
         page.wait_for_timeout(100)
+
+
+def touch(page: Page, *way: tuple[float, float]) -> Callable[[], None]:
+    """Put a finger down and draw it along points of the page; what is returned lifts it."""
+    session = page.context.new_cdp_session(page)
+    for kind, (x, y) in zip(("touchStart", *("touchMove",) * (len(way) - 1)), way, strict=True):
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": float(x), "y": float(y)}]})
+        page.wait_for_timeout(100)
+    return lambda: session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
 
 def pixel(viewer: Viewer, point: np.ndarray) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -18,8 +19,9 @@ from orbit_core.data.recording import RecordingFile
 from orbit_core.dynamics.transforms import quat_to_matrix
 from orbit_core.envs import make
 from orbit_core.teleoperation.browser import Browser
-from orbit_core.teleoperation.device import Speeds
+from orbit_core.teleoperation.device import Event, Speeds
 from orbit_core.teleoperation.driver import Driver
+from orbit_core.teleoperation.pad import Pad
 from orbit_core.teleoperation.session import Session
 from orbit_core.viewer.viewer import Viewer
 
@@ -32,7 +34,8 @@ def running(tmp_path: Path) -> Iterator[Running]:
     driver = Driver(environment)
     device = Browser(Speeds(), driver)
     session = Session(environment, driver, device, "browser", RecordingFile(tmp_path / "own.hdf5"), "Lift", 3)
-    with Viewer(session, session, port=8170, information=lambda _: session.information(), tool=device.attach) as viewer:
+    rows = lambda _: session.information()  # noqa: E731
+    with Viewer(session, session, port=8170, information=rows, tool=device.attach, pages=device.pages) as viewer:
         thread = threading.Thread(target=viewer.run)
         thread.start()
         yield viewer, session, device, driver
@@ -110,3 +113,54 @@ def test_a_person_lifts_the_cube_by_the_gizmo(page: Page, person: ModuleType, ru
     heights = dataset.read(0).arrays["poses/cube"][:, 2]
     assert heights[-1] > heights[0] + 0.1
     dataset.close()
+
+
+def test_a_phone_drives_by_the_sticks_and_by_the_gizmo(person: ModuleType, running: Running, tmp_path: Path) -> None:
+    viewer, session, device, driver = running
+    hand = driver.hand
+    assert hand is not None
+    with person.opened_page(touched=True) as phone:
+        phone.goto(viewer.page_urls[0])
+        phone.get_by_role("button", name="Record").tap()
+        person.until(lambda: session.recording, phone)
+        phone.get_by_text("recording: yes").wait_for()
+        begin = hand.measured[0, :3].clone()
+        box = phone.locator("#left").bounding_box()
+        x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+        lift = person.touch(phone, (x, y), (x, y - 20.0), (x, y - 40.0))
+        person.until(lambda: float(hand.measured[0, 0] - begin[0]) > 0.05, phone)
+        phone.screenshot(path=tmp_path / "pad.png")
+        lift()
+        phone.wait_for_timeout(500)
+        rest = hand.target.clone()
+        phone.wait_for_timeout(300)
+        assert (hand.target - rest).abs().max() < 1e-3  # a stick that is let go asks for nothing
+        phone.get_by_role("button", name="Grip").tap()
+        person.until(lambda: not hand.gripper_open, phone)
+
+        phone.goto(viewer.url)
+        person.until(lambda: len(viewer._server.get_clients()) == 1, phone)
+        phone.wait_for_timeout(4000)
+        place, axis = np.array(device._gizmo.position), quat_to_matrix(hand.target[0, 3:]).numpy()[:, 1]
+        person.touch(phone, *(person.pixel(viewer, place + reach * axis) for reach in (0.1, 0.13, 0.16, 0.2)))()
+        person.until(lambda: float((hand.measured[0, :3].numpy() - place) @ axis) > 0.07, phone)
+        phone.screenshot(path=tmp_path / "phone.png")
+
+
+def test_a_pad_says_what_is_no_frame_and_lets_go_when_it_is_no_longer_heard_of() -> None:
+    events: list[Event | None] = []
+    pad = Pad(events.append)
+    rest = pad.shares
+    for bad in (
+        b"no json", b"[" * 900, b"{}", b"\xff", b" " * 2000, b'{"hand": [0, 0, 0, 0, 0, 2], "base": [0, 0, 0]}',
+        b'{"hand": [0, 0, 0, 0, 0, NaN], "base": [0, 0, 0]}', b'{"hand": [0, 0, 0, 0, 0, 0], "base": [0, 0]}',
+        b'{"hand": [0, 0, 0, 0, 0, 0], "base": [0, 0, 0], "event": "explode"}',
+    ):  # fmt: skip
+        assert pad._take(bad)
+    assert pad.shares == rest
+    assert not events
+    assert not pad._take('{"hand": [1, 0, 0, 0, 0, 0], "base": [0, 0, -0.5], "event": "save"}')
+    assert events == [Event.SAVE]
+    assert pad.shares == ((1.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, -0.5))
+    time.sleep(0.3)
+    assert pad.shares == rest
