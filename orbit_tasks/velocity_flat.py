@@ -28,12 +28,11 @@ from orbit_core.interfaces.layout import joint_limits
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
-from orbit_core.sensors import ContactSensor
-from orbit_tasks import walking
+from orbit_tasks import biped, walking
 from orbit_tasks.trot import TrotGenerator
 from orbit_tasks.trunk import angular_velocity, linear_velocity, projected_gravity
 
-CONTACTS = "contacts"
+CONTACTS = biped.CONTACTS
 
 
 @measured_in("m/s, m/s, rad/s")
@@ -88,10 +87,13 @@ def overspeed(world: World, task: VelocityFlat) -> Tensor:
 @once_per_state
 def fallen(world: World, task: VelocityFlat) -> Tensor:
     """(N,) the trunk touches something, or leans by more than 60 degrees."""
-    contacts = world.sensors[CONTACTS]
-    assert isinstance(contacts, ContactSensor)
-    touching = contacts.forces[:, 0].square().sum(1) > 1.0
+    touching = biped.contacts_of(world).forces[:, 0].square().sum(1) > 1.0
     return touching | (projected_gravity(world, task)[:, 2] > -0.5)
+
+
+def fell(world: World, task: VelocityFlat) -> Tensor:
+    """(N,) 1 where the robot has fallen."""
+    return fallen(world, task).float()
 
 
 def place_robot(world: World, task: VelocityFlat, env_ids: Tensor) -> None:
@@ -131,7 +133,10 @@ class VelocityObservations:
 
 @dataclass
 class VelocityRewards:
-    """Rewards of velocities as commanded, less bouncing, rolling, tilt, effort, abrupt actions and joints too fast."""
+    """Rewards of velocities as commanded, less bouncing, rolling, tilt, effort, abrupt actions and joints too fast.
+
+    Robots on two feet have other weights and the last five terms, which others lack (:func:`orbit_tasks.biped.suited`).
+    """
 
     linear_tracking: RewardTerm | None = RewardTerm(linear_tracking, 1.0)
     yaw_tracking: RewardTerm | None = RewardTerm(yaw_tracking, 0.5)
@@ -141,6 +146,11 @@ class VelocityRewards:
     effort: RewardTerm | None = RewardTerm(common.joint_effort, -2.5e-5)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.01)
     overspeed: RewardTerm | None = RewardTerm(overspeed, -0.2)
+    stride: RewardTerm | None = RewardTerm(biped.stride, 0.75)
+    slide: RewardTerm | None = RewardTerm(biped.slide, -0.1)
+    stray: RewardTerm | None = RewardTerm(biped.stray, -0.1)
+    near_limits: RewardTerm | None = RewardTerm(biped.near_limits, -1.0)
+    fall: RewardTerm | None = RewardTerm(fell, 0.0)
 
 
 @dataclass
@@ -195,6 +205,8 @@ class VelocityFlat(Task):
     """m/s."""
     yaw_tolerance: float = 0.25
     """rad/s."""
+    action_scale: float | None = None
+    """rad from home for one unit of action ``joint_position``; None: as :func:`orbit_tasks.walking.walker` says."""
     observations: VelocityObservations = field(default_factory=VelocityObservations)
     rewards: VelocityRewards = field(default_factory=VelocityRewards)
     terminations: VelocityTerminations = field(default_factory=VelocityTerminations)
@@ -204,12 +216,20 @@ class VelocityFlat(Task):
     """(N, 3)"""
     speed_limits: Tensor = field(init=False)
     """(joints,) rad/s."""
+    foot_links: Tensor = field(init=False)
+    """(feet,) int64 among the links of the contact sensor."""
+    other_links: Tensor = field(init=False)
+    """(k,) int64: links that are neither trunk nor feet."""
+    still_joints: Tensor = field(init=False)
+    """(joints,) 1 for those that swing no leg forward, 0 for others."""
     errors: Tensor = field(init=False)
     """(N, 2) linear and yaw error summed over the episode."""
 
     def scene(self) -> Scene:
+        robot = walking.walker(self.robot, self.action_scale)
+        biped.suited(self.rewards, len(robot.feet))
         return Scene(
-            robots=(common.legged(self.robot),),
+            robots=(robot,),
             terrain=(common.floor(),),
             sensors=(ContactSensorSpec(name=CONTACTS, entity=common.ROBOT),),
             physics_dt=self.physics_dt,
@@ -219,8 +239,15 @@ class VelocityFlat(Task):
         super().start(world)
         self.command = torch.zeros(world.num_envs, 3, device=world.device)
         self.errors = torch.zeros(world.num_envs, 2, device=world.device)
-        limits = joint_limits(common.robot_of(world).spec, "velocity_limit")
+        robot = common.robot_of(world)
+        limits = joint_limits(robot.spec, "velocity_limit")
         self.speed_limits = torch.as_tensor(limits, dtype=torch.float32, device=world.device)
+        names = list(biped.contacts_of(world).link_names)
+        touching = [names.index(robot.spec.articulation.frame(foot).link) for foot in robot.spec.feet]
+        others = [link for link in range(1, len(names)) if link not in touching]
+        self.foot_links = torch.tensor(touching, device=world.device)
+        self.other_links = torch.tensor(others, dtype=torch.int64, device=world.device)
+        self.still_joints = biped.still_joints(robot)
 
     def reset(self, env_ids: Tensor | None) -> None:
         super().reset(env_ids)

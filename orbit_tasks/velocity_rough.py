@@ -27,15 +27,17 @@ from orbit_core.mdp import common
 from orbit_core.mdp.scans import height_scan
 from orbit_core.mdp.terrain import OnTerrain, by_distance, place_on_terrain
 from orbit_core.scene import Pose, RayCasterSpec, Scene, look_at
-from orbit_core.sensors import ContactSensor, grid_pattern
+from orbit_core.sensors import grid_pattern
 from orbit_tasks import walking
+from orbit_tasks.biped import contacts_of
 from orbit_tasks.velocity_flat import (
-    CONTACTS,
     VelocityEvents,
     VelocityFlat,
     VelocityRewards,
     VelocityState,
     command,
+    fell,
+    tilt,
 )
 
 SCAN = "height_scan"
@@ -59,7 +61,7 @@ def flight(world: World, task: VelocityRough) -> Tensor:
 
     Rudin et al. (2021), feet air time.
     """
-    timer = _contacts(world).timer()
+    timer = contacts_of(world).timer()
     landed = timer.touched_down(task.physics_dt * task.decimation)[:, task.foot_links]
     longer = (timer.last_air_time[:, task.foot_links] - _LEAST_FLIGHT) * landed
     return longer.sum(1) * (task.command[:, :2].norm(dim=1) > 0.1)
@@ -67,7 +69,7 @@ def flight(world: World, task: VelocityRough) -> Tensor:
 
 def bumps(world: World, task: VelocityRough) -> Tensor:
     """(N,) how many links that are neither feet nor the trunk touch something."""
-    return _contacts(world).in_contact()[:, task.other_links].float().sum(1)
+    return contacts_of(world).in_contact()[:, task.other_links].float().sum(1)
 
 
 def turn_to_heading(world: World, task: VelocityRough, env_ids: Tensor) -> None:
@@ -82,12 +84,6 @@ def _yaw_rate(world: World, task: VelocityRough) -> Tensor:
     """(N,) rad/s towards the heading."""
     error = torch.remainder(task.heading - walking.heading(common.robot_of(world)) + torch.pi, 2.0 * torch.pi)
     return (_HEADING_GAIN * (error - torch.pi)).clamp(-task.max_yaw_rate, task.max_yaw_rate)
-
-
-def _contacts(world: World) -> ContactSensor:
-    sensor = world.sensors[CONTACTS]
-    assert isinstance(sensor, ContactSensor)
-    return sensor
 
 
 @dataclass
@@ -108,9 +104,11 @@ class RoughObservations:
 
 @dataclass
 class RoughRewards(VelocityRewards):
-    """As on the plane, but the trunk may tilt with the ground; long steps, and no knocks of shanks and thighs."""
+    """As on the plane, but tilt costs less, for the ground tilts; long steps, no knocks of other links, no falls."""
 
-    tilt: RewardTerm | None = None
+    tilt: RewardTerm | None = RewardTerm(tilt, -0.5)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.04)
+    fall: RewardTerm | None = RewardTerm(fell, -100.0)
     effort: RewardTerm | None = RewardTerm(common.joint_effort, -1e-5)
     flight: RewardTerm | None = RewardTerm(flight, 0.5)
     bumps: RewardTerm | None = RewardTerm(bumps, -0.5)
@@ -145,10 +143,11 @@ class VelocityRough(VelocityFlat, OnTerrain):
 
     episode_length: float = 20.0
     max_sideways: float = 1.0
+    action_scale: float | None = 1.0
     linear_tolerance: float = 0.35
     yaw_tolerance: float = 0.35
     ppo: PpoSettings = PpoSettings(
-        iterations=1500, hidden_sizes=(512, 256, 128), initial_std=1.0, entropy_weight=0.005, discount=0.99
+        iterations=1500, hidden_sizes=(512, 256, 128), initial_std=0.3, entropy_weight=0.005, discount=0.99
     )
     view: Pose = look_at(eye=(14.0, 10.0, 9.0), target=(0.0, 0.0, 0.0))
     observations: RoughObservations = field(default_factory=RoughObservations)
@@ -159,10 +158,6 @@ class VelocityRough(VelocityFlat, OnTerrain):
     """Whether the policy sees the ground."""
     heading: Tensor = field(init=False)
     """(N,) rad, commanded."""
-    foot_links: Tensor = field(init=False)
-    """(feet,) int64 among the links of the contact sensor."""
-    other_links: Tensor = field(init=False)
-    """(k,) int64: links that are neither trunk nor feet."""
 
     def scene(self) -> Scene:
         scene = replace(super().scene(), terrain=self.terrain.shapes())
@@ -176,12 +171,6 @@ class VelocityRough(VelocityFlat, OnTerrain):
         super().start(world)
         self.start_on_terrain(world)
         self.heading = torch.zeros(world.num_envs, device=world.device)
-        articulation, feet = common.robot_of(world).spec.articulation, common.robot_of(world).spec.feet
-        names = list(_contacts(world).link_names)
-        touching = [names.index(articulation.frame(foot).link) for foot in feet]
-        others = [link for link in range(1, len(names)) if link not in touching]
-        self.foot_links = torch.tensor(touching, device=world.device)
-        self.other_links = torch.tensor(others, dtype=torch.int64, device=world.device)
 
     def advance(self, world: World) -> None:
         super().advance(world)

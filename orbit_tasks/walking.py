@@ -1,19 +1,56 @@
-"""What a walking robot's policy is shown of the robot itself."""
+"""What a walking robot's policy is shown of the robot itself, and how it drives it."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_rotate_inverse, yaw_angle
-from orbit_core.interfaces import Robot
+from orbit_core.interfaces import Robot, match_names
+from orbit_core.mdp import common
+from orbit_core.motion import joint_commands
+from orbit_core.scene import ActuatorConfig, RobotSpec
 
+_BIPED_SCALE = 1.0
+"""rad from home for one unit of action. On one leg a robot's weight takes targets far beyond where the leg goes."""
 JOINT_SPEED_SCALE = 0.05
 """Of joint velocities in observations."""
 COMMAND = "command"
 LAST_ACTION = "last_action"
+
+
+def walker(name: str, scale: float | None) -> RobotSpec:
+    """A robot of the catalogue with feet, as the task's robot, with the drives that it learns to walk with.
+
+    Args:
+        name: of the robot.
+        scale: rad from home for one unit of action ``joint_position``; None leaves what the robot says, 0.5 for most,
+            and takes 1 on two feet.
+
+    Raises:
+        UnknownNameError, ConfigurationError: as :func:`orbit_core.mdp.common.legged`; or the scale is not above zero.
+    """
+    spec = common.legged(name)
+    if scale is None and len(spec.feet) <= 2:
+        scale = _BIPED_SCALE
+    if scale is not None:
+        spec = replace(spec, joint_commands=replace(joint_commands(spec), position_scale=scale))
+    return replace(spec, actuators=(*_others(spec), *spec.walking_drives)) if spec.walking_drives else spec
+
+
+def _others(spec: RobotSpec) -> list[ActuatorConfig]:
+    """The robot's actuators without the joints of its walking drives."""
+    names, where = spec.articulation.joint_names, f"an actuator group of '{spec.name}'"
+    taken = match_names([joint for drive in spec.walking_drives for joint in drive.joints], names, "joint", where)
+    kept = [
+        (group, [names[i] for i in match_names(group.joints, names, "joint", where) if i not in taken])
+        for group in spec.actuators
+    ]
+    return [replace(group, joints=tuple(re.escape(name) for name in left)) for group, left in kept if left]
 
 
 def linear_velocity(robot: Robot) -> Tensor:

@@ -80,6 +80,8 @@ class RobotPart:
     end_effector: str = ""
     """An arm's own end effector, by name, mounted where a composition names none."""
     feet: tuple[str, ...] = ()
+    walking_drives: tuple[ActuatorConfig, ...] = ()
+    """A base's, for learning to walk (:attr:`orbit_core.scene.RobotSpec.walking_drives`)."""
     wheels: tuple[str, ...] = ()
     """A base's: links or frames that roll on the ground."""
     planar_base: PlanarBase | None = None
@@ -134,6 +136,7 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
         gravity_compensation=first.fixed_base,
         end_effectors=_end_effectors(mounted, body),
         feet=first.feet,
+        walking_drives=first.walking_drives,
         planar_base=first.planar_base,
         differential_base=first.differential_base,
         wheels=first.wheels,

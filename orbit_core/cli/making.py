@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
 
 
-def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environment:
-    """The environment that the settings ask for.
+def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverged: bool = False) -> Environment:
+    """The environment that the settings ask for; of ``reset_diverged`` tells Environment.
 
     Raises:
         OrbitError: of many kinds; each names the setting.
@@ -49,4 +49,4 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> Environmen
     own_matter = assignments(settings.matter_setting, "the matter solver", "setting")
     matter = {"matter": settings.matter, "matter_settings": {**settings.matter_settings, **own_matter}}
     common = (settings.seed, settings.renderer, own, looks, settings.compile, settings.check_finite)
-    return make(entry.name, num_envs, name, device, *common, **matter, **fields)
+    return make(entry.name, num_envs, name, device, *common, **matter, reset_diverged=reset_diverged, **fields)

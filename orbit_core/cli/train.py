@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.table import Table
 from tyro.conf import arg
@@ -45,6 +45,9 @@ class TrainSettings(EnvironmentSettings):
     """A setting of the algorithm, such as learning_rate=3e-4 ('orbit info TASK')."""
     distillation: KeyValues = ()
     """A setting of library distill, such as batch_size=1024."""
+    diverged: Literal["reset", "stop"] = "reset"
+    """What becomes of environments whose simulation diverges: they begin new episodes and are counted, unless one in a
+    hundred does in an iteration; or the training ends."""
     save_every: int = 100
     """Iterations between checkpoints."""
     output: File = None
@@ -76,7 +79,7 @@ def train(settings: TrainSettings) -> Path:
     make_trainer = trainer_type(settings.library)
     if _processes() > 1 and not make_trainer.several_gpus:
         raise ConfigurationError(f"library '{settings.library}' trains on one GPU: for several, use --library rsl-rl")
-    environment = make_environment(settings, settings.num_envs)
+    environment = make_environment(settings, settings.num_envs, reset_diverged=settings.diverged == "reset")
     try:
         algorithm = _algorithm(settings, make_trainer.settings_type, environment.task.ppo)
         folder = settings.resume or settings.output or _new_folder(settings)
@@ -149,7 +152,8 @@ def _new_folder(settings: TrainSettings) -> Path:
 def _words(settings: TrainSettings, progress: Progress) -> str:
     rate = progress.env_steps / progress.seconds
     success = "" if math.isnan(progress.success_rate) else f", success {_success(progress)}"
-    return f"{settings.task}: {rate:,.0f} steps/s, return {progress.episode_return:.2f}{success}"
+    diverged = f", {progress.diverged} diverged" if progress.diverged else ""
+    return f"{settings.task}: {rate:,.0f} steps/s, return {progress.episode_return:.2f}{success}{diverged}"
 
 
 def _success(progress: Progress) -> str:
@@ -176,6 +180,8 @@ def _table(settings: TrainSettings, last: Progress, folder: Path) -> Table:
     table.add_row("return of the last episodes", f"{last.episode_return:.3f}" if ended else "none has ended")
     if ended:
         table.add_row("success of the last episodes, exploring", f"{_success(last)} of {last.episodes}")
+    if last.diverged:
+        table.add_row("episodes that diverged, and were begun anew", f"{last.diverged:,}")
     if not math.isnan(last.loss):
         table.add_row("mean loss of the last iteration", f"{last.loss:.5f}")
     table.add_row("play it", " ".join((f"orbit play {folder}", *(f"--set {pair}" for pair in settings.set))))

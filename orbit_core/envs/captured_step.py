@@ -102,7 +102,7 @@ class CapturedStep:
 
     def _play(self) -> tuple[Tensor, ...]:
         """A step before resets: observation, reward, terminated, truncated, then what :meth:`_info` needs."""
-        environment, task, world = self._environment, self._environment.task, self._environment.world
+        environment, task = self._environment, self._environment.task
         outcome = environment.advance()
         seen = leaves_of(environment.observer())
         for observed, leaf in zip(self._observed, seen, strict=True):
@@ -110,7 +110,7 @@ class CapturedStep:
         metrics = environment.metrics()
         self._metrics = tuple(metrics)
         # Copies, for resets write the same memory before anyone looks.
-        end = (environment.done, task.success(world), task.episode_step, environment.reward_sums, *metrics.values())
+        end = (environment.done, environment.success(), task.episode_step, environment.reward_sums, *metrics.values())
         return (*self._observed, *outcome, *(tensor.clone() for tensor in end))
 
     def _renew(self) -> tuple[Tensor, ...]:

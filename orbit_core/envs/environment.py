@@ -28,6 +28,8 @@ from orbit_core.envs.action_terms import action_terms, driven_scene
 from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.event_manager import EventManager
+from orbit_core.envs.given import check_no_backend, curriculum_of, whole_steps
+from orbit_core.envs.lost_episodes import LostEpisodes
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
 from orbit_core.envs.observation_check import check_finite as check_observation
 from orbit_core.envs.observation_groups import POLICY, with_sensors_of_terms
@@ -67,6 +69,8 @@ class Environment:
         world: makes the world instead of a backend: one of recorded states, or of real robots.
         matter: name of the matter solver, or ``"native"``, as :func:`orbit_core.world.simulate` takes it.
         matter_settings: of the matter solver, by field name.
+        reset_diverged: whether an environment that diverges begins a new episode (:class:`LostEpisodes`), rather than
+            that the step raises.
 
     Raises:
         ConfigurationError: among others, nothing compiles here, or the task's step cannot be compiled.
@@ -90,6 +94,7 @@ class Environment:
         world: WorldFactory | None = None,
         matter: str | None = None,
         matter_settings: Mapping[str, Any] | None = None,
+        reset_diverged: bool = False,
     ) -> None:
         if not isinstance(task, Task):
             raise ConfigurationError(f"an environment needs a Task, not a {type(task).__name__}: orbit_core.envs.make")
@@ -123,6 +128,8 @@ class Environment:
         self.all_ids = torch.arange(num_envs, device=self.device)
         self.done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         """(N,) whose episode ended in the last step."""
+        self.lost = LostEpisodes(self.world) if reset_diverged else None
+        """Episodes that diverged, where these do not raise."""
         self._never = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self.actions = ActionManager(self.world, task, terms)
         self.action_size = self.actions.size
@@ -279,6 +286,8 @@ class Environment:
         """Apply the action; gives reward, terminated and truncated before any reset. Nothing waits for the device."""
         task = self.task
         self._events.advance()
+        if self.lost is not None:
+            self.lost.forget()
         self.cut.act({"action": self._action})
         self.world.step(task.decimation)
         task.episode_step += 1
@@ -286,8 +295,15 @@ class Environment:
         reward = self._reward()
         terminated = self._terminated()
         late = task.episode_step >= self.max_episode_steps
+        if self.lost is not None:
+            reward, terminated, late = self.lost.end(reward, terminated, late)
         torch.logical_or(late, terminated, out=self.done)
         return reward, terminated, late & ~terminated
+
+    def success(self) -> Tensor:
+        """(N,) bool: whether episodes that end now reach the goal."""
+        reached = self.task.success(self.world)
+        return reached if self.lost is None else reached & ~self.lost.now
 
     def _checked(self, action: Tensor) -> Tensor:
         action = as_floats(action, self.device, "action")
@@ -337,7 +353,7 @@ class Environment:
         return EpisodeEnd(
             env_ids=self.all_ids,
             observation=observation,
-            success=self.task.success(self.world),
+            success=self.success(),
             metrics=self.metrics(),
             rewards=dict(zip(self.reward_terms, self.reward_sums.unbind(), strict=True)),
             steps=self.task.episode_step,
@@ -353,7 +369,8 @@ class Environment:
         if self._curriculum:
             changes = [term.function(self.world, self.task) for term in self._curriculum.values()]
             following = torch.stack([self.task.difficulty, *changes]).sum(0).clamp(0.0, 1.0)
-            write_rows(self.task.difficulty, following, self.done)
+            counted = self.done if self.lost is None else self.done & ~self.lost.now
+            write_rows(self.task.difficulty, following, counted)
 
     def begin(self, env_ids: Tensor | None) -> None:
         """New episodes in some environments, by index, or by mask where the step is traced."""

@@ -29,6 +29,7 @@ def make(
     world: WorldFactory | None = None,
     matter: str | None = None,
     matter_settings: Mapping[str, Any] | None = None,
+    reset_diverged: bool = False,
     **fields: Any,
 ) -> Environment:
     """The environment of a task, given by name or configured; ``fields`` set the task's own, such as ``robot``.
@@ -51,5 +52,6 @@ def make(
         world,
         matter,
         matter_settings,
+        reset_diverged,
     )
     return Environment(task, num_envs, backend, *common)

@@ -38,6 +38,10 @@ class StepParts(Protocol):
         """Apply the action; gives reward (N,), terminated (N,) and truncated (N,); sets :attr:`done`."""
         ...
 
+    def success(self) -> Tensor:
+        """(N,) bool: whether episodes that end now reach the goal."""
+        ...
+
     def metrics(self) -> dict[str, Tensor]:
         """The task's measures (N,) of the episode so far, by name."""
         ...

@@ -43,6 +43,10 @@ class Engine(Watched, ABC):
     What it does for steps that are captured is its :attr:`capture`.
     """
 
+    raises_divergence: bool = True
+    """Whether :meth:`step` raises where environments diverged. Where not, its caller looks for them after each step,
+    and resets them before the next; other faults raise as ever."""
+
     def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device) -> None:
         self.layout = layout
         self.num_envs = num_envs
@@ -65,6 +69,7 @@ class Engine(Watched, ABC):
 
         Raises:
             SimulationError: the engine diverged (:mod:`orbit_core.interfaces.divergence`); names the environments.
+                Not where :attr:`raises_divergence` is off.
         """
 
     # State -----------------------------------------------------------------------------------------------------------

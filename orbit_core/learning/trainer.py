@@ -32,6 +32,8 @@ class Progress:
     """Success rate of the last episodes; NaN before any has ended."""
     episodes: int = 0
     """How many these are."""
+    diverged: int = 0
+    """Episodes so far in which the simulation diverged; a training resets them."""
     loss: float = math.nan
     """Mean of what the iteration has brought down, where that is one number; else NaN."""
 

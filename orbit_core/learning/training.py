@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 from orbit_core.data.manifest import Manifest
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.files import written_whole
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.interfaces import ConfigurationError, SimulationError
 from orbit_core.learning.checkpoint import read_checkpoint, write_checkpoint
 from orbit_core.learning.policy import Policy, PolicyDescription
 from orbit_core.learning.policy_file import SUFFIX, newest_file
@@ -21,6 +22,8 @@ from orbit_core.learning.trainer import Progress, Trainer
 RECORD = "training.json"
 CURVE = "curve.jsonl"
 CHECKPOINT = "checkpoint"
+_FEW_DIVERGED = 3
+"""Environments that may diverge in any iteration; of many, one in a hundred may."""
 
 
 @dataclass
@@ -42,7 +45,8 @@ class Training:
     leader: bool = True
 
     def __post_init__(self) -> None:
-        self._steps_before, self._seconds_before = 0, 0.0
+        self._steps_before, self._seconds_before, self._diverged_before = 0, 0.0, 0
+        self._diverged_last = 0
         self._done = -1
         """The last iteration that was completed."""
         self.manifest = Manifest.of(self.trainer.environment, self.task, self.trainer.seed)
@@ -126,6 +130,7 @@ class Training:
         if kept:
             last = json.loads(kept[-1])
             self._steps_before, self._seconds_before = last["env_steps"], last["seconds"]
+            self._diverged_before = last.get("diverged", 0)
 
     def _save(self, iteration: int) -> None:
         if not self.leader:
@@ -144,11 +149,38 @@ class Training:
         description = PolicyDescription.of(trainer.environment, self.task, trainer.name, iteration, versions)
         return Policy(actor.module, actor.network, description, self.manifest)
 
+    def _diverged(self) -> int:
+        """Episodes that diverged since the training was started or resumed; says so when there are the first.
+
+        Raises:
+            SimulationError: too many did in the last iteration.
+        """
+        environment = self.trainer.environment
+        if environment.lost is None:
+            return 0
+        count, before = environment.lost.count, self._diverged_last
+        self._diverged_last = count
+        most = max(_FEW_DIVERGED, environment.num_envs // 100)
+        if count - before > most:
+            raise SimulationError(
+                f"{count - before} of {environment.num_envs} environments diverged in one iteration, where {most} may: "
+                "use a smaller physics_dt, softer drives or softer contacts"
+            )
+        if count and not before:
+            warnings.warn(
+                f"{count} of {environment.num_envs} environments diverged and began anew; they earn nothing and are "
+                "counted as 'diverged' (--diverged stop ends the training instead)",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+        return count
+
     def _report(self, progress: Progress, report: Callable[[Progress], None]) -> None:
         if not self.leader:  # its library counts nothing
             return
         progress = replace(
             progress,
+            diverged=self._diverged() + self._diverged_before,
             env_steps=progress.env_steps + self._steps_before,
             seconds=progress.seconds + self._seconds_before,
         )

@@ -172,6 +172,8 @@ class RobotSpec(Entity):
     end_effectors: tuple[EndEffector, ...] = ()
     feet: tuple[str, ...] = ()
     """Frames of a legged robot where it is meant to touch the ground."""
+    walking_drives: tuple[ActuatorConfig, ...] = ()
+    """What drives a robot that learns to walk, over ``actuators`` where both name a joint; none where those do."""
     joint_commands: JointCommands | None = None
     """None: as :func:`orbit_core.motion.joint_commands` makes it of the end effectors and feet."""
     planar_base: PlanarBase | None = None

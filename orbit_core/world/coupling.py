@@ -119,6 +119,15 @@ class CoupledEngine(Engine):
         self._total_links = torch.tensor(of, dtype=torch.int64, device=self.device)
         self._matter.reset(engine.link_poses)
 
+    @property
+    def raises_divergence(self) -> bool:
+        """The engine's own; matter that diverges raises whatever it is."""
+        return self._inner.raises_divergence
+
+    @raises_divergence.setter
+    def raises_divergence(self, value: bool) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        self._inner.raises_divergence = value
+
     # Time ------------------------------------------------------------------------------------------------------------
 
     def step(self, steps: int) -> None:

@@ -50,6 +50,7 @@ from orbit_core.world.closing import close_for_good, leave_to_parent
 from orbit_core.world.copies import check_copy
 from orbit_core.world.coupling import coupled, rigid_part
 from orbit_core.world.deformables import SimulatedDeformable
+from orbit_core.world.divergence import DivergenceGuard
 from orbit_core.world.entities import SimulatedObject
 from orbit_core.world.forking import give_up_in_forks
 from orbit_core.world.frames import with_frames
@@ -165,6 +166,7 @@ class SimulatedWorld(World):
         self._timed = {spec.name: create_sensor(spec, self._sensing) for spec in self.scene.sensors}
         self.sensors = NamedThings(self._timed, "sensor", "world.sensors", self._names)
         self._servos: list[Callable[[], None]] = []
+        self._guard: DivergenceGuard | None = None
         self._stretch = self._longest_stretch()
 
     def _longest_stretch(self) -> int | None:
@@ -244,15 +246,25 @@ class SimulatedWorld(World):
 
     def _step_engine(self, steps: int) -> None:
         if not self._steps_singly:
-            self._engine.step(steps)
+            self._step_watched(steps)
             return
         for _ in range(steps):
             for servo in self._servos:
                 servo()
             if self.actuators.explicit:
                 self.actuators.apply()
-            self._engine.step(1)
+            self._step_watched(1)
             self.clock.touch()  # the next servo derives poses anew
+
+    def _step_watched(self, steps: int) -> None:
+        self._engine.step(steps)
+        if self._guard is not None:
+            self._guard.look()
+
+    def guard_divergence(self) -> Tensor:
+        """Reset environments that diverge in a step from now on; returns the guard's ``lost`` (N,) bool."""
+        self._guard = self._guard or DivergenceGuard(self._engine, self.actuators, self.clock, self.masking)
+        return self._guard.lost
 
     # In a step that is captured
 
@@ -280,7 +292,8 @@ class SimulatedWorld(World):
             sensor.touch()
 
     def memory(self) -> dict[str, Tensor]:
-        return {f"sensor '{n}', {m}": t for n, s in self._timed.items() for m, t in s.memory().items()}
+        guarded = {} if self._guard is None else {"lost": self._guard.lost}
+        return guarded | {f"sensor '{n}', {m}": t for n, s in self._timed.items() for m, t in s.memory().items()}
 
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         """Gravity (n, 3) in m/s^2 of some environments, for good.

@@ -11,8 +11,10 @@ from orbit_core.assets.terrain import Flat, Slope, Stairs, TerrainGrid
 from orbit_core.envs import make
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.sensors import RayCaster
+from orbit_tasks import biped
 from orbit_tasks.velocity_rough import BY_DISTANCE, SCAN, VelocityRough
 
+PITCH_JOINTS = ("hip_pitch", "knee", "ankle_pitch")
 GRID = TerrainGrid(kinds=(Slope(), Stairs(), Stairs(down=True)), levels=4, cell_size=4.0, border=3.0)
 
 
@@ -83,6 +85,31 @@ def test_a_heading_is_commanded_in_place_of_a_yaw_rate() -> None:
     expected = torch.tensor([0.0, 0.5, 1.0, -1.0])
     torch.testing.assert_close(env.task.command[:, 2], expected, atol=1e-4, rtol=0.0)
     env.close()
+
+
+def test_robots_on_two_feet_have_rewards_and_drives_of_their_own() -> None:
+    env = make("Velocity-Flat", 2, "mujoco", robot="unitree_g1", seed=0, **{"rewards.slide": None})
+    env.reset()
+    task, body = env.task, env.world.robots["robot"]
+    assert "slide" not in env.reward_terms, "what the user takes away stays away"
+    assert env.reward_terms["tilt"].weight == -1.0
+    swinging = [name for name, still in zip(body.joint_names, task.still_joints, strict=True) if not still]
+    assert swinging == [f"{side}_{joint}_joint" for side in ("left", "right") for joint in PITCH_JOINTS]
+    assert body.nominal_gains[body.find_joints("left_knee_joint")[0]] == (150.0, 4.0)
+    assert task.generators[0].config.scale == 1.0
+    task.command[:] = torch.tensor([[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    timer = biped.contacts_of(env.world).timer()
+    timer.times[:2] = 0.0
+    timer.times[0, :, task.foot_links[0]] = 0.3  # the left foot has stood for 0.3 s, the right flown for 0.2 s
+    timer.times[1, :, task.foot_links[1]] = 0.2
+    torch.testing.assert_close(biped.stride(env.world, task), torch.tensor([0.2, 0.0]))
+    body.set_joint_state((body.home_positions + 0.1).expand(2, -1))
+    assert biped.stray(env.world, task)[0] == pytest.approx(0.1 * 23, abs=1e-5)
+    env.close()
+    dog = make("Velocity-Flat", 1, "mujoco", robot="unitree_go2")
+    assert not {*biped.OF_TWO_FEET} & {*dog.reward_terms}
+    assert dog.reward_terms["tilt"].weight == -5.0
+    dog.close()
 
 
 def test_terrain_that_does_not_suit_is_refused() -> None:

@@ -18,6 +18,15 @@ HOME = {".*_hip_pitch_joint": -0.1, ".*_knee_joint": 0.3, ".*_ankle_pitch_joint"
 # and needs a policy to stand. A standing body of mass m, h above its ankles, falls where these have less than
 # m g h = 34 kg * 9.81 m/s^2 * 0.65 m = 217 N m/rad together; what is under and above them gives too: with 600 it falls.
 LEGS = ImplicitPd(joints=(".*_(hip|knee|ankle)_.*joint", "waist_.*_joint"), stiffness=1000.0, damping=25.0)
+# For a policy: legs as in Unitree's code, waist and arms as in Isaac Lab's G1 (arms 40), and twice the damping of the
+# former at the ankles, whose armature is small. They do not stand by themselves.
+WALKING = (
+    ImplicitPd(joints=(".*_hip_.*joint", "waist_.*_joint"), stiffness=100.0, damping=3.0),
+    ImplicitPd(joints=(".*_knee_joint",), stiffness=150.0, damping=4.0),
+    ImplicitPd(joints=(".*_ankle_.*joint",), stiffness=40.0, damping=2.0),
+    ImplicitPd(joints=(".*_(shoulder|elbow)_.*joint",), stiffness=40.0, damping=2.0),
+    ImplicitPd(joints=(".*_wrist_.*joint",), stiffness=10.0, damping=0.5),
+)
 ARMS = DriveDesign(joints=(".*_(shoulder|elbow|wrist)_.*joint",))
 HANDS = (dex3_hand.LEFT, dex3_hand.RIGHT)
 SIDES = ("left", "right")
@@ -51,6 +60,7 @@ G1 = RobotPart(
     drives=(LEGS,),
     designs=(ARMS,),
     feet=("left_ankle_roll_link", "right_ankle_roll_link"),
+    walking_drives=WALKING,
     end_effectors=tuple(EndEffector(f"{side}_rubber_hand", _arm(side)) for side in SIDES),
     pose=Pose((0.0, 0.0, 0.79)),
     fixed_base=False,
@@ -63,6 +73,7 @@ G1_DEX3 = RobotPart(
     drives=(LEGS,),
     designs=(ARMS, *HANDS[0].designs, *HANDS[1].designs),
     feet=G1.feet,
+    walking_drives=WALKING,
     end_effectors=tuple(
         EndEffector(hand.frame, _arm(side), hand.gripper, hand.finger_tips)
         for side, hand in zip(SIDES, HANDS, strict=True)

@@ -82,7 +82,7 @@ class BulletEngine(Engine):
         state = self._tensors
         lost = diverged(state["link_poses"], state["link_velocities"])
         lost |= diverged(state["joint_positions"], state["joint_velocities"])
-        if lost.any():
+        if self.raises_divergence and lost.any():
             raise divergence_error(lost.nonzero()[:, 0].tolist())
 
     def _refuse_broken_commands(self) -> None:

@@ -37,6 +37,15 @@ from orbit_mujoco.parameters import Parameters
 from orbit_mujoco.state import DERIVED_STAGE, State
 
 _NEAR_SINGULAR = mujoco.mjtWarning.mjWARN_INERTIA.value
+_DIVERGENCE = [
+    warning.value
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+        mujoco.mjtWarning.mjWARN_BADCTRL,
+    )
+]
 """The warning that MuJoCo also gives, for no harm, where its solver meets cloth's bending at a residual of 1e-8."""
 _NO_STAGE = mujoco.mjtStage.mjSTAGE_NONE.value
 
@@ -106,7 +115,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         self._matter.measure(self._matter_forces)
         if self._batch.warning.any():
             self._raise_warnings()
-        if not self._state.bounded:
+        if not self._state.bounded and (self.raises_divergence or self._matter.diverged()[1]):
             environments, names = self._matter.diverged()
             raise matter_divergence_error(environments, names) if names else divergence_error(self._state.diverged())
 
@@ -142,11 +151,13 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         counts = self._batch.warning[..., 1].copy()
         if self._matter.bends:
             counts[:, _NEAR_SINGULAR] = 0
+        self._failed |= counts.any(axis=1)
+        if not self.raises_divergence:
+            counts[:, _DIVERGENCE] = 0
         if not counts.any():
             return
         warning = int(np.flatnonzero(counts.any(axis=0))[0])
         environments = np.flatnonzero(counts[:, warning])
-        self._failed |= counts.any(axis=1)
         text = mujoco.mju_warningText(warning, int(self._batch.warning[environments[0], warning, 0]))
         raise SimulationError(
             f"environments {first_few(environments)} diverged: {text.strip()}; reset them, and use a smaller "

@@ -124,7 +124,7 @@ class NewtonEngine(PartedEngine[State, Parameters]):
             SimulationError: environments diverged, or the contact buffer was full.
         """
         fault = int(self._summary.numpy()[0])
-        if fault & _DIVERGED:
+        if fault & _DIVERGED and self.raises_divergence:
             raise divergence_error(torch.nonzero(wp.to_torch(self._diverged))[:, 0].tolist())
         if fault & _OVERFLOWN:
             size = -(-self._plant.finder.capacity // self.num_envs)

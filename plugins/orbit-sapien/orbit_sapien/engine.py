@@ -81,7 +81,7 @@ class SapienEngine(PartedEngine[State, Parameters]):
             self._step_once(commands)
         if self._contacts.active:
             self._contacts.average(steps)
-        if failed := self._state.diverged():
+        if self.raises_divergence and (failed := self._state.diverged()):
             raise divergence_error(failed)
         if self._world.shared_ground and (strayed := self._state.beyond(self._world.reach)):
             self._refuse_strayed(strayed)

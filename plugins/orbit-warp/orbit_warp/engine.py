@@ -101,6 +101,14 @@ class WarpEngine(PartedEngine[State, Parameters]):
         self._faults.report()  # on a GPU: of the step before
         self._parameters.settle()
 
+    @property
+    def raises_divergence(self) -> bool:
+        return self._faults.raises_divergence
+
+    @raises_divergence.setter
+    def raises_divergence(self, value: bool) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        self._faults.raises_divergence = value
+
     def _take(self, steps: int) -> None:
         self._begin()
         for _ in range(steps):

@@ -40,6 +40,8 @@ class Faults:
         self.overflows = 0
         """Steps in which a buffer was full; on a GPU the last step's is counted when the next begins."""
         self._warned = False
+        self.raises_divergence = True
+        """Whether environments that diverged are an error; else their caller looks for them."""
 
     def begin(self) -> None:
         """Forget the last step's."""
@@ -75,6 +77,10 @@ class Faults:
             return
         self._note[:] = 0
         faults = wp.to_torch(self._faults).cpu().numpy()
+        if not self.raises_divergence:
+            fault, faults = fault & ~DIVERGED_BIT, faults & ~DIVERGED_BIT
+        if not fault:
+            return
         if fault & DIVERGED_BIT:
             raise divergence_error(np.flatnonzero(faults & DIVERGED_BIT).tolist())
         self.overflows += 1

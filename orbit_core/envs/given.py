@@ -1,0 +1,57 @@
+"""What an environment was given, checked: its world, its task's curriculum, the length of its episodes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from orbit_core.dynamics.arguments import MOST_STEPS, whole_number
+from orbit_core.envs.task import Task
+from orbit_core.envs.terms import CurriculumTerm, terms_of
+from orbit_core.interfaces import ConfigurationError
+
+
+def check_no_backend(given: Mapping[str, object]) -> None:
+    """Raises ConfigurationError where something of a backend's is given beside a world."""
+    named = [name for name, value in given.items() if value is not None]
+    if named:
+        raise ConfigurationError(
+            f"{' and '.join(named)} given beside a world of your own: only what is simulated has any; leave one out"
+        )
+
+
+def curriculum_of(task: Task) -> dict[str, CurriculumTerm]:
+    """The task's curriculum by name; none where it is off.
+
+    Raises:
+        ConfigurationError: it is on, and the task has none.
+    """
+    if not task.curriculum_enabled:
+        return {}
+    if task.curriculum is None:
+        raise ConfigurationError(
+            f"task {type(task).__name__} has no curriculum: leave curriculum_enabled out, or give it a dataclass of "
+            "CurriculumTerm"
+        )
+    return terms_of(task.curriculum, CurriculumTerm)
+
+
+def whole_steps(task: Task) -> int:
+    """Steps of the environment in an episode.
+
+    Raises:
+        ConfigurationError: a length of time is not above zero, or the episode is no whole number of steps.
+    """
+    for name in ("physics_dt", "episode_length"):
+        seconds = getattr(task, name)
+        if not 0.0 < seconds < math.inf:
+            raise ConfigurationError(f"{name} must be above zero seconds, not {seconds:g}")
+    whole_number(task.decimation, "decimation", 1, MOST_STEPS)
+    step_dt = task.physics_dt * task.decimation
+    steps = round(task.episode_length / step_dt)
+    if steps < 1 or abs(steps * step_dt - task.episode_length) > 1e-6 * task.episode_length:
+        raise ConfigurationError(
+            f"episode_length {task.episode_length} s is no whole number of steps of {step_dt} s (physics_dt x "
+            f"decimation): use {max(1, steps) * step_dt:g}"
+        )
+    return steps

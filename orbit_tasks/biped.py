@@ -1,0 +1,116 @@
+"""What a robot on two feet is rewarded for that walks: terms and weights, over those of robots on four.
+
+They follow what Isaac Lab and mjlab learn a Unitree G1 with (Mittal et al., Orbit, 2023; Zakka et al., mjlab, 2026): a
+fall costs, steps on one foot after the other earn, feet do not slide, and joints that carry no step stay near home.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.interfaces import Robot, World
+from orbit_core.mdp import common
+from orbit_core.sensors import ContactSensor
+
+CONTACTS = "contacts"
+"""The contact sensor's name."""
+_LONGEST_STEP = 0.4
+"""Seconds on one foot beyond which a step earns no more."""
+_SOFT_LIMIT = 0.9
+"""Part of a joint's range, around its middle, within which its position costs nothing."""
+_LEAST_COMMAND = 0.1
+"""m/s: a robot that is told to go slower than this is told to stand."""
+
+
+class Walking(Protocol):
+    """What these terms read of a task."""
+
+    command: Tensor
+    """(N, 3) velocity forward and to the left in m/s, yaw rate in rad/s."""
+    foot_links: Tensor
+    """(feet,) int64 among the links of the contact sensor."""
+    still_joints: Tensor
+    """(joints,) 1 for those that swing no leg forward, 0 for others."""
+
+
+def contacts_of(world: World) -> ContactSensor:
+    """The sensor of the robot's contacts."""
+    sensor = world.sensors[CONTACTS]
+    assert isinstance(sensor, ContactSensor)
+    return sensor
+
+
+def stride(world: World, task: Walking) -> Tensor:
+    """(N,) seconds that the robot has stood on one foot with the other in the air; 0 when told to stand."""
+    timer = contacts_of(world).timer()
+    flying, touching = timer.air_time[:, task.foot_links], timer.contact_time[:, task.foot_links]
+    standing = touching > 0.0
+    lasted = torch.where(standing, touching, flying).amin(1).clamp_max(_LONGEST_STEP)
+    return lasted * (standing.sum(1) == 1) * (task.command[:, :2].norm(dim=1) > _LEAST_COMMAND)
+
+
+def slide(world: World, task: Walking) -> Tensor:
+    """(N,) m/s along the ground of feet that touch it, summed."""
+    robot = common.robot_of(world)
+    velocities = torch.stack([robot.frame_velocity(foot)[:, :2] for foot in robot.spec.feet], 1)
+    return (velocities.norm(dim=2) * contacts_of(world).in_contact()[:, task.foot_links]).sum(1)
+
+
+def stray(world: World, task: Walking) -> Tensor:
+    """(N,) rad, summed: how far joints that swing no leg are from home."""
+    robot = common.robot_of(world)
+    return ((robot.joint_positions - robot.home_positions) * task.still_joints).abs().sum(1)
+
+
+def near_limits(world: World, task: Walking) -> Tensor:
+    """(N,) rad, summed: how far joints are beyond nine tenths of their range."""
+    robot = common.robot_of(world)
+    low, high = robot.position_limits.unbind(1)
+    reach = 0.5 * _SOFT_LIMIT * (high - low)
+    return ((robot.joint_positions - 0.5 * (low + high)).abs() - reach).clamp_min(0.0).nan_to_num(0.0).sum(1)
+
+
+def still_joints(robot: Robot) -> Tensor:
+    """(joints,) 0 for joints that swing a leg forward, 1 for others.
+
+    The former are those on the way to a foot whose axis, at home, lies across the robot.
+    """
+    device = robot.home_positions.device
+    tree = KinematicTree(robot.spec.articulation, device)
+    root = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], device=device)
+    poses = tree.forward(root, robot.home_positions.view(1, -1))
+    across = torch.stack([tree.jacobian(poses, foot)[0, 4].abs() for foot in robot.spec.feet]).amax(0)
+    return (across < 0.7).float()
+
+
+def suited(rewards: Any, feet: int) -> None:
+    """Fit rewards of a walking task to the number of feet, where they are still the task's own.
+
+    Robots on two feet get :data:`WEIGHTS`, and none of :data:`OF_MANY_FEET`; others none of :data:`OF_TWO_FEET`.
+
+    Args:
+        rewards: of Velocity-Flat, or derived from them.
+        feet: how many the robot has.
+    """
+    own = type(rewards)()
+    unwanted = OF_MANY_FEET if feet <= 2 else OF_TWO_FEET
+    for name, weight in {**(WEIGHTS if feet <= 2 else {}), **dict.fromkeys(unwanted, 0.0)}.items():
+        term = getattr(own, name, None)
+        if term is not None and getattr(rewards, name) == term:
+            setattr(rewards, name, replace(term, weight=weight) if weight else None)
+
+
+WEIGHTS: Mapping[str, float] = {
+    "yaw_tracking": 1.0, "bouncing": -0.2, "tilt": -1.0, "effort": -2e-6, "action_rate": -0.02, "fall": -200.0,
+}  # fmt: skip
+"""Of terms that robots on four feet have with other weights."""
+OF_TWO_FEET = ("stride", "slide", "stray", "near_limits")
+"""Terms of robots on two feet alone."""
+OF_MANY_FEET = ("flight", "bumps")
+"""Terms of robots on more than two feet alone."""
