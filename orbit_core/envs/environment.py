@@ -28,7 +28,6 @@ from orbit_core.envs.action_terms import action_terms, driven_scene
 from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.event_manager import EventManager
-from orbit_core.envs.given import check_no_backend, curriculum_of, whole_steps
 from orbit_core.envs.lost_episodes import LostEpisodes
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
 from orbit_core.envs.observation_check import check_finite as check_observation
