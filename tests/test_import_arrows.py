@@ -28,6 +28,7 @@ RANKS = {
     "dynamics": 2,
     "assets": 2.5,
     "audit": 3,
+    "active": 3,
     "actuators": 3,
     "sensors": 3,
     "agent": 3,

@@ -32,13 +32,13 @@ class Actuators:
     Robots write the targets; joints without an actuator, and those of explicit groups, have no drive in the engine.
 
     Where no group is explicit the targets are the engine's own buffers, and a step costs nothing. Otherwise
-    :meth:`apply` must run before each physics step.
+    :meth:`apply` must run before each physics step; so it must where efforts are ``shared``, others adding to them.
 
     Raises:
         ConfigurationError: a group's delay or torque-speed line cannot be.
     """
 
-    def __init__(self, engine: Engine, layout: SceneLayout, random: RandomStreams) -> None:
+    def __init__(self, engine: Engine, layout: SceneLayout, random: RandomStreams, shared: bool = False) -> None:
         self._engine = engine
         groups = _group_of_joint(layout)
         self._implicit = {joint for joint, group in groups.items() if isinstance(group, ImplicitPd)}
@@ -51,7 +51,7 @@ class Actuators:
         if motors:
             self._models.append(DcMotorModel(list(motors), list(motors.values()), *parts))
         self._delays = [_delay([groups[joint] for joint in m.joints], engine.num_envs, random) for m in self._models]
-        self.explicit = bool(self._models)
+        self.explicit = shared or bool(self._models)
         """Whether :meth:`apply` has work to do."""
         self.position_targets = engine.position_targets
         """(N, J) rad or m"""

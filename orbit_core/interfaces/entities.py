@@ -5,12 +5,32 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from types import MappingProxyType
+from typing import Protocol
 
 from torch import Tensor
 
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.names import match_names
 from orbit_core.scene import DeformableSpec, Entity, Joint, MarkerSpec, Region, RobotSpec
+
+
+class ActivePart(Protocol):
+    """One of an object's active models (:mod:`orbit_core.active`), which adds forces of its own at each step."""
+
+    @property
+    def parameters(self) -> Mapping[str, Tensor]:
+        """(N,) values of each parameter, by name."""
+        ...
+
+    @property
+    def nominal(self) -> Mapping[str, float]:
+        """Each parameter's value in the scene, by name."""
+        ...
+
+    def set_parameter(self, name: str, values: Tensor, env_ids: Tensor | None = None) -> None:
+        """Set (n,) values of a parameter; they outlast resets."""
+        ...
 
 
 class Object(ABC):
@@ -124,6 +144,9 @@ class Object(ABC):
         """(n, k) each; position targets follow the positions."""
 
     # Parameters per environment; they outlast resets. Only what is simulated has them.
+
+    active: Mapping[str, ActivePart] = MappingProxyType({})
+    """The object's active models, by name."""
 
     @cached_property
     def nominal_masses(self) -> Tensor:

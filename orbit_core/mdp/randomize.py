@@ -108,6 +108,23 @@ def gains(entity: str, stiffness: Range, damping: Range, joints: Sequence[str] =
     return event
 
 
+def active_model(entity: str, name: str, parameter: str, scale: Range) -> EventFunction:
+    """Scale a parameter of one of an object's active models, such as the ``force`` of a seal.
+
+    Raises, when it happens:
+        UnknownNameError: the object has no such model, or that no such parameter.
+    """
+
+    def event(world: World, task: Task, env_ids: Tensor) -> None:
+        model = _entity(world, entity).active[name]
+        if parameter not in model.nominal:
+            raise UnknownNameError("parameter", parameter, model.nominal, f"active model '{name}' of '{entity}'")
+        values = model.nominal[parameter] * scale.sample(world, task, (), env_ids)
+        model.set_parameter(parameter, values, env_ids)
+
+    return event
+
+
 def uncertain_gains(entity: str) -> EventFunction:
     """Scale stiffness and damping of all actuators by 0.8 to 1.25: how well a real robot's are known, as a rule."""
     return gains(entity, stiffness=Range(0.8, 1.25), damping=Range(0.8, 1.25))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
+from orbit_core.scene.active import ActiveModel
 from orbit_core.scene.actuators import ActuatorConfig
 from orbit_core.scene.articulation import Articulation
 from orbit_core.scene.pose import Pose, Vector3
@@ -159,6 +160,8 @@ class ObjectSpec(Entity):
     """
 
     variants: tuple[Articulation, ...] = ()
+    active: tuple[ActiveModel, ...] = ()
+    """Force laws of its own."""
 
     @property
     def alternatives(self) -> tuple[Articulation, ...]:

@@ -26,7 +26,7 @@ from orbit_core.dynamics.indexing import Masking, write_block
 from orbit_core.dynamics.kinematics import FixedFrame, PointJacobian
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import Engine, EntityLayout, Object, UnknownNameError
-from orbit_core.scene import Entity, Frame, Pose
+from orbit_core.scene import ActiveModel, Entity, Frame, ObjectSpec, Pose
 from orbit_core.world.clock import Clock
 
 
@@ -68,6 +68,8 @@ class SimulatedObject(Object):
         self._actuators = actuators
         self._clock = clock
         self._masking = masking
+        self.write_wrenches = engine.set_wrenches
+        """What :meth:`set_wrenches` hands them to."""
         self._frames: dict[str, _FrameHandle] = {}
         self._frame_poses: dict[str, tuple[int, Tensor]] = {}
         self._jacobians: dict[tuple[str, tuple[int, ...]], PointJacobian] = {}
@@ -87,6 +89,11 @@ class SimulatedObject(Object):
     @property
     def spec(self) -> Entity:
         return self.layout.spec
+
+    @property
+    def active_specs(self) -> tuple[ActiveModel, ...]:
+        """Its active models, as data."""
+        return self.spec.active if isinstance(self.spec, ObjectSpec) else ()
 
     # Reading
 
@@ -274,7 +281,7 @@ class SimulatedObject(Object):
         """
         indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
         wrenches = chosen.values(wrenches, (len(indices), 6), f"wrenches of '{self.name}'", EFFORTS)
-        self._engine.set_wrenches(indices, wrenches, chosen.rows)
+        self.write_wrenches(indices, wrenches, chosen.rows)
         self._clock.touch()
 
     def set_gains(

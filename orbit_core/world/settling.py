@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from orbit_core.actuators import Actuators
 from orbit_core.interfaces import Engine
 
 
@@ -24,7 +24,21 @@ class _Rest:
     """(n, P, 3) positions and velocities of each deformable."""
 
 
-def settle(engine: Engine, actuators: Actuators, step: Callable[[int], None], steps: int, rows: Tensor | None) -> None:
+class Stateful(Protocol):
+    """What remembers something from step to step."""
+
+    def save_state(self) -> Any:
+        """A detached copy."""
+        ...
+
+    def load_state(self, state: Any) -> None:
+        """Return to a saved state."""
+        ...
+
+
+def settle(
+    engine: Engine, others: Sequence[Stateful], step: Callable[[int], None], steps: int, rows: Tensor | None
+) -> None:
     """Simulate some environments for a while, commands held; for all others no time passes.
 
     Engines step all environments at once. So all are stepped and put back by a snapshot, and what has come of the
@@ -33,7 +47,7 @@ def settle(engine: Engine, actuators: Actuators, step: Callable[[int], None], st
 
     Args:
         engine: that is stepped.
-        actuators: whose delayed commands are put back as well.
+        others: what else remembers something, and is put back as well: delayed commands, active models.
         step: advances the engine by that many physics steps, with what must be done before each.
         steps: physics steps.
         rows: environments by index (n,); all if None.
@@ -42,13 +56,14 @@ def settle(engine: Engine, actuators: Actuators, step: Callable[[int], None], st
         SimulationError: the engine diverged; the snapshot has been put back.
         UnsupportedCapabilityError: the engine has no snapshots of this scene.
     """
-    before = engine.save_state(), actuators.save_state()
+    before, kept = engine.save_state(), [other.save_state() for other in others]
     try:
         step(steps)
         rest = _read(engine, slice(None) if rows is None else rows)
     finally:
-        engine.load_state(before[0])
-        actuators.load_state(before[1])
+        engine.load_state(before)
+        for other, state in zip(others, kept, strict=True):
+            other.load_state(state)
     _write(engine, rest, rows)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -43,6 +42,7 @@ from orbit_core.interfaces import (
 from orbit_core.interfaces.fields import settings_table
 from orbit_core.scene import CameraSpec, Scene
 from orbit_core.sensors import SensorContext, create_sensor
+from orbit_core.world.active import ActiveModels
 from orbit_core.world.build_check import check_build
 from orbit_core.world.capacity import check_capacity
 from orbit_core.world.clock import Clock
@@ -59,20 +59,7 @@ from orbit_core.world.matter_pictures import with_matter
 from orbit_core.world.preparation import prepared
 from orbit_core.world.robots import SimulatedRobot
 from orbit_core.world.settling import settle
-
-
-@dataclass(frozen=True)
-class WorldState:
-    """A snapshot of everything that the continuation depends on."""
-
-    engine: Any
-    actuators: Any
-    sensors: dict[str, Any]
-    random: Any
-    markers: Tensor
-    steps: int
-    made_by: tuple[str, int, tuple[str, ...]]
-    """Backend, number of environments and names of all things of the world that it is of."""
+from orbit_core.world.world_state import WorldState
 
 
 class SimulatedWorld(World):
@@ -134,7 +121,8 @@ class SimulatedWorld(World):
         """Which environments a call is for."""
         self.random = RandomStreams(num_envs, seed, self.device, self.masking)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.random.reset()
-        self.actuators = Actuators(self._engine, self.layout, self.random)
+        active = any(thing.active for thing in scene.objects)
+        self.actuators = Actuators(self._engine, self.layout, self.random, shared=active)
         self.clock = Clock()  # pyright: ignore[reportIncompatibleVariableOverride]
         self._renderer: Renderer | None = None
         self._names: list[NamedThings] = []
@@ -147,6 +135,8 @@ class SimulatedWorld(World):
         count = len(self.scene.robots)
         robots = {e.name: SimulatedRobot(e, *parts) for e in self.layout.entities[:count]}
         objects = {e.name: SimulatedObject(e, *parts) for e in self.layout.entities[count:]}
+        self.active = ActiveModels(objects, self._engine, self.masking)
+        """Force laws that objects have of their own."""
         deformables = {
             spec.name: SimulatedDeformable(i, spec, self._engine, self.masking, self.clock, {**robots, **objects})
             for i, spec in enumerate(self.scene.deformables)
@@ -241,7 +231,7 @@ class SimulatedWorld(World):
 
     def settle(self, steps: int, env_ids: Tensor | None = None) -> None:
         rows, steps = self.masking.choose(env_ids).rows, whole_number(steps, "steps", 1, MOST_STEPS)
-        settle(self._engine, self.actuators, self._step_engine, steps, rows)
+        settle(self._engine, (self.actuators, self.active), self._step_engine, steps, rows)
         self.clock.touch()
 
     def _step_engine(self, steps: int) -> None:
@@ -253,6 +243,8 @@ class SimulatedWorld(World):
                 servo()
             if self.actuators.explicit:
                 self.actuators.apply()
+            if self.active:
+                self.active.apply()
             self._step_watched(1)
             self.clock.touch()  # the next servo derives poses anew
 
@@ -293,7 +285,8 @@ class SimulatedWorld(World):
 
     def memory(self) -> dict[str, Tensor]:
         guarded = {} if self._guard is None else {"lost": self._guard.lost}
-        return guarded | {f"sensor '{n}', {m}": t for n, s in self._timed.items() for m, t in s.memory().items()}
+        sensors = {f"sensor '{n}', {m}": t for n, s in self._timed.items() for m, t in s.memory().items()}
+        return guarded | sensors | self.active.memory()
 
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         """Gravity (n, 3) in m/s^2 of some environments, for good.
@@ -321,6 +314,7 @@ class SimulatedWorld(World):
         self.random.reset(env_ids)
         self._engine.reset(env_ids)
         self.actuators.reset(env_ids)
+        self.active.reset(env_ids)
         for sensor in self._timed.values():
             sensor.reset(env_ids)
         self.clock.touch()
@@ -330,6 +324,7 @@ class SimulatedWorld(World):
         return WorldState(
             self._engine.save_state(),
             self.actuators.save_state(),
+            self.active.save_state(),
             sensors,
             self.random.save_state(),
             self._marker_poses.clone(),
@@ -350,6 +345,7 @@ class SimulatedWorld(World):
             )
         self._engine.load_state(state.engine)
         self.actuators.load_state(state.actuators)
+        self.active.load_state(state.active)
         for name, sensor in self._timed.items():
             sensor.load_state(state.sensors[name])
         self.random.load_state(state.random)
@@ -363,8 +359,10 @@ class SimulatedWorld(World):
         rows = self.masking.choose(targets).rows
         self._engine.copy_state(origin.engine, source, rows)
         self.actuators.reset(rows)
-        if isinstance(origin, SimulatedWorld) and self.actuators.explicit:
-            write_rows(self.actuators.effort_targets, origin.actuators.effort_targets[source].clone(), rows)
+        if isinstance(origin, SimulatedWorld):
+            self.active.copy(origin.active, source, rows)
+            if self.actuators.explicit:
+                write_rows(self.actuators.effort_targets, origin.actuators.effort_targets[source].clone(), rows)
         if self.scene.markers:
             write_rows(self._marker_poses, origin.marker_poses[source].clone(), rows)
         for sensor in self._timed.values():
