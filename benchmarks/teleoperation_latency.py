@@ -29,6 +29,7 @@ from orbit_core.teleoperation.browser import Browser
 from orbit_core.teleoperation.device import Speeds
 from orbit_core.teleoperation.driver import Driver
 from orbit_core.teleoperation.session import Session
+from orbit_core.teleoperation.views import Views
 from orbit_core.viewer.viewer import Viewer
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
@@ -108,6 +109,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--backend", default="mujoco")
     parser.add_argument("--moves", type=int, default=60)
+    parser.add_argument("--views", action="store_true", help="draw pictures beside the scene, as the command does")
     arguments = parser.parse_args()
     environment = make("Lift", num_envs=1, backend=arguments.backend, seed=3, episode_length=600.0)
     driver = Driver(environment)
@@ -117,8 +119,16 @@ def main() -> None:
         file = RecordingFile(Path(folder) / "own.hdf5")
         session = TimedSession(environment, driver, device, "browser", file, "Lift", 3)
         session.commands = []
-        with Viewer(session, session, port=8190, tool=device.attach, pages=device.pages) as viewer:
-            thread = threading.Thread(target=viewer.run)
+        views = Views(environment.world, driver)
+        pictures = views.pictures if arguments.views else None
+        beside = {"tool": device.attach, "pages": device.pages, "views": pictures}
+        with Viewer(session, session, port=8190, **beside) as viewer:
+
+            def run() -> None:
+                viewer.run()
+                views.close()
+
+            thread = threading.Thread(target=run)
             thread.start()
             with sync_playwright() as playwright:
                 browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)

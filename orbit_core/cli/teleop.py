@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,6 +21,7 @@ from orbit_core.interfaces.errors import ConfigurationError
 if TYPE_CHECKING:
     from orbit_core.data.recording import RecordingFile
     from orbit_core.teleoperation.device import Device
+    from orbit_core.teleoperation.driver import Driver
     from orbit_core.teleoperation.session import Session
 
 SUFFIX = ".hdf5"
@@ -47,6 +49,8 @@ class TeleopSettings(EnvironmentSettings):
     """rad/s of the hand at a device's full deflection."""
     leader_port: int = 8090
     """Port at 127.0.0.1 where a leader arm connects; 0 takes a free one."""
+    views: bool = True
+    """Pictures beside the scene: from the hand, and from the robot's right."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 lets other machines, such as a phone, take part."""
     port: int = 8080
@@ -89,7 +93,7 @@ def teleop(settings: TeleopSettings) -> None:
                 environment, driver, device, settings.input_device, file, settings.task or "", settings.seed
             )
             try:
-                _show(settings, session, device)
+                _show(settings, session, device, driver)
             finally:
                 kept = session.close()
                 told = f"{kept} episodes are in {settings.output}" if kept else "no episode was saved"
@@ -100,21 +104,27 @@ def teleop(settings: TeleopSettings) -> None:
         environment.close()
 
 
-def _show(settings: TeleopSettings, session: Session, device: Device) -> None:
+def _show(settings: TeleopSettings, session: Session, device: Device, driver: Driver) -> None:
+    from orbit_core.teleoperation.views import Views
     from orbit_core.viewer.viewer import Viewer
 
     attach, pages = getattr(device, "attach", None), getattr(device, "pages", ())
     title = f"ORBIT {settings.task} by {settings.input_device}"
-    with Viewer(
-        session,
-        session,
-        settings.host,
-        settings.port,
-        title,
-        lambda _: session.information(),
-        tool=attach,
-        pages=pages,
-    ) as viewer:
+    views = Views(session.world, driver)
+    with (
+        closing(views),
+        Viewer(
+            session,
+            session,
+            settings.host,
+            settings.port,
+            title,
+            lambda _: session.information(),
+            tool=attach,
+            pages=pages,
+            views=views.pictures if settings.views else None,
+        ) as viewer,
+    ):
         print(f"drive and watch at {viewer.url}", flush=True)
         for url in viewer.page_urls:
             print(f"a gamepad on the screen, for a phone as well, at {url}", flush=True)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0, "2 times": 2.0, "as fast as it can": math.inf}
 MOST_ENVIRONMENTS = 36
 """Drawn at once."""
-NO_PICTURE = "none"
+NO_PICTURE, ALL_PICTURES = "none", "all"
 _HISTORY = 400
 
 
@@ -31,10 +31,17 @@ class Panel:
         num_envs: of the world.
         pictures: names of what cameras offer.
         title: stands at the top.
+        beside: begin with all pictures, above the rest of the panel.
     """
 
     def __init__(
-        self, server: ViserServer, controls: Controls, num_envs: int, pictures: Sequence[str], title: str
+        self,
+        server: ViserServer,
+        controls: Controls,
+        num_envs: int,
+        pictures: Sequence[str],
+        title: str,
+        beside: bool = False,
     ) -> None:
         self._server = server
         self._controls = controls
@@ -49,29 +56,26 @@ class Panel:
         self._add_switches()
         with server.gui.add_folder("Reward"):
             self._plot = self._add_plot()
-        self._picture: GuiImageHandle | None = None
+        self._pictures: dict[str, GuiImageHandle] = {}
         self._picture_choice: Any = None
         if pictures:
-            with server.gui.add_folder("Cameras"):
-                names = [*pictures, NO_PICTURE]
-                self._picture_choice = server.gui.add_dropdown("View", names, initial_value=names[0])
-                self._picture = server.gui.add_image(np.zeros((2, 2, 3), dtype=np.uint8))
+            with server.gui.add_folder("Cameras", order=-1.5 if beside else None):
+                self._add_pictures(pictures, ALL_PICTURES if beside and len(pictures) > 1 else pictures[0])
 
     @property
-    def picture(self) -> str | None:
-        """Which of the pictures is to be shown."""
+    def pictures(self) -> tuple[str, ...]:
+        """Which of the pictures are to be shown."""
         name = self._picture_choice.value if self._picture_choice else NO_PICTURE
-        return None if name == NO_PICTURE else name
+        return tuple(self._pictures) if name == ALL_PICTURES else () if name == NO_PICTURE else (name,)
 
     def show_status(self, rows: Mapping[str, str]) -> None:
         """A table of what and how much."""
         lines = "\n".join(f"| {name} | {value} |" for name, value in rows.items())
         self._status.content = f"| | |\n|:--|--:|\n{lines}"
 
-    def show_picture(self, picture: npt.NDArray[np.uint8]) -> None:
+    def show_picture(self, name: str, picture: npt.NDArray[np.uint8]) -> None:
         """(H, W, 3) under the choice of cameras."""
-        if self._picture is not None:
-            self._picture.image = picture
+        self._pictures[name].image = picture
 
     def add_reward(self, seconds: float, reward: float) -> None:
         """One more point of the curve; :meth:`show_reward` draws it."""
@@ -129,6 +133,21 @@ class Panel:
         collisions.on_update(lambda _: self._controls.select(collisions=collisions.value))
         markers.on_update(lambda _: self._controls.select(markers=markers.value))
         frames.on_update(lambda _: self._controls.select(frames=frames.value))
+
+    def _add_pictures(self, names: Sequence[str], chosen: str) -> None:
+        gui = self._server.gui
+        together = [ALL_PICTURES] if len(names) > 1 else []
+        self._picture_choice = gui.add_dropdown("View", [*names, *together, NO_PICTURE], initial_value=chosen)
+        nothing = np.zeros((2, 2, 3), dtype=np.uint8)
+        self._pictures = {name: gui.add_image(nothing, label=name, visible=False) for name in names}
+
+        def show(_: object = None) -> None:
+            shown = self.pictures
+            for name, handle in self._pictures.items():
+                handle.visible = name in shown
+
+        self._picture_choice.on_update(show)
+        show()
 
     def _add_plot(self) -> Any:
         from viser import uplot

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -16,7 +17,7 @@ from orbit_core.interfaces import ConfigurationError, Deformable, Marker, SceneL
 from orbit_core.rollout.estimates import proportion
 from orbit_core.scene import CameraSpec, Channel
 from orbit_core.sensors import CameraSensor
-from orbit_core.viewer.camera_pictures import picture_of
+from orbit_core.viewer.camera_pictures import Picture, picture_of
 from orbit_core.viewer.controls import Controls, Pacer, Selection
 from orbit_core.viewer.panel import Panel
 from orbit_core.viewer.scene_view import FloatArray, Frame, SceneView
@@ -30,6 +31,8 @@ FRAME_PERIOD = 1.0 / 30.0
 """Seconds from one frame of the scene to the next, at the least."""
 PANEL_PERIOD = 0.2
 """Seconds from one update of the panel's text, curve and picture to the next, at the least."""
+_DRAWING = 0.1
+"""Share of the time that the panel's pictures may take; where drawing is slow they are fewer."""
 
 
 class ViewedWorld(Protocol):
@@ -105,6 +108,8 @@ class Viewer:
         frames: begin with axes at the robots' bases, end effectors, finger tips, feet and wheels.
         tool: makes what the page has besides, given its server and scene.
         pages: that the server has besides this one.
+        views: draw pictures (H, W, 3) of the first environment by name, which the panel begins with beside what the
+            scene's cameras see; called in the simulation's thread.
 
     Raises:
         ConfigurationError: the web server's library is not installed.
@@ -122,11 +127,14 @@ class Viewer:
         frames: bool = False,
         tool: Callable[[ViserServer, SceneView], ViewerTool] | None = None,
         pages: Sequence[Page] = (),
+        views: Mapping[str, Callable[[], Picture]] | None = None,
     ) -> None:
         self._env = env
         self._agent = agent
         self._information = information
-        self._cameras = _camera_channels(env.world)
+        self._views = _camera_views(env.world)
+        beside = {name: lambda _, draw=draw: draw() for name, draw in (views or {}).items()}
+        self._views |= beside
         self.controls = Controls(env.num_envs, paused)
         self.controls.select(frames=frames)
         self._server, token = _start_server(host, port, title, pages)
@@ -136,11 +144,12 @@ class Viewer:
         self.page_urls = tuple(f"{root}{page.path}{query}" for page in pages)
         """Addresses of the other pages, likewise."""
         self._scene = SceneView(self._server, env.world.layout)
-        self._panel = Panel(self._server, self.controls, env.num_envs, list(self._cameras), title)
+        self._panel = Panel(self._server, self.controls, env.num_envs, list(self._views), title, bool(beside))
         self._tool = tool(self._server, self._scene) if tool else None
         self._pacer = Pacer()
         self._drawn = Selection()
-        self._frame_time = self._panel_time = -math.inf
+        self._frame_time = self._panel_time = self._picture_time = -math.inf
+        self._drawn_picture = 0
         self._mark = (time.perf_counter(), 0.0)
         self.steps = 0
         """Taken since the last reset of all environments."""
@@ -216,6 +225,7 @@ class Viewer:
         if soon or now - self._panel_time >= PANEL_PERIOD:
             self._panel_time = now
             self._show_panel(now)
+        self._show_pictures(now, soon)
 
     def _show_scene(self, selection: Selection) -> None:
         self._scene.show_collisions(selection.collisions)
@@ -241,9 +251,17 @@ class Viewer:
         self._panel.show_paused()
         self._panel.show_status(self._status(index, seconds, now))
         self._panel.show_reward()
-        if name := self._panel.picture:
-            camera, channel = self._cameras[name]
-            self._panel.show_picture(picture_of(channel, camera.image(channel)[index]))
+
+    def _show_pictures(self, now: float, soon: bool) -> None:
+        """The next picture that is due; they take turns, so that no step waits for all of them."""
+        names = self._panel.pictures
+        if not names or not (soon or now >= self._picture_time):
+            return
+        self._drawn_picture += 1
+        for name in names if soon else (names[self._drawn_picture % len(names)],):
+            self._panel.show_picture(name, self._views[name](self.controls.selection.first))
+        taken = time.perf_counter() - now
+        self._picture_time = now + max(PANEL_PERIOD / len(names), taken / _DRAWING)
 
     def _status(self, index: int, seconds: float, now: float) -> dict[str, str]:
         marked, simulated = self._mark
@@ -281,13 +299,18 @@ def _share_nothing(verbose: bool = True) -> None:
     """In place of opening a public tunnel to this computer, which any page that is shown may ask for."""
 
 
-def _camera_channels(world: ViewedWorld) -> dict[str, tuple[CameraSensor, Channel]]:
+def _camera_views(world: ViewedWorld) -> dict[str, Callable[[int], Picture]]:
+    """By camera and channel, what draws the picture of an environment."""
     return {
-        f"{name}: {channel.value}": (sensor, channel)
+        f"{name}: {channel.value}": partial(_seen, sensor, channel)
         for name, sensor in world.sensors.items()
         if isinstance(sensor, CameraSensor) and isinstance(sensor.spec, CameraSpec)
         for channel in sensor.spec.channels
     }
+
+
+def _seen(camera: CameraSensor, channel: Channel, index: int) -> Picture:
+    return picture_of(channel, camera.image(channel)[index])
 
 
 def _array(tensor: Tensor) -> FloatArray:

@@ -23,6 +23,7 @@ from orbit_core.teleoperation.device import Event, Speeds
 from orbit_core.teleoperation.driver import Driver
 from orbit_core.teleoperation.pad import Pad
 from orbit_core.teleoperation.session import Session
+from orbit_core.teleoperation.views import Views
 from orbit_core.viewer.viewer import Viewer
 
 Running = tuple[Viewer, Session, Browser, Driver]
@@ -35,8 +36,16 @@ def running(tmp_path: Path) -> Iterator[Running]:
     device = Browser(Speeds(), driver)
     session = Session(environment, driver, device, "browser", RecordingFile(tmp_path / "own.hdf5"), "Lift", 3)
     rows = lambda _: session.information()  # noqa: E731
-    with Viewer(session, session, port=8170, information=rows, tool=device.attach, pages=device.pages) as viewer:
-        thread = threading.Thread(target=viewer.run)
+    views = Views(environment.world, driver)
+    with Viewer(
+        session, session, port=8170, information=rows, tool=device.attach, pages=device.pages, views=views.pictures
+    ) as viewer:
+
+        def run() -> None:
+            viewer.run()
+            views.close()
+
+        thread = threading.Thread(target=run)
         thread.start()
         yield viewer, session, device, driver
         viewer.controls.stop()
@@ -124,6 +133,7 @@ def test_a_phone_drives_by_the_sticks_and_by_the_gizmo(person: ModuleType, runni
         phone.get_by_role("button", name="Record").tap()
         person.until(lambda: session.recording, phone)
         phone.get_by_text("recording: yes").wait_for()
+        assert all(handle.image.std() > 10.0 for handle in viewer._panel._pictures.values())  # hand and side view
         begin = hand.measured[0, :3].clone()
         box = phone.locator("#left").bounding_box()
         x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]

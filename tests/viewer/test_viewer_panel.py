@@ -45,14 +45,14 @@ def test_the_panel_shows_what_the_chosen_environments_camera_sees(fakes: ModuleT
     environment.world.sensors = {"wrist": PaintedCamera()}
     with Viewer(environment, fakes.FakeAgent(), port=8170) as viewer:
         panel: Any = viewer._panel
-        assert panel.picture == "wrist: rgb"
-        assert tuple(panel._picture_choice.options) == ("wrist: rgb", "wrist: depth", "none")
+        assert panel.pictures == ("wrist: rgb",)
+        assert tuple(panel._picture_choice.options) == ("wrist: rgb", "wrist: depth", "all", "none")
         viewer.run(max_steps=1)
-        assert (panel._picture.image == 200).all()
+        assert (panel._pictures["wrist: rgb"].image == 200).all()
         viewer.controls.select(first=3)
         viewer.run(max_steps=1)
-        assert panel._picture.image.shape == (6, 8, 3)
-        assert (panel._picture.image == 170).all()
+        assert panel._pictures["wrist: rgb"].image.shape == (6, 8, 3)
+        assert (panel._pictures["wrist: rgb"].image == 170).all()
 
 
 def test_the_panel_tells_of_the_chosen_environment(fakes: ModuleType) -> None:
