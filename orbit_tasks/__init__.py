@@ -30,6 +30,8 @@ def register(registry: TaskRegistry) -> None:
         "Drive to a sampled pose and bring the end effector there",
         "orbit_tasks.mobile_reach:MobileReach",
     )
+    registry.add("Mobile-Cabinet", "Drive to a cabinet and open its drawer", "orbit_tasks.mobile_cabinet:MobileCabinet")
+    registry.add("Mobile-Lift", "Drive around a table to a cube and lift it", "orbit_tasks.mobile_lift:MobileLift")
     registry.add(
         "Velocity-Flat",
         "A legged robot follows a commanded velocity on a plane",

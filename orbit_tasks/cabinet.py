@@ -17,7 +17,7 @@ from orbit_core.envs.terms import POSE, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
-from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
+from orbit_core.scene import MarkerShape, MarkerSpec, Pose, RobotSpec, Scene, look_at
 
 DRAWER = "drawer_joint"
 HANDLE = "drawer_handle"
@@ -113,6 +113,26 @@ def _moved_in(handle: Tensor, position: Tensor, distance: Tensor) -> Tensor:
     return torch.cat((position + quat_rotate(handle[:, 3:], along), handle[:, 3:]), dim=1)
 
 
+def distance_to_cabinet(robot: RobotSpec) -> float:
+    """Metres from the robot to the cabinet's middle.
+
+    The handle is 8 cm within the far side of the workspace, for it must be in reach 30 cm nearer as well; and as high
+    as a shoulder, for the arm reaches it with a level hand only there.
+    """
+    return robot.end_effector.workspace.high[0] + 0.23
+
+
+PULLING = (
+    Phase(before_handle, position_tolerance=0.02, timeout=3.0),
+    Phase(at_handle, position_tolerance=0.008, timeout=1.5),
+    Phase(at_handle, gripper_open=False, dwell=0.4, timeout=0.5),
+    Phase(pulled, gripper_open=False),
+)
+"""The expert's phases from before the handle on."""
+POSITION_LEAD, ROTATION_LEAD = 0.05, 0.2
+"""m and rad by which it leads: a stronger pull takes the fingers off the bar."""
+
+
 @dataclass
 class CabinetState(ObservationGroup):
     """The arm's joints and hand, the handle, how far the drawer is open and is to be, and the last action."""
@@ -183,14 +203,15 @@ class Cabinet(Task):
     """(N,) metres that the drawer is to be open."""
 
     def scene(self) -> Scene:
-        robot = common.arm(self.robot)
-        # The handle is 8 cm within the far side of the workspace, for it must be in reach 30 cm nearer as well; and as
-        # high as a shoulder, for the arm reaches it with a level hand only there.
-        away = robot.end_effector.workspace.high[0] + 0.23
-        plinth = SolidOptions(mass=10.0, fixed_base=True, pose=Pose((away, 0.0, 0.5 * PLINTH)))
+        return self.scene_with(common.arm(self.robot), PLINTH)
+
+    def scene_with(self, robot: RobotSpec, plinth: float) -> Scene:
+        """The cabinet before a robot, on a plinth of that height in metres."""
+        away = distance_to_cabinet(robot)
+        options = SolidOptions(mass=10.0, fixed_base=True, pose=Pose((away, 0.0, 0.5 * plinth)))
         return Scene(
             robots=(robot,),
-            objects=(cabinet(pose=Pose((away, 0.0, PLINTH))), box("plinth", size=(0.62, 0.62, PLINTH), **plinth)),
+            objects=(cabinet(pose=Pose((away, 0.0, plinth))), box("plinth", size=(0.62, 0.62, plinth), **options)),
             terrain=(common.floor(),),
             markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.12),),
             physics_dt=self.physics_dt,
@@ -219,15 +240,4 @@ class Cabinet(Task):
         return Subtask(handle_pose, ajar), Subtask(opened_handle, ajar)
 
     def expert(self, world: World) -> Expert:
-        return Expert(
-            world,
-            self,
-            (
-                Phase(before_handle, position_tolerance=0.02, timeout=3.0),
-                Phase(at_handle, position_tolerance=0.008, timeout=1.5),
-                Phase(at_handle, gripper_open=False, dwell=0.4, timeout=0.5),
-                Phase(pulled, gripper_open=False),
-            ),
-            position_lead=0.05,  # a stronger pull takes the fingers off the bar
-            rotation_lead=0.2,
-        )
+        return Expert(world, self, PULLING, position_lead=POSITION_LEAD, rotation_lead=ROTATION_LEAD)

@@ -29,7 +29,8 @@ from orbit_core.envs.terms import POSE, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, picking, randomize
 from orbit_core.mdp.randomize import Range
-from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene
+from orbit_core.scene import MarkerShape, MarkerSpec, ObjectSpec, Pose, Scene
+from orbit_core.scene.pose import Vector3
 from orbit_tasks.pixels import ArmPixels
 
 
@@ -48,7 +49,7 @@ def cube_position(world: World, task: Lift) -> Tensor:
 @once_per_state
 def cube_height(world: World, task: Lift) -> Tensor:
     """(N,) metres of the cube's centre above the table."""
-    return cube_pose(world, task)[:, 2]
+    return cube_pose(world, task)[:, 2] - task.surface
 
 
 @measured_in("m")
@@ -126,6 +127,9 @@ def at_goal(world: World, task: Lift) -> Tensor:
     """(N, 7) the hand where the cube's centre comes to the goal, as the cube sits in the hand now."""
     hand = common.hand_pose(world, task)
     return common.pointing_down(task.goal + hand[:, :3] - cube_pose(world, task)[:, :3])
+
+
+GOAL = MarkerSpec("goal", MarkerShape.SPHERE, size=0.03)
 
 
 @dataclass
@@ -212,21 +216,32 @@ class Lift(Task):
     """(N, 3) in the environment's frame."""
     rest_height: float = field(init=False)
     """Metres from the table to the middle of a cube that stands on it."""
+    surface: float = field(init=False, default=0.0)
+    """Height of the table's top in the environment's frame, m."""
 
     def scene(self) -> Scene:
-        cube = self.cube.build("cube", Pose((0.5, 0.0, self.cube.rest_height)))
+        return Scene(
+            robots=(common.arm(self.robot),),
+            objects=(self.cube_at((0.5, 0.0, 0.0)), common.work_bench()),
+            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            markers=(GOAL,),
+            physics_dt=self.physics_dt,
+        )
+
+    def cube_at(self, place: Vector3) -> ObjectSpec:
+        """What is to be lifted, standing at that place.
+
+        Raises:
+            ConfigurationError: its base is fixed.
+        """
+        x, y, z = place
+        cube = self.cube.build("cube", Pose((x, y, z + self.cube.rest_height)))
         if cube.fixed_base:
             raise ConfigurationError(
                 f"field 'cube' of task Lift is a '{self.cube.name}' whose base is fixed, which nothing lifts: choose a "
                 "solid, such as 'box' or 'sphere', that is free to move"
             )
-        return Scene(
-            robots=(common.arm(self.robot),),
-            objects=(cube, common.work_bench()),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
-            markers=(MarkerSpec("goal", MarkerShape.SPHERE, size=0.03),),
-            physics_dt=self.physics_dt,
-        )
+        return cube
 
     def start(self, world: World) -> None:
         super().start(world)

@@ -6,9 +6,11 @@ import math
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from orbit_core.audit.geometry import shape_points
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import Task
 from orbit_core.envs.terms import POSE, EventFunction, TermFunction, measured_in, once_per_state
@@ -74,6 +76,34 @@ def start_within(low: tuple[float, float], high: tuple[float, float], spread: fl
         stand_at(world, world.random.uniform((3,), (*low, -math.pi), (*high, math.pi), env_ids), env_ids)
 
     return place
+
+
+def start_in_ring(middle: tuple[float, float], radii: tuple[float, float], spread: float = 0.05) -> EventFunction:
+    """Event: the base in any direction from a middle, at a distance between two (m), facing anywhere; the joints of
+    the arm around their home."""
+    around = common.randomize_robot_start(spread)
+
+    def place(world: World, task: Task, env_ids: Tensor) -> None:
+        around(world, task, env_ids)
+        bounds = (radii[0], -math.pi, -math.pi), (radii[1], math.pi, math.pi)
+        distance, bearing, heading = world.random.uniform((3,), *bounds, env_ids).unbind(1)
+        x, y = middle[0] + distance * bearing.cos(), middle[1] + distance * bearing.sin()
+        stand_at(world, torch.stack((x, y, heading), 1), env_ids)
+
+    return place
+
+
+def base_radius(robot: RobotSpec) -> float:
+    """Metres that paths keep free around the middle of the base: a circle around its shapes as seen from above.
+
+    Raises:
+        ConfigurationError: nothing of the base collides.
+    """
+    link = next(each for each in robot.articulation.links if each.name == robot.base_link)
+    clouds = [cloud for shape in link.collisions if len(cloud := shape_points(shape))]
+    if not clouds:
+        raise ConfigurationError(f"the base of robot '{robot.name}' has no shapes that could be kept off things")
+    return max(float(np.linalg.norm(cloud[:, :2], axis=1).max()) for cloud in clouds)
 
 
 def ahead_of(place: Tensor, distance: float | Tensor) -> Tensor:

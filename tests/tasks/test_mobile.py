@@ -7,7 +7,7 @@ import torch
 
 from orbit_core.envs import make
 from orbit_core.interfaces import ConfigurationError
-from orbit_tasks import mobile_reach
+from orbit_tasks import lift, mobile_lift, mobile_reach
 from orbit_tasks.mobile import base_pose
 from tests.tasks.experts import episode
 
@@ -47,6 +47,26 @@ def test_a_robot_without_a_base_is_refused() -> None:
 
 def test_an_action_space_that_moves_no_base_alone_has_no_expert() -> None:
     environment = make("Mobile-Reach", 1, "mujoco", action="whole_body_ik")
-    with pytest.raises(ConfigurationError, match="drives a base by velocities.*'whole_body_ik'"):
+    with pytest.raises(ConfigurationError, match=r"drives a base by velocities.*'whole_body_ik'"):
         environment.expert()
+    environment.close()
+
+
+@pytest.mark.parametrize(("task", "backend"), [("Mobile-Cabinet", "mujoco"), ("Mobile-Lift", "bullet")])
+def test_the_expert_drives_to_what_it_opens_and_lifts(task: str, backend: str) -> None:
+    environment, success = episode(task, backend, 2)
+    environment.close()
+    assert success.all()
+
+
+def test_cube_and_table_are_as_high_as_suits_the_arm() -> None:
+    environment = make("Mobile-Lift", 2, "mujoco", seed=1)
+    environment.reset(seed=1)
+    task, world = environment.task, environment.world
+    assert isinstance(task, mobile_lift.MobileLift)
+    lowest = world.robots["robot"].spec.end_effector.workspace.low[2]
+    assert task.surface == pytest.approx(lowest - 0.1)
+    torch.testing.assert_close(lift.cube_height(world, task), torch.full((2,), task.rest_height))
+    assert not lift.dropped(world, task).any()
+    assert not lift.lifted(world, task).any()
     environment.close()
