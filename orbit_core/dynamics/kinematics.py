@@ -122,6 +122,9 @@ class KinematicTree:
         self._origins = self._tensor([joint.child_pose.position for joint in joints]).view(-1, 3)
         constant, varying = _local_transforms(articulation)
         self._constant, self._varying = self._tensor(constant), self._tensor(varying)
+        places = np.zeros((len(joints), len(self._parents)))
+        places[range(len(joints)), child_links(articulation)] = 1.0
+        self._places, self._last_row = self._tensor(places), self._tensor([[[0.0, 0.0, 0.0, 1.0]]])
         self._frames: dict[str, tuple[int, Tensor]] = {}
         self._jacobians: dict[str, PointJacobian] = {}
 
@@ -131,14 +134,12 @@ class KinematicTree:
         Each joint's transform is ``C0 + sin(q) C1 + (1 - cos(q)) C2 + q C3`` with constant matrices (Rodrigues'
         formula), so that all of them are made at once and only the products down the tree are a loop.
         """
-        root = torch.eye(4, dtype=self.dtype, device=self.device).repeat(root_pose.shape[0], 1, 1)
-        root[:, :3, :3] = quat_to_matrix(root_pose[:, 3:])
-        root[:, :3, 3] = root_pose[:, :3]
+        upper = torch.cat((quat_to_matrix(root_pose[:, 3:]), root_pose[:, :3, None]), 2)
         q = joint_positions
         terms = torch.stack((torch.sin(q), 1.0 - torch.cos(q), q), -1)
-        local = self._constant.repeat(root_pose.shape[0], 1, 1, 1)
-        local[:, self._children] += torch.einsum("njt,jtab->njab", terms, self._varying)
-        transforms = [root]
+        moved = torch.einsum("njt,jtab->njab", terms, self._varying)
+        local = self._constant + torch.einsum("jl,njab->nlab", self._places, moved)
+        transforms = [torch.cat((upper, self._last_row.expand(root_pose.shape[0], 1, 4)), 1)]
         for link in range(1, len(self._parents)):
             transforms.append(transforms[self._parents[link]] @ local[:, link])
         stacked = torch.stack(transforms, 1)
@@ -213,17 +214,18 @@ class KinematicTree:
             links: (S,) int64 that carry the points.
             points: (N, S, 3) world.
         """
-        origin = link_poses[:, 0, :3]
-        joint_twists = self.motion_subspaces(link_poses, origin) * joint_velocities[..., None]
-        carried = (self._moves @ joint_twists)[:, self._children]
-        moves = self._moves[links]
-        spatial = moves @ cross_motion(carried, joint_twists)
-        twist = moves @ joint_twists
-        arms = points - origin[:, None]
-        angular = twist[..., 3:]
-        velocity = twist[..., :3] + torch.linalg.cross(angular, arms)
-        linear = spatial[..., :3] + torch.linalg.cross(spatial[..., 3:], arms) + torch.linalg.cross(angular, velocity)
-        return torch.cat((linear, spatial[..., 3:]), -1)
+        twists, drifts = self.link_drifts(link_poses, joint_velocities)
+        arms = points - link_poses[:, :1, :3]
+        return drift_at(twists[:, links], drifts[:, links], arms)
+
+    def link_drifts(self, link_poses: Tensor, joint_velocities: Tensor) -> tuple[Tensor, Tensor]:
+        """Twist (N, L, 6) and, while no joint accelerates, spatial acceleration (N, L, 6) of all links.
+
+        Both about the root's origin, of which :func:`drift_at` makes the acceleration of a point; the root is at rest.
+        """
+        joint_twists = self.motion_subspaces(link_poses, link_poses[:, 0, :3]) * joint_velocities[..., None]
+        twists = self._moves @ joint_twists
+        return twists, self._moves @ cross_motion(twists[:, self._children], joint_twists)
 
     def _frame(self, name: str) -> tuple[int, Tensor]:
         if name not in self._frames:
@@ -238,6 +240,17 @@ class KinematicTree:
 
     def _tensor(self, values: object) -> Tensor:
         return torch.as_tensor(np.asarray(values, dtype=np.float64), dtype=self.dtype, device=self.device)
+
+
+def drift_at(twist: Tensor, spatial: Tensor, arm: Tensor) -> Tensor:
+    """(..., 6) acceleration of a point at ``arm`` (..., 3) from the root's origin, then of its body's turning.
+
+    Of its body's twist and spatial acceleration (..., 6) about the root's origin.
+    """
+    angular = twist[..., 3:]
+    velocity = twist[..., :3] + torch.linalg.cross(angular, arm)
+    linear = spatial[..., :3] + torch.linalg.cross(spatial[..., 3:], arm) + torch.linalg.cross(angular, velocity)
+    return torch.cat((linear, spatial[..., 3:]), -1)
 
 
 def cross_motion(twist: Tensor, motion: Tensor) -> Tensor:

@@ -36,7 +36,8 @@ class Clearance:
         self.obstacles = obstacles
         self.links = torch.as_tensor(balls.links[moved], device=device)
         """(S,) of each ball."""
-        self._centers = torch.as_tensor(balls.centers[moved], dtype=torch.float32, device=device)
+        self.centers = torch.as_tensor(balls.centers[moved], dtype=torch.float32, device=device)
+        """(S, 3) in their links."""
         self.radii = torch.as_tensor(balls.radii[moved], dtype=torch.float32, device=device)
         """(S,) m"""
         self.moves = torch.as_tensor(ancestry[balls.links[moved]], dtype=torch.float32, device=device)
@@ -50,7 +51,7 @@ class Clearance:
     def points(self, links: Tensor) -> Tensor:
         """(N, S, 3) centres of the balls for link poses (N, L, 7)."""
         poses = links.index_select(1, self.links)
-        return poses[..., :3] + quat_rotate(poses[..., 3:], self._centers)
+        return poses[..., :3] + quat_rotate(poses[..., 3:], self.centers)
 
     def gaps(self, links: Tensor, env: int | None = None) -> Tensor:
         """(N, S, O) m from each ball to each obstacle, negative where they overlap; infinite where it does not count.

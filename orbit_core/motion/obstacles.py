@@ -79,16 +79,28 @@ class Obstacles:
 
         With ``env`` the shapes are where they are in that environment, and N is any number.
         """
-        found = [self._of_kind(kind, parts, points, env) for kind, parts in self._kinds.items() if parts.owners]
-        if not found:
-            return points.new_full((*points.shape[:2], 0), _FAR), points.new_zeros((*points.shape[:2], 0, 3))
-        return torch.cat([distance for distance, _ in found], 2), torch.cat([away for _, away in found], 2)
+        return self.distances_of(self.poses(env).unsqueeze(1), points)
 
-    def _of_kind(self, kind: type, parts: _Kind, points: Tensor, env: int | None) -> tuple[Tensor, Tensor]:
-        poses = self._poses(parts).unsqueeze(1)
-        if env is not None:
-            poses = poses[env : env + 1]
-        local = quat_rotate_inverse(poses[..., 3:], points.unsqueeze(2) - poses[..., :3])
+    def poses(self, env: int | None = None) -> Tensor:
+        """(N, O, 7) of the shapes; (1, O, 7) in one environment."""
+        found = [self._poses(parts) for parts in self._kinds.values() if parts.owners]
+        poses = torch.cat(found, 1) if found else self._world_pose[:, None][:, :0]
+        return poses if env is None else poses[env : env + 1]
+
+    def distances_of(self, poses: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+        """As :meth:`distances`, (..., O) and (..., O, 3), for :meth:`poses` (..., O, 7) and points (..., 3)."""
+        counts = [len(parts.owners) for parts in self._kinds.values()]
+        found = [
+            self._of_kind(kind, parts, placed, points)
+            for (kind, parts), placed in zip(self._kinds.items(), poses.split(counts, -2), strict=True)
+            if parts.owners
+        ]
+        if not found:
+            return points.new_full((*points.shape[:-1], 0), _FAR), points.new_zeros((*points.shape[:-1], 0, 3))
+        return torch.cat([distance for distance, _ in found], -1), torch.cat([away for _, away in found], -2)
+
+    def _of_kind(self, kind: type, parts: _Kind, poses: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+        local = quat_rotate_inverse(poses[..., 3:], points.unsqueeze(-2) - poses[..., :3])
         distance, away = _LAWS[kind](local, parts.sizes)
         return distance, quat_rotate(poses[..., 3:], away)
 
@@ -167,9 +179,8 @@ def _cylinder(local: Tensor, sizes: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _plane(local: Tensor, sizes: Tensor) -> tuple[Tensor, Tensor]:
-    up = torch.zeros_like(local)
-    up[..., 2] = 1.0
-    return local[..., 2], up
+    zero = torch.zeros_like(local[..., 2])
+    return local[..., 2], torch.stack((zero, zero, zero + 1.0), -1)
 
 
 _LAWS = {Box: _box, Sphere: _sphere, Capsule: _capsule, Cylinder: _cylinder, Plane: _plane}

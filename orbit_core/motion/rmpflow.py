@@ -19,9 +19,10 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.capture.fusion import Fused
+from orbit_core.dynamics.kinematics import KinematicTree, drift_at
 from orbit_core.dynamics.linear import solve_spd
-from orbit_core.dynamics.transforms import pose_error
+from orbit_core.dynamics.transforms import pose_error, quat_rotate
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.motion.barrier import Barrier
@@ -109,6 +110,14 @@ class RmpFlow(MotionGenerator):
         self._pose = config.pose_command(robot)
         self._tree = KinematicTree(robot.spec.articulation, self.device)
         self._home = robot.home_positions[joints]
+        self._indices = torch.tensor(list(joints), dtype=torch.int64, device=self.device)
+        self._chosen = torch.eye(len(robot.joint_names), device=self.device)[self._indices]
+        upper = torch.triu_indices(len(joints), len(joints), device=self.device)
+        self._upper = upper[0] * len(joints) + upper[1]
+        places = torch.zeros(len(joints), len(joints), dtype=torch.int64, device=self.device)
+        places[upper[0], upper[1]] = places[upper[1], upper[0]] = torch.arange(upper.shape[1], device=self.device)
+        self._unpacked = places.flatten()
+        self._unmoved = 1.0 - self._chosen.sum(0)
         # Position leads: rotation counts a quarter.
         self._weights = torch.tensor([1.0] * 3 + [0.25] * 3, device=self.device)
         self._reaches = torch.tensor([[config.goal_reach], [config.goal_turn]], device=self.device)
@@ -124,6 +133,8 @@ class RmpFlow(MotionGenerator):
         obstacles = Obstacles(world, self.config.obstacles)
         self._clearance = Clearance(self.robot, self.joints, self._tree, obstacles)
         self._dt = step_dt / self.config.substeps
+        self._alone, self._ahead = Fused(self._of_robot), Fused(self._step)
+        self._off_obstacles = Fused(self._of_ball, in_parts=True)
         for gain in (self.config.goal_gain, self.config.posture_gain):
             if self._dt**2 * gain + 4.0 * self._dt * gain**0.5 >= 4.0:  # Jury's criterion, critically damped
                 raise ConfigurationError(
@@ -134,19 +145,31 @@ class RmpFlow(MotionGenerator):
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         goal = self._pose.target(inputs["command"])
         positions, velocities = self._last.read(torch.stack((self.positions, self.velocities), 1)).unbind(1)
-        full = self.robot.joint_positions.clone()
+        still = {"root": self.robot.root_pose, "others": self.robot.joint_positions, "goal": goal}
+        obstacles = self._clearance.obstacles.poses()
         for _ in range(self.config.substeps):
-            full[:, self._columns] = positions
-            accelerations = self._accelerations(full, positions, velocities, goal)
-            velocities = velocities + self._dt * accelerations
-            # All joints slowed down alike: the motion keeps the direction that keeps off obstacles.
-            velocities = velocities * (self._fastest / velocities.abs().clamp_min(1e-9)).amin(1, True).clamp_max(1.0)
-            ahead = torch.clamp(positions + self._dt * velocities, self.lower_limits, self.upper_limits)
-            positions, velocities = ahead, (ahead - positions) / self._dt
+            own, links, twists = self._alone(**still, positions=positions, velocities=velocities)
+            around = self._around(links, twists, velocities, obstacles) if obstacles.shape[1] else torch.zeros_like(own)
+            positions, velocities = self._ahead(own=own, around=around, positions=positions, velocities=velocities)
         measured = self.positions
         led = torch.clamp(positions, measured - self.config.max_lead, measured + self.config.max_lead)
         self._last.keep(torch.stack((led, velocities), 1))
         return {JointTarget.POSITION.value: led, JointTarget.VELOCITY.value: velocities}
+
+    def _around(self, links: Tensor, twists: Tensor, velocities: Tensor, obstacles: Tensor) -> Tensor:
+        """Metric and force of all balls together, as :meth:`_packed`."""
+        clearance = self._clearance
+        (each,) = self._off_obstacles(
+            carrier=links.index_select(1, clearance.links), center=clearance.centers[None],
+            radius=clearance.radii[None, :, None], moves=clearance.moves[None], counts=clearance.counts[None],
+            origin=self.robot.root_pose[:, None, :3], twists=twists.unsqueeze(1), velocities=velocities.unsqueeze(1),
+            obstacles=obstacles.unsqueeze(1),
+        )  # fmt: skip
+        return each.sum(1)
+
+    def _packed(self, metric: Tensor, force: Tensor) -> Tensor:
+        """(..., k (k + 1) / 2 + k) of a metric (..., k, k), its upper triangle, and a force (..., k)."""
+        return torch.cat((metric.flatten(-2)[..., self._upper], force), -1)
 
     def clearance(self) -> Tensor:
         """(N,) m from the robot's balls to the nearest obstacle now, negative where they overlap."""
@@ -164,21 +187,40 @@ class RmpFlow(MotionGenerator):
         pose = {f"pose_{key}": value for key, value in self._pose.memory().items()}
         return {**pose, **self._last.memory()}
 
-    def _accelerations(self, full: Tensor, positions: Tensor, velocities: Tensor, goal: Tensor) -> Tensor:
-        links = self._tree.forward(self.robot.root_pose, full)
-        moving = torch.zeros_like(full)
-        moving[:, self._columns] = velocities
+    def _of_robot(
+        self, root: Tensor, others: Tensor, goal: Tensor, positions: Tensor, velocities: Tensor
+    ) -> tuple[Tensor, ...]:
+        """Metric and force of goal, limits, posture and damping, :meth:`_packed`; links (N, L, 19) and twists.
+
+        Of each link its pose, its twist and its spatial acceleration while no joint accelerates; the twists (N, k, 6)
+        are those that joints give per unit of velocity. Twists are about the root's origin.
+        """
+        full = others * self._unmoved + positions @ self._chosen
+        moving = velocities @ self._chosen
+        links = self._tree.forward(root, full)
+        spatial = self._tree.link_drifts(links, moving)
         parts = (
             self._towards_goal(links, velocities, goal, self._tree.frame_drift(links, moving, self.frame)),
-            self._off_obstacles(links, velocities, moving),
             self._off_limits(positions, velocities),
         )
-        metric, force = (torch.stack(both).sum(0) for both in zip(*parts, strict=True))
-        return solve_spd(metric, force.unsqueeze(-1)).squeeze(-1)
+        metric, force = (one + other for one, other in zip(*parts, strict=True))
+        twists = self._tree.motion_subspaces(links, root[:, :3]).index_select(1, self._indices)
+        return self._packed(metric, force), torch.cat((links, *spatial), -1), twists
+
+    def _step(self, own: Tensor, around: Tensor, positions: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
+        """Positions and velocities (N, k) after a step of integration under two of :meth:`_packed`."""
+        total, count = own + around, len(self.joints)
+        metric, force = total[:, self._unpacked].unflatten(1, (count, count)), total[:, -count:]
+        accelerations = solve_spd(metric, force.unsqueeze(-1)).squeeze(-1)
+        velocities = velocities + self._dt * accelerations
+        # All joints slowed down alike: the motion keeps the direction that keeps off obstacles.
+        velocities = velocities * (self._fastest / velocities.abs().clamp_min(1e-9)).amin(1, True).clamp_max(1.0)
+        ahead = torch.clamp(positions + self._dt * velocities, self.lower_limits, self.upper_limits)
+        return ahead, (ahead - positions) / self._dt
 
     def _towards_goal(self, links: Tensor, velocities: Tensor, goal: Tensor, drift: Tensor) -> tuple[Tensor, Tensor]:
         """Metric (N, k, k) and force (N, k) of the goal."""
-        jacobian = self._tree.jacobian(links, self.frame)[:, :, self._columns]
+        jacobian = self._tree.jacobian(links, self.frame).index_select(2, self._indices)
         error = pose_error(self._tree.frame_pose(links, self.frame), goal)
         twist = torch.bmm(jacobian, velocities.unsqueeze(-1)).squeeze(-1)
         parts = error.unflatten(1, (2, 3))
@@ -188,21 +230,34 @@ class RmpFlow(MotionGenerator):
         weighted = jacobian.mT * self._weights
         return torch.bmm(weighted, jacobian), torch.bmm(weighted, wanted.unsqueeze(-1)).squeeze(-1)
 
-    def _off_obstacles(self, links: Tensor, velocities: Tensor, moving: Tensor) -> tuple[Tensor, Tensor]:
-        """Metric (N, k, k) and force (N, k) of all pairs of a ball and an obstacle."""
-        clearance = self._clearance
-        points = clearance.points(links)
-        distances, away = clearance.obstacles.distances(points)
-        gaps = (distances - clearance.radii[:, None]).flatten(1)
-        jacobian = torch.einsum("nsod,nskd->nsok", away, self._point_jacobians(links, points)).flatten(1, 2)
-        speed = torch.bmm(jacobian, velocities.unsqueeze(-1)).squeeze(-1)
-        inertia, force = self._obstacle(gaps, speed)
-        counts = clearance.counts.flatten()
-        drifts = self._tree.point_drifts(links, moving, clearance.links, points)[..., :3]
-        carried = torch.einsum("nsod,nsd->nso", away, drifts).flatten(1)
-        inertia, force = counts * inertia, counts * (force - inertia * carried)
-        metric = torch.bmm(jacobian.mT, jacobian * inertia.unsqueeze(-1))
-        return metric, torch.bmm(jacobian.mT, force.unsqueeze(-1)).squeeze(-1)
+    def _of_ball(
+        self, carrier: Tensor, center: Tensor, radius: Tensor, moves: Tensor, counts: Tensor,
+        origin: Tensor, twists: Tensor, velocities: Tensor, obstacles: Tensor,
+    ) -> tuple[Tensor]:  # fmt: skip
+        """Metric and force of one ball and all obstacles, :meth:`_packed`.
+
+        Args:
+            carrier: (..., 19) the ball's link, as :meth:`_of_robot` gives it.
+            center: (..., 3) in the link.
+            radius: (..., 1)
+            moves: (..., k) 1 for joints that move the ball, else 0.
+            counts: (..., O) 1 for obstacles that count for it, else 0.
+            origin: (..., 3) of the root.
+            twists: (..., k, 6)
+            velocities: (..., k)
+            obstacles: (..., O, 7)
+        """
+        point = carrier[..., :3] + quat_rotate(carrier[..., 3:7], center)
+        arm = point - origin
+        drift = drift_at(carrier[..., 7:13], carrier[..., 13:], arm)[..., :3]
+        linear = twists[..., :3] + torch.linalg.cross(twists[..., 3:], arm.unsqueeze(-2))
+        distances, away = self._clearance.obstacles.distances_of(obstacles, point)
+        jacobian = away @ (linear * moves.unsqueeze(-1)).mT
+        speed = (jacobian * velocities.unsqueeze(-2)).sum(-1)
+        inertia, force = self._obstacle(distances - radius, speed)
+        inertia, force = counts * inertia, counts * (force - inertia * (away * drift.unsqueeze(-2)).sum(-1))
+        metric = jacobian.mT @ (jacobian * inertia.unsqueeze(-1))
+        return (self._packed(metric, (jacobian * force.unsqueeze(-1)).sum(-2)),)
 
     def _off_limits(self, positions: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
         """Metric (N, k, k) and force (N, k) of limits, home and damping."""
@@ -211,11 +266,3 @@ class RmpFlow(MotionGenerator):
         low, push_up = self._limit(positions - self.lower_limits, velocities)
         high, push_down = self._limit(self.upper_limits - positions, -velocities)
         return torch.diag_embed(weight + low + high), weight * home + push_up - push_down
-
-    def _point_jacobians(self, links: Tensor, points: Tensor) -> Tensor:
-        """(N, S, k, 3) velocity of each centre per unit of each joint's."""
-        origin = links[:, 0, :3]
-        twists = self._tree.motion_subspaces(links, origin)[:, self._columns].unsqueeze(1)
-        arms = (points - origin.unsqueeze(1)).unsqueeze(2)
-        linear = twists[..., :3] + torch.linalg.cross(twists[..., 3:], arms)
-        return linear * self._clearance.moves.unsqueeze(-1)

@@ -33,6 +33,20 @@ def random(*shape: int) -> Tensor:
     return torch.randn(37, *shape, generator=torch.Generator().manual_seed(sum(shape)))
 
 
+def test_parts_of_environments() -> None:
+    def function(own: Tensor, env: Tensor, part: Tensor) -> tuple[Tensor, ...]:
+        both = own * env + part.square()
+        return both, (own.unsqueeze(-1) @ env.unsqueeze(-2)).sum(-1) - part
+
+    own, env, part = random(5, 3), random(1, 3), random(5, 3)[:1]
+    fused = Fused(function, in_parts=True)
+    with fusing(True):
+        made = fused(own=own, env=env, part=part)
+    assert fused.operations, fused.refusal
+    for one, other in zip(made, function(own, env, part), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-5)
+
+
 _MEMORY = random(3)
 
 

@@ -11,7 +11,7 @@ Number = float | bool
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Expression:
-    """One number: a constant, an element of the environment's row of inputs, or an operation on others.
+    """One number: a constant, an element of a row of inputs, or an operation on others.
 
     The same operation on the same numbers is the same object, as a :class:`Builder` makes them.
     """
@@ -21,8 +21,8 @@ class Expression:
     operands: tuple[Expression, ...] = ()
     value: Number = 0.0
     """Of a constant."""
-    place: int = 0
-    """Of an element, in the row."""
+    place: tuple[str, int] = ("", 0)
+    """Of an element: the name of the row, and the place in it."""
     is_bool: bool = False
 
     @property
@@ -80,9 +80,9 @@ class Builder:
             return self._made("constant", value=value, is_bool=True)
         return self._made("constant", value=float(value) + 0.0)
 
-    def element(self, place: int) -> Expression:
-        """What stands at a place of the row of inputs."""
-        return self._made("element", place=place)
+    def element(self, row: str, place: int) -> Expression:
+        """What stands at a place of a row of inputs."""
+        return self._made("element", place=(row, place))
 
     def apply(self, operation: str, *operands: Expression) -> Expression:
         """An operation of :data:`FOLDED`."""
@@ -151,7 +151,7 @@ class Builder:
         operation: str,
         operands: tuple[Expression, ...] = (),
         value: Number = 0.0,
-        place: int = 0,
+        place: tuple[str, int] = ("", 0),
         is_bool: bool = False,
     ) -> Expression:
         key = (operation, *map(id, operands), value, place, is_bool)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 
@@ -13,7 +13,7 @@ from torch.utils._python_dispatch import _disable_current_modes
 from orbit_core.capture.fusion.interpreter import Unfusable, expressions
 from orbit_core.capture.fusion.kernel import Launch, launcher
 from orbit_core.capture.fusion.source import Program
-from orbit_core.interfaces.capture import Watched, measures
+from orbit_core.interfaces.capture import Watched, changes
 
 _fusing: ContextVar[bool] = ContextVar("fusing", default=False)
 
@@ -40,15 +40,19 @@ class Fused(Watched):
         function: of float or bool tensors (N, ...), by name, that gives float tensors (N, ...). Environments do not
             look at each other; every other tensor that it uses is a constant, and how many environments there are it
             asks of its inputs alone.
+        in_parts: whether tensors are (N, S, ...), of S parts of each environment, each of which is a row of its own;
+            (N, 1, ...) where all parts of an environment have the same, (1, S, ...) where all environments have.
     """
 
-    def __init__(self, function: Callable[..., tuple[Tensor, ...]]) -> None:
+    def __init__(self, function: Callable[..., tuple[Tensor, ...]], in_parts: bool = False) -> None:
         self._function = function
+        self._leading = 2 if in_parts else 1
         self._launch: Launch | None = None
+        self._rows: dict[str, list[str]] = {}
         self._shapes: list[torch.Size] = []
-        self._outputs = torch.empty(0)
+        self._size = torch.Size()
         self.operations = 0
-        """Of arithmetic for each environment in the kernel; zero without one."""
+        """Of arithmetic for each row in the kernel; zero without one."""
         self.refusal = ""
         """Why there is no kernel; empty if there is, or none was asked for."""
 
@@ -56,15 +60,20 @@ class Fused(Watched):
         """What the function gives."""
         if not _fusing.get() or not self._ready(inputs):
             return self._function(**inputs)
-        given = self._run(torch.cat([tensor.flatten(1).float() for tensor in inputs.values()], 1))
-        parts = given.split([shape.numel() for shape in self._shapes], 1)
-        return tuple(part.reshape(-1, *shape) for part, shape in zip(parts, self._shapes, strict=True))
+        rows = [
+            torch.cat([inputs[name].flatten(self._leading).float() for name in names], -1)
+            for names in self._rows.values()
+        ]
+        with _disable_current_modes():  # memory of this call's own, that is there before each replay
+            given = torch.empty(self._size, device=rows[0].device)
+        self._run(rows, given.flatten(0, -2))
+        parts = given.split([shape.numel() for shape in self._shapes], -1)
+        return tuple(part.reshape(*given.shape[:-1], *shape) for part, shape in zip(parts, self._shapes, strict=True))
 
-    @measures()
-    def _run(self, rows: Tensor) -> Tensor:
+    @changes()
+    def _run(self, rows: Sequence[Tensor], outputs: Tensor) -> None:
         assert self._launch is not None
-        self._launch(rows.contiguous(), self._outputs)
-        return self._outputs
+        self._launch([row.contiguous() for row in rows], outputs)
 
     def _ready(self, inputs: Mapping[str, Tensor]) -> bool:
         """Whether there is a kernel, made now if there was none."""
@@ -77,12 +86,27 @@ class Fused(Watched):
         return self._launch is not None
 
     def _make(self, inputs: Mapping[str, Tensor]) -> None:
-        names, tensors = list(inputs), list(inputs.values())
-        made = expressions(lambda *rows: self._function(**dict(zip(names, rows, strict=True))), tensors)
-        width = sum(tensor[0].numel() for tensor in tensors)
-        program = Program(width, [number for numbers in made for number in numbers.ravel()])
-        device = tensors[0].device
-        self._shapes = [torch.Size(numbers.shape[1:]) for numbers in made]
-        self._outputs = torch.empty(tensors[0].shape[0], len(program.outputs), device=device)
+        names, leading, device = list(inputs), self._leading, next(iter(inputs.values())).device
+        sizes = torch.broadcast_shapes(*(tensor.shape[:leading] for tensor in inputs.values()))
+        rows = [_row_of(tensor.shape[:leading], sizes) for tensor in inputs.values()]
+        made = expressions(
+            lambda *tensors: self._function(**dict(zip(names, tensors, strict=True))),
+            list(inputs.values()), rows, leading,
+        )  # fmt: skip
+        self._rows = {row: [name for name, other in zip(names, rows, strict=True) if other == row] for row in rows}
+        widths = {
+            row: sum(inputs[name].shape[leading:].numel() for name in members) for row, members in self._rows.items()
+        }
+        outputs = [number for numbers in made for number in numbers.ravel()]
+        program = Program(widths, outputs, sizes[1:].numel())
+        self._shapes = [torch.Size(numbers.shape[leading:]) for numbers in made]
+        self._size = torch.Size((*sizes, len(outputs)))
         self.operations = program.operations()
-        self._launch = launcher(program.source(device), device)
+        self._launch = launcher(program.source(device), len(widths), device)
+
+
+def _row_of(shape: torch.Size, sizes: torch.Size) -> str:
+    """Which of :data:`~orbit_core.capture.fusion.source.ROWS` an input lies in."""
+    if shape == sizes:
+        return "own" if len(sizes) > 1 else "env"
+    return "env" if shape[0] == sizes[0] else "part"

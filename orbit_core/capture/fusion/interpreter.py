@@ -23,29 +23,33 @@ class Unfusable(Exception):
     """A function does what is not followed number by number; says what."""
 
 
-def expressions(function: Callable[..., Sequence[Tensor]], inputs: Sequence[Tensor]) -> list[Numbers]:
-    """What a function makes of one environment's numbers, which lie in one row, input after input.
+def expressions(
+    function: Callable[..., Sequence[Tensor]], inputs: Sequence[Tensor], rows: Sequence[str], leading: int
+) -> list[Numbers]:
+    """What a function makes of one environment's numbers, or of one of several parts of an environment.
 
     Args:
-        function: of tensors (N, ...), whose rows do not look at each other. All other tensors that it uses are
-            constants.
-        inputs: (N, ...) examples, float or bool; of bools the row holds zeros and ones.
+        function: of tensors (N, ...), or (N, S, ...), whose rows do not look at each other. All other tensors that it
+            uses are constants.
+        inputs: examples, float or bool; of bools rows hold zeros and ones.
+        rows: name of the row that each input lies in, after those before it in the same row.
+        leading: how many axes are of rows, 1 or 2.
 
     Raises:
         Unfusable: an operation is not known here, or the rows depend on each other.
     """
-    examples = [tensor[:1].detach().clone() for tensor in inputs]
+    examples = [tensor[(slice(1),) * leading].detach().clone() for tensor in inputs]
     builder = Builder()
     try:
         graph = make_fx(function, tracing_mode="real")(*examples)
-        made = _followed(builder, graph, _elements(builder, examples))
+        made = _followed(builder, graph, _elements(builder, examples, rows))
     except Unfusable:
         raise
     except Exception as error:  # of many kinds, for it is anybody's function
         what = next(iter(str(error).splitlines()), "")
         raise Unfusable(f"it cannot be followed, for {type(error).__name__}: {what}") from error
     for numbers in made:
-        if numbers.shape[:1] != (1,):
+        if numbers.shape[:leading] != (1,) * leading:
             raise Unfusable(f"it gives an array {numbers.shape} for one environment")
     return made
 
@@ -84,15 +88,15 @@ def constants(builder: Builder, tensor: Tensor) -> Numbers:
     return result
 
 
-def _elements(builder: Builder, examples: Sequence[Tensor]) -> list[Numbers]:
+def _elements(builder: Builder, examples: Sequence[Tensor], rows: Sequence[str]) -> list[Numbers]:
     given: list[Numbers] = []
-    begin = 0
+    lengths = dict.fromkeys(rows, 0)
     zero = builder.constant(0.0)
-    for example in examples:
+    for example, row in zip(examples, rows, strict=True):
         numbers = np.empty(tuple(example.shape), dtype=object)
-        elements = [builder.element(begin + place) for place in range(example.numel())]
+        elements = [builder.element(row, lengths[row] + place) for place in range(example.numel())]
         is_bool = example.dtype is torch.bool
         numbers.ravel()[:] = [builder.apply("lt", zero, x) for x in elements] if is_bool else elements
-        begin += len(elements)
+        lengths[row] += len(elements)
         given.append(numbers)
     return given

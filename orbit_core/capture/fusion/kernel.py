@@ -7,7 +7,7 @@ import hashlib
 import os
 import subprocess
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +21,17 @@ _THREADS = 32
 _FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC", "-w")
 
 
-Launch = Callable[[Tensor, Tensor], None]
-"""Of rows (N, width), and memory for what becomes of them."""
+Launch = Callable[[Sequence[Tensor], Tensor], None]
+"""Of rows of inputs, and memory for the rows that come of them."""
 
 
-def launcher(source: str, device: torch.device) -> Launch:
-    """Runs a program.
+def launcher(source: str, inputs: int, device: torch.device) -> Launch:
+    """Runs a program that has so many inputs.
 
     Raises:
         Unfusable: the compiler refuses it, or there is none.
     """
-    return _of_library(_compiled(source)) if device.type == "cpu" else _of_gpu(source)
+    return _of_library(_compiled(source), inputs) if device.type == "cpu" else _of_gpu(source)
 
 
 def _compiled(source: str) -> Path:
@@ -64,21 +64,21 @@ def _processor() -> str:
     return next((line for line in lines if line.startswith(("flags", "Features"))), "")
 
 
-def _of_library(library: Path) -> Launch:
+def _of_library(library: Path, inputs: int) -> Launch:
     function: Any = ctypes.CDLL(str(library)).fused
-    function.argtypes, function.restype = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int), None
-    return lambda rows, outputs: function(rows.data_ptr(), outputs.data_ptr(), rows.shape[0])
+    function.argtypes, function.restype = [*[ctypes.c_void_p] * (inputs + 1), ctypes.c_int], None
+    return lambda rows, outputs: function(*(r.data_ptr() for r in rows), outputs.data_ptr(), outputs.shape[0])
 
 
 def _of_gpu(source: str) -> Launch:
     try:
         kernel: Any = torch.cuda._compile_kernel(source, "fused")  # pyright: ignore[reportPrivateUsage]
     except Exception as error:  # torch's release has none, there is no NVRTC, or it refuses the source
-        what = next(iter(str(error).splitlines()), "")
+        what = " ".join(str(error).splitlines()[:3])
         raise Unfusable(f"no kernel on the GPU, for {type(error).__name__}: {what}") from error
 
-    def launch(rows: Tensor, outputs: Tensor) -> None:
-        count = rows.shape[0]
-        kernel(grid=(-(-count // _THREADS), 1, 1), block=(_THREADS, 1, 1), args=[rows, outputs, count])
+    def launch(rows: Sequence[Tensor], outputs: Tensor) -> None:
+        count = outputs.shape[0]
+        kernel(grid=(-(-count // _THREADS), 1, 1), block=(_THREADS, 1, 1), args=[*rows, outputs, count])
 
     return launch

@@ -274,6 +274,11 @@ def _gather(builder: Builder, a: Numbers, dim: int, index: Numbers) -> Numbers:
     return result
 
 
+def _converted(builder: Builder, a: Any, dtype: Any = None, **_: Any) -> Any:
+    is_float = dtype is not None and dtype.is_floating_point
+    return _elementwise(lambda builder, x: builder.number(x))(builder, a) if is_float else a
+
+
 def _same(_: Builder, a: Any, *__: Any, **___: Any) -> Any:
     return a
 
@@ -347,6 +352,7 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     "split_with_sizes": _split,
     "diagonal": lambda _, a, offset=0, dim1=0, dim2=1: a.diagonal(offset, dim1, dim2),
     "diag_embed": _diag_embed,
+    "scalar_tensor": lambda builder, value, **_: _array(builder, value),
     "eye": _eye,
     "full": _full,
     "zeros": lambda builder, shape, **_: _full(builder, shape, 0.0),
@@ -362,7 +368,7 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     "clone": _same,
     "detach": _same,
     "alias": _same,
-    "_to_copy": _same,
+    "_to_copy": _converted,
     "lift_fresh_copy": _same,
     "getitem": lambda _, parts, index: operator.getitem(parts, index),
 }

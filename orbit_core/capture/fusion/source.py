@@ -6,7 +6,7 @@ register (GCC's and Clang's vector extensions); on a GPU, where each thread has 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -15,6 +15,13 @@ from orbit_core.capture.fusion.expression import Expression
 
 LANES = 8
 """Environments in one register of a CPU."""
+ROWS = {"own": "({0})", "env": "({0}) / {1}", "part": "({0}) % {1}"}
+"""Rows of inputs: of each environment's each part, of each environment, and of each part in all environments."""
+_READ_ON_CPU = (
+    "    auto {row} = [&](int place) {{ V r; "
+    "for (int i = 0; i < lanes; i++) r[i] = in_{row}[{which} * {width} + place]; return r; }};"
+)
+_READ_ON_GPU = "  auto {row} = [&](int place) {{ return in_{row}[{which} * {width} + place]; }};"
 _FORMS = {
     "add": "{} + {}",
     "sub": "{} - {}",
@@ -51,11 +58,11 @@ EACH(angle, std::atan2(y[i], x[i]), V y, V x)
 static inline V size(V x) {{ return x < 0.0f ? -x : x; }}
 static inline V lesser(V a, V b) {{ return b < a ? b : a; }}
 static inline V greater(V a, V b) {{ return a < b ? b : a; }}
-extern "C" void fused(const float* in, float* out, int count) {{
+extern "C" void fused({parameters}float* out, int count) {{
   for (int begin = 0; begin < count; begin += lanes) {{
     int at[lanes];
     for (int i = 0; i < lanes; i++) at[i] = begin + i < count ? begin + i : count - 1;
-    auto row = [&](int place) {{ V r; for (int i = 0; i < lanes; i++) r[i] = in[at[i] * {width} + place]; return r; }};
+{rows}
     auto put = [&](int place, V x) {{ for (int i = 0; i < lanes; i++) out[at[i] * {given} + place] = x[i]; }};
 {body}
   }}
@@ -72,10 +79,10 @@ __device__ inline V angle(V y, V x) {{ return atan2f(y, x); }}
 __device__ inline V size(V x) {{ return fabsf(x); }}
 __device__ inline V lesser(V a, V b) {{ return b < a ? b : a; }}
 __device__ inline V greater(V a, V b) {{ return a < b ? b : a; }}
-extern "C" __global__ void fused(const float* in, float* out, int count) {{
+extern "C" __global__ void fused({parameters}float* out, int count) {{
   int at = blockIdx.x * blockDim.x + threadIdx.x;
   if (at >= count) return;
-  auto row = [&](int place) {{ return in[at * {width} + place]; }};
+{rows}
   auto put = [&](int place, V x) {{ out[at * {given} + place] = x; }};
 {body}
 }}
@@ -84,21 +91,31 @@ extern "C" __global__ void fused(const float* in, float* out, int count) {{
 
 @dataclass(frozen=True)
 class Program:
-    """What one environment's row of numbers becomes.
+    """What the numbers of one environment, or of one part of it, become.
 
     Attributes:
-        width: numbers in the row.
-        outputs: of the row that comes of it.
+        widths: numbers in each row of inputs, by the row's name, one of :data:`ROWS`.
+        outputs: of the row that comes of them.
+        parts: of an environment that have rows of their own, 1 or more.
     """
 
-    width: int
+    widths: Mapping[str, int]
     outputs: Sequence[Expression]
+    parts: int = 1
 
     def source(self, device: torch.device) -> str:
-        """Text with a function ``fused`` of pointers to rows, to what becomes of them, and how many there are."""
-        frame = _ON_CPU if device.type == "cpu" else _ON_GPU
-        sizes = {"width": self.width, "given": len(self.outputs), "lanes": LANES, "bytes": 4 * LANES}
-        return frame.format(body="\n".join(self._body()), **sizes)
+        """Text with a function ``fused`` of pointers to rows, to what becomes of them, and how many come of them."""
+        on_cpu = device.type == "cpu"
+        parameters = "".join(f"const float* in_{row}, " for row in self.widths)
+        reads = [
+            (_READ_ON_CPU if on_cpu else _READ_ON_GPU).format(
+                row=row, width=width, which=ROWS[row].format("at[i]" if on_cpu else "at", self.parts)
+            )
+            for row, width in self.widths.items()
+        ]
+        sizes = {"given": len(self.outputs), "lanes": LANES, "bytes": 4 * LANES, "rows": "\n".join(reads)}
+        frame = _ON_CPU if on_cpu else _ON_GPU
+        return frame.format(body="\n".join(self._body()), parameters=parameters, **sizes)
 
     def operations(self) -> int:
         """How many there are for one environment."""
@@ -119,7 +136,8 @@ class Program:
 
 def _text(expression: Expression, names: dict[int, str]) -> str:
     if expression.operation == "element":
-        return f"row({expression.place})"
+        row, place = expression.place
+        return f"{row}({place})"
     return _FORMS[expression.operation].format(*(names[id(operand)] for operand in expression.operands))
 
 
