@@ -19,7 +19,7 @@ from orbit_core.motion.base_velocity import ROUNDING
 from orbit_core.motion.embodiment import leg_joints
 from orbit_core.pretrained import policy_path
 from orbit_core.scene import RobotSpec
-from orbit_tasks.walking import COMMAND, JOINT_READINGS, LAST_ACTION, READINGS
+from orbit_tasks.walking import COMMAND, JOINT_READINGS, LAST_ACTION, READINGS, carries_arm
 
 _PURSUIT_RATE = 1.0
 """1/s: the velocity that an expert asks for, over the displacement that is left."""
@@ -33,8 +33,8 @@ class LocomotionConfig(ActionTerm):
     robot and the velocity, and gives the commands of the action space that it was learned with. It is asked at the rate
     that it was learned at, whatever the task's is.
 
-    ``joints`` are those that the policy sees and moves. None takes all; of a robot on more than two feet that carries
-    an arm, those of its legs.
+    ``joints`` are those that the policy moves, and sees, unless it was learned to see all. None takes all; of a robot
+    on more than two feet that carries an arm, those of its legs.
     """
 
     name: ClassVar[str] = "locomotion"
@@ -55,8 +55,7 @@ class LocomotionConfig(ActionTerm):
         return (self.max_forward, self.max_sideways, self.max_yaw_rate)
 
     def default_joints(self, spec: RobotSpec) -> Sequence[str]:
-        # A biped's arms swing as it walks, and its policies move them; a quadruped only carries one.
-        return leg_joints(spec) if spec.has_arm and len(spec.feet) > 2 else super().default_joints(spec)
+        return leg_joints(spec) if carries_arm(spec) else super().default_joints(spec)
 
     def components(self, spec: RobotSpec, name: str) -> tuple[str, ...]:
         return ("forward", "left", "turn")
@@ -78,6 +77,7 @@ class Locomotion(MotionGenerator):
         super().__init__(name, robot, joints, 3, (JointTarget.POSITION,))
         self._policy = load_policy(policy_path(config.policy), self.device)
         self._check_seen(self._policy, config.policy)
+        self._sizes = {part.name: part.size for part in self._policy.description.observation_parts}
         self._lower = self._legs(self._policy)
         self._limits = torch.tensor(config.limits, device=self.device)
         self.clamped = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
@@ -157,7 +157,8 @@ class Locomotion(MotionGenerator):
         if part in own:
             return own[part]
         seen = READINGS[part](self.robot)
-        return seen[:, self._columns] if part in JOINT_READINGS else seen
+        # A policy that was learned with this robot sees the arm that its legs carry.
+        return seen[:, self._columns] if part in JOINT_READINGS and seen.shape[1] != self._sizes[part] else seen
 
     def _legs(self, policy: Policy) -> MotionGenerator:
         """The generator that the policy was learned with."""

@@ -97,10 +97,11 @@ def fell(world: World, task: VelocityFlat) -> Tensor:
 
 
 def place_robot(world: World, task: VelocityFlat, env_ids: Tensor) -> None:
-    """Place the robot at home height, facing anywhere, joints around their home."""
+    """Place the robot at home height, facing anywhere, joints around their home; an arm that it carries anyhow."""
     position = torch.tensor(common.robot_of(world).spec.pose.position, device=world.device)
     common.stand_facing_anywhere(world, position.expand(len(env_ids), 3), env_ids)
     common.randomize_robot_start(0.05)(world, task, env_ids)
+    walking.carry_anyhow(world, env_ids)
 
 
 def sample_command(world: World, task: VelocityFlat, env_ids: Tensor) -> None:
@@ -205,6 +206,9 @@ class VelocityFlat(Task):
     """m/s."""
     yaw_tolerance: float = 0.25
     """rad/s."""
+    across_engines: bool = False
+    """Whether domain randomisation draws friction and drives widely enough to span what engines make of the same
+    values, for a policy that is to walk on an engine that it has not seen."""
     action_scale: float | None = None
     """rad from home for one unit of action ``joint_position``; None: as :func:`orbit_tasks.walking.walker` says."""
     observations: VelocityObservations = field(default_factory=VelocityObservations)
@@ -263,9 +267,16 @@ class VelocityFlat(Task):
     def randomize(self) -> None:
         """All masses, the ground's friction, the legs' gains, pushes, and noise on what a real robot estimates."""
         self.events.masses = EventTerm(randomize.masses(common.ROBOT, Range(0.85, 1.15)), EventTime.STARTUP)
-        friction = randomize.friction((common.ROBOT, randomize.TERRAIN), Range(0.5, 1.25))
-        self.events.friction = EventTerm(friction, EventTime.STARTUP)
-        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
+        friction = Range(0.5, 1.25)
+        gains = randomize.uncertain_gains(common.ROBOT)
+        if self.across_engines:
+            # Soft friction creeps where a rigid one holds; a joint that is kept to its velocity limit lags as a damped
+            # one does.
+            friction = Range(0.3, 1.25)
+            gains = randomize.gains(common.ROBOT, stiffness=Range(0.7, 1.3), damping=Range(0.5, 3.0))
+        event = randomize.friction((common.ROBOT, randomize.TERRAIN), friction)
+        self.events.friction = EventTerm(event, EventTime.STARTUP)
+        self.events.gains = EventTerm(gains, EventTime.STARTUP)
         push = randomize.push(common.ROBOT, Range(0.0, 0.7, easy=0.0))
         self.events.push = EventTerm(push, EventTime.INTERVAL, interval=(3.0, 6.0))
         common.add_noise(

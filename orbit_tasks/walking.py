@@ -10,13 +10,16 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_rotate_inverse, yaw_angle
-from orbit_core.interfaces import Robot, match_names
+from orbit_core.interfaces import Robot, World, match_names
 from orbit_core.mdp import common
 from orbit_core.motion import joint_commands
+from orbit_core.motion.embodiment import leg_joints
 from orbit_core.scene import ActuatorConfig, RobotSpec
 
 _BIPED_SCALE = 1.0
 """rad from home for one unit of action. On one leg a robot's weight takes targets far beyond where the leg goes."""
+_ARM_SPREAD = 0.5
+"""rad"""
 JOINT_SPEED_SCALE = 0.05
 """Of joint velocities in observations."""
 COMMAND = "command"
@@ -35,11 +38,32 @@ def walker(name: str, scale: float | None) -> RobotSpec:
         UnknownNameError, ConfigurationError: as :func:`orbit_core.mdp.common.legged`; or the scale is not above zero.
     """
     spec = common.legged(name)
+    if carries_arm(spec):
+        # The legs alone act, by the commands of a robot without the arm.
+        legs = replace(joint_commands(replace(spec, end_effectors=())), joints=leg_joints(spec))
+        idle = tuple(replace(effector, gripper=None) for effector in spec.end_effectors)
+        spec = replace(spec, joint_commands=legs, end_effectors=idle)
     if scale is None and len(spec.feet) <= 2:
         scale = _BIPED_SCALE
     if scale is not None:
         spec = replace(spec, joint_commands=replace(joint_commands(spec), position_scale=scale))
     return replace(spec, actuators=(*_others(spec), *spec.walking_drives)) if spec.walking_drives else spec
+
+
+def carries_arm(spec: RobotSpec) -> bool:
+    """Whether a robot on more than two feet has an arm: a biped's arms swing as it walks, this one is only carried."""
+    return spec.has_arm and len(spec.feet) > 2
+
+
+def carry_anyhow(world: World, env_ids: Tensor) -> None:
+    """Put an arm that the robot carries anywhere within :data:`_ARM_SPREAD` of its home, where its drives hold it."""
+    robot = common.robot_of(world)
+    if not carries_arm(robot.spec):
+        return
+    joints = robot.find_joints(*robot.spec.end_effector.arm_joints)
+    home, limits = robot.home_positions[joints], robot.position_limits[joints]
+    offset = world.random.uniform((len(joints),), -_ARM_SPREAD, _ARM_SPREAD, env_ids)
+    robot.set_joint_state((home + offset).clamp(limits[:, 0], limits[:, 1]), joints=joints, env_ids=env_ids)
 
 
 def _others(spec: RobotSpec) -> list[ActuatorConfig]:

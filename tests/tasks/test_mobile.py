@@ -70,3 +70,19 @@ def test_cube_and_table_are_as_high_as_suits_the_arm() -> None:
     assert not lift.dropped(world, task).any()
     assert not lift.lifted(world, task).any()
     environment.close()
+
+
+def test_a_robot_that_carries_an_arm_learns_to_walk_with_its_legs_alone() -> None:
+    fields = {"domain_randomization": True, "across_engines": True}
+    environment = make("Velocity-Flat", 2, "mujoco", robot="anymal_c_kinova_gen3", seed=1, **fields)
+    environment.reset(seed=1)
+    robot = environment.world.robots["robot"]
+    arm = robot.find_joints(*robot.spec.end_effector.arm_joints)
+    posture, home = robot.joint_positions[:, arm].clone(), robot.home_positions[arm]
+    for _ in range(10):
+        environment.step(torch.zeros(2, environment.action_size))
+    held = robot.joint_positions[:, arm]
+    environment.close()
+    assert environment.action_size == 12
+    assert (posture - home).abs().amax() > 0.1
+    torch.testing.assert_close(held, posture, atol=0.1, rtol=0.0)
