@@ -4,7 +4,7 @@
 # is not among the packages is found and told to be broken, and the others go on.
 site=${ORBIT_SITE:-$HOME/site}
 mkdir -p "$site"
-plugins="mjmodel warpkit warp matter mujoco sapien"
+plugins="mjmodel warpkit warp matter mujoco bullet sapien"
 export PYTHONPATH="$site:$PWD" PYTHONUNBUFFERED=1
 for plugin in $plugins; do PYTHONPATH="$PYTHONPATH:$PWD/plugins/orbit-$plugin"; done
 export ORBIT_CACHE_DIR="${ORBIT_CACHE_DIR:-$PWD/.gpu/cache}"
