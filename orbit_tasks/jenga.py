@@ -1,0 +1,346 @@
+"""Jenga: pull a given block out of a tower and put it on top."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+from torch.linalg import vector_norm
+
+from orbit_core.assets.objects import WOOD, SolidOptions, box
+from orbit_core.assets.towers import SIZE, cell_poses
+from orbit_core.dynamics.transforms import pose_inverse, pose_multiply, quat_multiply, quat_rotate, quat_rotate_inverse
+from orbit_core.envs import (
+    EventTerm,
+    EventTime,
+    Expert,
+    ObservationGroup,
+    ObservationTerm,
+    Phase,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+)
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task import Subtask
+from orbit_core.envs.terms import POSE, TermFunction, once_per_state
+from orbit_core.interfaces import ConfigurationError, World
+from orbit_core.mdp import common, picking, randomize
+from orbit_core.mdp.randomize import Range
+from orbit_core.scene import Color, PhysicsMaterial, Pose, RobotSpec, Scene, look_at
+
+PLINTH = 0.2
+"""Metres of the plinth's height, on which the tower stands: arms reach no lower with such a hand."""
+SMOOTH = PhysicsMaterial(0.3, 0.3)
+RED: Color = (0.8, 0.25, 0.2, 1.0)
+LIFT = 0.004
+"""Metres above a block's middle at which a hand holds it, so that no finger reaches below the block."""
+GIVEN = "given"
+
+
+@once_per_state
+def given_pose(world: World, task: Jenga) -> Tensor:
+    """(N, 7) of the given block."""
+    return world.objects[GIVEN].root_pose
+
+
+@once_per_state
+def other_positions(world: World, task: Jenga) -> Tensor:
+    """(N, B, 3) of the other blocks, from the lowest layer to the highest."""
+    return torch.stack([world.objects[name].root_pose[:, :3] for name in task.others], dim=1)
+
+
+@once_per_state
+def place(world: World, task: Jenga) -> Tensor:
+    """(N, 7) where the given block belongs: on the middle of the highest layer, across it."""
+    position = other_positions(world, task)[:, -3:].mean(1) + torch.tensor([0.0, 0.0, SIZE[2]], device=world.device)
+    return torch.cat((position, task.foot[:, 3:]), dim=1)
+
+
+@once_per_state
+def distance(world: World, task: Jenga) -> Tensor:
+    """(N,) metres between the given block and its place."""
+    return vector_norm(block_to_place(world, task), dim=1)
+
+
+@once_per_state
+def fallen(world: World, task: Jenga) -> Tensor:
+    """(N,) bool: another block lies lower, by half its height, than where it was."""
+    return (other_positions(world, task)[..., 2] < task.heights - 0.5 * SIZE[2]).any(1)
+
+
+@once_per_state
+def put_down(world: World, task: Jenga) -> Tensor:
+    """(N,) bool: the given block is at its place, and the hand away from it."""
+    away = vector_norm(grasp(world, task)[:, :3] - common.hand_pose(world, task)[:, :3], dim=1)
+    return (distance(world, task) < task.tolerance) & (away > 0.04)
+
+
+def block_to_place(world: World, task: Jenga) -> Tensor:
+    """(N, 3)"""
+    return place(world, task)[:, :3] - given_pose(world, task)[:, :3]
+
+
+def hand_to_block(world: World, task: Jenga) -> Tensor:
+    """(N, 3) from the hand to where it holds the block."""
+    return grasp(world, task)[:, :3] - common.hand_pose(world, task)[:, :3]
+
+
+def out(world: World, task: Jenga) -> Tensor:
+    """(N,) metres of the given block that stand out of the tower, or its whole length where it is above."""
+    way = given_pose(world, task)[:, :3] - task.foot[:, :3]
+    ahead = -quat_rotate_inverse(task.foot[:, 3:], way)[:, 0]
+    above = given_pose(world, task)[:, 2] > place(world, task)[:, 2] - 0.5 * SIZE[2]
+    return torch.where(above, SIZE[0], ahead.clamp(0.0, SIZE[0]))
+
+
+def pulling(world: World, task: Jenga) -> Tensor:
+    """(N,) in [0, 1]: how far the block is out of the tower."""
+    return out(world, task) / SIZE[0]
+
+
+def tracking(world: World, task: Jenga, scale: float) -> Tensor:
+    """(N,) in [0, 1]: how near the block is to its place, once it is out of the tower."""
+    return (out(world, task) > 0.9 * SIZE[0]) * common.nearness(distance(world, task), scale)
+
+
+def grasp(world: World, task: Jenga) -> Tensor:
+    """(N, 7) the hand around the end of the block that stands out."""
+    block = given_pose(world, task)
+    end = torch.tensor([0.5 * (task.protrusion - SIZE[0]), 0.0, LIFT], device=world.device).expand(len(block), 3)
+    return torch.cat((block[:, :3] + quat_rotate(block[:, 3:], end), slanting(block[:, 3:])), dim=1)
+
+
+def slanting(turn: Tensor) -> Tensor:
+    """(N, 4) of a hand that points down and along the x axis of what is turned (N, 4), 45 degrees below it, its fingers
+    opening sideways."""  # fmt: skip
+    angle = math.pi / 8.0
+    own = torch.tensor([0.0, math.cos(angle), 0.0, math.sin(angle)], device=turn.device)
+    return quat_multiply(turn, own.expand_as(turn))
+
+
+def back(target: TermFunction, way: float) -> TermFunction:
+    """The pose of a hand that ``target`` gives, ``way`` metres back out of where the hand points."""
+
+    def pose(world: World, task: Jenga) -> Tensor:
+        hand = target(world, task)
+        shift = torch.tensor([0.0, 0.0, -way], device=world.device).expand(len(hand), 3)
+        return torch.cat((hand[:, :3] + quat_rotate(hand[:, 3:], shift), hand[:, 3:]), dim=1)
+
+    return pose
+
+
+def pulled(world: World, task: Jenga) -> Tensor:
+    """(N, 7) the hand, with the block straight out of the tower: neither lifted, nor moved aside or turned from how it
+    lay, for then it would press on its neighbours and drag them along."""  # fmt: skip
+    hand, block = common.hand_pose(world, task), given_pose(world, task)
+    along = torch.tensor([-SIZE[0] - 0.02 + task.protrusion, 0.0, 0.0], device=world.device).expand(len(hand), 3)
+    goal = torch.cat((task.rest[:, :3] + quat_rotate(task.rest[:, 3:], along), task.rest[:, 3:]), dim=1)
+    return pose_multiply(goal, pose_multiply(pose_inverse(block), hand))
+
+
+def above(world: World, task: Jenga) -> Tensor:
+    """(N, 7) the hand, with the block straight above where it is, higher than the tower."""
+    block = given_pose(world, task)
+    position = torch.cat((block[:, :2], place(world, task)[:, 2:3] + 0.05), dim=1)
+    return torch.cat((position, slanting(task.foot[:, 3:])), dim=1)
+
+
+def seat(height: float) -> TermFunction:
+    """The hand, with the block so many metres above its place."""
+
+    def pose(world: World, task: Jenga) -> Tensor:
+        goal = place(world, task)
+        up = torch.tensor([0.0, 0.0, height], device=world.device)
+        return torch.cat((goal[:, :3] + up, slanting(goal[:, 3:])), dim=1)
+
+    return pose
+
+
+def place_tower(world: World, task: Jenga, env_ids: Tensor) -> None:
+    """Build the tower anew, up to 2 cm off its place and turned by up to 0.1 rad; the given block lies in one of those
+    layers between the third and the last but two whose blocks point to the robot."""  # fmt: skip
+    middle = distance_of_tower(world.robots[common.ROBOT].spec)
+    bounds = (middle - 0.02, -0.02, PLINTH, -0.1), (middle + 0.02, 0.02, PLINTH, 0.1)
+    foot = common.standing(world.random.uniform((4,), *bounds, env_ids))
+    number = world.random.uniform((), 0.0, float(len(task.cells)), env_ids).long().clamp(max=len(task.cells) - 1)
+    chosen = task.cells[number][:, None]
+    # The others fill the cells that are left, from the lowest.
+    order = torch.arange(len(task.others), device=world.device).expand(len(env_ids), -1)
+    poses = cell_poses(foot, order + (order >= chosen), task.layers)
+    for index, name in enumerate(task.others):
+        world.objects[name].set_root_pose(poses[:, index], env_ids)
+    own = cell_poses(foot, chosen, task.layers)[:, 0]
+    out_and_down = torch.tensor([-task.protrusion, 0.0, -0.5 * task.slack], device=world.device).expand(len(own), 3)
+    own = torch.cat((own[:, :3] + quat_rotate(own[:, 3:], out_and_down), own[:, 3:]), dim=1)
+    world.objects[GIVEN].set_root_pose(own, env_ids)
+    task.foot[env_ids], task.heights[env_ids], task.rest[env_ids] = foot, poses[..., 2], own
+
+
+def distance_of_tower(robot: RobotSpec) -> float:
+    """Metres from the robot to the tower's middle."""
+    return robot.end_effector.workspace.low[0] + 0.22
+
+
+@dataclass
+class JengaState(ObservationGroup):
+    """The arm's joints and hand, the given block, the ways to it and on to its place, and the last action."""
+
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    given_pose: ObservationTerm | None = ObservationTerm(given_pose, unit=POSE)
+    hand_to_block: ObservationTerm | None = ObservationTerm(hand_to_block, unit="m")
+    block_to_place: ObservationTerm | None = ObservationTerm(block_to_place, unit="m")
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class JengaObservations:
+    """Policy and critic see the state."""
+
+    policy: JengaState = field(default_factory=JengaState)
+    critic: ObservationGroup | None = None
+
+
+@dataclass
+class JengaRewards:
+    """Rewards of the hand at the block, the block out of the tower and at its place, less a fall and what is abrupt."""
+
+    reach: RewardTerm | None = RewardTerm(
+        lambda world, task: common.nearness(vector_norm(hand_to_block(world, task), dim=1), 0.1), 1.0
+    )
+    pull: RewardTerm | None = RewardTerm(pulling, 5.0)
+    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 10.0)
+    track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 10.0)
+    let_go: RewardTerm | None = RewardTerm(lambda world, task: put_down(world, task).float(), 20.0)
+    fall: RewardTerm | None = RewardTerm(lambda world, task: fallen(world, task).float(), -50.0)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-3)
+    joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-3)
+
+
+@dataclass
+class JengaTerminations:
+    """An episode ends early where the tower falls."""
+
+    fallen: TerminationTerm | None = TerminationTerm(fallen)
+
+
+@dataclass
+class JengaEvents:
+    """Robot and tower are placed anew for each episode; friction and gains with domain randomisation."""
+
+    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
+    place_tower: EventTerm | None = EventTerm(place_tower)
+    friction: EventTerm | None = None
+    gains: EventTerm | None = None
+
+
+@dataclass(kw_only=True)
+class Jenga(Task):
+    """A tower of layers of three blocks each. One, which stands out a little, is to be pulled out and put on top.
+
+    Succeeds when at the episode's end that block is within ``tolerance`` of its place, the hand has let go and the
+    tower stands. Metric: the distance between block and place, and ``penalty`` more where the tower has fallen.
+    """
+
+    robot: str = "franka_panda"
+    action: str = "joint_position"
+    episode_length: float = 10.0
+    ppo: PpoSettings = PpoSettings(iterations=2000, initial_std=0.3, entropy_weight=0.005)
+    view: Pose = look_at(eye=(0.1, 1.3, 0.75), target=(0.5, 0.0, 0.3))
+    layers: int = 12
+    """Of three blocks each: 7 to 16."""
+    protrusion: float = 0.03
+    """Metres of the given block that stand out, by which a gripper takes it: 0.02 to 0.05."""
+    slack: float = 0.001
+    """Metres by which the given block is lower than the others, so that it lies loose: 0 to 0.003."""
+    tolerance: float = 0.015
+    """Metres."""
+    penalty: float = 1.0
+    """Metres that a fallen tower adds to the metric."""
+    observations: JengaObservations = field(default_factory=JengaObservations)
+    rewards: JengaRewards = field(default_factory=JengaRewards)
+    terminations: JengaTerminations = field(default_factory=JengaTerminations)
+    events: JengaEvents = field(default_factory=JengaEvents)
+    foot: Tensor = field(init=False)
+    """(N, 7) the middle of the tower's underside."""
+    rest: Tensor = field(init=False)
+    """(N, 7) of the given block while it lies in the tower."""
+    heights: Tensor = field(init=False)
+    """(N, B) metres of the other blocks' middles where they were put."""
+    cells: Tensor = field(init=False)
+    """(K,) int64: where the given block may lie."""
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """All blocks but the given one."""
+        return tuple(f"block_{index}" for index in range(3 * self.layers - 1))
+
+    def scene(self) -> Scene:
+        for name, least, most in (("layers", 7, 16), ("protrusion", 0.02, 0.05), ("slack", 0.0, 0.003)):
+            if not least <= getattr(self, name) <= most:
+                raise ConfigurationError(f"field '{name}' of task Jenga must be {least} to {most}")
+        robot = common.arm(self.robot)
+        at = distance_of_tower(robot)
+        plinth = SolidOptions(fixed_base=True, material=SMOOTH, pose=Pose((at, 0.0, 0.5 * PLINTH)))
+        foot = torch.tensor([[at, 0.0, PLINTH, 1.0, 0.0, 0.0, 0.0]])
+        poses = cell_poses(foot, torch.arange(3 * self.layers)[None], self.layers)[0].tolist()
+        looser = (*SIZE[:2], SIZE[2] - self.slack)
+        blocks = [
+            box(name, size, color=color, material=SMOOTH, pose=Pose((x, y, z), (qw, qx, qy, qz)))
+            for (name, size, color), (x, y, z, qw, qx, qy, qz) in zip(
+                (*((name, SIZE, WOOD) for name in self.others), (GIVEN, looser, RED)), poses, strict=True
+            )
+        ]
+        return Scene(
+            robots=(robot,),
+            objects=(*blocks, box("plinth", (0.2, 0.2, PLINTH), **plinth), common.work_bench()),
+            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            physics_dt=self.physics_dt,
+        )
+
+    def start(self, world: World) -> None:
+        super().start(world)
+        self.foot, self.rest = (torch.zeros(world.num_envs, 7, device=world.device) for _ in range(2))
+        self.heights = torch.zeros(world.num_envs, len(self.others), device=world.device)
+        pointing = [layer for layer in range(3, self.layers - 2) if (self.layers - layer) % 2 == 0]
+        cells = [3 * layer + slot for layer in pointing for slot in range(3)]
+        self.cells = torch.tensor(cells, device=world.device)
+
+    def advance(self, world: World) -> None:
+        inside = out(world, self) < self.protrusion + 0.002
+        self.rest.copy_(torch.where(inside[:, None], given_pose(world, self), self.rest))
+
+    def randomize(self) -> None:
+        """The blocks' friction, the arm's gains, and noise on joints and the given block."""
+        self.events.friction = EventTerm(randomize.friction((*self.others, GIVEN), Range(0.2, 0.5)), EventTime.STARTUP)
+        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
+        common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, given_pose=0.001)
+
+    def success(self, world: World) -> Tensor:
+        return put_down(world, self) & ~fallen(world, self)
+
+    def metrics(self, world: World) -> dict[str, Tensor]:
+        return {"distance_m": distance(world, self) + self.penalty * fallen(world, self)}
+
+    def subtasks(self) -> tuple[Subtask, ...]:
+        return Subtask(grasp, lambda world, task: out(world, task) > 0.9 * SIZE[0]), Subtask(place, put_down)
+
+    def expert(self, world: World) -> Expert:
+        closing = max(0.4, common.closing_time(world))
+        held = picking.hand_for
+        phases = (
+            Phase(back(grasp, 0.1), position_tolerance=0.02, timeout=4.0, free=True),
+            Phase(grasp, position_tolerance=0.003, rotation_tolerance=0.03, timeout=2.0),
+            Phase(grasp, False, dwell=closing, timeout=closing + 0.1),
+            Phase(pulled, False, position_tolerance=0.01, timeout=3.0),
+            Phase(held(above, given_pose), False, position_tolerance=0.015, timeout=2.0),
+            Phase(held(seat(0.03), given_pose), False, position_tolerance=0.006, rotation_tolerance=0.03, timeout=2.0),
+            Phase(held(seat(0.001), given_pose), False, position_tolerance=0.002, rotation_tolerance=0.03, timeout=1.5),
+            Phase(held(seat(0.001), given_pose), dwell=closing, timeout=closing + 0.1),
+            Phase(back(grasp, 0.12)),
+        )
+        return Expert(world, self, phases, position_lead=0.04, rotation_lead=0.2)
