@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from orbit_core.assets.inertia import shapes_mass_properties
+from orbit_core.assets.boards import box_between, solid_part
 from orbit_core.assets.usd import write_usd
-from orbit_core.scene import Articulation, Box, Color, Frame, Joint, JointType, Link, PhysicsMaterial, Pose, Shape
+from orbit_core.scene import Articulation, Color, Frame, Joint, JointType, PhysicsMaterial, Pose, Shape
 from orbit_core.scene.pose import Vector3
 
 WIDTH, DEPTH, HEIGHT = 0.50, 0.50, 0.62
@@ -38,18 +38,8 @@ HANDLE_SURFACE = PhysicsMaterial(static_friction=1.0, dynamic_friction=1.0)
 
 
 def board(name: str, low: Vector3, high: Vector3, color: Color, surface: PhysicsMaterial = WOOD_SURFACE) -> Shape:
-    """A box between two corners."""
-    (x0, y0, z0), (x1, y1, z1) = low, high
-    middle = ((x0 + x1) / 2, (y0 + y1) / 2, (z0 + z1) / 2)
-    return Shape(Box(((x1 - x0) / 2, (y1 - y0) / 2, (z1 - z0) / 2)), Pose(middle), surface, color, name)
-
-
-def link(name: str, shapes: tuple[Shape, ...], density: float, label: str, origin: Vector3 = (0.0, 0.0, 0.0)) -> Link:
-    """A solid link of shapes given in the cabinet's frame; ``origin`` is its own frame's place there."""
-    inward = Pose(origin).inverse()
-    own = tuple(Shape(shape.geometry, inward @ shape.pose, shape.material, shape.color, shape.name) for shape in shapes)
-    properties = shapes_mass_properties(own, density)
-    return Link(name, properties.mass, properties.center_of_mass, properties.inertia, own, own, label)
+    """A board between two corners."""
+    return box_between(name, low, high, color, surface)
 
 
 def carcass() -> tuple[Shape, ...]:
@@ -117,11 +107,11 @@ def cabinet() -> Articulation:
     hinge = (FRONT, WIDTH / 2, 0.0)
     panel = board("panel", (FRONT, -WIDTH / 2, PLINTH), (FRONT + BOARD, WIDTH / 2, SHELF - GAP / 2), FRONT_COLOR)
     links = (
-        link("cabinet", carcass(), WOOD, "cabinet"),
-        link("drawer", drawer(), WOOD, "drawer"),
-        link("drawer_bar", handle(drawer_middle, horizontal=True), STEEL, "handle", drawer_middle),
-        link("door", (panel,), WOOD, "door", hinge),
-        link("door_bar", handle(door_middle, horizontal=False), STEEL, "handle", door_middle),
+        solid_part("cabinet", carcass(), WOOD, "cabinet"),
+        solid_part("drawer", drawer(), WOOD, "drawer"),
+        solid_part("drawer_bar", handle(drawer_middle, horizontal=True), STEEL, "handle", drawer_middle),
+        solid_part("door", (panel,), WOOD, "door", hinge),
+        solid_part("door_bar", handle(door_middle, horizontal=False), STEEL, "handle", door_middle),
     )
     on_door = Pose(hinge).inverse() @ Pose(door_middle)
     joints = (

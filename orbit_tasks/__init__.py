@@ -22,6 +22,9 @@ def register(registry: TaskRegistry) -> None:
     )
     registry.add("Cabinet", "Open a drawer by its handle to a given position", "orbit_tasks.cabinet:Cabinet")
     registry.add(
+        "Dishwasher", "Pull a dishwasher's door off its seal, then its rack out", "orbit_tasks.dishwasher:Dishwasher"
+    )
+    registry.add(
         "Handover",
         "One arm passes a rod to another, which brings it to a sampled position",
         "orbit_tasks.handover:Handover",

@@ -28,6 +28,7 @@ from orbit_core.assets.objects import (
     cabinet,
     capsule,
     cylinder,
+    dishwasher,
     mesh_object,
     sphere,
     table,
@@ -218,7 +219,25 @@ class CabinetConfig(ObjectConfig):
         return 0.0
 
 
-_OWN = (BoxConfig, SphereConfig, CylinderConfig, CapsuleConfig, MeshConfig, TableConfig, CabinetConfig)
+@dataclass(frozen=True, kw_only=True)
+class DishwasherConfig(ObjectConfig):
+    """A small static dishwasher with a door and a rack, its frame in the middle of its footprint."""
+
+    name: ClassVar[str] = "dishwasher"
+    seal: float = 25.0
+    """Newtons with which the magnetic seal holds the door shut at its upper edge."""
+
+    def build(self, name: str, pose: Pose | None = None) -> ObjectSpec:
+        return dishwasher(name, seal=self.seal, pose=pose)
+
+    @property
+    def rest_height(self) -> float:
+        return 0.0
+
+
+_OWN = (
+    BoxConfig, SphereConfig, CylinderConfig, CapsuleConfig, MeshConfig, TableConfig, CabinetConfig, DishwasherConfig,
+)  # fmt: skip
 
 
 @cache

@@ -58,7 +58,7 @@ def test_a_kind_stands_at_its_rest_height(kind: str, tmp_path: Path) -> None:
 
 
 def test_every_kind_of_the_program_describes_itself() -> None:
-    assert {"box", "sphere", "cylinder", "capsule", "mesh", "table", "cabinet"} <= {*object_kinds().names}
+    assert {"box", "sphere", "cylinder", "capsule", "mesh", "table", "cabinet", "dishwasher"} <= {*object_kinds().names}
     assert all(text.endswith(".") for text in object_kinds().descriptions.values())
 
 

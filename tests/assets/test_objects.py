@@ -165,12 +165,13 @@ def test_handles_can_be_grasped(name: str, link: str, opening: int) -> None:
     assert face[:, 0].min() - bar[:, 0].max() >= 0.03
 
 
-def test_the_file_matches_the_script_that_makes_it(tmp_path: Path) -> None:
-    script = asset_folder() / "make_cabinet.py"
+@pytest.mark.parametrize("name", ["cabinet", "dishwasher"])
+def test_the_file_matches_the_script_that_makes_it(name: str, tmp_path: Path) -> None:
+    script = asset_folder() / f"make_{name}.py"
     copy = tmp_path / script.name
     copy.write_text(script.read_text())
     subprocess.run([sys.executable, str(copy)], check=True, timeout=60)
-    assert (tmp_path / "cabinet.usda").read_text() == (asset_folder() / "cabinet.usda").read_text()
+    assert (tmp_path / f"{name}.usda").read_text() == (asset_folder() / f"{name}.usda").read_text()
 
 
 def test_a_warm_cache_needs_no_usd(own_cache: Path) -> None:
