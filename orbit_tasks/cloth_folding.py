@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.envs import EventTerm, Expert, ObservationGroup, Phase, RewardTerm
+from orbit_core.envs import EventTerm, Expert, ObservationGroup, Phase, Retry, RewardTerm
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, matter
@@ -21,10 +21,13 @@ PAIRS = (("corner--", "corner++"), ("side-", "back"), ("front", "side+"))
 """Key points that the fold along the other diagonal lays on each other; the first is taken."""
 MAT = PhysicsMaterial(static_friction=1.0, dynamic_friction=1.0)
 """Of the tray, as of a rubber mat: the half that lies stays in place while the other is carried over it."""
-TAKEN = 0.03
+TAKEN = 0.018
 """Metres from the corner's tip, along the diagonal, to the hand that takes it."""
-SHORT = 0.02
-"""Metres by which the hand stops short of the corner's place: cloth drawn tight would slide on its tray."""
+SHORT = 0.015
+"""Metres by which the hand stops short of the corner's place, and its way there of that place's mirror image: cloth
+drawn tight would draw the fold along."""
+PRESSED = 0.001
+"""Metres below the tray's top to which the open fingers are sent: hardly, for a mat would hold them by its friction."""
 LOW = 0.03
 """Metres above the tray's top of the finger tips that open."""
 ARC = 0.5
@@ -64,8 +67,11 @@ def at_rest(world: World, task: ClothFolding) -> Tensor:
 
 
 def hand_at(task: ClothFolding, position: Tensor, height: float) -> Tensor:
-    """(N, 7) the hand pointing down over a position (N, 3), at a height, its fingers opening along the diagonal."""
-    yaw = torch.atan2(task.ahead[:, 1], task.ahead[:, 0]) - 0.5 * math.pi
+    """(N, 7) the hand pointing down over a position (N, 3), at a height, its fingers opening across the diagonal.
+
+    So both are beside the cloth near its corner, and drag none of it along the mat as they close.
+    """
+    yaw = torch.atan2(task.ahead[:, 1], task.ahead[:, 0]) - math.pi
     return torch.cat((cloth.at_height(position, height)[:, :3], common.facing_down(yaw)), dim=1)
 
 
@@ -92,7 +98,7 @@ def over_fold(angle: float, base: float) -> TermFunction:
     """Term: (N, 7) the hand on its way over the fold, ``angle`` rad along it, ``base`` metres high at its ends."""
 
     def pose(world: World, task: ClothFolding) -> Tensor:
-        radius = half_diagonal(task) - TAKEN
+        radius = half_diagonal(task) - TAKEN - SHORT * 0.5 * (1.0 - math.cos(angle))
         height = base + ARC * radius * math.sin(angle)
         return hand_at(task, task.fold - task.ahead * (radius * math.cos(angle)), height)
 
@@ -106,6 +112,11 @@ def at_place(height: float) -> TermFunction:
         return hand_at(task, task.fold + task.ahead * (half_diagonal(task) - SHORT - TAKEN), height)
 
     return pose
+
+
+def taken(world: World, task: ClothFolding) -> Tensor:
+    """(N,) bool: whether the corner is 1 cm above the tray."""
+    return world.deformables[CLOTH].key_point(PAIRS[0][0])[:, 2] > TRAY + 0.01
 
 
 @dataclass
@@ -182,13 +193,16 @@ class ClothFolding(cloth.ClothTask):
         return {"pair_distance_m": distance(world, self)}
 
     def expert(self, world: World) -> Expert:
-        opened, closed = (TRAY - cloth.PRESSED + cloth.finger_reach(world, shut) for shut in (False, True))
-        low = TRAY + LOW + cloth.finger_reach(world, closed=False)
+        opened, closed = (TRAY - PRESSED + cloth.finger_reach(world, shut) for shut in (False, True))
+        low, base = TRAY + LOW + cloth.finger_reach(world, closed=False), closed + 0.02
         phases = (
             Phase(at_corner(opened + 0.1), position_tolerance=0.02, free=True),
-            Phase(at_corner(opened), position_tolerance=0.008, timeout=1.0),
+            Phase(at_corner(opened), position_tolerance=0.002, timeout=1.4),
             Phase(here(closed), gripper_open=False, dwell=0.7, timeout=0.7),
-            *(Phase(over_fold(angle, closed + 0.02), False, position_tolerance=0.02, timeout=1.2) for angle in ANGLES),
+            Phase(
+                over_fold(ANGLES[0], base), False, position_tolerance=0.02, timeout=1.2, retry=Retry(3, taken, most=1)
+            ),
+            *(Phase(over_fold(angle, base), False, position_tolerance=0.02, timeout=1.2) for angle in ANGLES[1:]),
             Phase(at_place(low), gripper_open=False, position_tolerance=0.01, dwell=0.5, timeout=1.2),
             Phase(at_place(low), position_tolerance=1.0, rotation_tolerance=4.0, dwell=0.4),
             Phase(at_place(low + 0.1)),
