@@ -193,6 +193,21 @@ def check_scene(
     _check("renderer", renderer or backend, images, (*backend_names(), *renderer_names()))
 
 
+def check_capability(plugin: Backend, capability: Capability, culprit: str) -> None:
+    """Refuse a call that needs what a backend, or the renderer of images, lacks.
+
+    Raises:
+        UnsupportedCapabilityError: names the capability, what needs it, why it is missing and what has it.
+    """
+    if not plugin.capabilities().has(capability):
+        kind, others = (
+            ("renderer", (*backend_names(), *renderer_names()))
+            if capability in IMAGES
+            else ("backend", backend_names())
+        )
+        _check(kind, plugin, {capability: culprit}, others)
+
+
 def _check(kind: str, plugin: Backend, needs: Mapping[Capability, str], others: Iterable[str]) -> None:
     capabilities = plugin.capabilities()
     missing = {need: culprit for need, culprit in needs.items() if not capabilities.has(need)}

@@ -178,6 +178,17 @@ class Object(ABC):
         """Friction (n, k), static and dynamic alike, of all shapes of some links."""
         raise self._unsupported("friction to set")
 
+    def set_joint_parameters(
+        self,
+        damping: Tensor | None = None,
+        friction: Tensor | None = None,
+        armature: Tensor | None = None,
+        joints: Sequence[int] | None = None,
+        env_ids: Tensor | None = None,
+    ) -> None:
+        """Damping, Coulomb friction and armature (n, k) of some joints themselves; None leaves one as it is."""
+        raise self._unsupported("joint parameters to set")
+
     def set_wrenches(self, wrenches: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
         """Force at the centre of mass and torque, (n, k, 6), world axes, on some links until set again or reset."""
         raise self._unsupported("wrenches to set")

@@ -108,6 +108,36 @@ def gains(entity: str, stiffness: Range, damping: Range, joints: Sequence[str] =
     return event
 
 
+def joint_parameters(
+    entity: str,
+    damping: Range | None = None,
+    friction: Range | None = None,
+    armature: Range | None = None,
+    joints: Sequence[str] = (".*",),
+) -> EventFunction:
+    """Scale damping, Coulomb friction and armature of joints whose names match, each by its own factor.
+
+    What is None keeps to itself, and what is zero in the scene stays zero.
+
+    Raises, when it happens:
+        UnsupportedCapabilityError: the engine cannot; names the backends that can.
+    """
+
+    def event(world: World, task: Task, env_ids: Tensor) -> None:
+        thing = _entity(world, entity)
+        chosen, parameters = thing.find_joints(*joints), world.layout.joint_parameters
+        (own,) = (each for each in world.layout.entities if each.name == entity)
+        columns = [own.joints.start + joint for joint in chosen]
+        values: dict[str, Tensor] = {}
+        for name, scale in (("damping", damping), ("friction", friction), ("armature", armature)):
+            if scale is not None:
+                nominal = torch.as_tensor(getattr(parameters, name)[columns], dtype=torch.float32, device=world.device)
+                values[name] = nominal * scale.sample(world, task, (len(chosen),), env_ids)
+        thing.set_joint_parameters(**values, joints=chosen, env_ids=env_ids)
+
+    return event
+
+
 def active_model(entity: str, name: str, parameter: str, scale: Range) -> EventFunction:
     """Scale a parameter of one of an object's active models, such as the ``force`` of a seal.
 

@@ -246,6 +246,16 @@ class CoupledEngine(Engine):
     ) -> None:
         self._inner.set_drive_gains(joints, stiffness, damping, env_ids)
 
+    def set_joint_parameters(
+        self,
+        joints: Tensor,
+        damping: Tensor | None,
+        friction: Tensor | None,
+        armature: Tensor | None,
+        env_ids: Tensor | None = None,
+    ) -> None:
+        self._inner.set_joint_parameters(joints, damping, friction, armature, env_ids)
+
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         self._inner.set_gravity(gravity, env_ids)
         self._matter.set_gravity(gravity, env_ids)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,7 +25,7 @@ from orbit_core.dynamics.arguments import (
 from orbit_core.dynamics.indexing import Masking, write_block
 from orbit_core.dynamics.kinematics import FixedFrame, PointJacobian
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.interfaces import Engine, EntityLayout, Object, UnknownNameError
+from orbit_core.interfaces import Capability, Engine, EntityLayout, Object, UnknownNameError
 from orbit_core.scene import ActiveModel, Entity, Frame, ObjectSpec, Pose
 from orbit_core.world.clock import Clock
 
@@ -54,6 +54,10 @@ class _FrameHandle:
     pose_of: FixedFrame | None
 
 
+def _nothing_required(capability: Capability, culprit: str) -> None:
+    """What no world has made knows of no backend that it could name."""
+
+
 class SimulatedObject(Object):
     """An articulation in N environments of one engine."""
 
@@ -68,6 +72,8 @@ class SimulatedObject(Object):
         self._actuators = actuators
         self._clock = clock
         self._masking = masking
+        self.require: Callable[[Capability, str], None] = _nothing_required
+        """Refuses, naming backends, what the backend lacks that a call for this object needs."""
         self.write_wrenches = engine.set_wrenches
         """What :meth:`set_wrenches` hands them to."""
         self._frames: dict[str, _FrameHandle] = {}
@@ -303,6 +309,29 @@ class SimulatedObject(Object):
         damping = chosen.values(damping, shape, f"damping of '{self.name}'", GAINS)
         start = self.layout.joints.start
         self._actuators.set_gains([start + joint for joint in columns], stiffness, damping, chosen.rows)
+
+    def set_joint_parameters(
+        self,
+        damping: Tensor | None = None,
+        friction: Tensor | None = None,
+        armature: Tensor | None = None,
+        joints: Sequence[int] | None = None,
+        env_ids: Tensor | None = None,
+    ) -> None:
+        """Damping, Coulomb friction and armature (n, k) of some joints themselves; None leaves one as it is.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot; names the backends that can.
+        """
+        self.require(Capability.RANDOMIZE_JOINTS, f"joint parameters of '{self.name}'")
+        columns = self._all_columns if joints is None else self._joint_columns(joints)
+        chosen, shape = self._masking.choose(env_ids), (len(columns),)
+
+        def checked(value: Tensor | None, what: str) -> Tensor | None:
+            return None if value is None else chosen.values(value, shape, f"{what} of joints of '{self.name}'", GAINS)
+
+        values = checked(damping, "damping"), checked(friction, "friction"), checked(armature, "armature")
+        self._engine.set_joint_parameters(self._all_joints[list(columns)], *values, chosen.rows)
 
     def _joint_columns(self, joints: Sequence[int]) -> tuple[int, ...]:
         return columns_chosen(joints, len(self.joint_names), f"joints of '{self.name}'")

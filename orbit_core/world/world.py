@@ -14,7 +14,7 @@ from orbit_core.actuators.stability import check_drives
 from orbit_core.assets.deformable_checks import check_attachments
 from orbit_core.assets.scene_data import check_data
 from orbit_core.backends import backend as find_backend
-from orbit_core.backends import backend_config, check_scene, choose_matter
+from orbit_core.backends import backend_config, check_capability, check_scene, choose_matter
 from orbit_core.backends import renderer as find_renderer
 from orbit_core.dynamics.arguments import (
     ACCELERATIONS,
@@ -31,6 +31,7 @@ from orbit_core.interfaces import (
     TERRAIN,
     Approximation,
     ArgumentError,
+    Capability,
     ConfigurationError,
     Engine,
     NamedThings,
@@ -40,6 +41,7 @@ from orbit_core.interfaces import (
     World,
 )
 from orbit_core.interfaces.fields import settings_table
+from orbit_core.interfaces.requirements import IMAGES
 from orbit_core.scene import CameraSpec, Scene
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.active import ActiveModels
@@ -87,7 +89,7 @@ class SimulatedWorld(World):
         matter_settings: Mapping[str, Any] | None = None,
     ) -> None:
         num_envs, seed = whole_number(num_envs, "num_envs", 1, MOST_ENVIRONMENTS), seed_number(seed)
-        plugin = find_backend(backend)
+        self._plugin = plugin = find_backend(backend)
         self._renderer_plugin = find_renderer(backend if renderer is None else renderer)
         if not isinstance(scene, Scene):
             raise ConfigurationError(f"a world needs a Scene, not a {type(scene).__name__}")
@@ -135,6 +137,8 @@ class SimulatedWorld(World):
         count = len(self.scene.robots)
         robots = {e.name: SimulatedRobot(e, *parts) for e in self.layout.entities[:count]}
         objects = {e.name: SimulatedObject(e, *parts) for e in self.layout.entities[count:]}
+        for thing in (*robots.values(), *objects.values()):
+            thing.require = self._require
         self.active = ActiveModels(objects, self._engine, self.masking)
         """Force laws that objects have of their own."""
         deformables = {
@@ -150,6 +154,9 @@ class SimulatedWorld(World):
         self.objects = NamedThings(objects, "object", "world.objects", self._names)
         self.deformables = NamedThings(deformables, "deformable", "world.deformables", self._names)
         self.markers = NamedThings(markers, "marker", "world.markers", self._names)
+
+    def _require(self, capability: Capability, culprit: str) -> None:
+        check_capability(self._renderer_plugin if capability in IMAGES else self._plugin, capability, culprit)
 
     def _add_sensors(self) -> None:
         self._sensing = SensorContext(self._engine, self.layout, self.physics_dt, self.random, lambda: self.renderer)

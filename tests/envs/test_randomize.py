@@ -11,9 +11,10 @@ from torch import Tensor
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.envs import CurriculumTerm, EventTerm, EventTime, Task, make
 from orbit_core.envs.environment import Environment
-from orbit_core.interfaces import ConfigurationError, UnknownNameError, World
+from orbit_core.interfaces import ConfigurationError, UnknownNameError, UnsupportedCapabilityError, World
 from orbit_core.mdp import randomize
 from orbit_core.mdp.randomize import Range
+from orbit_tasks.cabinet import Cabinet
 from orbit_tasks.lift import Lift
 from orbit_tasks.velocity_flat import VelocityFlat
 
@@ -162,3 +163,20 @@ def test_what_cannot_be_is_refused() -> None:
     late.observations.policy.goal = replace(late.observations.policy.goal, delay=(2, 1))
     with pytest.raises(ConfigurationError, match="delay of observation term 'goal'"):
         Environment(late, 1, default_backend())
+
+
+def test_joints_rub_and_drag_otherwise_in_each_environment() -> None:
+    """The drawer's damping and friction, told by how it slows down; a backend that cannot is answered with who can."""
+    task = Cabinet()
+    parameters = randomize.joint_parameters("cabinet", Range(0.5, 2.0), Range(0.5, 2.0), joints=("drawer_joint",))
+    task.events.masses = EventTerm(parameters, EventTime.STARTUP)
+    environment = Environment(task, 4, "mujoco")
+    environment.reset(seed=0)
+    cabinet = environment.world.objects["cabinet"]
+    drawer = cabinet.find_joints("drawer_joint")
+    cabinet.set_joint_state(velocities=torch.full((4, 1), 1.0), joints=drawer)
+    environment.world.step(20)
+    assert len({round(speed, 4) for speed in cabinet.joint_velocities[:, drawer[0]].tolist()}) == 4
+    environment.close()
+    with pytest.raises(UnsupportedCapabilityError, match=r"joint parameters of 'cabinet'.*choose backend 'mujoco' or"):
+        Environment(task, 1, "bullet")

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.conformance.bodies import WEIGHTLESS, G, ball, cube, rotor, scene
-from orbit_core.conformance.scenario import Metric, Scenario, Trial
+from orbit_core.conformance.scenario import FIRST_ORDER, Metric, Scenario, Trial
 from orbit_core.interfaces import Capability, Object, World
 from orbit_core.scene import ImplicitPd, Pose
 
@@ -71,6 +71,34 @@ def _gains(trial: Trial) -> Mapping[str, float]:
     robot.set_effort_targets(torch.full((3, 1), effort, device=world.device))
     trial.step(world, trial.steps(2.0))
     return {"deflection": _relative(robot.joint_positions[:, 0], effort / stiffness)}
+
+
+def _joints(trial: Trial) -> Mapping[str, float]:
+    """Three wheels in each environment: one that is damped, one that rubs, and one that is driven."""
+    inertia, speed, effort, seconds = 0.05, 4.0, 0.3, 0.5
+    damping, friction = torch.tensor([0.05, 0.15, 0.1]), torch.tensor([0.1, 0.3, 0.2])
+    armature = torch.tensor([0.05, 0.2, 0.1])
+    parts = {"damped": {"damping": 0.02}, "rubbed": {"friction": 0.05}, "heavy": {"armature": 0.01}}
+    wheels = [
+        dataclasses.replace(rotor(inertia=inertia, **own), name=name, pose=Pose((0.0, float(row), 0.0)))
+        for row, (name, own) in enumerate(parts.items())
+    ]
+    world = trial.world(scene(*wheels, gravity=WEIGHTLESS, terrain=()), num_envs=3)
+    ids, turning = _PLACES.to(world.device), torch.full((3, 1), speed, device=world.device)
+    for name, values in (("damped", damping), ("rubbed", friction), ("heavy", armature)):
+        own = {next(iter(parts[name])): values[_PLACES][:, None].to(world.device)}
+        world.robots[name].set_joint_parameters(**own, env_ids=ids)
+    world.reset()
+    for name in ("damped", "rubbed"):
+        world.robots[name].set_joint_state(velocities=turning)
+    world.robots["heavy"].set_effort_targets(torch.full((3, 1), effort, device=world.device))
+    trial.step(world, trial.steps(seconds))
+    speeds = {name: world.robots[name].joint_velocities[:, 0] for name in parts}
+    return {
+        "damping": _relative(speeds["damped"], speed * (-damping * seconds / inertia).exp()),
+        "friction": _relative(speeds["rubbed"], speed - friction * seconds / inertia),
+        "armature": _relative(speeds["heavy"], effort * seconds / (inertia + armature)),
+    }
 
 
 def _gravity(trial: Trial) -> Mapping[str, float]:
@@ -168,6 +196,44 @@ SCENARIOS = (
                 unit="",
                 tolerance=1e-4,
                 meaning="largest error, as a part of it",
+                looser_because=_SINGLE,
+            ),
+        ),
+    ),
+    Scenario(
+        name="joints_per_environment",
+        group=_GROUP,
+        question="Do joints slow down and speed up by their own damping, friction and armature?",
+        truth="w exp(-d t / I); w - f t / I; tau t / (I + a)",
+        source=_NEWTON,
+        judges=(Capability.RANDOMIZE_JOINTS,),
+        run=_joints,
+        needs=(
+            Capability.RANDOMIZE_JOINTS,
+            Capability.JOINT_DAMPING,
+            Capability.JOINT_FRICTION,
+            Capability.ARMATURE,
+        ),
+        metrics=(
+            Metric(
+                name="damping",
+                unit="",
+                tolerance=0.03,
+                meaning="largest error of a speed, as a part of it",
+                looser_because=FIRST_ORDER,
+            ),
+            Metric(
+                name="friction",
+                unit="",
+                tolerance=1e-3,
+                meaning="largest error of a speed, as a part of it",
+                looser_because=_SINGLE,
+            ),
+            Metric(
+                name="armature",
+                unit="",
+                tolerance=1e-4,
+                meaning="largest error of a speed, as a part of it",
                 looser_because=_SINGLE,
             ),
         ),

@@ -58,6 +58,9 @@ CAPABILITIES = Capabilities(
         Capability.RANDOMIZE_CENTER_OF_MASS: unsupported("Bullet fixes a link's centre of mass when it loads it"),
         Capability.RANDOMIZE_FRICTION: approximate("Bullet multiplies the coefficients of a pair, as said of friction"),
         Capability.RANDOMIZE_GAINS: EXACT,
+        Capability.RANDOMIZE_JOINTS: unsupported(
+            "damping, friction and armature of joints are wheels and motors that are built with the scene"
+        ),
         Capability.RANDOMIZE_GRAVITY: EXACT,
         Capability.SHAPES_PER_ENVIRONMENT: unsupported("this backend builds every environment alike"),
         Capability.SNAPSHOTS: EXACT,

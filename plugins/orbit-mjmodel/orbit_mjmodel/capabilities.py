@@ -67,6 +67,7 @@ def shared_support(engine: str) -> dict[Capability, Support]:
         Capability.RANDOMIZE_CENTER_OF_MASS: EXACT,
         Capability.RANDOMIZE_FRICTION: EXACT,
         Capability.RANDOMIZE_GAINS: EXACT,
+        Capability.RANDOMIZE_JOINTS: EXACT,
         Capability.RANDOMIZE_GRAVITY: EXACT,
         Capability.SHAPES_PER_ENVIRONMENT: EXACT,
         Capability.SNAPSHOTS: EXACT,

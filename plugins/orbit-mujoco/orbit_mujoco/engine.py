@@ -233,6 +233,17 @@ class MujocoEngine(PartedEngine[State, Parameters]):
     ) -> None:
         self._parameters.set_drive_gains(joints.numpy(), stiffness.numpy(), damping.numpy(), self._rows(env_ids))
 
+    def set_joint_parameters(
+        self,
+        joints: Tensor,
+        damping: Tensor | None,
+        friction: Tensor | None,
+        armature: Tensor | None,
+        env_ids: Tensor | None = None,
+    ) -> None:
+        rows = self._rows(env_ids)
+        self._parameters.set_joints(joints.numpy(), _array(damping), _array(friction), _array(armature), rows)
+
     def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
         self._xfrc_applied[block(self._rows(env_ids), self._addresses.bodies[links.numpy()])] = wrenches.numpy()
 

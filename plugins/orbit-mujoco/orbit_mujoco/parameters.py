@@ -18,7 +18,7 @@ from mujoco.batch import MODEL_FIELDS, Batch
 
 from orbit_core.plugin_kit.rows import HostRows, block
 from orbit_mjmodel.addresses import Addresses
-from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, VELOCITY_IMPLICIT, damping_bias
+from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, VELOCITY_IMPLICIT, damping_bias, least_damping
 from orbit_mujoco.state import FloatArray
 
 Indices = npt.NDArray[np.int64]
@@ -78,6 +78,23 @@ class Parameters:
         bias[(*index, DAMPING)] = bias[(*index, ASKED_DAMPING)] = -damping[:, driven]
         self._hold_drives()
 
+    def set_joints(
+        self,
+        joints: Indices,
+        damping: FloatArray | None,
+        friction: FloatArray | None,
+        armature: FloatArray | None,
+        rows: HostRows,
+    ) -> None:
+        index = block(rows, self._addresses.joint_velocities[joints])
+        if damping is not None:
+            damping = np.maximum(damping, least_damping(self._model, self._addresses)[joints])
+        for name, values in (("dof_damping", damping), ("dof_frictionloss", friction), ("dof_armature", armature)):
+            if values is not None:
+                self.field(name)[index] = values
+        if armature is not None:
+            self._constants_due[rows] = True
+
     def set_gravity(self, gravity: FloatArray, rows: HostRows) -> None:
         self.field("opt.gravity")[rows] = gravity
 
@@ -108,7 +125,7 @@ class Parameters:
         """Return to what :meth:`save` gave; fields that it lacks return to the scene's values."""
         for name in {*saved, *self._fields}:
             self.field(name)[...] = saved.get(name, self._nominal.get(name))
-        if {"body_mass", "body_ipos"} & self._fields.keys():
+        if {"body_mass", "body_ipos", "dof_armature"} & self._fields.keys():
             self._constants_due.fill(True)
         self._read_gains()
 

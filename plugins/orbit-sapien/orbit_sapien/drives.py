@@ -34,7 +34,6 @@ class Drives:
         follower = np.array([joint.mimic is not None for joint in layout.joints], dtype=bool)
         self._leads = ~follower
         self._limit = torch.as_tensor(parameters.effort_limit, dtype=torch.float32)
-        self._passive, self._friction = parameters.damping, parameters.friction
         self._rest = torch.as_tensor(parameters.spring_rest, dtype=torch.float32)
         self._stiff = ~soft_springs(layout, layout.scene.physics_dt)
         self._pulling = torch.as_tensor(np.where(self._stiff, 0.0, parameters.spring_stiffness), dtype=torch.float32)
@@ -46,15 +45,20 @@ class Drives:
         """(N, J)"""
         self.damping = np.where(follower, 0.0, parameters.drive_damping) * np.ones(shape)
         """(N, J)"""
+        self.passive, self.friction = parameters.damping * np.ones(shape), parameters.friction * np.ones(shape)
+        """(N, J) damping and Coulomb friction of the joints themselves."""
+        self.armature = parameters.armature * np.ones(shape)
+        """(N, J)"""
         self.efforts = torch.zeros(shape)
         """(N, J) of drives and commands in the last step."""
-        self._inertia = torch.as_tensor(least_inertias(layout), dtype=torch.float32)
+        self._least = least_inertias(layout) - parameters.armature
         self.joints = [
             [joint for entity in environment.entities for joint in entity.joints] for environment in world.environments
         ]
         self.sent = np.full((3, *shape), np.nan, np.float32)
         """(3, N, J) drive targets, velocity targets and forces that PhysX was last told; NaN for unknown."""
         self._properties = np.full((3, *shape), np.nan)
+        self._armature = self.armature.copy()
         self._settle()
 
     def to(self, device: torch.device) -> Drives:
@@ -81,6 +85,30 @@ class Drives:
         self._settle()
         self.sent.fill(np.nan)
 
+    def set_joints(
+        self,
+        joints: npt.NDArray[np.int64],
+        damping: Tensor | None,
+        friction: Tensor | None,
+        armature: Tensor | None,
+        rows: list[int],
+    ) -> None:
+        """(n, k) of the joints (k,) themselves."""
+        index = np.ix_(np.asarray(rows, np.int64), joints)
+        for own, values in ((self.passive, damping), (self.friction, friction), (self.armature, armature)):
+            if values is not None:
+                own[index] = values.numpy()
+        self._settle()
+        self.sent[:, rows] = np.nan
+
+    def save_joints(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Copies of what :meth:`set_joints` sets, of all joints."""
+        return self.passive.copy(), self.friction.copy(), self.armature.copy()
+
+    def load_joints(self, saved: tuple[FloatArray, FloatArray, FloatArray]) -> None:
+        """Return to what :meth:`save_joints` gave; gains are to be loaded after it."""
+        self.passive[:], self.friction[:], self.armature[:] = saved
+
     def forget(self, rows: list[int]) -> None:
         """Send everything anew to these environments."""
         self.sent[:, rows] = np.nan
@@ -88,15 +116,19 @@ class Drives:
     def _settle(self) -> None:
         """Give PhysX the drives that follow from the gains."""
         driven = (self.stiffness > 0) | (self.damping > 0)
-        rubbing = ~driven & (self._friction > 0)
+        rubbing = ~driven & (self.friction > 0)
         self._refuse_springs(self._stiff & (driven | rubbing).any(0))
-        damping = np.where(rubbing, _RIGID, self.damping + self._passive)
+        damping = np.where(rubbing, _RIGID, self.damping + self.passive)
         stiffness = np.where(self._stiff, self._layout.joint_parameters.spring_stiffness, self.stiffness)
-        limit = np.where(driven, self._limit.numpy(), np.where(rubbing, self._friction, np.inf))
+        limit = np.where(driven, self._limit.numpy(), np.where(rubbing, self.friction, np.inf))
         wanted = np.stack((stiffness, damping, np.minimum(limit, _UNLIMITED)))
         for row, column in zip(*np.nonzero((wanted != self._properties).any(0)), strict=True):
             self.joints[row][column].set_drive_properties(*map(float, wanted[:, row, column]), "force")
         self._properties = wanted
+        for row, column in zip(*np.nonzero(self.armature != self._armature), strict=True):
+            self.joints[row][column].set_armature(self.armature[row, column, None].astype(np.float32))
+        self._armature = self.armature.copy()
+        self._inertia = torch.from_numpy(self._least + self.armature).float()
         self._driven = torch.from_numpy(driven)
         stiffness, gain = torch.from_numpy(self.stiffness).float(), torch.from_numpy(self.damping).float()
         self._gains = stiffness, gain
@@ -107,8 +139,8 @@ class Drives:
         self._effort_as_speed = torch.where(self._driven & ~sprung, 1.0 / total, 0.0)
         self._direct = (~self._driven).float() * torch.as_tensor(self._leads).float()
         # What the drive's slot has no room for is a generalised force that follows the state, step by step.
-        self._dragging = torch.from_numpy(np.where(rubbing, self._passive, 0.0)).float()
-        self._rubbing = torch.from_numpy(np.where(driven, self._friction, 0.0)).float()
+        self._dragging = torch.from_numpy(np.where(rubbing, self.passive, 0.0)).float()
+        self._rubbing = torch.from_numpy(np.where(driven, self.friction, 0.0)).float()
         self.follows_state = bool(self._dragging.any() or self._rubbing.any() or self._pulling.any())
         """Whether :meth:`send_forces` must be called at each physics step."""
 

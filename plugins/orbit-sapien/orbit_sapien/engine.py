@@ -42,6 +42,7 @@ class Snapshot:
     """The buffer from which :class:`State` takes velocities, beside ``packed``."""
     parameters: dict[str, npt.NDArray]
     gains: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+    joints: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]
     tensors: tuple[Tensor, ...]
     """Commands, then what the last step measured."""
 
@@ -185,6 +186,16 @@ class SapienEngine(PartedEngine[State, Parameters]):
     ) -> None:
         self._drives.set_gains(joints.numpy(), stiffness, damping, self._rows(env_ids))
 
+    def set_joint_parameters(
+        self,
+        joints: Tensor,
+        damping: Tensor | None,
+        friction: Tensor | None,
+        armature: Tensor | None,
+        env_ids: Tensor | None = None,
+    ) -> None:
+        self._drives.set_joints(joints.numpy(), damping, friction, armature, self._rows(env_ids))
+
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
     def save_state(self) -> Snapshot:
@@ -195,11 +206,13 @@ class SapienEngine(PartedEngine[State, Parameters]):
             self._state.moved.clone(),
             self._parameters.save(),
             (self._drives.stiffness.copy(), self._drives.damping.copy()),
+            self._drives.save_joints(),
             tuple(tensor.clone() for tensor in (*self._commands, *self._measurements)),
         )
 
     def load_state(self, state: Snapshot) -> None:
         self._parameters.load(state.parameters)
+        self._drives.load_joints(state.joints)
         self._drives.load_gains(*state.gains)
         self._system.unpack(state.packed)
         for entity in self.layout.entities:

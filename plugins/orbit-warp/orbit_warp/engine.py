@@ -70,7 +70,7 @@ class WarpEngine(PartedEngine[State, Parameters]):
             self._home_qpos = wp.array(built.model.key_qpos[0], dtype=float)
             self._home_mocap_pos = wp.array(built.model.key_mpos[0].reshape(-1, 3), dtype=wp.vec3)
             self._home_mocap_quat = wp.array(built.model.key_mquat[0].reshape(-1, 4), dtype=wp.quat)
-        self._parameters = Parameters(layout, addresses, self._model, self._data, self._graphs)
+        self._parameters = Parameters(layout, addresses, self._native, self._graphs)
         self._rays = RayCaster(layout, addresses, self._native, self._graphs)
         self._bodies = torch.as_tensor(addresses.bodies, device=device)
         self._all = torch.arange(num_envs, device=device)
@@ -242,6 +242,17 @@ class WarpEngine(PartedEngine[State, Parameters]):
 
     def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
         self._parameters.set_centers_of_mass(links, centers, self._rows(env_ids))
+        self._state.mark_written()
+
+    def set_joint_parameters(
+        self,
+        joints: Tensor,
+        damping: Tensor | None,
+        friction: Tensor | None,
+        armature: Tensor | None,
+        env_ids: Tensor | None = None,
+    ) -> None:
+        self._parameters.set_joints(joints, damping, friction, armature, self._rows(env_ids))
         self._state.mark_written()
 
     def set_drive_gains(

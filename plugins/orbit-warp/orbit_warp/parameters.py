@@ -15,21 +15,24 @@ from torch import Tensor
 from orbit_core.interfaces import TERRAIN, SceneLayout
 from orbit_core.plugin_kit.rows import Rows, block
 from orbit_mjmodel.addresses import Addresses
-from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, VELOCITY_IMPLICIT, damping_bias
+from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, VELOCITY_IMPLICIT, damping_bias, least_damping
 from orbit_warp.model import LEAST_FRICTION
+from orbit_warp.native import Native
 from orbit_warpkit.graphs import Graphs
 
+_OF_ARMATURE = ("dof_armature", "body_invweight0", "dof_invweight0")
 _OF_MASS = ("body_mass", "body_inertia", "body_ipos", "body_subtreemass", "body_invweight0", "dof_invweight0")
 
 
 class Parameters:
     """Sets and remembers the per-environment fields of the model."""
 
-    def __init__(
-        self, layout: SceneLayout, addresses: Addresses, model: mjw.Model, data: mjw.Data, graphs: Graphs
-    ) -> None:
-        self._model, self._data, self._graphs = model, data, graphs
+    def __init__(self, layout: SceneLayout, addresses: Addresses, native: Native, graphs: Graphs) -> None:
+        self._model, self._data, self._graphs = native.model, native.data, graphs
+        data = self._data
         device = wp.device_to_torch(data.qpos.device)
+        least = least_damping(native.host_model, addresses)
+        self._least_damping = torch.as_tensor(least, dtype=torch.float32, device=device)
         self._environments = torch.arange(data.nworld, device=device)
         self._bodies = torch.as_tensor(addresses.bodies, device=device)
         links = addresses.link_of_geom[:-1]
@@ -80,6 +83,20 @@ class Parameters:
         for number, gains in ((STIFFNESS, stiffness), (DAMPING, damping), (ASKED_DAMPING, damping)):
             bias[(*index, number)] = torch.where(driven, -gains, 0.0)
         self._hold_drives()
+
+    def set_joints(
+        self, joints: Tensor, damping: Tensor | None, friction: Tensor | None, armature: Tensor | None, rows: Rows
+    ) -> None:
+        index = block(rows, self._velocity_columns[joints])
+        if damping is not None:
+            damping = torch.maximum(damping, self._least_damping[joints])
+        for name, values in (("dof_damping", damping), ("dof_frictionloss", friction), ("dof_armature", armature)):
+            if values is not None:
+                self._field(name)[index] = values
+        if armature is not None:
+            for name in _OF_ARMATURE:
+                self._field(name)
+            self._constants_due = True
 
     def set_gravity(self, gravity: Tensor, rows: Rows) -> None:
         self._field("opt.gravity")[rows] = gravity
