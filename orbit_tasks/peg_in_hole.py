@@ -27,6 +27,7 @@ from orbit_core.envs import (
     ObservationTerm,
     Phase,
     PremiseTerm,
+    Retry,
     RewardTerm,
     Task,
     TerminationTerm,
@@ -48,6 +49,8 @@ COLORS: Sequence[Color] = (
 SMOOTH = PhysicsMaterial(static_friction=0.3, dynamic_friction=0.3)
 SPACING = 0.11
 """Metres between blocks that wait on the table."""
+GENTLE = 0.002
+"""Metres below itself to which a block is led while it lies on its hole's rim."""
 ARM = 0.03
 """Metres by which an error in rotation counts as one in position: a radian moves a block's rim about so far."""
 
@@ -202,18 +205,23 @@ def raised(world: World, task: PegInHole, index: int) -> Tensor:
     return hand
 
 
-def carried(world: World, task: PegInHole, index: int, height: float, search: float = 0.0) -> Tensor:
+def carried(world: World, task: PegInHole, index: int, height: float, push: float = 1.0, search: float = 0.0) -> Tensor:
     """(N, 7) the hand where the block comes to stand ``height`` (m) above its place, as it sits in the hand now.
 
-    With ``search`` the block's place goes round in a spiral that reaches so far (m), once in two seconds.
+    The hand goes down by at most ``push`` (m) from where it is, and by :data:`GENTLE` while the block is on the rim of
+    its hole: a stronger push turns it in the hand until it jams. With ``search`` the block's place goes round in a
+    spiral that reaches so far (m), once in four seconds.
     """
     held, hand = block_poses(world, task)[:, index], common.hand_pose(world, task)
     hand_yaw = 2.0 * torch.atan2(hand[:, 5], hand[:, 4])
     wanted = yaw(held[:, 3:]) - hand_yaw
     seat = turned_seats(world, task, wanted[:, None].expand(-1, len(task.blocks)))[:, index]
     time = task.episode_step * (task.physics_dt * task.decimation)
-    radius, angle = search * torch.remainder(0.5 * time, 1.0), 4.0 * math.pi * time
-    offset = torch.stack((radius * angle.cos(), radius * angle.sin(), torch.full_like(radius, height)), dim=1)
+    radius, angle = search * torch.remainder(0.25 * time, 1.0), 2.0 * math.pi * time
+    above = held[:, 2] - seat[:, 2]
+    on_rim = (above - BOARD_HEIGHT).abs() < 0.003
+    up = (above - torch.where(on_rim, min(push, GENTLE), push)).clamp_min(height)
+    offset = torch.stack((radius * angle.cos(), radius * angle.sin(), up), dim=1)
     target = torch.cat((seat[:, :3] + offset, seat[:, 3:]), dim=1)
     return pose_multiply(target, pose_multiply(pose_inverse(held), hand))
 
@@ -293,10 +301,10 @@ class PegInHole(Task):
 
     robot: str = "franka_panda"
     action: str = "joint_position"
-    episode_length: float = 10.0
+    episode_length: float = 14.0
     ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.3, entropy_weight=0.005)
     shapes: tuple[str, ...] = ("square",)
-    """Sections of the blocks, :data:`orbit_core.assets.pegs.SECTIONS`, a block each: give each about 10 s."""
+    """Sections of the blocks, :data:`orbit_core.assets.pegs.SECTIONS`, a block each: give each about 14 s."""
     clearance: float = 0.002
     """Metres by which a hole is wider than its block."""
     tolerance: float = 0.005
@@ -354,15 +362,20 @@ class PegInHole(Task):
 def _insertion(index: int, closing: float) -> tuple[Phase, ...]:
     """Grasp a block, bring it above its hole, find the hole by touch, push the block in and leave it there."""
     at, over = partial(grasp, index=index), partial(grasp, index=index, height=0.1)
-    above, search = (partial(carried, index=index, height=BOARD_HEIGHT + height) for height in (0.02, -0.006))
+    above = partial(carried, index=index, height=BOARD_HEIGHT + 0.02)
+    close = partial(carried, index=index, height=BOARD_HEIGHT + 0.003, push=0.02)
+    search = partial(carried, index=index, height=BOARD_HEIGHT - 0.006, push=0.002, search=0.001)
+    down = partial(carried, index=index, height=-0.003, push=0.006)
+    again = Retry(3, unless=lambda world, task: inserted(world, task)[:, index] > 0.0, most=1)
     return (
         Phase(over, position_tolerance=0.02, free=True),
         Phase(at, position_tolerance=0.004, timeout=1.5),
         Phase(at, gripper_open=False, dwell=closing, timeout=closing + 0.1),
         Phase(partial(raised, index=index), gripper_open=False, position_tolerance=0.03, timeout=1.5),
-        Phase(above, gripper_open=False, position_tolerance=0.002, rotation_tolerance=0.02, timeout=2.0),
-        Phase(partial(search, search=0.0015), gripper_open=False, position_tolerance=0.003, timeout=4.0),
-        Phase(partial(carried, index=index, height=-0.005), gripper_open=False, position_tolerance=0.006, timeout=1.5),
+        Phase(above, gripper_open=False, position_tolerance=0.004, rotation_tolerance=0.03, timeout=2.0),
+        Phase(close, gripper_open=False, position_tolerance=0.0003, rotation_tolerance=0.005, timeout=1.2),
+        Phase(search, gripper_open=False, position_tolerance=0.0015, timeout=4.0),
+        Phase(down, gripper_open=False, position_tolerance=0.004, timeout=2.0, retry=again),
         Phase(partial(grasp, index=index), dwell=closing, timeout=closing + 0.1),
         Phase(over, position_tolerance=0.04, timeout=1.0),
     )
