@@ -37,6 +37,11 @@ def register(registry: TaskRegistry) -> None:
     registry.add("Mobile-Cabinet", "Drive to a cabinet and open its drawer", "orbit_tasks.mobile_cabinet:MobileCabinet")
     registry.add("Mobile-Lift", "Drive around a table to a cube and lift it", "orbit_tasks.mobile_lift:MobileLift")
     registry.add(
+        "Room-Reorganization",
+        "Bring several things to their places in a room",
+        "orbit_tasks.room_reorganization:RoomReorganization",
+    )
+    registry.add(
         "Velocity-Flat",
         "A legged robot follows a commanded velocity on a plane",
         "orbit_tasks.velocity_flat:VelocityFlat",

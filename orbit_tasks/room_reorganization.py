@@ -1,0 +1,273 @@
+"""Room-Reorganization: bring things that lie about on furniture to their places on a shelf, one after another."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+from torch.linalg import vector_norm
+
+from orbit_core.assets.objects import box, cylinder
+from orbit_core.envs import (
+    EventTerm,
+    Expert,
+    ObservationGroup,
+    ObservationTerm,
+    Phase,
+    Retry,
+    RewardTerm,
+    Task,
+    TerminationTerm,
+)
+from orbit_core.envs.terms import measured_in, once_per_state
+from orbit_core.interfaces import World
+from orbit_core.mdp import common, picking
+from orbit_core.motion.planning import BasePlannerConfig
+from orbit_core.scene import MarkerShape, MarkerSpec, ObjectSpec, Pose, Scene, look_at
+from orbit_tasks import room
+from orbit_tasks.mobile import Mobile, base_pose, base_radius, mobile, sag_rate, start_within, tipped
+
+THINGS = ("cube", "can", "carton")
+"""Names of what is to be tidied up."""
+HALF_HEIGHTS = (0.025, 0.04, 0.05)
+"""Of each, m."""
+INSET = 0.1
+"""Metres from a piece's front edge to the middles of what stands on it."""
+SHELF_RAISED = 0.15
+"""Metres by which the shelf's top is higher than the tables'."""
+
+
+def things() -> tuple[ObjectSpec, ...]:
+    """A cube, a can and a carton."""
+    return (
+        box("cube", (0.05, 0.05, 0.05), mass=0.1, color=(0.8, 0.2, 0.15, 1.0)),
+        cylinder("can", 0.025, 0.08, mass=0.12, color=(0.2, 0.5, 0.8, 1.0)),
+        box("carton", (0.05, 0.05, 0.1), mass=0.12, color=(0.3, 0.65, 0.3, 1.0)),
+    )
+
+
+@measured_in("m")
+@once_per_state
+def positions(world: World, task: RoomReorganization) -> Tensor:
+    """(N, 3, 3) of the things."""
+    return torch.stack([world.objects[name].root_pose[:, :3] for name in THINGS], 1)
+
+
+@once_per_state
+def distances(world: World, task: RoomReorganization) -> Tensor:
+    """(N, 3) metres from each thing to its place."""
+    return vector_norm(positions(world, task) - task.places, dim=2)
+
+
+@once_per_state
+def in_place(world: World, task: RoomReorganization) -> Tensor:
+    """(N, 3) bool: the thing rests within the tolerance of its place, and the hand has let go of it."""
+    away = vector_norm(positions(world, task) - common.hand_pose(world, task)[:, None, :3], dim=2)
+    return (distances(world, task) < task.tolerance) & (away > 0.05)
+
+
+def share_in_place(world: World, task: RoomReorganization) -> Tensor:
+    """(N,) in [0, 1]"""
+    return in_place(world, task).float().mean(1)
+
+
+def nearness(world: World, task: RoomReorganization) -> Tensor:
+    """(N,) in [0, 1]: how near the things are to their places, over metres."""
+    return common.nearness(distances(world, task), 1.0).mean(1)
+
+
+def reaching(world: World, task: RoomReorganization) -> Tensor:
+    """(N,) in [0, 1]: how near the hand is to the first thing that is not in its place; 1 where all are."""
+    away = vector_norm(positions(world, task) - common.hand_pose(world, task)[:, None, :3], dim=2)
+    done = in_place(world, task)
+    first = done.long().argmin(1, keepdim=True)
+    return torch.where(done.all(1), 1.0, common.nearness(away.gather(1, first).squeeze(1), 0.5))
+
+
+def place_things(world: World, task: RoomReorganization, env_ids: Tensor) -> None:
+    """Draw the room, in which slot of desk and sideboard each thing stands, a little off and turned, and its place."""
+    room.place_furniture(world, env_ids)
+    slots = [(piece, y) for piece in (room.DESK, room.SIDEBOARD) for y in piece.slots]
+    taken = world.random.uniform((len(slots),), env_ids=env_ids).argsort(1)
+    order = world.random.uniform((len(THINGS),), env_ids=env_ids).argsort(1)
+    stands = torch.stack([_stand(world, task, piece, y, env_ids) for piece, y in slots], 1)
+    goals = torch.stack([_stand(world, task, room.SHELF, y, env_ids) for y in room.SHELF.slots], 1)
+    rows = torch.arange(len(env_ids), device=world.device)
+    off = world.random.uniform((len(THINGS), 3), (-0.02, -0.02, -math.pi), (0.02, 0.02, math.pi), env_ids)
+    for number, name in enumerate(THINGS):
+        start, goal = stands[rows, taken[:, number]], goals[rows, order[:, number]]
+        up = torch.tensor([0.0, 0.0, HALF_HEIGHTS[number]], device=world.device)
+        place = torch.cat((start[:, :3] + up, start[:, 3:4]), 1)
+        place[:, [0, 1, 3]] += off[:, number]
+        world.objects[name].set_root_pose(common.standing(place), env_ids)
+        task.places[env_ids, number] = goal[:, :3] + up
+        task.docks[env_ids, number, 0], task.docks[env_ids, number, 1] = start[:, 4:], goal[:, 4:]
+    common.place_markers(world, [f"{name}_place" for name in THINGS], task.places[env_ids], env_ids)
+
+
+def _stand(world: World, task: RoomReorganization, piece: room.Furniture, y: float, env_ids: Tensor) -> Tensor:
+    """(n, 7): where a thing stands on a piece of furniture and the piece's yaw; where a base stands before it."""
+    pose = world.objects[piece.name].root_pose[env_ids]
+    slot = torch.full_like(pose[:, 0], y)
+    yaw = torch.full_like(slot, piece.yaw)[:, None]
+    front = -0.5 * piece.depth
+    thing, base = piece.local(front + INSET, slot, pose), piece.local(front - task.standoff, slot, pose)
+    return torch.cat((thing, pose[:, 2:3], yaw, base, yaw), 1)
+
+
+@dataclass
+class RoomState(ObservationGroup):
+    """The arm's joints and hand, the base, the things and their places, and the last action."""
+
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    base_pose: ObservationTerm | None = ObservationTerm(base_pose)
+    positions: ObservationTerm | None = ObservationTerm(positions)
+    places: ObservationTerm | None = ObservationTerm(lambda world, task: task.places, unit="m")
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+
+
+@dataclass
+class RoomObservations:
+    """Policy and critic see the state."""
+
+    policy: RoomState = field(default_factory=RoomState)
+    critic: ObservationGroup | None = None
+
+
+@dataclass
+class RoomRewards:
+    """Rewards of the hand at the next thing, things near their places and in them, less what is abrupt."""
+
+    reach: RewardTerm | None = RewardTerm(reaching, 1.0)
+    near: RewardTerm | None = RewardTerm(nearness, 5.0)
+    in_place: RewardTerm | None = RewardTerm(share_in_place, 20.0)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
+
+
+@dataclass
+class RoomTerminations:
+    """An episode ends early where the base falls over."""
+
+    tipped: TerminationTerm | None = TerminationTerm(tipped)
+
+
+@dataclass
+class RoomEvents:
+    """The room, the robot in its free part and the things are placed anew for each episode."""
+
+    place_robot: EventTerm | None = EventTerm(start_within((-1.2, -1.8), (1.2, -1.4)))
+    place_things: EventTerm | None = EventTerm(place_things)
+
+
+@dataclass(kw_only=True)
+class RoomReorganization(Mobile, Task):
+    """Three things stand on a desk and a sideboard; each has a place on a shelf at the opposite wall.
+
+    Where furniture, crate and things stand, and which place is whose, is drawn for each episode. Succeeds when all are
+    within ``tolerance`` of their places, let go of, at the episode's end. Metrics: the part of them that is, and the
+    sum of their distances.
+    """
+
+    robot: str = "base_omni_franka_panda"
+    action: str = "joint_position"
+    episode_length: float = 60.0
+    view: Pose = look_at(eye=(-0.6, -5.6, 4.6), target=(0.0, -0.2, 0.0))
+    tolerance: float = 0.05
+    """Metres."""
+    observations: RoomObservations = field(default_factory=RoomObservations)
+    rewards: RoomRewards = field(default_factory=RoomRewards)
+    terminations: RoomTerminations = field(default_factory=RoomTerminations)
+    events: RoomEvents = field(default_factory=RoomEvents)
+    places: Tensor = field(init=False)
+    """(N, 3, 3) of the things' middles in the environment's frame, m."""
+    docks: Tensor = field(init=False)
+    """(N, 3, 2, 3) x, y and heading of the base before each thing's first stand, and before its place."""
+    standoff: float = field(init=False)
+    """Metres from a piece's front to the middle of a base that stands before it."""
+    surface: float = field(init=False)
+    """Metres from the floor to the tops of desk and sideboard."""
+
+    def scene(self) -> Scene:
+        robot = mobile(self.robot)
+        space = robot.end_effector.workspace.placed(robot.pose)
+        self.surface, self.standoff = space.low[2] - 0.1, space.low[0] + 0.05
+        heights = {piece.name: self.surface for piece in room.PIECES} | {"shelf": self.surface + SHELF_RAISED}
+        marks = tuple(
+            MarkerSpec(
+                f"{thing.name}_place", MarkerShape.SPHERE, size=0.03, color=thing.articulation.root.visuals[0].color
+            )
+            for thing in things()
+        )
+        return Scene(
+            robots=(robot,),
+            objects=(*room.furniture(heights), *self._laid_out()),
+            terrain=(common.floor(), *room.walls()),
+            markers=marks,
+            physics_dt=self.physics_dt,
+        )
+
+    def _laid_out(self) -> tuple[ObjectSpec, ...]:
+        """The things where they stand until an episode begins: side by side on the floor."""
+        laid = zip(things(), HALF_HEIGHTS, (-0.3, 0.0, 0.3), strict=True)
+        return tuple(replace(thing, pose=Pose((x, 1.0, half))) for thing, half, x in laid)
+
+    def start(self, world: World) -> None:
+        super().start(world)
+        self.places = torch.zeros(world.num_envs, len(THINGS), 3, device=world.device)
+        self.docks = torch.zeros(world.num_envs, len(THINGS), 2, 3, device=world.device)
+
+    def success(self, world: World) -> Tensor:
+        return in_place(world, self).all(1)
+
+    def metrics(self, world: World) -> dict[str, Tensor]:
+        return {"objects_in_place": share_in_place(world, self), "distance_m": distances(world, self).sum(1)}
+
+    def expert(self, world: World) -> Expert:
+        spec = common.robot_of(world).spec
+        half = (0.5 * room.LENGTH, 0.5 * room.WIDTH)
+        planner = BasePlannerConfig(
+            radius=base_radius(spec), height=self.surface, low=(-half[0], -half[1]), high=(half[0], half[1])
+        )
+        phases = [phase for number in range(len(THINGS)) for phase in tidying(world, number, self.surface)]
+        return Expert(world, self, phases, planner=planner, sag_rate=sag_rate(world))
+
+
+def tidying(world: World, number: int, surface: float) -> tuple[Phase, ...]:
+    """The phases that bring one thing to its place: to it, take it, to the shelf, put it down."""
+    name, high = THINGS[number], surface + SHELF_RAISED + 0.25
+
+    def pose(world: World, task: RoomReorganization) -> Tensor:
+        return world.objects[name].root_pose
+
+    def grasp(world: World, task: RoomReorganization) -> Tensor:
+        thing, facing = world.objects[name].root_pose, task.docks[:, number, 0, 2]
+        turned = 2.0 * torch.atan2(thing[:, 6], thing[:, 3]) - facing
+        quarter = 0.5 * math.pi
+        yaw = facing + turned - quarter * torch.round(turned / quarter)
+        return torch.cat((thing[:, :3], common.facing_down(yaw)), 1)
+
+    def place(world: World, task: RoomReorganization) -> Tensor:
+        return torch.cat((task.places[:, number], common.facing_down(task.docks[:, number, 1, 2])), 1)
+
+    def lifted(world: World, task: RoomReorganization) -> Tensor:
+        return pose(world, task)[:, 2] > surface + 0.1
+
+    up = Phase(picking.straight_up(high), False, 0.03, timeout=2.0, retry=Retry(4, lifted))
+    return (
+        _drive(number, 0, True),
+        *picking.pick(world, grasp, free=True),
+        up,
+        _drive(number, 1, False),
+        *picking.put(picking.hand_for(place, pose), high),
+    )
+
+
+def _drive(number: int, end: int, gripper_open: bool) -> Phase:
+    def dock(world: World, task: RoomReorganization) -> Tensor:
+        return task.docks[:, number, end]
+
+    return Phase(None, gripper_open, 0.03, 0.05, base=dock, timeout=14.0)
