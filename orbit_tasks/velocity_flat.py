@@ -29,7 +29,7 @@ from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
 from orbit_tasks import biped, walking
-from orbit_tasks.trot import TrotGenerator
+from orbit_tasks.gait import FootholdGait
 from orbit_tasks.trunk import angular_velocity, linear_velocity, projected_gravity
 
 CONTACTS = biped.CONTACTS
@@ -188,7 +188,7 @@ class VelocityFlat(Task):
     """Forward, sideways and turning velocities are commanded for one episode, in the trunk's own axes.
 
     Succeeds when the robot has not fallen and both errors, averaged over the episode, are within
-    tolerance. Metrics: those errors, and falls. In place of an expert stands a trot generator.
+    tolerance. Metrics: those errors, and falls. The expert, of robots with four feet, is :class:`FootholdGait`.
     """
 
     robot: str = "anymal_c"
@@ -296,5 +296,5 @@ class VelocityFlat(Task):
         linear, yaw = self.mean_errors().unbind(1)
         return {"linear_error_m_s": linear, "yaw_rate_error_rad_s": yaw, "falls": fallen(world, self).float()}
 
-    def expert(self, world: World) -> TrotGenerator:
-        return TrotGenerator(world, self, self.command)
+    def expert(self, world: World) -> FootholdGait:
+        return FootholdGait(world, self, self.command)

@@ -1,0 +1,246 @@
+"""A trot that follows commands: footholds after Raibert, legs by inverse kinematics, forces that carry and correct.
+
+Diagonal feet step together. A swinging foot is put down where the trunk will be half a stance later, and farther by
+how much faster it goes than it should (Raibert, Legged Robots That Balance, 1986); a foot on the ground is drawn back
+under the trunk at the commanded velocity. The legs' drives are soft: their targets lie beyond the wanted positions by
+what the forces that the feet shall exert deflect them, and by what their damping takes from a joint that moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.envs import Task
+from orbit_core.interfaces import ConfigurationError, Node, Port, World
+from orbit_core.interfaces.layout import joint_limits
+from orbit_core.mdp import common
+from orbit_core.motion import JointPosition
+from orbit_tasks import walking
+
+_DAMPING = 1e-4
+"""m^2: of the inverse kinematics; keeps steps bounded at a straight knee (Nakamura and Hanafusa, 1986)."""
+_NEWTON_STEPS = 2
+_OWN_SPEED = 0.9
+"""Part of a joint's velocity limit that its wanted position may move at."""
+
+
+@dataclass(frozen=True)
+class Gait:
+    """Timing, size and gains of the steps."""
+
+    period: float = 0.2
+    """Seconds for a step of each foot."""
+    stance: float = 0.56
+    """Part of the period that a foot is on the ground."""
+    swing_height: float = 0.05
+    """Metres."""
+    rise: float = 0.03
+    """Part of its height over the feet at home by which the trunk goes higher: straighter knees carry more."""
+    foothold_gain: float = 0.05
+    """s: how much farther a foot is put for each m/s that the trunk goes faster than wanted."""
+    velocity_gain: float = 10.0
+    """1/s: horizontal acceleration that the feet on the ground are asked for, over the error of the velocity."""
+    turning_gain: float = 15.0
+    """1/s: angular acceleration about the vertical over the error of the yaw rate."""
+    grip: float = 0.3
+    """Largest part of what a foot carries that it pushes along the ground with."""
+    integral_gain: float = 1.0
+    """1/s, of the errors of velocity and yaw rate: what slips and gives way takes part of each stride."""
+    integral_limit: float = 0.4
+    """m/s and rad/s."""
+    smoothing: float = 0.06
+    """Seconds over which the measured velocity is averaged."""
+    ramp: float = 1.5
+    """m/s^2 and rad/s^2 at which the wanted velocity goes to the commanded one."""
+    height_gain: float = 40.0
+    """1/s^2: vertical acceleration over the error of the trunk's height."""
+
+
+class FootholdGait(Node):
+    """Gives the action whose joint targets walk a quadruped at commanded velocities.
+
+    Args:
+        world: of a quadruped on level ground.
+        task: its actions are joint positions.
+        command: (N, 3) forward and sideways velocity in m/s and yaw rate in rad/s, in the trunk's axes; read at each
+            turn.
+        gait: timing, size and gains of the steps.
+
+    Raises:
+        ConfigurationError: the actions are others, or the robot has not four feet.
+    """
+
+    def __init__(self, world: World, task: Task, command: Tensor, gait: Gait | None = None) -> None:
+        self.name = "policy"
+        generator = task.generators[0]
+        if not isinstance(generator, JointPosition):
+            raise ConfigurationError(f"a gait gives joint positions: action '{task.action}' does not take them")
+        robot = common.robot_of(world)
+        self._feet = robot.spec.feet
+        if len(self._feet) != 4:
+            raise ConfigurationError(f"a gait needs a robot with four feet; '{task.robot}' has {len(self._feet)}")
+        self._generator, self._task, self._command, self._robot = generator, task, command, robot
+        self._gait = gait or Gait()
+        self.outputs = (Port("action", (generator.command_size,)),)
+        self._dt = task.physics_dt * task.decimation
+        self._gravity = -world.scene.gravity[2]
+        self._tree = KinematicTree(robot.spec.articulation, world.device)
+        self._legs = self._columns_of_legs()
+        count = world.num_envs
+        root = torch.tensor([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], device=world.device)
+        self._root = root.expand(count, 7)
+        self._positions = robot.home_positions.repeat(count, 1)
+        """(N, J) that the legs shall have."""
+        feet, _ = self._kinematics(self._positions[:1], self._root[:1])
+        self._neutral = feet * torch.tensor([1.0, 1.0, 1.0 + self._gait.rise], device=world.device)
+        """(1, 4, 3) feet in the trunk's frame at home."""
+        self._planted = self._neutral.repeat(count, 1, 1)
+        """(N, 4, 3) wanted of the feet, in the level frame of the trunk: where they are, or lifted off."""
+        self._velocities = torch.zeros(3, count, 3, device=world.device)
+        self._integral, self._smooth, self._asked = self._velocities.unbind()
+        """(N, 3) each: integrated error, what was measured, smoothed, and what is wanted on the way to the command."""
+        # Feet on opposite corners of the trunk step together.
+        self._offset = 0.5 * (self._neutral[0, :, 0] * self._neutral[0, :, 1] > 0).float()
+        gains = robot.nominal_gains
+        self._stiffness = torch.tensor([gains[j][0] for j in range(len(gains))], device=world.device)
+        self._lag = torch.tensor([gains[j][1] / gains[j][0] for j in range(len(gains))], device=world.device)
+        limits = torch.as_tensor(joint_limits(robot.spec, "velocity_limit"), dtype=torch.float32, device=world.device)
+        self._most_turn = _OWN_SPEED * limits * self._dt
+        self._mass = robot.spec.articulation.mass
+        self._inertia = self._mass * float(self._neutral[..., :2].square().sum(2).mean())
+        """kg m^2 about the vertical, of the mass as if it lay over the feet."""
+        self._height = robot.spec.pose.position[2]
+
+    def memory(self) -> Mapping[str, Tensor]:
+        velocities = {"integral": self._integral, "smooth": self._smooth, "asked": self._asked}
+        return {"positions": self._positions, "planted": self._planted, **velocities}
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        rows = slice(None) if env_ids is None else env_ids
+        self._positions[rows] = self._robot.home_positions
+        self._planted[rows] = self._neutral
+        self._velocities[:, rows] = 0.0
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        self._begin(self._task.episode_step == 0)
+        gait = self._gait
+        tilt = self._tilt()
+        self._smooth.lerp_(self._velocity(), min(self._dt / gait.smoothing, 1.0))
+        self._asked.add_((self._command - self._asked).clamp(-gait.ramp * self._dt, gait.ramp * self._dt))
+        velocity, error = self._smooth, self._asked - self._smooth
+        self._integral.add_(error, alpha=gait.integral_gain * self._dt).clamp_(
+            -gait.integral_limit, gait.integral_limit
+        )
+        wanted = self._asked + self._integral
+        phase, standing = self._phase(self._task.episode_step)
+        landing = self._phase(self._task.episode_step + 1)[1] & ~standing
+        feet = self._feet_wanted(phase, standing, landing, wanted, velocity, tilt)
+        before = self._positions.clone()
+        jacobian = self._solve(feet)
+        turned = (self._positions - before).clamp(-self._most_turn, self._most_turn)
+        self._positions.copy_(before + turned)
+        forces = self._forces(standing, error)
+        efforts = -(jacobian.transpose(2, 3) @ forces[..., None]).squeeze(-1)  # (N, 4, 3)
+        pressed = torch.zeros_like(before)
+        pressed[:, self._legs.flatten()] = efforts.flatten(1)
+        targets = self._positions + self._lag * turned / self._dt + pressed / self._stiffness
+        return {"action": self._generator.encode_positions(targets[:, self._generator.joints])}
+
+    def _begin(self, new: Tensor) -> None:
+        """Forget the past of the environments (N,) bool whose episodes begin."""
+        self._positions.copy_(torch.where(new[:, None], self._robot.home_positions, self._positions))
+        self._planted.copy_(torch.where(new[:, None, None], self._neutral, self._planted))
+        self._velocities.masked_fill_(new[None, :, None], 0.0)
+
+    def _phase(self, step: Tensor) -> tuple[Tensor, Tensor]:
+        """(N, 4) part of its period that each foot has had at steps (N,), and whether it is then on the ground."""
+        phase = torch.remainder(step[:, None] * (self._dt / self._gait.period) + self._offset, 1.0)
+        return phase, phase < self._gait.stance
+
+    def _feet_wanted(
+        self, phase: Tensor, standing: Tensor, landing: Tensor, wanted: Tensor, velocity: Tensor, tilt: Tensor
+    ) -> Tensor:
+        """(N, 4, 3) in the trunk's frame; moves the planted feet on."""
+        gait = self._gait
+        past = ((phase - gait.stance) / (1.0 - gait.stance)).clamp(0.0, 1.0)
+        self._planted[..., :2] -= standing[..., None] * self._dt * self._carried(wanted, self._planted)
+        half = 0.5 * gait.stance * gait.period
+        surplus = gait.foothold_gain * (velocity[:, :2] - self._asked[:, :2])
+        ahead = self._neutral[..., :2] + half * self._carried(wanted, self._neutral) + surplus[:, None]
+        # A swing without speed at either end, relative to the ground.
+        share = past - torch.sin(2.0 * torch.pi * past) / (2.0 * torch.pi)
+        swinging = self._planted[..., :2] + share[..., None] * (ahead - self._planted[..., :2])
+        self._planted[..., :2] = torch.where(landing[..., None], ahead, self._planted[..., :2])
+        height = self._neutral[..., 2] + gait.swing_height * torch.sin(torch.pi * past).square() * ~standing
+        flat = torch.where(standing[..., None], self._planted[..., :2], swinging)
+        feet = torch.cat((flat, height[..., None]), 2)
+        # A foot in the air keeps clear of the ground whatever the trunk's tilt; feet on it hold the trunk by theirs.
+        roll, pitch = tilt[:, None, 0], tilt[:, None, 1]
+        lean = pitch * feet[..., 0] - roll * feet[..., 1]
+        return torch.cat((flat, (height + lean * ~standing)[..., None]), 2)
+
+    def _carried(self, motion: Tensor, feet: Tensor) -> Tensor:
+        """(N, 4, 2) velocity of the trunk's points above feet (N, 4, 3), for planar motion (N, 3)."""
+        turn = torch.stack((-feet[..., 1], feet[..., 0]), dim=2) * motion[:, None, 2:]
+        return motion[:, None, :2] + turn
+
+    def _forces(self, standing: Tensor, error: Tensor) -> Tensor:
+        """(N, 4, 3) N that the ground shall exert on the feet: the robot's weight, and what corrects its motion."""
+        gait = self._gait
+        standing = standing.float()
+        share = standing / standing.sum(1, keepdim=True).clamp_min(1.0)
+        low = self._height - self._robot.root_pose[:, 2]
+        vertical = share * (self._mass * (self._gravity + gait.height_gain * low)).clamp_min(0.0)[:, None]
+        along = share[..., None] * (self._mass * gait.velocity_gain * error[:, None, :2])
+        arms = torch.stack((-self._planted[..., 1], self._planted[..., 0]), 2) * standing[..., None]
+        leverage = arms.square().sum((1, 2)).clamp_min(1e-3)
+        moment = self._inertia * gait.turning_gain * error[:, 2]
+        along = along + arms * (moment / leverage)[:, None, None]
+        most = gait.grip * vertical / along.norm(dim=2).clamp_min(1e-6)
+        return torch.cat((along * most.clamp_max(1.0)[..., None], vertical[..., None]), 2)
+
+    def _solve(self, feet: Tensor) -> Tensor:
+        """Move the wanted positions so that feet are where they are wanted; gives the legs' Jacobians (N, 4, 3, 3)."""
+        at, jacobian = self._kinematics(self._positions, self._root)
+        for _ in range(_NEWTON_STEPS):
+            square = jacobian @ jacobian.transpose(2, 3)
+            square = square + _DAMPING * torch.eye(3, device=square.device)
+            step = jacobian.transpose(2, 3) @ torch.linalg.solve(square, (feet - at)[..., None])
+            self._positions[:, self._legs.flatten()] += step.squeeze(-1).flatten(1)
+            at, jacobian = self._kinematics(self._positions, self._root)
+        return jacobian
+
+    def _kinematics(self, positions: Tensor, root: Tensor) -> tuple[Tensor, Tensor]:
+        """Feet (N, 4, 3) in the trunk's frame, and their Jacobians by their own legs' joints (N, 4, 3, 3)."""
+        poses = self._tree.forward(root, positions)
+        feet = torch.stack([self._tree.frame_pose(poses, foot)[:, :3] for foot in self._feet], 1)
+        whole = torch.stack([self._tree.jacobian(poses, foot)[:, :3] for foot in self._feet], 1)
+        columns = self._legs[None, :, None, :].expand(len(positions), 4, 3, 3)
+        return feet, whole.gather(3, columns)
+
+    def _columns_of_legs(self) -> Tensor:
+        """(4, 3) int64: the joints on the way to each foot."""
+        home, device = self._robot.home_positions, self._robot.home_positions.device
+        root = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], device=device)
+        poses = self._tree.forward(root, home.view(1, -1))
+        moved = torch.stack([self._tree.jacobian(poses, foot)[0, 3:].norm(dim=0) > 0.5 for foot in self._feet])
+        if moved.sum(1).tolist() != [3, 3, 3, 3]:
+            raise ConfigurationError(
+                f"a gait needs legs of three joints; those of '{self._task.robot}' have {moved.sum(1).tolist()}"
+            )
+        return moved.nonzero()[:, 1].view(4, 3)
+
+    def _tilt(self) -> Tensor:
+        """(N, 2) roll and pitch, rad, small ones."""
+        up = -walking.projected_gravity(self._robot)
+        return torch.stack((torch.atan2(up[:, 1], up[:, 2]), torch.atan2(-up[:, 0], up[:, 2])), 1)
+
+    def _velocity(self) -> Tensor:
+        """(N, 3) m/s forward and to the left, rad/s about the vertical."""
+        linear, turning = walking.linear_velocity(self._robot), walking.angular_velocity(self._robot)
+        return torch.cat((linear[:, :2], turning[:, 2:]), 1)
