@@ -49,6 +49,7 @@ MOVING_MASSES = Bounds(1e-9, 1e9, "kg")
 NO_MASS = Bounds(0.0, 0.0, "kg")
 FRICTIONS = Bounds(0.0, 1e6)
 GAINS = Bounds(0.0, 1e12)
+COLORS = Bounds(0.0, 1.0)
 
 
 def whole_number(value: object, what: str, least: int, most: int) -> int:

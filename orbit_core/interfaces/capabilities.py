@@ -87,6 +87,7 @@ class Capability(Enum):
     RGB = "colour images"
     LIGHTING = "colour images lit by the scene's lights"
     SHADOWS = "shadows of the scene's lights"
+    COLORS_PER_ENVIRONMENT = "colours of links per environment, in images"
     DEPTH = "depth images"
     NORMALS = "surface normal images"
     ALBEDO = "albedo images"

@@ -189,6 +189,10 @@ class Object(ABC):
         """Damping, Coulomb friction and armature (n, k) of some joints themselves; None leaves one as it is."""
         raise self._unsupported("joint parameters to set")
 
+    def set_colors(self, colors: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
+        """Red, green and blue (n, k, 3) in [0, 1] of all shapes of some links, in pictures."""
+        raise self._unsupported("colours to set")
+
     def set_wrenches(self, wrenches: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
         """Force at the centre of mass and torque, (n, k, 6), world axes, on some links until set again or reset."""
         raise self._unsupported("wrenches to set")

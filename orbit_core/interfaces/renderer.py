@@ -34,6 +34,14 @@ class Image:
 class Renderer(Watched, ABC):
     """Draws visual shapes (collision shapes where a link has none), terrain and markers."""
 
+    link_colors: Tensor | None = None
+    """(N, L, 4) each link's red, green and blue in [0, 1] in each environment, in the place of its shapes' own where
+    the fourth number is above zero; None: all have their own. Opacity is the shapes' own. Its owner writes in place."""
+
+    def set_link_colors(self, colors: Tensor | None) -> None:
+        """Take :attr:`link_colors` from now on."""
+        self.link_colors = colors
+
     @abstractmethod
     @measures("camera_poses", "link_poses", "marker_poses")
     def render(

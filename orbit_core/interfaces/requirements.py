@@ -30,7 +30,7 @@ from orbit_core.scene import (
 
 IMAGES = (
     Capability.RGB, Capability.DEPTH, Capability.NORMALS, Capability.ALBEDO, Capability.SEGMENTATION,
-    Capability.RAY_TRACED_RGB, Capability.LIGHTING, Capability.SHADOWS,
+    Capability.RAY_TRACED_RGB, Capability.LIGHTING, Capability.SHADOWS, Capability.COLORS_PER_ENVIRONMENT,
 )  # fmt: skip
 """What scenes need of whatever draws them; all else they need of the engine."""
 

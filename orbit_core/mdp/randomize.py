@@ -19,6 +19,7 @@ from torch import Tensor
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import EventFunction, TermFunction
 from orbit_core.interfaces import ConfigurationError, Object, UnknownNameError, World
+from orbit_core.scene.pose import Vector3
 
 TERRAIN = "terrain"
 
@@ -134,6 +135,28 @@ def joint_parameters(
                 nominal = torch.as_tensor(getattr(parameters, name)[columns], dtype=torch.float32, device=world.device)
                 values[name] = nominal * scale.sample(world, task, (len(chosen),), env_ids)
         thing.set_joint_parameters(**values, joints=chosen, env_ids=env_ids)
+
+    return event
+
+
+def colors(
+    entities: Sequence[str],
+    low: Vector3 = (0.0, 0.0, 0.0),
+    high: Vector3 = (1.0, 1.0, 1.0),
+    links: Sequence[str] = (".*",),
+) -> EventFunction:
+    """Give links whose names match a colour each, its red, green and blue between ``low`` and ``high``, in pictures.
+
+    Raises, when it happens:
+        UnsupportedCapabilityError: the renderer cannot; names those that can.
+    """
+
+    def event(world: World, task: Task, env_ids: Tensor) -> None:
+        for name in entities:
+            thing = _entity(world, name)
+            chosen = thing.find_links(*links)
+            drawn = world.random.uniform((len(chosen), 3), low, high, env_ids)
+            thing.set_colors(drawn, chosen, env_ids)
 
     return event
 

@@ -116,6 +116,8 @@ class HostRequest:
     """(n, M, 7)"""
     environments: npt.NDArray[np.int64]
     """(n,) which environment each row is of."""
+    colors: npt.NDArray[np.float32] | None = None
+    """(n, L, 4) of links, as :attr:`Renderer.link_colors` has them; None: all have their own."""
 
     def canvas(self, kind: Kind) -> npt.NDArray[Any]:
         """Pictures (n, H, W, numbers in a pixel) to be filled."""
@@ -152,10 +154,41 @@ class HostRenderer(KitRenderer):
                 request.wanted,
                 None if request.marker_poses is None else _on_host(request.marker_poses),
                 np.arange(count) if ids is None else ids.cpu().numpy(),
+                self._colors_of(count, ids),
             )
         )
         device = request.link_poses.device
         return Image(**{kind: _tensor(getattr(pictures, kind), device) for kind in _CHANNELS if kind in request.wanted})
+
+    def _colors_of(self, count: int, ids: Tensor | None) -> npt.NDArray[np.float32] | None:
+        if self.link_colors is None:
+            return None
+        return (self.link_colors[:count] if ids is None else self.link_colors[ids]).cpu().numpy()
+
+
+def painted(own: npt.NDArray[Any], links: npt.NDArray[Any], colors: npt.NDArray[np.float32]) -> npt.NDArray[Any]:
+    """Colours (S, >= 3) of shapes, those of links (S,) that have one of their own in ``colors`` (L, 4) in their place.
+
+    Red, green and blue are in [0, 1]; links below zero are none.
+    """
+    chosen = colors[np.maximum(links, 0)]
+    holds = (links >= 0) & (chosen[:, 3] > 0.0)
+    result = own.copy()
+    result[holds, :3] = chosen[holds, :3]
+    return result
+
+
+def repainted(
+    albedo: npt.NDArray[np.uint8], links: npt.NDArray[np.int32], colors: npt.NDArray[np.float32] | None
+) -> npt.NDArray[np.uint8]:
+    """Albedo (n, H, W, 3) of what is seen, and of links (n, H, W) with a colour in ``colors`` (n, L, 4) that one."""
+    if colors is None:
+        return albedo
+    rows = np.arange(len(links))[:, None, None]
+    chosen = colors[rows, np.maximum(links, 0)]
+    holds = (links >= 0) & (chosen[..., 3] > 0.0)
+    own = (255.0 * np.clip(chosen[..., :3], 0.0, 1.0) + 0.5).astype(np.uint8)
+    return np.where(holds[..., None], own, albedo)
 
 
 def _on_host(poses: Tensor) -> npt.NDArray[np.float64]:

@@ -47,6 +47,9 @@ class MatterRenderer(Renderer):
         self._surfaces = [DeformableSurface(spec) for spec in layout.scene.deformables]
         self.capture = inner.capture
 
+    def set_link_colors(self, colors: Tensor | None) -> None:
+        self._inner.set_link_colors(colors)
+
     def render(
         self,
         camera: CameraSpec,

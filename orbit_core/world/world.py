@@ -58,6 +58,7 @@ from orbit_core.world.forking import give_up_in_forks
 from orbit_core.world.frames import with_frames
 from orbit_core.world.markers import SimulatedMarker, identity_poses
 from orbit_core.world.matter_pictures import with_matter
+from orbit_core.world.painting import Painting
 from orbit_core.world.preparation import prepared
 from orbit_core.world.robots import SimulatedRobot
 from orbit_core.world.settling import settle
@@ -119,12 +120,12 @@ class SimulatedWorld(World):
         except OrbitError:
             engine.close()
             raise
+        self.painting = Painting(num_envs, len(self.layout.links), self.device)
         self.masking = Masking(num_envs, self.device)  # pyright: ignore[reportIncompatibleVariableOverride]
         """Which environments a call is for."""
         self.random = RandomStreams(num_envs, seed, self.device, self.masking)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.random.reset()
-        active = any(thing.active for thing in scene.objects)
-        self.actuators = Actuators(self._engine, self.layout, self.random, shared=active)
+        self.actuators = Actuators(self._engine, self.layout, self.random, any(each.active for each in scene.objects))
         self.clock = Clock()  # pyright: ignore[reportIncompatibleVariableOverride]
         self._renderer: Renderer | None = None
         self._names: list[NamedThings] = []
@@ -138,9 +139,8 @@ class SimulatedWorld(World):
         robots = {e.name: SimulatedRobot(e, *parts) for e in self.layout.entities[:count]}
         objects = {e.name: SimulatedObject(e, *parts) for e in self.layout.entities[count:]}
         for thing in (*robots.values(), *objects.values()):
-            thing.require = self._require
+            thing.require, thing.painting = self._require, self.painting
         self.active = ActiveModels(objects, self._engine, self.masking)
-        """Force laws that objects have of their own."""
         deformables = {
             spec.name: SimulatedDeformable(i, spec, self._engine, self.masking, self.clock, {**robots, **objects})
             for i, spec in enumerate(self.scene.deformables)
@@ -202,7 +202,7 @@ class SimulatedWorld(World):
         layout = with_frames(self.layout) if frames else self.layout
         layout = rigid_part(layout, self._solver)
         renderer = self._renderer_plugin.create_renderer(layout, cameras, self._renderer_config)
-        return with_matter(renderer, self._solver, self._engine, self.layout)
+        return self.painting.add(with_matter(renderer, self._solver, self._engine, self.layout))
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:

@@ -67,6 +67,7 @@ CAPABILITIES = Capabilities(
         Capability.COPIED_STATES: approximate("contacts begin anew: what follows differs a little where things touch"),
         Capability.DETERMINISTIC: EXACT,
         Capability.RGB: EXACT,
+        Capability.COLORS_PER_ENVIRONMENT: EXACT,
         Capability.LIGHTING: approximate(
             "as the scene says with the software renderer, renderer='tiny'; OpenGL, which 'auto' takes for colour "
             "images above 128x128 where it loads, has a light of its own, along the first light's direction"

@@ -28,7 +28,7 @@ from orbit_core.interfaces import (
     drawn_shapes,
 )
 from orbit_core.plugin_kit.markers import marker_shapes
-from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
+from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures, painted, repainted
 from orbit_core.plugin_kit.rotations import compose, rotate
 from orbit_core.scene import CameraSpec, Channel, Shape
 from orbit_core.scene.pose import Vector3
@@ -65,6 +65,8 @@ class BulletRenderer(HostRenderer):
             self._links = np.array([link for _, link in things], dtype=np.int64)
             self._offsets = np.array([_flat(shape) for shape, _ in things]).reshape(-1, 7)
             self._bodies = [shapes.add(shape) for shape, _ in things]
+            self._own_colors = np.array([shape.color for shape, _ in things], np.float32).reshape(-1, 4)
+            self._colors = self._own_colors
             radii = np.array([ball_radius(shape.geometry) for shape, _ in things], dtype=np.float64)
             self._casters = (self._offsets[:, :3].astype(np.float64), radii)
             marks = [(shape, n) for n, spec in enumerate(layout.scene.markers) for shape in marker_shapes(spec)]
@@ -79,6 +81,7 @@ class BulletRenderer(HostRenderer):
         self._albedo_of_body[np.array(self._bodies, dtype=np.int64) + 1] = albedo_table(layout)[1:]
         for body, (shape, _) in zip(self._marker_bodies, marks, strict=True):
             self._albedo_of_body[body + 1] = [round(255 * part) for part in shape.color[:3]]
+        self._own_albedo_of_body = self._albedo_of_body.copy()
         self._link_of_body[np.array(self._bodies, dtype=np.int64) + 1] = self._links
         still = self._links == TERRAIN
         self._place([body for body, here in zip(self._bodies, still, strict=True) if here], self._offsets[still])
@@ -106,6 +109,8 @@ class BulletRenderer(HostRenderer):
         for i, pose in enumerate(request.cameras):
             links = request.links[i]
             self._place_links(links)
+            if request.colors is not None:
+                self._paint(request.colors[i])
             if "rgb" in wanted:
                 middle = links[:, :3].mean(0) if len(links) else np.zeros(3)
                 rgb[i], depth[i], bodies[i] = self._draw_colors(
@@ -115,7 +120,9 @@ class BulletRenderer(HostRenderer):
                 _, depth[i], bodies[i] = self._draw(camera, pose)
         links = self._link_of_body[bodies][..., None]
         normals = normals_of(depth, links, camera, request.cameras) if "normals" in wanted else None
-        albedo = self._albedo_of_body[bodies] if "albedo" in wanted else None
+        albedo = (
+            repainted(self._own_albedo_of_body[bodies], links[..., 0], request.colors) if "albedo" in wanted else None
+        )
         return Pictures(rgb, depth, normals, links, albedo)
 
     def free(self) -> None:
@@ -202,6 +209,15 @@ class BulletRenderer(HostRenderer):
             self._casters[0][self._moving] = position
             bodies = [self._bodies[number] for number in self._moving]
             self._place(bodies, np.concatenate((position, orientation), -1))
+
+    def _paint(self, colors: _Array) -> None:
+        """Give shapes their links' colours (L, 4), where these have one."""
+        painting = painted(self._own_colors, self._links, colors)
+        for body, color, before in zip(self._bodies, painting.tolist(), self._colors.tolist(), strict=True):
+            if color != before:
+                self._client.changeVisualShape(body, -1, rgbaColor=color)
+                self._albedo_of_body[body + 1] = [round(255 * part) for part in color[:3]]
+        self._colors = painting
 
     def _place_markers(self, poses: _Array | None) -> None:
         if poses is None:

@@ -72,6 +72,7 @@ def shared_support(engine: str) -> dict[Capability, Support]:
         Capability.SHAPES_PER_ENVIRONMENT: EXACT,
         Capability.SNAPSHOTS: EXACT,
         Capability.RGB: EXACT,
+        Capability.COLORS_PER_ENVIRONMENT: EXACT,
         Capability.LIGHTING: EXACT,
         Capability.DEPTH: EXACT,
         Capability.NORMALS: EXACT,

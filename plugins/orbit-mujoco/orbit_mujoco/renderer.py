@@ -22,7 +22,7 @@ from orbit_core.interfaces import (
     SceneLayout,
     albedo_table,
 )
-from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
+from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures, painted, repainted
 from orbit_core.scene import CameraSpec
 from orbit_mjmodel.visuals import all_variants
 from orbit_mujoco.config import MujocoConfig
@@ -71,10 +71,12 @@ class MujocoRenderer(HostRenderer):
         self._shown = np.zeros((len(shown), self._model.ngeom), dtype=bool)
         self._shown[:, : shown.shape[1]] = shown
         self._is_marker = np.arange(self._model.ngeom) >= shown.shape[1]
+        self._own_colors = self._model.geom_rgba.copy()
         bodies = self._model.geom_bodyid
         links = np.where(bodies > 0, bodies - 1, TERRAIN)
         # At the geom's index plus one; zero stands for nothing.
         self._link_of_geom = np.concatenate(((BACKGROUND,), links)).astype(np.int32)
+        self._links_of_geoms = np.where(self._is_marker, TERRAIN, links)
         self._albedo_of_geom = albedo_table(layout)
         # A colour pass serves for depth where it draws the same surfaces as an id pass, once a pixel.
         opaque = self._model.geom_rgba[: shown.shape[1], 3] == 1.0
@@ -119,7 +121,7 @@ class MujocoRenderer(HostRenderer):
         for i, pose in enumerate(request.cameras):
             self._place(request, i)
             trace(self._model, self._data, request.camera, pose, depth[i], normals[i], geoms[i])
-        return self._measured(depth, geoms[..., 0] + 1, normals)
+        return self._measured(request, depth, geoms[..., 0] + 1, normals)
 
     def _draw_ids(self, request: HostRequest) -> Pictures:
         colors, heights = request.canvas("rgb"), request.canvas("depth")
@@ -132,16 +134,13 @@ class MujocoRenderer(HostRenderer):
         geoms = [self._geoms_of_codes[self._kind(request, i)][code] for i, code in enumerate(codes)]
         depth = _metric_depth(heights, request.camera, self._reach)
         seen = np.isfinite(depth[..., 0])
-        return self._measured(depth, np.where(seen, np.array(geoms).reshape(codes.shape), 0))
+        return self._measured(request, depth, np.where(seen, np.array(geoms).reshape(codes.shape), 0))
 
-    def _measured(self, depth: _Array, geoms: _Array, normals: _Array | None = None) -> Pictures:
+    def _measured(self, request: HostRequest, depth: _Array, geoms: _Array, normals: _Array | None = None) -> Pictures:
         """With links and albedo of geoms (n, H, W) that count from one."""
-        return Pictures(
-            depth=depth,
-            normals=normals,
-            links=self._link_of_geom[geoms][..., None],
-            albedo=self._albedo_of_geom[geoms],
-        )
+        links = self._link_of_geom[geoms]
+        albedo = repainted(self._albedo_of_geom[geoms], links, request.colors)
+        return Pictures(depth=depth, normals=normals, links=links[..., None], albedo=albedo)
 
     def _draw_colors(self, request: HostRequest) -> tuple[_Array, _Array]:
         flags = _COLOR_FLAGS + ((mujoco.mjtRndFlag.mjRND_SHADOW,) if self._shadows else ())
@@ -168,6 +167,8 @@ class MujocoRenderer(HostRenderer):
             shown = shown | self._is_marker
             poses = np.concatenate((poses, request.markers[row]))
         self._show(shown)
+        if request.colors is not None:
+            self._model.geom_rgba = painted(self._own_colors, self._links_of_geoms, request.colors[row])
         self._data.mocap_pos[: len(poses)] = poses[:, :3]
         self._data.mocap_quat[: len(poses)] = poses[:, 3:]
         mujoco.mj_kinematics(self._model, self._data)

@@ -38,6 +38,7 @@ _COMMON = {
     Capability.COPIED_STATES: approximate("contacts begin anew: what follows differs a little where things touch"),
     Capability.DETERMINISTIC: approximate(_ORDER),
     Capability.RGB: unsupported(_NO_IMAGES),
+    Capability.COLORS_PER_ENVIRONMENT: unsupported(_NO_IMAGES),
     Capability.LIGHTING: unsupported(_NO_IMAGES),
     Capability.SHADOWS: unsupported(_NO_IMAGES),
     Capability.DEPTH: unsupported(_NO_IMAGES),

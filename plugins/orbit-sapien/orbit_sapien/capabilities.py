@@ -7,6 +7,7 @@ _LINEAR = "reckons in linear light: right within 4 of 255 where no directional l
 
 _IMAGES = {
     Capability.RGB: EXACT,
+    Capability.COLORS_PER_ENVIRONMENT: EXACT,
     Capability.LIGHTING: EXACT,
     Capability.SHADOWS: approximate(_SHADOW_MAP),
     Capability.DEPTH: EXACT,

@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, SceneLayout
 from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
-from orbit_core.scene import CameraSpec
+from orbit_core.scene import CameraSpec, Color
 from orbit_sapien.config import SapienConfig
 from orbit_sapien.native import NativePose, sapien
 from orbit_sapien.renderer_lights import Lights
 from orbit_sapien.renderer_shaders import shader_pack
-from orbit_sapien.renderer_shapes import marker_shapes, render_shape
+from orbit_sapien.renderer_shapes import base_color, marker_shapes, render_shape
 
 _Array = npt.NDArray[Any]
 _AWAY = NativePose([0.0, 0.0, -1e4])
@@ -50,6 +50,8 @@ class SapienRenderer(HostRenderer):
         self._scene = sapien.Scene([self._system])
         reach = 2.0 * max((camera.far for camera in cameras), default=100.0)
         self._link_of_id: dict[int, int] = {}
+        self._painted: list[tuple[int, sapien.render.RenderShape, Color]] = []
+        """Each link's shapes, with their own colours."""
         self._links = self._add_links(reach)
         self._markers = [self._add(marker_shapes(marker), None) for marker in layout.scene.markers]
         self._lights = Lights(self._scene, layout.scene, config)
@@ -65,7 +67,9 @@ class SapienRenderer(HostRenderer):
             self._add([render_shape(shape, reach)], TERRAIN)
         placed: list[tuple[int, sapien.Entity]] = []
         for number, link in enumerate(self._layout.links):
-            shapes = [render_shape(shape, reach) for shape in link.visuals or link.collisions]
+            drawn = link.visuals or link.collisions
+            shapes = [render_shape(shape, reach) for shape in drawn]
+            self._painted += [(number, shape, own.color) for shape, own in zip(shapes, drawn, strict=True)]
             if shapes:
                 placed.append((number, self._add(shapes, number)))
         return placed
@@ -93,6 +97,8 @@ class SapienRenderer(HostRenderer):
         for row, pose in enumerate(request.cameras):
             taken = None
             self._place(request.links[row])
+            if request.colors is not None:
+                self._paint(request.colors[row])
             if colored:
                 self._place_markers(None if request.markers is None else request.markers[row])
                 taken = self._take(camera, self._config.tier, pose)
@@ -154,6 +160,14 @@ class SapienRenderer(HostRenderer):
             pose = links[number]
             entity.set_pose(NativePose(pose[:3], pose[3:]))
         self._lights.point_at(links[:, :3].mean(0) if len(links) else np.zeros(3))
+
+    def _paint(self, colors: _Array) -> None:
+        """Give shapes their links' colours (L, 4), where these have one."""
+        for number, shape, own in self._painted:
+            red, green, blue, holds = colors[number].tolist()
+            color = (red, green, blue, own[3]) if holds > 0.0 else own
+            for part in shape.parts if isinstance(shape, sapien.render.RenderShapeTriangleMesh) else [shape]:
+                part.material.base_color = base_color(color)
 
     def _place_markers(self, poses: _Array | None) -> None:
         for number, entity in enumerate(self._markers):

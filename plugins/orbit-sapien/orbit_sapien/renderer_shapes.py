@@ -34,10 +34,15 @@ _SMOOTH = math.cos(math.radians(40.0))
 Vertices = npt.NDArray[np.floating]
 
 
+def base_color(color: Color) -> list[float]:
+    """SAPIEN's colours are linear."""
+    return [*(float(part) ** 2.2 for part in color[:3]), float(color[3])]
+
+
 def material(color: Color, roughness: float = 0.6) -> sapien.render.RenderMaterial:
     """A dull surface; ``color`` is as it looks on a screen (sRGB), SAPIEN's are linear."""
     made = sapien.render.RenderMaterial()
-    made.base_color = [*(float(part) ** 2.2 for part in color[:3]), float(color[3])]
+    made.base_color = base_color(color)
     made.roughness, made.metallic, made.specular = roughness, 0.0, 0.4
     return made
 

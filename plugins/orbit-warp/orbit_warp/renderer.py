@@ -45,7 +45,7 @@ class WarpRenderer(KitRenderer):
         with torch.no_grad(), graphs.stream():
             ids = request.env_ids
             mask = ids if ids is not None and ids.dtype == torch.bool else None
-            stage.choose(ids if mask is None else None, request.marker_poses is not None)
+            stage.choose(ids if mask is None else None, request.marker_poses is not None, self.link_colors)
             stage.place(request.link_poses, request.marker_poses)
             return self._trace(request, stage, mask)
 

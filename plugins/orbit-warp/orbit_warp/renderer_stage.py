@@ -111,6 +111,8 @@ class Stage:
         self._capacity = 0
         self._bvh: wp.Bvh | None = None
         self.arrays = self._constant_arrays(model)
+        links = np.where(model.is_marker, -1, model.link_of_geom)
+        self._link_of_geom = torch.as_tensor(links, dtype=torch.int64, device=wp.device_to_torch(self.device))
         self._colors = self._kinds_of_colors(model)
         self.choose(None, with_markers=False)
 
@@ -146,13 +148,29 @@ class Stage:
             assert self._bvh is not None
             self._bvh.refit()
 
-    def choose(self, env_ids: Tensor | None, with_markers: bool) -> None:
-        """Let row i look as environment ``env_ids[i]``, or as environment i; with markers or without."""
-        tables = self._colors if with_markers else self._colors | {"colors": self._colors["solid_colors"]}
+    def choose(self, env_ids: Tensor | None, with_markers: bool, link_colors: Tensor | None = None) -> None:
+        """Let row i look as environment ``env_ids[i]``, or as environment i; with markers or without.
+
+        Links have colours (N, L, 4) of their own, as :attr:`Renderer.link_colors` says.
+        """
+        own = self._colors if link_colors is None else self._painted(link_colors)
+        tables = own if with_markers else own | {"colors": own["solid_colors"]}
         for name, colors in tables.items():
             if env_ids is not None and len(colors) > 1:
                 colors = colors[env_ids.to(colors.device) % len(colors)]
             setattr(self.arrays, name, wp.from_torch(colors, dtype=wp.vec4))
+
+    def _painted(self, link_colors: Tensor) -> dict[str, Tensor]:
+        """The tables with a row for each environment."""
+        device = self._link_of_geom.device
+        chosen = link_colors.to(device)[:, self._link_of_geom.clamp_min(0)]
+        holds = (self._link_of_geom >= 0)[:, None] & (chosen[..., 3:] > 0.0)
+        kinds = torch.arange(len(chosen), device=device) % len(self._colors["colors"])
+        painted: dict[str, Tensor] = {}
+        for name, table in self._colors.items():
+            rows = table[kinds]
+            painted[name] = torch.cat((torch.where(holds, chosen[..., :3], rows[..., :3]), rows[..., 3:]), dim=-1)
+        return painted
 
     def _make_room(self, envs: int) -> None:
         self._capacity = envs

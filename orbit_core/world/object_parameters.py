@@ -1,0 +1,211 @@
+"""Parameters of objects that differ between environments: masses, friction, joints, gains, colours, wrenches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from orbit_core.actuators import Actuators
+from orbit_core.dynamics.arguments import (
+    COLORS,
+    EFFORTS,
+    FRICTIONS,
+    GAINS,
+    MASSES,
+    MOVING_MASSES,
+    NO_MASS,
+    POSITIONS,
+    check_numbers,
+    columns_chosen,
+)
+from orbit_core.dynamics.indexing import Masking
+from orbit_core.interfaces import Capability, Engine, EntityLayout, Object
+from orbit_core.scene import Entity
+from orbit_core.world.clock import Clock
+from orbit_core.world.painting import Painting
+
+
+def _nothing_required(capability: Capability, culprit: str) -> None:
+    """What no world has made knows of no backend that it could name."""
+
+
+class ObjectParameters(Object):
+    """What of an object in one engine is set per environment and outlasts resets."""
+
+    def __init__(
+        self, layout: EntityLayout, engine: Engine, actuators: Actuators, clock: Clock, masking: Masking
+    ) -> None:
+        self.layout = layout
+        self.name = layout.name
+        self.link_names = layout.spec.articulation.link_names
+        self.joint_names = layout.spec.articulation.joint_names
+        self._engine = engine
+        self._actuators = actuators
+        self._clock = clock
+        self._masking = masking
+        self._all_columns = tuple(range(len(self.joint_names)))
+        self._all_joints = torch.arange(layout.joints.start, layout.joints.stop, device=engine.device)
+        self.require: Callable[[Capability, str], None] = _nothing_required
+        """Refuses, naming backends, what the backend lacks that a call for this object needs."""
+        self.painting = Painting(engine.num_envs, len(engine.layout.links), engine.device)
+        """Takes colours; the world's, where one has made the object."""
+        self.write_wrenches = engine.set_wrenches
+        """What :meth:`set_wrenches` hands them to."""
+
+    @property
+    def spec(self) -> Entity:
+        return self.layout.spec
+
+    # Parameters per environment; they outlast resets
+
+    @cached_property
+    def nominal_masses(self) -> Tensor:
+        """(N, links) in kg, of the scene; what :meth:`set_masses` sets does not change them."""
+        kinds = [variant.entities[self.layout.index].spec.articulation for variant in self._engine.layout.variants]
+        masses = torch.tensor([[link.mass for link in kind.links] for kind in kinds], device=self._engine.device)
+        return masses[torch.arange(self._engine.num_envs, device=self._engine.device) % len(kinds)]
+
+    @cached_property
+    def _massive(self) -> Tensor:
+        """(links,) bool: which have mass in the scene; the root of a fixed base may have none."""
+        links = self.spec.articulation.links
+        return torch.tensor([link.mass > 0.0 for link in links], device=self._engine.device)
+
+    @cached_property
+    def _weightless(self) -> frozenset[int]:
+        """Links without mass: the root of a fixed base, and those between the simple joints of a compound one."""
+        return frozenset(index for index, link in enumerate(self.spec.articulation.links) if link.mass == 0.0)
+
+    @cached_property
+    def nominal_gains(self) -> Mapping[int, tuple[float, float]]:
+        """Stiffness and damping in the scene, by joint, of those that have an actuator."""
+        gains: dict[int, tuple[float, float]] = {}
+        for group in self.spec.actuators:
+            for joint in self.find_joints(*group.joints):
+                gains[joint] = (group.stiffness, group.damping)
+        return gains
+
+    def set_masses(self, masses: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
+        """Masses (n, k) in kg of some links; inertias scale with them. Links without mass keep to none.
+
+        Raises:
+            ArgumentError: among others, a link that has mass in the scene is given none, or one that moves without any.
+            UnsupportedCapabilityError: the engine cannot.
+        """
+        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        what = f"masses of '{self.name}'"
+        masses = chosen.values(masses, (len(indices),), what, MASSES)
+        if chosen.seen:
+            check_numbers(masses[:, self._massive[indices - self.layout.root_link]], MOVING_MASSES, what, chosen.rows)
+        if self._weightless:
+            kept = [column for column, link in enumerate(self._links_named(links)) if link not in self._weightless]
+            if chosen.seen:
+                moving = [c for c, link in enumerate(self._links_named(links)) if link and link in self._weightless]
+                check_numbers(masses[:, moving], NO_MASS, f"{what} without any", chosen.rows)
+            indices, masses = indices[kept], masses[:, kept]
+        self._engine.set_masses(indices, masses, chosen.rows)
+
+    def set_centers_of_mass(
+        self, centers: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None
+    ) -> None:
+        """Centres of mass (n, k, 3) of some links, in their own frames.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot.
+        """
+        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        centers = chosen.values(centers, (len(indices), 3), f"centres of mass of '{self.name}'", POSITIONS)
+        self._engine.set_centers_of_mass(indices, centers, chosen.rows)
+
+    def set_friction(
+        self, coefficients: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None
+    ) -> None:
+        """Friction (n, k), static and dynamic alike, of all shapes of some links.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot.
+        """
+        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        coefficients = chosen.values(coefficients, (len(indices),), f"friction of '{self.name}'", FRICTIONS)
+        self._engine.set_friction(indices, coefficients, chosen.rows)
+
+    def set_wrenches(self, wrenches: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
+        """Force at the centre of mass and torque, (n, k, 6), world axes, on some links until set again or reset.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot.
+        """
+        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        wrenches = chosen.values(wrenches, (len(indices), 6), f"wrenches of '{self.name}'", EFFORTS)
+        self.write_wrenches(indices, wrenches, chosen.rows)
+        self._clock.touch()
+
+    def set_gains(
+        self,
+        stiffness: Tensor,
+        damping: Tensor,
+        joints: Sequence[int] | None = None,
+        env_ids: Tensor | None = None,
+    ) -> None:
+        """Stiffness and damping (n, k) of the actuators of some joints, implicit and explicit alike.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot.
+            ConfigurationError: a joint has no actuator.
+        """
+        columns = self._all_columns if joints is None else self._joint_columns(joints)
+        chosen, shape = self._masking.choose(env_ids), (len(columns),)
+        stiffness = chosen.values(stiffness, shape, f"stiffness of '{self.name}'", GAINS)
+        damping = chosen.values(damping, shape, f"damping of '{self.name}'", GAINS)
+        start = self.layout.joints.start
+        self._actuators.set_gains([start + joint for joint in columns], stiffness, damping, chosen.rows)
+
+    def set_joint_parameters(
+        self,
+        damping: Tensor | None = None,
+        friction: Tensor | None = None,
+        armature: Tensor | None = None,
+        joints: Sequence[int] | None = None,
+        env_ids: Tensor | None = None,
+    ) -> None:
+        """Damping, Coulomb friction and armature (n, k) of some joints themselves; None leaves one as it is.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot; names the backends that can.
+        """
+        self.require(Capability.RANDOMIZE_JOINTS, f"joint parameters of '{self.name}'")
+        columns = self._all_columns if joints is None else self._joint_columns(joints)
+        chosen, shape = self._masking.choose(env_ids), (len(columns),)
+
+        def checked(value: Tensor | None, what: str) -> Tensor | None:
+            return None if value is None else chosen.values(value, shape, f"{what} of joints of '{self.name}'", GAINS)
+
+        values = checked(damping, "damping"), checked(friction, "friction"), checked(armature, "armature")
+        self._engine.set_joint_parameters(self._all_joints[list(columns)], *values, chosen.rows)
+
+    def set_colors(self, colors: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
+        """Red, green and blue (n, k, 3) in [0, 1] of all shapes of some links, in pictures.
+
+        Raises:
+            UnsupportedCapabilityError: the renderer cannot; names those that can.
+        """
+        self.require(Capability.COLORS_PER_ENVIRONMENT, f"colours of '{self.name}'")
+        indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
+        colors = chosen.values(colors, (len(indices), 3), f"colours of '{self.name}'", COLORS)
+        self.painting.paint(indices, colors, chosen.rows)
+
+    def _joint_columns(self, joints: Sequence[int]) -> tuple[int, ...]:
+        return columns_chosen(joints, len(self.joint_names), f"joints of '{self.name}'")
+
+    def _links_named(self, links: Sequence[int] | None) -> Sequence[int]:
+        count = len(self.link_names)
+        return range(count) if links is None else columns_chosen(links, count, f"links of '{self.name}'")
+
+    def _link_indices(self, links: Sequence[int] | None) -> Tensor:
+        return (
+            torch.tensor(self._links_named(links), dtype=torch.int64, device=self._engine.device)
+            + self.layout.root_link
+        )

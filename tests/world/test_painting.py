@@ -1,0 +1,87 @@
+"""Colours of links per environment, in the pictures of every renderer."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from orbit_core.assets.objects import box
+from orbit_core.backends import backend as find_backend
+from orbit_core.backends import backend_names
+from orbit_core.envs import EventTerm, EventTime, make
+from orbit_core.interfaces import ArgumentError, Capability, UnsupportedCapabilityError, World
+from orbit_core.mdp import randomize
+from orbit_core.scene import CameraSpec, Channel, Pose, Scene, look_at
+from orbit_core.sensors import CameraSensor
+from orbit_core.world import simulate
+from orbit_tasks.lift import Lift
+
+GREEN = (0.1, 0.9, 0.1, 1.0)
+CAMERA = CameraSpec(
+    name="eye",
+    pose=look_at(eye=(0.0, -0.01, 2.0), target=(0.0, 0.0, 0.0)),
+    width=48,
+    height=48,
+    channels=(Channel.RGB, Channel.ALBEDO),
+)
+
+
+def boxes(backend: str) -> World:
+    """Two boxes side by side, seen from above, in three environments."""
+    size = (0.4, 0.4, 0.1)
+    left = box("left", size, fixed_base=True, pose=Pose((-0.4, 0.0, 0.05)))
+    right = box("right", size, fixed_base=True, color=GREEN, pose=Pose((0.4, 0.0, 0.05)))
+    return simulate(Scene(objects=(left, right), sensors=(CAMERA,)), 3, backend)
+
+
+def seen(world: World) -> dict[Channel, Tensor]:
+    """(3, 2, 3) of the middles of both boxes, left and right, in [0, 1]."""
+    world.step(1)
+    camera = world.sensors["eye"]
+    assert isinstance(camera, CameraSensor)
+    return {channel: camera.image(channel)[:, 24][:, [14, 33]].float() / 255.0 for channel in CAMERA.channels}
+
+
+@pytest.mark.parametrize("backend", backend_names())
+def test_a_link_has_its_own_colour_in_each_environment(backend: str) -> None:
+    for needed in (Capability.RGB, Capability.ALBEDO, Capability.COLORS_PER_ENVIRONMENT):
+        if not (support := find_backend(backend).capabilities()).has(needed):
+            pytest.skip(f"{needed.value}: {support[needed].reason}")
+    world = boxes(backend)
+    own = seen(world)
+    red, blue = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    world.objects["left"].set_colors(torch.tensor([[red], [blue]]), env_ids=torch.tensor([2, 0]))
+    painted = seen(world)
+    albedo = own[Channel.ALBEDO].clone()
+    albedo[2, 0], albedo[0, 0] = torch.tensor(red), torch.tensor(blue)
+    torch.testing.assert_close(painted[Channel.ALBEDO], albedo, atol=0.01, rtol=0.0)
+    rgb = painted[Channel.RGB]
+    assert rgb[2, 0].argmax() == 0
+    assert rgb[0, 0].argmax() == 2
+    assert (rgb[[2, 0], 0].amax(1) > rgb[[2, 0], 0].median(1).values + 0.2).all()
+    # What was not painted looks as before.
+    torch.testing.assert_close(rgb[1], own[Channel.RGB][1], atol=0.02, rtol=0.0)
+    torch.testing.assert_close(rgb[:, 1], own[Channel.RGB][:, 1], atol=0.02, rtol=0.0)
+    with pytest.raises(ArgumentError, match="colours of 'left'"):
+        world.objects["left"].set_colors(torch.full((3, 1, 3), 1.5))
+    world.close()
+
+
+def test_colours_are_drawn_for_each_environment_and_refused_where_no_renderer_has_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    task = Lift()
+    task.events.cube_mass = EventTerm(randomize.colors(("cube",), low=(0.5, 0.0, 0.0)), EventTime.STARTUP)
+    environment = make(task, 3, "mujoco", seed=0)
+    colors = environment.world.renderer.link_colors
+    assert colors is not None
+    holding = colors[:, colors[0, :, 3] > 0.0]
+    assert holding.shape == (3, 1, 4)
+    assert len({tuple(color) for color in holding[:, 0].tolist()}) == 3
+    assert (holding[..., 0] >= 0.5).all()
+    declared = environment.world._renderer_plugin.capabilities().declared  # pyright: ignore[reportAttributeAccessIssue]
+    monkeypatch.delitem(declared, Capability.COLORS_PER_ENVIRONMENT)
+    with pytest.raises(UnsupportedCapabilityError, match=r"colours of 'cube'.*choose renderer '"):
+        environment.world.objects["cube"].set_colors(torch.zeros(3, 1, 3))
+    environment.close()
