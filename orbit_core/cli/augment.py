@@ -60,6 +60,10 @@ def main(words: Sequence[str]) -> None:
     settings = parse_words(AugmentSettings, words, "orbit augment")
     for name in ("demonstrations", "episodes", "num_envs"):
         check_positive(name, getattr(settings, name))
+    if settings.most_attempts is not None:
+        check_positive("most_attempts", settings.most_attempts)
+    if settings.output.resolve() == settings.dataset.resolve():
+        raise ConfigurationError(f"{settings.output} is what is read: give another name")
     check_output(settings.output, ".hdf5", settings.overwrite)
     file = RecordingFile(settings.output)
     with opened(settings.dataset) as dataset:
@@ -67,6 +71,11 @@ def main(words: Sequence[str]) -> None:
         chosen = [place for place, info in enumerate(dataset.episodes) if info.success][: settings.demonstrations]
         if not chosen:
             raise ConfigurationError(f"no episode of {settings.dataset} succeeded: there is nothing to multiply")
+        if settings.num_envs < len(chosen):
+            raise ConfigurationError(
+                f"{len(chosen)} demonstrations are cut side by side, in {len(chosen)} environments: give a larger "
+                "--num-envs or fewer --demonstrations"
+            )
         made = EnvironmentSettings(
             task=manifest.task,
             backend=settings.backend or manifest.backend,

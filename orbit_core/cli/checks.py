@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from orbit_core.files import storage_faults
 from orbit_core.interfaces.errors import ConfigurationError
 
 
@@ -22,6 +23,22 @@ def check_output(path: Path | None, suffix: str, overwrite: bool) -> None:
         raise ConfigurationError(f"cannot write {path}: it is a folder")
     if path.exists() and not overwrite:
         raise ConfigurationError(f"{path} is there already: give another name, or --overwrite")
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder that an output file is to lie in.
+
+    Raises:
+        StorageError: it cannot be made.
+    """
+    with storage_faults(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+
+
+def check_port(name: str, port: int) -> None:
+    """Refuse what is no port."""
+    if not 0 <= port <= 65535:
+        raise ConfigurationError(f"{name} must be from 0 to 65535, not {port}")
 
 
 def check_positive(name: str, value: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from orbit_core.cli.checks import check_output
+from orbit_core.cli.checks import check_output, check_positive, make_folder
 from orbit_core.cli.output import console, new_table
 from orbit_core.cli.parsing import parse_words
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
@@ -145,6 +146,9 @@ def _merge(words: Sequence[str]) -> None:
 
 def _filter(words: Sequence[str]) -> None:
     settings = parse_words(FilterSettings, words, "orbit data filter")
+    for name in ("first", "most_steps"):
+        if (value := getattr(settings, name)) is not None:
+            check_positive(name, value)
     with _opened((settings.dataset,)) as (dataset,):
         positions = _wanted(settings, dataset)
         if not positions:
@@ -156,6 +160,8 @@ def _split(words: Sequence[str]) -> None:
     from orbit_core.data.formats import divided, write_dataset
 
     settings = parse_words(SplitSettings, words, "orbit data split")
+    if settings.seed < 0:
+        raise ConfigurationError(f"seed must not be below zero, but is {settings.seed}")
     if settings.dataset.suffix not in _HDF5:
         raise ConfigurationError(f"{settings.dataset} has no place for subsets: convert it to HDF5 first")
     with _opened((settings.dataset,)) as (dataset,):
@@ -195,12 +201,14 @@ def _write(settings: _Written, datasets: Sequence[Dataset], positions: Sequence[
     from orbit_core.data.formats import common_manifest, read_all, remove, write_dataset
 
     output = settings.output
+    if settings.rate is not None and not 0.0 < settings.rate < math.inf:
+        raise ConfigurationError(f"rate must be above zero and finite, not {settings.rate:g}")
     if output.exists() and not settings.overwrite:
         raise ConfigurationError(f"{output} is there already: give another name, or --overwrite")
     if any(dataset.path.resolve() == output.resolve() for dataset in datasets):
         raise ConfigurationError(f"{output} is what is read: give another name")
     manifest = common_manifest(datasets)
-    output.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
     if output.suffix not in _HDF5:
         remove(output)
     (first, *_) = datasets

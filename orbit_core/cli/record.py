@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tyro.conf import UseAppendAction, arg
 
 from orbit_core.cli.acting import check_actor, make_actor
-from orbit_core.cli.checks import check_output, check_positive
+from orbit_core.cli.checks import check_output, check_positive, make_folder
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, new_table, progress_bar
 from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.settings import EnvironmentSettings
-from orbit_core.interfaces.errors import ConfigurationError, OrbitError
-
-if TYPE_CHECKING:
-    from orbit_core.data.recording import RecordingFile
+from orbit_core.interfaces.errors import OrbitError
 
 SUFFIX = ".hdf5"
 
@@ -57,15 +54,19 @@ def record(settings: RecordSettings) -> None:
     from orbit_core.data import recording
     from orbit_core.data.card import facts
     from orbit_core.data.hdf5 import Hdf5Dataset
+    from orbit_core.data.recorder import check_groups
 
     check_actor(settings.agent)
     check_positive("episodes", settings.episodes)
     check_positive("num_envs", settings.num_envs)
-    settings.output.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(settings.output)
     file = recording.RecordingFile(settings.output)
     check_output(settings.output, SUFFIX, settings.overwrite or settings.resume)
-    _check_begun(settings, file)
+    file.check_begun(settings.resume, settings.overwrite)
     environment = make_environment(settings, settings.num_envs)
+    check_groups(settings.group, environment)
+    if not settings.resume:
+        file.discard()  # once nothing of the settings can be wrong any more
     with progress_bar() as bar:
         counting = bar.add_task(f"{settings.task} demonstrations", total=settings.episodes)
         try:
@@ -94,15 +95,3 @@ def record(settings: RecordSettings) -> None:
     if pace.env_steps:
         table.add_row("environment steps per second", f"{pace.env_steps_per_second:,.0f}, recording left out")
     console().print(table)
-
-
-def _check_begun(settings: RecordSettings, file: RecordingFile) -> None:
-    if file.parts.path.exists() and not settings.resume:
-        if not settings.overwrite:
-            raise ConfigurationError(
-                f"{file.parts.path} holds a recording that was cut off: --resume goes on with it, --overwrite begins "
-                "anew"
-            )
-        file.parts.remove()
-    if settings.overwrite and not settings.resume:
-        settings.output.unlink(missing_ok=True)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from orbit_core.cli.checks import check_output
+from orbit_core.cli.checks import check_output, check_port, check_positive, make_folder
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console
 from orbit_core.cli.parsing import parse_settings
@@ -19,7 +19,6 @@ from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from orbit_core.data.recording import RecordingFile
     from orbit_core.teleoperation.device import Device
     from orbit_core.teleoperation.driver import Driver
     from orbit_core.teleoperation.session import Session
@@ -80,14 +79,22 @@ def teleop(settings: TeleopSettings) -> None:
     for name in ("seconds", "linear_speed", "angular_speed"):
         if not 0.0 < getattr(settings, name) < math.inf:
             raise ConfigurationError(f"{name} must be above zero and finite, not {getattr(settings, name):g}")
+    check_port("port", settings.port)
+    check_port("leader_port", settings.leader_port)
+    if settings.max_steps is not None:
+        check_positive("max_steps", settings.max_steps)
     file = RecordingFile(settings.output)
-    _prepare(settings, file)
+    make_folder(settings.output)
+    check_output(settings.output, SUFFIX, settings.overwrite or settings.resume)
+    file.check_begun(settings.resume, settings.overwrite)
     fields = {**settings.fields, "episode_length": settings.seconds}
     environment = make_environment(replace(settings, fields=fields), 1)
     try:
         driver = Driver(environment)
         speeds = Speeds(settings.linear_speed, settings.angular_speed)
         device = open_device(settings.input_device, speeds, driver, settings.leader_port)
+        if not settings.resume:
+            file.discard()
         try:
             session = Session(
                 environment, driver, device, settings.input_device, file, settings.task or "", settings.seed
@@ -131,17 +138,3 @@ def _show(settings: TeleopSettings, session: Session, device: Device, driver: Dr
         if (port := getattr(device, "port", None)) is not None:
             print(f"a leader connects to 127.0.0.1:{port}", flush=True)
         viewer.run(settings.max_steps)
-
-
-def _prepare(settings: TeleopSettings, file: RecordingFile) -> None:
-    settings.output.parent.mkdir(parents=True, exist_ok=True)
-    check_output(settings.output, SUFFIX, settings.overwrite or settings.resume)
-    if file.parts.path.exists() and not settings.resume:
-        if not settings.overwrite:
-            raise ConfigurationError(
-                f"{file.parts.path} holds episodes of a session that was cut off: --resume goes on with them, "
-                "--overwrite begins anew"
-            )
-        file.parts.remove()
-    if settings.overwrite and not settings.resume:
-        settings.output.unlink(missing_ok=True)

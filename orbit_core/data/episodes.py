@@ -112,13 +112,45 @@ def check_found(names: Sequence[str] | None, arrays: Collection[str], where: str
             raise ConfigurationError(f"{where} has no '{asked}', which this needs")
 
 
-def check_episode(episode: Episode, where: str) -> None:
-    """Refuse arrays of unequal length, of other than numbers, or without actions.
+_LONGEST = 100_000_000
+"""Steps of an episode; no recording comes near."""
+_DENSEST = 1000
+"""Times that an array may be larger than what is stored of it, which is as much as gzip makes of nothing but zeros."""
+_SMALL = 1 << 24
+"""Bytes of arrays that may be as dense as they like."""
+
+
+def check_infos(infos: Sequence[EpisodeInfo], where: str) -> None:
+    """Refuse lengths that no episode has.
+
+    Raises:
+        ConfigurationError: names the episode.
+    """
+    for position, info in enumerate(infos):
+        if not 0 < info.length <= _LONGEST:
+            raise ConfigurationError(f"episode {position} of {where} would have {info.length} steps")
+
+
+def check_size(name: str, size: int, stored: int, where: str) -> None:
+    """Refuse an array of so many bytes of which next to nothing is stored, before memory is taken.
 
     Raises:
         ConfigurationError: names the array.
     """
-    if ACTIONS not in episode.arrays:
+    if size > max(_SMALL, _DENSEST * stored):
+        raise ConfigurationError(
+            f"'{name}' of {where} would be {size / 1e9:.3g} GB, of which next to nothing is stored: the file is "
+            "truncated or made to fill the memory"
+        )
+
+
+def check_episode(episode: Episode, where: str, whole: bool = True) -> None:
+    """Refuse arrays of unequal length, of other than numbers, or without actions if it is ``whole``.
+
+    Raises:
+        ConfigurationError: names the array.
+    """
+    if whole and ACTIONS not in episode.arrays:
         raise ConfigurationError(f"{where} has no actions")
     for name, array in episode.arrays.items():
         if array.dtype.kind not in "fiub":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -115,7 +116,7 @@ def divided(count: int, share: float, seed: int) -> dict[str, list[int]]:
     Raises:
         ConfigurationError: one of them would be empty.
     """
-    held_out = round(share * count)
+    held_out = round(share * count) if math.isfinite(share) else 0
     if not 0 < held_out < count:
         raise ConfigurationError(f"{share:g} of {count} episodes is none or all of them: give another share")
     order = np.random.default_rng(seed).permutation(count)

@@ -9,8 +9,12 @@ are one kind), with links to elsewhere, or with data in other files are refused.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import re
+import shutil
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,7 +24,17 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from orbit_core.data.episodes import Array, Dataset, Episode, EpisodeInfo, check_episode, check_found, chosen
+from orbit_core.data.episodes import (
+    Array,
+    Dataset,
+    Episode,
+    EpisodeInfo,
+    check_episode,
+    check_found,
+    check_infos,
+    check_size,
+    chosen,
+)
 from orbit_core.data.manifest import Manifest
 from orbit_core.files import storage_faults, written_whole
 from orbit_core.interfaces import ConfigurationError, StorageError
@@ -30,6 +44,15 @@ _GYM = 2
 """robomimic's number for environments in Gymnasium's manner."""
 _MANIFEST = "orbit/manifest"
 _INFO = "orbit_episode"
+_FAULTS = (
+    OSError, RuntimeError, KeyError, AttributeError, ValueError, TypeError, MemoryError, OverflowError,
+    msgspec.MsgspecError,
+)  # fmt: skip
+"""What h5py raises of damaged files."""
+_REASON = re.compile(r"error message = '([^']*)'")
+_DEMO = re.compile(r"demo_[0-9]{1,9}")
+_MARGIN = 1 << 20
+"""Bytes that must be free besides what is written."""
 _PICTURE = {"compression": "lzf"}
 """How pictures are compressed; numbers as small as states gain nothing from it."""
 
@@ -61,6 +84,7 @@ def write_hdf5(
     with _room(path, size), written_whole(path) as written, h5py.File(written, "w", libver="latest") as file:
         data = file.create_group("data")
         for count, episode in enumerate(episodes, 1):
+            _check_room(path, sum(array.nbytes for array in episode.arrays.values()))
             _write_episode(data.create_group(f"demo_{count - 1}"), episode, compression)
             total += episode.info.length
             successes += [count - 1] if episode.info.success else []
@@ -88,10 +112,11 @@ class Hdf5Dataset(Dataset):
         with self._read_faults("the file"):
             self._file = self._h5py.File(path, "r")
         try:
-            self._demos = self._names()
             with self._read_faults("the file"):
+                self._demos = self._names()
                 self.manifest = self._manifest()
                 self.episodes = [self._info(name) for name in self._demos]
+                check_infos(self.episodes, str(path))
                 self.masks = self._masks()
         except BaseException:
             self._file.close()
@@ -103,9 +128,8 @@ class Hdf5Dataset(Dataset):
         with self._read_faults(name):
             arrays = dict(self._arrays(self._child(self._file["data"], name), "", names))
         episode = Episode(info, arrays)
-        if names is None:
-            check_episode(episode, where)
         check_found(names, arrays, where)
+        check_episode(episode, where, whole=names is None)
         return episode
 
     def close(self) -> None:
@@ -115,7 +139,7 @@ class Hdf5Dataset(Dataset):
         group: Any = self._child(self._file, "data") if "data" in self._file else ()
         if not isinstance(group, self._h5py.Group):
             raise ConfigurationError(f"{self.path} is no dataset of demonstrations: it has no group 'data'")
-        found = [name for name in group if name.startswith("demo_") and name[5:].isdigit()]
+        found = [name for name in group if _DEMO.fullmatch(name)]
         return sorted(found, key=lambda name: int(name[5:]))
 
     def _manifest(self) -> Manifest | None:
@@ -157,6 +181,7 @@ class Hdf5Dataset(Dataset):
             raise ConfigurationError(
                 f"{what} holds {dataset.dtype} or data of other files, which is not read: only numbers in the file are"
             )
+        check_size(dataset.name, dataset.nbytes, dataset.id.get_storage_size(), str(self.path))
         return dataset[()]
 
     def _child(self, group: Any, name: str) -> Any:
@@ -169,7 +194,7 @@ class Hdf5Dataset(Dataset):
     def _read_faults(self, what: str) -> Iterator[None]:
         try:
             yield
-        except (OSError, RuntimeError, KeyError, AttributeError, ValueError, TypeError, msgspec.MsgspecError) as error:
+        except _FAULTS as error:
             reason = str(error).strip().partition("\n")[0]
             raise ConfigurationError(
                 f"{what} of {self.path} cannot be read ({reason}): it is truncated, damaged or no HDF5 of this layout"
@@ -184,14 +209,37 @@ def _room(path: Path, size: int) -> Iterator[None]:
         StorageError: there is not, or the library could not write.
     """
     try:
-        with storage_faults(path):
+        with _hushed(), storage_faults(path):
             if size:
                 with TemporaryFile(dir=path.parent) as file:
                     os.posix_fallocate(file.fileno(), 0, size)
             yield
-    except RuntimeError as error:
-        reason = str(error).strip().partition("\n")[0]
-        raise StorageError(f"cannot write {path}: {reason}") from error
+    except (RuntimeError, StorageError) as error:
+        if (reason := _REASON.search(str(error))) is None and isinstance(error, StorageError):
+            raise
+        told = reason.group(1) if reason else str(error).strip().partition("\n")[0]
+        raise StorageError(f"cannot write {path}: {told}") from error
+
+
+@contextmanager
+def _hushed() -> Iterator[None]:
+    """Where it cannot write, the library also prints a traceback for each of its objects, which nobody can catch."""
+    hooks = sys.excepthook, sys.unraisablehook
+    sys.excepthook = sys.unraisablehook = lambda *_: None
+    try:
+        yield
+    finally:
+        sys.excepthook, sys.unraisablehook = hooks
+
+
+def _check_room(path: Path, size: int) -> None:
+    """A disk that is full is told before the library, which does not survive it well, finds out.
+
+    Raises:
+        StorageError: there is no room for so many bytes.
+    """
+    if shutil.disk_usage(path.parent).free < size + _MARGIN:
+        raise StorageError(f"cannot write {path}: {os.strerror(errno.ENOSPC)}")
 
 
 def _write_episode(group: Any, episode: Episode, compression: str | None) -> None:

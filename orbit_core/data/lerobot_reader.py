@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +23,8 @@ from orbit_core.data.episodes import (
     EpisodeInfo,
     check_episode,
     check_found,
+    check_infos,
+    check_size,
     chosen,
 )
 from orbit_core.data.lerobot import ACTION, EPISODES, INFO, MANIFEST, PICTURE, SIMULATED, VERSION, arrow_modules
@@ -30,6 +33,8 @@ from orbit_core.data.video import read_video
 from orbit_core.interfaces import ConfigurationError
 
 _OWN = {ACTION: ACTIONS, "next.reward": REWARDS, "next.done": DONES, SIMULATED: STATES}
+_PLACE = re.compile(r"\{(chunk_index|file_index|video_key)(:0?[1-9]d)?\}")
+"""What a pattern of file names may hold; others could ask for names of any length."""
 _INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
@@ -54,9 +59,10 @@ class LeRobotDataset(Dataset):
                     "it with lerobot's own scripts first"
                 )
             folders = sorted((path / "meta" / "episodes").glob("*/*.parquet"))
-            self._rows = [row for each in folders for row in self._parquet.read_table(each).to_pylist()]
+            self._rows = [row for each in folders for row in self._table(each).to_pylist()]
             self.manifest = self._read_manifest()
             self.episodes = self._infos()
+            check_infos(self.episodes, str(path))
         self.masks = {}
         self._last: tuple[Path, Any] | None = None
 
@@ -69,10 +75,19 @@ class LeRobotDataset(Dataset):
                 if key.startswith(PICTURE) and chosen(name := OBSERVED + key.removeprefix(PICTURE), names):
                     arrays[name] = self._frames(row, key)
         episode = Episode(info, arrays)
-        check_found(names, arrays, f"episode {position} of {self.path}")
-        if names is None:
-            check_episode(episode, f"episode {position} of {self.path}")
+        where = f"episode {position} of {self.path}"
+        check_found(names, arrays, where)
+        check_episode(episode, where, whole=names is None)
         return episode
+
+    def _table(self, path: Path) -> Any:
+        """A parquet file, whose numbers must be about as many as it has room for."""
+        with self._parquet.ParquetFile(path) as file:
+            told = file.metadata
+            groups = [told.row_group(i) for i in range(told.num_row_groups)]
+            values = sum(group.column(j).num_values for group in groups for j in range(told.num_columns))
+            check_size(str(path.relative_to(self.path)), 8 * values, path.stat().st_size, str(self.path))
+            return file.read()
 
     def _read_manifest(self) -> Manifest | None:
         path = self.path / MANIFEST
@@ -81,14 +96,17 @@ class LeRobotDataset(Dataset):
     def _infos(self) -> list[EpisodeInfo]:
         path = self.path / EPISODES
         if path.is_file():
-            return msgspec.json.decode(path.read_bytes(), type=list[EpisodeInfo])
+            infos = msgspec.json.decode(path.read_bytes(), type=list[EpisodeInfo])
+            if [info.length for info in infos] != [row["length"] for row in self._rows]:
+                raise ConfigurationError(f"{path} tells of other episodes than meta/episodes of {self.path}")
+            return infos
         return [EpisodeInfo(int(row["episode_index"]), int(row["length"])) for row in self._rows]
 
     def _columns(self, row: dict[str, Any]) -> dict[str, Array]:
         place = {"chunk_index": row["data/chunk_index"], "file_index": row["data/file_index"]}
-        path = self._within(self._info["data_path"].format(**place))
+        path = self._within("data_path", place)
         if self._last is None or self._last[0] != path:
-            self._last = (path, self._parquet.read_table(path))
+            self._last = (path, self._table(path))
         table = self._last[1]
         begin = int(row["dataset_from_index"]) - int(table["index"][0].as_py())
         table = table.slice(begin, int(row["length"]))
@@ -109,11 +127,16 @@ class LeRobotDataset(Dataset):
 
     def _frames(self, row: dict[str, Any], key: str) -> Array:
         place = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
-        path = self._within(self._info["video_path"].format(video_key=key, **place))
+        path = self._within("video_path", {"video_key": key, **place})
         first = round(float(row[f"videos/{key}/from_timestamp"]) * float(self._info["fps"]))
         return read_video(path, first, int(row["length"]))
 
-    def _within(self, name: str) -> Path:
+    def _within(self, template: str, place: dict[str, Any]) -> Path:
+        """The file that one of the patterns of ``meta/info.json`` names."""
+        pattern = self._info[template]
+        if "{" in _PLACE.sub("", pattern):
+            raise ConfigurationError(f"{template} of {self.path} is '{pattern[:80]}', which is no pattern that is read")
+        name = pattern.format(**place)
         path = self.path / name
         if not path.resolve().is_relative_to(self.path.resolve()):
             raise ConfigurationError(f"{self.path} names {name}, which is outside of it and is not read")
@@ -122,7 +145,10 @@ class LeRobotDataset(Dataset):
     @contextmanager
     def _faults(self) -> Iterator[None]:
         """What is missing or damaged, as one sentence."""
-        wrong = (OSError, KeyError, ValueError, TypeError, IndexError, RecursionError, msgspec.MsgspecError)
+        wrong = (
+            OSError, KeyError, ValueError, TypeError, IndexError, AttributeError, MemoryError, OverflowError,
+            ZeroDivisionError, RecursionError, msgspec.MsgspecError,
+        )  # fmt: skip
         try:
             yield
         except (*wrong, self._arrow.ArrowException) as error:
@@ -140,6 +166,8 @@ def _numbers(column: Any) -> Array:
 def _terms(values: Array, names: Sequence[str], manifest: Manifest) -> dict[str, Array]:
     """Terms of the observation, of columns named ``<term>.<component>``, in their shapes."""
     columns: dict[str, list[int]] = {}
+    if len(names) != values.shape[1]:
+        raise ConfigurationError(f"{len(names)} names are told of {values.shape[1]} components")
     for place, name in enumerate(names):
         columns.setdefault(name.rpartition(".")[0], []).append(place)
     shapes = {

@@ -196,9 +196,13 @@ class Manifest:
                     f"{where} holds a manifest of format {found!r}, and {FORMAT} is the one that is read: make it "
                     "again, or read it with the version of ORBIT that wrote it"
                 )
-            return msgspec.convert(values, Manifest)
+            manifest = msgspec.convert(values, Manifest)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
             raise ConfigurationError(f"{where} holds no manifest: {error}") from None
+        for name in ("step_dt", "physics_dt", "decimation", "episode_length"):
+            if not 0.0 < getattr(manifest, name) < math.inf:
+                raise ConfigurationError(f"{where} holds no manifest: {name} is {getattr(manifest, name)}")
+        return manifest
 
 
 def _assets(scene: Scene) -> dict[str, str]:

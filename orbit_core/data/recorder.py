@@ -42,6 +42,17 @@ Wanted = Callable[["EpisodeEnd", Tensor], Tensor]
 """Which of the episodes that ended (n,) are kept, given how often each environment ended one before (n,)."""
 
 
+def check_groups(groups: Collection[str], environment: Environment) -> None:
+    """Refuse observation groups that an environment lacks.
+
+    Raises:
+        UnknownNameError: tells the nearest.
+    """
+    for name in groups:
+        if name not in environment.observation:
+            raise UnknownNameError("observation group", name, environment.observation)
+
+
 class DemonstrationRecorder(StepObserver):
     """Writes each finished episode: states, actions, observations, rewards, poses, contacts, and how it began.
 
@@ -68,9 +79,7 @@ class DemonstrationRecorder(StepObserver):
         groups: Collection[str] | None = None,
         begun: Tensor | None = None,
     ) -> None:
-        for name in groups or ():
-            if name not in environment.observation:
-                raise UnknownNameError("observation group", name, environment.observation)
+        check_groups(groups or (), environment)
         self._environment, self._folder, self._wanted, self._seed = environment, folder, wanted, seed
         self._layouts = {n: o for n, o in environment.observation.items() if groups is None or n in groups}
         self._states, self._memory = WorldStates(environment.world), TaskMemory(environment)

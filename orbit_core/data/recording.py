@@ -41,6 +41,24 @@ class RecordingFile:
         """Whether anything of it is there."""
         return self.path.exists() or self.parts.path.exists()
 
+    def check_begun(self, resume: bool, overwrite: bool) -> None:
+        """Refuse a recording that was cut off, if neither is asked for.
+
+        Raises:
+            ConfigurationError: tells of both.
+        """
+        if self.parts.path.exists() and not (resume or overwrite):
+            raise ConfigurationError(
+                f"{self.parts.path} holds a recording that was cut off: --resume goes on with it, --overwrite begins "
+                "anew"
+            )
+
+    def discard(self) -> None:
+        """Delete all of it, so that it can be recorded anew."""
+        if self.parts.path.exists():
+            self.parts.remove()
+        self.path.unlink(missing_ok=True)
+
     def infos(self) -> dict[int, EpisodeInfo]:
         """What is known of every episode that is kept, by number."""
         return {info.number: info for info in (*self._gathered(), *self.parts.infos())}

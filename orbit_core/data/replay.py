@@ -123,6 +123,8 @@ class EpisodePlayer:
             ConfigurationError: there are more episodes than environments, or they are of another world.
         """
         environment = self._environment
+        for episode in episodes:
+            self._check(episode)
         if len(episodes) > environment.num_envs:
             raise ConfigurationError(f"{len(episodes)} episodes do not begin in {environment.num_envs} environments")
         environment.reset()
@@ -132,6 +134,17 @@ class EpisodePlayer:
         values = {name: self._stack([episode.arrays[INITIAL + name] for episode in episodes]) for name in names}
         self._memory.write(values, rows)
         return rows
+
+    def _check(self, episode: Episode) -> None:
+        """Refuse arrays of other shapes than this environment's."""
+        wanted = {ACTIONS: (self._environment.action_size,), STATES: (self._states.size,)}
+        wanted |= {name: (7,) for name in episode.arrays if name.startswith(POSES)}
+        for name, shape in wanted.items():
+            if (array := episode.arrays.get(name)) is not None and array.shape[1:] != shape:
+                raise ConfigurationError(
+                    f"'{name}' of episode {episode.info.number} has {array.shape[1:]} numbers a step, and this "
+                    f"environment takes {shape}: the recording is of another robot or other objects"
+                )
 
     def set_states(self, states: Sequence[Array], rows: Tensor) -> None:
         """Set a state (S,) in each of some environments (n,)."""

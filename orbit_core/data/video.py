@@ -15,6 +15,10 @@ _EVERY_OTHER = {"g": "2", "crf": "18"}
 """Every second frame stands by itself, so that any one is soon found; nearly no loss that an eye sees."""
 
 
+_LARGEST = 1 << 26
+"""Pixels of a picture."""
+
+
 def write_video(path: Path, stretches: Iterable[Array], rate: int) -> None:
     """Write H.264, of pictures (T, H, W, 3) uint8 one stretch after the other.
 
@@ -49,6 +53,8 @@ def read_video(path: Path, first: int, count: int) -> Array:
     try:
         with av.open(str(path)) as file:
             stream = file.streams.video[0]
+            if stream.width * stream.height > _LARGEST:
+                raise ConfigurationError(f"video {path} has pictures of {stream.width} x {stream.height}, too large")
             step = 1.0 / (float(stream.average_rate) * float(stream.time_base))
             file.seek(round(first * step), stream=stream)
             for frame in file.decode(stream):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,6 +26,8 @@ from orbit_core.data.episodes import (
     EpisodeInfo,
     check_episode,
     check_found,
+    check_infos,
+    check_size,
     chosen,
 )
 from orbit_core.interfaces import ConfigurationError
@@ -46,8 +49,8 @@ _CODECS = (
 )
 """What may turn stored bytes into numbers; among Zarr's others is Python's pickle, which runs what the file says."""
 _DESCRIPTIONS = (".zarray", "zarr.json")
-_DENSEST = 5000
-"""Times that an array may be larger than what is stored of it; beyond that a few bytes would fill the memory."""
+_LONGEST = 1 << 20
+"""Bytes of a description."""
 
 
 def is_zarr(path: Path) -> bool:
@@ -80,6 +83,7 @@ class ZarrDataset(Dataset):
         self._check_sizes(ends, stored)
         self._begins = np.concatenate([np.zeros(1, np.int64), ends])
         self.episodes = [EpisodeInfo(i, int(length)) for i, length in enumerate(np.diff(self._begins))]
+        check_infos(self.episodes, str(path))
 
     def read(self, position: int, names: Sequence[str] | None = None) -> Episode:
         rows = slice(int(self._begins[position]), int(self._begins[position + 1]))
@@ -88,8 +92,7 @@ class ZarrDataset(Dataset):
         episode = Episode(self.episodes[position], arrays)
         where = f"episode {position} of {self.path}"
         check_found(names, arrays, where)
-        if names is None:
-            check_episode(episode, where)
+        check_episode(episode, where, whole=names is None)
         return episode
 
     def close(self) -> None:
@@ -113,13 +116,19 @@ class ZarrDataset(Dataset):
             with zipfile.ZipFile(self.path) as archive:
                 for info in archive.infolist():
                     described = info.filename.rpartition("/")[2] in _DESCRIPTIONS
+                    self._check_description(info.filename, info.file_size if described else 0)
                     yield info.filename, info.compress_size, archive.read(info) if described else b""
             return
         for each in self.path.rglob("*"):
             if each.is_symlink():
                 raise ConfigurationError(f"{each} is a link, which may lead to any file and is not followed")
             if each.is_file():
+                self._check_description(str(each), each.stat().st_size if each.name in _DESCRIPTIONS else 0)
                 yield str(each), each.stat().st_size, each.read_bytes() if each.name in _DESCRIPTIONS else b""
+
+    def _check_description(self, name: str, size: int) -> None:
+        if size > _LONGEST:
+            raise ConfigurationError(f"{name} of {self.path} describes an array in {size} bytes, which is too much")
 
     def _check_sizes(self, ends: Array, stored: int) -> None:
         if ends.ndim != 1 or not len(ends) or (np.diff(ends, prepend=0) <= 0).any():
@@ -129,16 +138,16 @@ class ZarrDataset(Dataset):
                 raise ConfigurationError(
                     f"'{name}' of {self.path} has shape {array.shape}, and {ends[-1]} steps are told"
                 )
-            if array.nbytes > _DENSEST * stored:
-                raise ConfigurationError(
-                    f"'{name}' of {self.path} would be {array.nbytes / 1e9:.3g} GB, of which next to nothing is "
-                    "stored: the file is truncated or made to fill the memory"
-                )
+            check_size(name, array.nbytes, stored, str(self.path))
 
     @contextmanager
     def _faults(self) -> Iterator[None]:
         """What is missing or damaged, as one sentence."""
-        wrong = (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError, zipfile.BadZipFile)
+        wrong = (
+            OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError, MemoryError,
+            ZeroDivisionError, OverflowError, RecursionError, NotImplementedError, EOFError, zlib.error,
+            zipfile.BadZipFile,
+        )  # fmt: skip
         try:
             yield
         except wrong as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -288,6 +289,12 @@ def _start_server(host: str, port: int, title: str, pages: Sequence[Page]) -> tu
         from orbit_core.viewer.guard import Guard, guarded
     except ImportError:
         raise ConfigurationError('the viewer needs viser: pip install "orbit-core[viewer]"') from None
+    if not 0 <= port <= 65535:
+        raise ConfigurationError(f"port must be from 0 to 65535, not {port}")
+    try:  # the library would wait for ever for a server that cannot begin
+        socket.create_server((host, 0), family=socket.getaddrinfo(host, None)[0][0]).close()
+    except OSError as error:
+        raise ConfigurationError(f"the viewer cannot listen at '{host}': {error}") from None
     guard = Guard(host, pages)
     with guarded(guard):
         server = ViserServer(host, port, label=title, verbose=False)
