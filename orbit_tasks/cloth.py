@@ -10,7 +10,7 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.deformables import corners, sheet
 from orbit_core.assets.objects import SolidOptions, box
-from orbit_core.audit.robots.postures import gripper_posture, gripping_links, shapes_in_frame
+from orbit_core.audit.robots.postures import gripper_positions, gripper_posture, gripping_links, shapes_in_frame
 from orbit_core.envs import ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import ROBOT
@@ -26,6 +26,10 @@ TRAY = 0.02
 """Height in metres of a low tray."""
 PRESSED = 0.0065
 """Metres below a tray's top to which fingers that press on the cloth are sent."""
+STEPS = 16
+"""In which the reach of fingers is tabulated from open to closed."""
+SOON = 0.25
+"""Of their way that fingers close while the hand follows."""
 CARRIED = 0.3
 """Metres above the table at which a hand carries a cloth past other things."""
 
@@ -126,14 +130,44 @@ def still(world: World, task: Task) -> Tensor:
     return common.hand_pose(world, task)
 
 
-def finger_reach(world: World, closed: bool) -> float:
-    """Metres that the fingers of the robot's gripper, closed or open, reach beyond the frame between them."""
+def finger_reach(world: World, closed: bool | float) -> float:
+    """Metres that the gripper's fingers reach beyond the frame between them, open, closed or in between."""
     spec = world.robots[ROBOT].spec
     effector, gripper = spec.end_effector, spec.end_effector.gripper
     assert gripper is not None  # the scene's robot was asked for one
-    posture = gripper_posture(spec, gripper, gripper.closed_position if closed else gripper.open_position)
+    first, last = (gripper_posture(spec, gripper, v) for v in (gripper.open_position, gripper.closed_position))
+    posture = {name: value + float(closed) * (last[name] - value) for name, value in first.items()}
     clouds = shapes_in_frame(spec, effector.frame, gripping_links(spec, gripper), posture)
     return max(float(cloud[:, 2].max()) for cloud in clouds)
+
+
+def pressed(world: World) -> float:
+    """Metres below the tray's top to which open fingers are sent.
+
+    Fingers that close on arcs reach further down as they do, and press by that: sent lower, they would be stuck.
+    """
+    return max(0.0, PRESSED - max(0.0, finger_reach(world, True) - finger_reach(world, False)))
+
+
+def pressing(world: World) -> TermFunction:
+    """Term: (N, 7) the hand where it is, so high that its fingers press on the tray however far they have closed."""
+    robot = world.robots[ROBOT]
+    gripper = robot.spec.end_effector.gripper
+    assert gripper is not None
+    first, last = (gripper_positions(robot.spec, gripper, v) for v in (gripper.open_position, gripper.closed_position))
+    joint = next(iter(first))
+    way = last[joint] - first[joint]
+    reaches = torch.tensor([finger_reach(world, n / STEPS) for n in range(STEPS + 1)], device=world.device)
+    depth = pressed(world)
+
+    def pose(world: World, task: Task) -> Tensor:
+        share = STEPS * ((robot.joint_positions[:, joint] - first[joint]) / way + SOON).clamp(0.0, 1.0)
+        below = share.long().clamp(max=STEPS - 1)
+        reach = torch.lerp(reaches[below], reaches[below + 1], share - below)
+        hand = common.hand_pose(world, task)
+        return common.pointing_down(torch.cat((hand[:, :2], TRAY - depth + reach[:, None]), dim=1))
+
+    return pose
 
 
 def pinching(world: World) -> tuple[Phase, ...]:
@@ -141,11 +175,11 @@ def pinching(world: World) -> tuple[Phase, ...]:
 
     The open fingers press on it, and as they close the cloth between them buckles up and is held.
     """
-    opened, closed = (TRAY - PRESSED + finger_reach(world, shut) for shut in (False, True))
+    opened = TRAY - pressed(world) + finger_reach(world, closed=False)
     return (
         Phase(over(middle, opened + 0.1), position_tolerance=0.02, free=True),
         Phase(over(middle, opened), position_tolerance=0.008, timeout=1.0),
-        Phase(here(closed), gripper_open=False, dwell=0.7, timeout=0.7),
+        Phase(pressing(world), gripper_open=False, dwell=0.7, timeout=0.7),
     )
 
 

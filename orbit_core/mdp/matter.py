@@ -7,16 +7,18 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from orbit_core.audit.robots.postures import gripper_positions, gripper_posture, gripping_links, shapes_in_frame
 from orbit_core.dynamics.transforms import quat_multiply, quat_rotate
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import EventFunction, TermFunction, measured_in
 from orbit_core.interfaces import World
 from orbit_core.interfaces.names import match_names
 from orbit_core.mdp.common import turned
-from orbit_core.scene import RobotSpec
+from orbit_core.scene import Gripper, Joint, JointType, RobotSpec
 
 
 def with_grip_force(robot: RobotSpec, force: float) -> RobotSpec:
@@ -29,13 +31,35 @@ def with_grip_force(robot: RobotSpec, force: float) -> RobotSpec:
         return robot
     names = robot.articulation.joint_names
     joints = set(match_names(gripper.joints, names, "joint", f"'{robot.name}'"))
+    travel = _jaw_travel(robot, gripper, [robot.articulation.movable_joints[number] for number in joints])
     groups = (
-        replace(group, effort_limit=force, stiffness=max(group.stiffness, force / 5e-4), damping=2.0 * group.damping)
+        replace(
+            group,
+            effort_limit=force * travel,
+            stiffness=max(group.stiffness, force * travel**2 / 5e-4),
+            damping=2.0 * group.damping,
+        )
         if joints & set(match_names(group.joints, names, "joint", f"'{robot.name}'"))
         else group
         for group in robot.actuators
     )
     return replace(robot, actuators=tuple(groups))
+
+
+def _jaw_travel(robot: RobotSpec, gripper: Gripper, joints: list[Joint]) -> float:
+    """Metres that a finger goes for each unit of the gripper's joints: 1 of those that slide."""
+    if all(joint.type is JointType.PRISMATIC for joint in joints):
+        return 1.0
+    links = gripping_links(robot, gripper)
+    ends = [
+        shapes_in_frame(robot, robot.end_effector.frame, links, gripper_posture(robot, gripper, position))
+        for position in (gripper.open_position, gripper.closed_position)
+    ]
+    ways = [np.linalg.norm((b.mean(0) - a.mean(0))[:2]) for a, b in zip(*ends, strict=True)]
+    first, last = (
+        gripper_positions(robot, gripper, value) for value in (gripper.open_position, gripper.closed_position)
+    )
+    return float(max(ways)) / max(abs(last[number] - first[number]) for number in first)
 
 
 def key_points(name: str) -> TermFunction:

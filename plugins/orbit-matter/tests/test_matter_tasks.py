@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from orbit_core.assets.catalogue import robot
 from orbit_core.envs import make
+from orbit_core.mdp.matter import with_grip_force
 
 EPISODES = [
     ("Rope-Reshaping", 4, "mujoco"),
@@ -25,6 +27,26 @@ def test_an_expert_reaches_the_goal(task: str, num_envs: int, backend: str) -> N
     expert = environment.task.expert(environment.world)
     environment.reset(seed=0)
     for _ in range(environment.max_episode_steps - 1):
+        environment.step(expert.compute({})["action"])
+    assert environment.task.success(environment.world).all()
+    environment.close()
+
+
+@pytest.mark.parametrize(("name", "travel"), [("franka_panda", 1.0), ("ur10_robotiq_2f85", 0.0531)])
+def test_a_gripper_that_turns_closes_with_the_force_that_is_asked(name: str, travel: float) -> None:
+    """The jaws of a 2F-85 go 42.5 mm each in 0.8 rad: its motor gives force times 53 mm."""
+    spec = with_grip_force(robot(name), 15.0)
+    gripper = spec.end_effector.gripper
+    assert gripper is not None
+    groups = [group for group in spec.actuators if group.joints == gripper.joints]
+    assert groups[0].effort_limit == pytest.approx(15.0 * travel, rel=0.1)
+
+
+def test_an_arm_whose_fingers_close_on_arcs_lifts_cloth() -> None:
+    environment = make("Cloth-Lifting", 1, "mujoco", seed=0, robot="ur10_robotiq_2f85")
+    expert = environment.task.expert(environment.world)
+    environment.reset(seed=0)
+    for _ in range(150):
         environment.step(expert.compute({})["action"])
     assert environment.task.success(environment.world).all()
     environment.close()
