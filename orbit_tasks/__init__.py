@@ -15,6 +15,7 @@ def register(registry: TaskRegistry) -> None:
     registry.add("Stack", "Put one block on another", "orbit_tasks.stack_pyramid:Stack")
     registry.add("Stack-Pyramid", "Build two pyramids of coloured blocks", "orbit_tasks.stack_pyramid:StackPyramid")
     registry.add("Hockey", "Hit a puck with a stick into the net", "orbit_tasks.hockey:Hockey")
+    registry.add("Nut-Bolt", "Set a nut on a bolt and screw it down", "orbit_tasks.nut_bolt:NutBolt")
     registry.add("Jenga", "Pull a block out of a tower and put it on top", "orbit_tasks.jenga:Jenga")
     registry.add("Peg-In-Hole", "Put blocks into the holes that match them", "orbit_tasks.peg_in_hole:PegInHole")
     registry.add(

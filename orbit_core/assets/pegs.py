@@ -111,7 +111,7 @@ def block(name: str, kind: str, *, color: Color, material: PhysicsMaterial | Non
         middle = Pose((0.0, 0.0, 0.5 * BODY_HEIGHT))
         parts: list[tuple[Geometry, Pose]] = [(Cylinder(own.radius, 0.5 * BODY_HEIGHT), middle)]
     else:
-        parts = [_prism(piece, BODY_HEIGHT) for piece in _inside(own.outline)]
+        parts = [prism(piece, BODY_HEIGHT) for piece in _inside(own.outline)]
     parts.append((Box((0.5 * KNOB, 0.5 * KNOB, 0.5 * KNOB)), Pose((0.0, 0.0, GRIP_HEIGHT))))
     shapes = tuple(Shape(geometry, pose, surface, color) for geometry, pose in parts)
     articulation = Articulation(name, (solid_link(name, shapes, DENSITY),))
@@ -144,7 +144,7 @@ def board(
         place = Pose((0.0, (index - 0.5 * (len(kinds) - 1)) * TILE, 0.0))
         frames.append(Frame(f"hole_{index}", name, place))
         for piece in _outside(_hole(kind, clearance)):
-            geometry, pose = _prism(piece, BOARD_HEIGHT)
+            geometry, pose = prism(piece, BOARD_HEIGHT)
             shapes.append(Shape(geometry, place @ pose, surface, color))
     articulation = Articulation(name, (solid_link(name, shapes, DENSITY),), frames=tuple(frames))
     return ObjectSpec(name=name, articulation=articulation, fixed_base=True, semantic_label="board")
@@ -216,8 +216,8 @@ def _rectangles(outline: Polygon) -> list[tuple[Polygon, bool]]:
     return found
 
 
-def _prism(polygon: Polygon, height: float) -> tuple[Geometry, Pose]:
-    """The solid of a height above a convex polygon, and where its frame lies."""
+def prism(polygon: Polygon, height: float) -> tuple[Geometry, Pose]:
+    """The solid of a height (m) above a convex polygon, and where its frame lies."""
     low, high = polygon.min(0), polygon.max(0)
     if len(polygon) == 4 and _rectilinear(polygon):
         x, y = 0.5 * (low + high)

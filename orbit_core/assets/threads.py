@@ -12,13 +12,29 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from orbit_core.assets.objects import solid_link
+from orbit_core.assets.pegs import prism
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.scene import Mesh, MeshCollision
+from orbit_core.scene import (
+    Articulation,
+    Box,
+    Color,
+    Mesh,
+    MeshCollision,
+    ObjectSpec,
+    PhysicsMaterial,
+    Pose,
+    Shape,
+)
 
 _ROWS = 10
 """Rows of vertices in each turn of a thread."""
 _AROUND = 48
 """Vertices around."""
+_STEEL = 7800.0
+"""kg/m^3"""
+_WALL = 0.002
+"""Metres of a nut's wall outside its thread that belong to the field of distances."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +110,70 @@ def nut(height: float, outer_radius: float, thread: Thread = Thread(), *, cleara
     above = [last + side[:, ::-1] for side in below]
     faces = np.concatenate((sides[:, ::-1], count + sides, *below, *above))
     return Mesh(np.concatenate((inner, outer)), faces, MeshCollision.SIGNED_DISTANCE)
+
+
+def bolt_on_base(
+    name: str, length: float, thread: Thread, *, base: float, color: Color, material: PhysicsMaterial
+) -> ObjectSpec:
+    """A bolt that stands on a square base 80 mm wide, fixed; its frame lies in the middle of the base's underside.
+
+    Args:
+        name: of the object in its scene.
+        length: metres of the bolt above the base.
+        thread: the bolt's.
+        base: metres of the base's height.
+        color: of both.
+        material: of both.
+
+    Raises:
+        AssetError: as :func:`bolt`.
+    """
+    half = 0.5 * base
+    foot = Shape(Box((0.04, 0.04, half)), Pose((0.0, 0.0, half)), material, color, "base")
+    rod = Shape(bolt(length, thread), Pose((0.0, 0.0, base)), material, color, "bolt")
+    link = solid_link(name, (foot, rod), _STEEL)
+    return ObjectSpec(name=name, articulation=Articulation(name, (link,)), fixed_base=True, semantic_label="bolt")
+
+
+def hexagonal_nut(
+    name: str,
+    height: float,
+    width: float,
+    thread: Thread,
+    *,
+    clearance: float,
+    color: Color,
+    material: PhysicsMaterial,
+) -> ObjectSpec:
+    """A nut of six flat sides; its frame lies in the middle of its underside, x towards a corner.
+
+    The thread collides by its field of distances and ends 0.5 mm within the faces; what grippers and tables touch are
+    six prisms around it.
+
+    Args:
+        name: of the object in its scene.
+        height: metres.
+        width: metres across the flats.
+        thread: that of the bolt.
+        clearance: metres by which the radius of its thread exceeds the bolt's.
+        color: of the nut.
+        material: of all of it.
+
+    Raises:
+        AssetError: as :func:`nut`.
+    """
+    inner, outer = thread.radius + clearance + _WALL, width / math.sqrt(3.0)
+    ring = nut(height - 1e-3, inner, thread, clearance=clearance)
+    shapes = [Shape(ring, Pose((0.0, 0.0, 5e-4)), material, color, "thread")]
+    for k in range(6):
+        first, second = (
+            np.array((math.cos(angle), math.sin(angle))) for angle in (k * math.pi / 3, (k + 1) * math.pi / 3)
+        )
+        sides = np.stack((inner * first, outer * first, outer * second, inner * second))
+        geometry, pose = prism(sides, height)
+        shapes.append(Shape(geometry, pose, material, color, f"side_{k}"))
+    link = solid_link(name, shapes, _STEEL)
+    return ObjectSpec(name=name, articulation=Articulation(name, (link,)), semantic_label="nut")
 
 
 def _check(length: float, thread: Thread) -> None:

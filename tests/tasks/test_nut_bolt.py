@@ -1,0 +1,34 @@
+"""Nut-Bolt: the expert for half a turn, what counts, and who refuses the task."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from orbit_core.envs import make
+from orbit_core.interfaces import Capability, ConfigurationError, UnsupportedCapabilityError
+from orbit_tasks import nut_bolt
+from tests.tasks.experts import episode
+
+
+def test_the_expert_screws_the_nut_half_a_turn_down() -> None:
+    environment, success = episode("Nut-Bolt", "mujoco", 1, turns=0.5, episode_length=13.0)
+    world, task = environment.world, environment.task
+    assert success.all()
+    assert task.metrics(world)["distance_m"].item() < 1e-3
+    pose = world.objects["nut"].root_pose.clone()
+    pose[:, 2] += nut_bolt.THREAD.lead
+    world.objects["nut"].set_root_pose(pose)
+    assert not task.success(world).any()
+    torch.testing.assert_close(nut_bolt.distance(world, task), torch.full((1,), 0.004), atol=5e-4, rtol=0.0)
+    environment.close()
+
+
+def test_engines_without_distance_fields_refuse_the_task() -> None:
+    with pytest.raises(UnsupportedCapabilityError, match=rf"{Capability.SIGNED_DISTANCE_FIELDS.value}.*mujoco"):
+        make("Nut-Bolt", 1, "bullet")
+
+
+def test_turns_that_the_bolt_lacks_are_refused_by_name() -> None:
+    with pytest.raises(ConfigurationError, match="field 'turns' of task Nut-Bolt must be"):
+        make("Nut-Bolt", 1, "mujoco", turns=9.0)
