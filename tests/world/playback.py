@@ -15,8 +15,8 @@ from orbit_core.dynamics.indexing import Masking, write_rows
 from orbit_core.dynamics.kinematics import FixedFrame, PointJacobian
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.interfaces import EntityLayout, Marker, NamedThings, Object, Robot, SceneLayout, World
-from orbit_core.scene import Entity, Frame, MarkerSpec, RobotSpec, Scene, SensorSpec
+from orbit_core.interfaces import EntityLayout, Marker, NamedThings, Object, Robot, SceneLayout, World, match_names
+from orbit_core.scene import ContactSensorSpec, Entity, Frame, MarkerSpec, RobotSpec, Scene
 from orbit_core.sensors import ContactSensor
 from orbit_core.world.clock import Clock
 
@@ -77,8 +77,11 @@ class PlaybackWorld(World):
         self.objects = NamedThings(objects, "object", "world.objects", names)
         self.markers = NamedThings(markers, "marker", "world.markers", names)
         sensors = {
-            spec.name: PlaybackContacts(spec, _Played(recording.frames, spec.name, ("forces",), self.frame, device))
+            spec.name: PlaybackContacts(
+                spec, _Played(recording.frames, spec.name, ("forces",), self.frame, device), self.layout
+            )
             for spec in scene.sensors
+            if isinstance(spec, ContactSensorSpec)
         }
         self.sensors = NamedThings(sensors, "sensor", "world.sensors", names)
         self.deformables = NamedThings({}, "deformable", "world.deformables", names)
@@ -234,9 +237,11 @@ class PlaybackRobot(PlaybackObject, Robot):
 class PlaybackContacts(ContactSensor):
     """The net forces that a contact sensor measured; what single bodies exert was not recorded."""
 
-    def __init__(self, spec: SensorSpec, played: _Played) -> None:
+    def __init__(self, spec: ContactSensorSpec, played: _Played, layout: SceneLayout) -> None:
         self.spec = spec
         self._played = played
+        (names,) = (e.spec.articulation.link_names for e in layout.entities if e.name == spec.entity)
+        self.link_names = tuple(names[index] for index in match_names(spec.links, names, "link"))
 
     @property
     def forces(self) -> Tensor:
