@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from torch import Tensor
@@ -12,7 +12,7 @@ from orbit_core.envs.task import ROBOT
 from orbit_core.envs.terms import measured_in
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
-from orbit_core.mdp.images import camera_color, camera_depth
+from orbit_core.mdp.images import camera_color, camera_depth, camera_segmentation
 from orbit_core.scene import END_EFFECTOR, CameraSpec, Channel, look_at
 
 SIZE = 64
@@ -43,6 +43,10 @@ FRONT = CameraSpec(
 """Looks at the arm over the bench, from the other side."""
 
 
+FRONT_LABELS = replace(FRONT, channels=(Channel.SEMANTIC, Channel.DEPTH))
+"""The same, which sees what each pixel is of, and how far away."""
+
+
 @measured_in("m")
 def goal(world: World, task: Any) -> Tensor:
     """(N, ...) the task's goal."""
@@ -62,3 +66,17 @@ class ArmPixels(ObservationGroup):
     hand_depth: ObservationTerm | None = camera_depth(HAND)
     front_color: ObservationTerm | None = camera_color(FRONT)
     front_depth: ObservationTerm | None = camera_depth(FRONT)
+
+
+@dataclass
+class ArmLabels(ObservationGroup):
+    """What an arm knows of itself, and a semantic camera, which alone sees what lies before it: which thing is which is
+    told by its label."""  # fmt: skip
+
+    concatenate: bool = False
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+    last_action: ObservationTerm | None = ObservationTerm(common.last_action)
+    front_labels: ObservationTerm | None = camera_segmentation(FRONT_LABELS)
+    front_depth: ObservationTerm | None = camera_depth(FRONT_LABELS)

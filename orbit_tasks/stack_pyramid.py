@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -30,6 +32,7 @@ from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, picking, premises, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import Color, Pose, Scene
+from orbit_tasks.pixels import ArmLabels
 
 COLORS: tuple[dict[str, Color], ...] = (
     {"red": (0.8, 0.12, 0.1, 1.0), "orange": (0.95, 0.5, 0.1, 1.0), "yellow": (0.95, 0.85, 0.15, 1.0)},
@@ -180,6 +183,16 @@ class StackObservations:
 
 
 @dataclass
+class StackSemanticObservations:
+    """The policy tells the blocks' colours by a semantic camera, whose labels they are; critic and teacher see the
+    state."""  # fmt: skip
+
+    policy: ArmLabels = field(default_factory=ArmLabels)
+    critic: ObservationGroup | None = field(default_factory=StackState)
+    teacher: ObservationGroup | None = field(default_factory=StackState)
+
+
+@dataclass
 class StackRewards:
     """Rewards of the hand at the next block, the block lifted, at its place and let go, less what is abrupt."""
 
@@ -230,6 +243,7 @@ class StackPyramid(Task):
     ``tolerance`` of its place and the hand has let go. Metric: the sum of the distances between blocks and places.
     """
 
+    observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {"semantic": StackSemanticObservations}
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 24.0
@@ -240,7 +254,7 @@ class StackPyramid(Task):
     """Of each pyramid: two or three."""
     tolerance: float = 0.015
     """Metres."""
-    observations: StackObservations = field(default_factory=StackObservations)
+    observations: StackObservations | StackSemanticObservations = field(default_factory=StackObservations)
     rewards: StackRewards = field(default_factory=StackRewards)
     terminations: StackTerminations = field(default_factory=StackTerminations)
     events: StackEvents = field(default_factory=StackEvents)

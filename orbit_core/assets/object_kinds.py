@@ -29,6 +29,7 @@ from orbit_core.assets.objects import (
     capsule,
     cylinder,
     dishwasher,
+    keyed_block,
     mesh_object,
     sphere,
     table,
@@ -220,6 +221,28 @@ class CabinetConfig(ObjectConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
+class KeyedBlockConfig(ObjectConfig):
+    """A cube with a ridge along one edge, which looks alike in no two orientations; its frame is the cube's middle."""
+
+    name: ClassVar[str] = "keyed"
+    edge: float = 0.06
+    """Metres."""
+    mass: float = 0.08
+    """kg"""
+    color: Color = GRAY
+    key_color: Color = (0.75, 0.15, 0.1, 1.0)
+
+    def build(self, name: str, pose: Pose | None = None) -> ObjectSpec:
+        return keyed_block(
+            name, self.edge, mass=self.mass, color=self.color, key_color=self.key_color, pose=pose or Pose()
+        )
+
+    @property
+    def rest_height(self) -> float:
+        return 0.5 * self.edge
+
+
+@dataclass(frozen=True, kw_only=True)
 class DishwasherConfig(ObjectConfig):
     """A small static dishwasher with a door and a rack, its frame in the middle of its footprint."""
 
@@ -237,6 +260,7 @@ class DishwasherConfig(ObjectConfig):
 
 _OWN = (
     BoxConfig, SphereConfig, CylinderConfig, CapsuleConfig, MeshConfig, TableConfig, CabinetConfig, DishwasherConfig,
+    KeyedBlockConfig,
 )  # fmt: skip
 
 

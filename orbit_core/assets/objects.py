@@ -74,6 +74,34 @@ def capsule(name: str, radius: float, length: float, **options: Unpack[SolidOpti
     return _solid(name, Capsule(radius, _half(name, length)), options)
 
 
+def keyed_block(
+    name: str,
+    edge: float = 0.06,
+    *,
+    mass: float = 0.08,
+    color: Color = GRAY,
+    key_color: Color = (0.75, 0.15, 0.1, 1.0),
+    pose: Pose | None = None,
+) -> ObjectSpec:
+    """A cube with a ridge along one edge of its top, so that it looks alike in no two orientations.
+
+    The frame is the cube's middle, z through the face with the ridge. That is 0.3 of ``edge`` wide and 0.2 high, lies
+    at the face's edge towards +x, and ends 0.4 of ``edge`` before its corner towards -y. Both are of one density.
+
+    Raises:
+        AssetError: a length or a mass that is not above zero.
+    """
+    half, wide, high = _half(name, edge), 0.15 * edge, 0.1 * edge
+    ridge = Box((wide, 0.3 * edge, high))
+    middle = Pose((half - wide, half - 0.3 * edge, half + high))
+    shapes = (
+        Shape(Box((half, half, half)), color=color, name="cube"),
+        Shape(ridge, middle, color=key_color, name="key"),
+    )
+    body = shapes_mass_properties(shapes, _positive(name, mass, "mass") / (edge**3 * (1.0 + 0.3 * 0.6 * 0.2)))
+    return _object(name, shapes, body, pose, False, "")
+
+
 def mesh_object(name: str, mesh: Mesh | str | Path, scale: float = 1.0, **options: Unpack[SolidOptions]) -> ObjectSpec:
     """A solid with the surface of a mesh or mesh file, in the mesh's own frame.
 

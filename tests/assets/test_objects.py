@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import trimesh
 
 from orbit_core.assets.files import asset_folder
 from orbit_core.assets.merge import merge_fixed_links
-from orbit_core.assets.objects import DENSITY, box, cabinet, capsule, cylinder, mesh_object, sphere, table
+from orbit_core.assets.objects import DENSITY, box, cabinet, capsule, cylinder, keyed_block, mesh_object, sphere, table
 from orbit_core.assets.usd import read_usd
 from orbit_core.assets.validation import validate, validate_entity
 from orbit_core.scene import Box, JointType, Mesh, PhysicsMaterial, Pose, Shape
@@ -184,3 +185,21 @@ def test_a_warm_cache_needs_no_usd(own_cache: Path) -> None:
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert float(run.stdout) == pytest.approx(whole.mass)
+
+
+def test_a_keyed_block_is_alike_in_no_two_orientations() -> None:
+    """None of the 23 turns of a cube onto itself brings its key back, nor does any flip."""
+    link = keyed_block("block", 0.06, mass=0.1).articulation.root
+    assert link.mass == pytest.approx(0.1)
+    key = next(shape for shape in link.visuals if shape.name == "key")
+    middle, half = np.array(key.pose.position), np.array(key.geometry.half_extents)  # pyright: ignore[reportAttributeAccessIssue]
+    corners = np.array([middle + half * signs for signs in itertools.product((-1, 1), repeat=3)])
+    own = {tuple(corner.round(6)) for corner in corners}
+    turns = [
+        np.eye(3)[list(order)] * np.array(signs)[:, None]
+        for order in itertools.permutations(range(3))
+        for signs in itertools.product((-1, 1), repeat=3)
+    ]
+    alike = [turn for turn in turns if {tuple(corner.round(6) + 0.0) for corner in corners @ turn.T} == own]
+    assert len(alike) == 1
+    assert np.array_equal(alike[0], np.eye(3))

@@ -11,6 +11,7 @@ from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common
+from orbit_core.sensors import CameraSensor
 from orbit_tasks import stack_pyramid as tasks
 from tests.tasks.experts import episode
 
@@ -87,3 +88,18 @@ def test_blocks_start_apart() -> None:
 def test_more_blocks_than_there_are_is_refused_by_name() -> None:
     with pytest.raises(ConfigurationError, match="field 'blocks' of task Stack must be 2 or 3"):
         make("Stack", 1, "mujoco", blocks=4)
+
+
+@pytest.mark.parametrize("backend", ["mujoco", "sapien"])
+def test_a_semantic_camera_tells_the_blocks_by_their_colours(backend: str) -> None:
+    environment = make("Stack-Pyramid", 2, backend, seed=0, observations="semantic")
+    observation, _ = environment.reset(seed=0)
+    labels = observation["policy"]["front_labels"]
+    camera = environment.world.sensors["front"]
+    assert isinstance(camera, CameraSensor)
+    colors = {name for pyramid in tasks.COLORS for name in pyramid}
+    for row in labels:
+        seen = {camera.semantic_labels[index] for index in row.unique().tolist() if index >= 0}
+        assert len(colors & seen) >= 4  # the arm may hide a block or two
+    assert set(observation) == {"policy", "critic", "teacher"}
+    environment.close()
