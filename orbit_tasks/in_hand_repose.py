@@ -6,6 +6,7 @@ Learning (2021), section 5.3, after OpenAI et al., Learning Dexterous In-Hand Ma
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import torch
@@ -25,6 +26,13 @@ from orbit_core.scene import MarkerSpec, Pose, RobotSpec, Scene, look_at
 from orbit_core.scene.pose import Vector3
 
 OBJECT = "object"
+ABOVE_PALM: Vector3 = (-0.015, -0.01, -0.03)
+OFFSETS: Mapping[str, Vector3] = {
+    "allegro_left": (0.005, 0.0, -0.03),
+    "shadow_hand": (0.0, 0.0, -0.03),
+    "dex3_left": (0.0, 0.0, -0.03),
+}
+"""Where objects start in hands that would drop more of them at :data:`ABOVE_PALM`."""
 
 
 def hand(name: str) -> RobotSpec:
@@ -169,8 +177,8 @@ class InHandRepose(Task):
     )
     object: ObjectConfig = BoxConfig(size=(0.065, 0.065, 0.065), mass=0.08, color=(0.85, 0.6, 0.2, 1.0))
     """What is turned; :func:`orbit_core.assets.object_kinds.object_kinds` has other kinds."""
-    offset: Vector3 = (-0.015, -0.01, -0.03)
-    """Metres from the hand's frame to the place, above the palm, where the object starts."""
+    offset: Vector3 | None = None
+    """Metres from the hand's frame to the place, above the palm, where the object starts; None: :data:`OFFSETS`'."""
     reach: float = 0.15
     """Metres from there, beyond which the object has been dropped."""
     tolerance: float = 0.2
@@ -213,7 +221,7 @@ class InHandRepose(Task):
         super().start(world)
         body = common.robot_of(world)
         frame = body.frame_pose(body.spec.end_effector.frame)[0, :3]
-        self.place = frame + torch.tensor(self.offset, device=world.device)
+        self.place = frame + torch.tensor(self.offset or OFFSETS.get(self.robot, ABOVE_PALM), device=world.device)
         self.goal = torch.zeros(world.num_envs, 4, device=world.device)
         self.goal[:, 0] = 1.0
         self.distance, self.count = (torch.zeros(world.num_envs, device=world.device) for _ in range(2))

@@ -12,7 +12,7 @@ from orbit_core.dynamics import transforms
 from orbit_core.envs import Environment, make
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common
-from orbit_tasks.in_hand_repose import OBJECT, InHandRepose
+from orbit_tasks.in_hand_repose import OBJECT, OFFSETS, InHandRepose
 
 
 @pytest.fixture(scope="module", params=["mujoco", "bullet"])
@@ -86,3 +86,17 @@ def test_rotations_are_uniform(env: Environment) -> None:
 def test_what_cannot_be_turned_is_refused(settings: dict[str, object], words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
         make("In-Hand-Repose", 1, "mujoco", **settings)
+
+
+@pytest.mark.parametrize(
+    ("given", "place"), [({}, OFFSETS["allegro_left"]), ({"offset": (0.01, 0.0, -0.02)}, (0.01, 0.0, -0.02))]
+)
+def test_a_hand_has_its_own_place_for_the_object_unless_one_is_given(
+    given: dict[str, tuple[float, ...]], place: tuple[float, ...]
+) -> None:
+    environment = make("In-Hand-Repose", 2, "mujoco", robot="allegro_left", **given)
+    task, hand = environment.task, common.robot_of(environment.world)
+    assert isinstance(task, InHandRepose)
+    frame = hand.frame_pose(hand.spec.end_effector.frame)[0, :3]
+    torch.testing.assert_close(task.place - frame, torch.tensor(place), atol=2e-3, rtol=0.0)
+    environment.close()
