@@ -21,6 +21,7 @@ from orbit_core.motion.joint_effort import JointEffortConfig
 from orbit_core.motion.joint_impedance import JointImpedanceConfig
 from orbit_core.motion.joint_position import JointPositionConfig
 from orbit_core.motion.joint_velocity import JointVelocityConfig
+from orbit_core.motion.mpc import HandMpcConfig, TrunkMpcConfig
 from orbit_core.motion.operational_space import OperationalSpaceConfig
 from orbit_core.motion.prioritized_ik import PrioritizedIkConfig
 from orbit_core.motion.rmpflow import RmpFlowConfig
@@ -43,6 +44,8 @@ _OWN = (
     HybridForceMotionConfig,
     AdmittanceConfig,
     RmpFlowConfig,
+    HandMpcConfig,
+    TrunkMpcConfig,
     BinaryGripperConfig,
     GraspSynergiesConfig,
     BaseVelocityConfig,

@@ -10,40 +10,16 @@ import torch
 
 from orbit_core.assets.catalogue import robot
 from orbit_core.dynamics.rigid_body import RigidBodyModel
-from orbit_core.scene import Articulation, JointType, Pose
+from orbit_core.motion.mpc.model import pinocchio_model
+from orbit_core.scene import Articulation
 
 pinocchio = pytest.importorskip("pinocchio", reason="the reference for rigid bodies is not installed (pip: pin)")
 ROOT = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
 
 
-def placement(pose: Pose) -> Any:
-    matrix = pose.matrix()
-    return pinocchio.SE3(matrix[:3, :3], matrix[:3, 3])
-
-
 def reference(articulation: Articulation) -> tuple[Any, list[int]]:
     """The model, and where its velocities hold the articulation's movable joints; followers count as free."""
-    model, parents, frames = pinocchio.Model(), {}, {}
-    names = articulation.link_names
-    parents[names[0]], frames[names[0]] = 0, pinocchio.SE3.Identity()
-    ids: dict[str, int] = {}
-    for joint in articulation.joints:
-        before = frames[joint.parent] * placement(joint.parent_pose)
-        after = placement(joint.child_pose).inverse()
-        parent = parents[joint.parent]
-        if joint.movable:
-            kinds = {
-                JointType.PRISMATIC: pinocchio.JointModelPrismaticUnaligned,
-                JointType.REVOLUTE: pinocchio.JointModelRevoluteUnaligned,
-            }
-            parent = model.addJoint(parent, kinds[joint.type](np.asarray(joint.axis)), before, joint.name)
-            ids[joint.name], before = parent, pinocchio.SE3.Identity()
-        parents[joint.child], frames[joint.child] = parent, before * after
-        link = articulation.links[names.index(joint.child)]
-        own = pinocchio.Inertia(link.mass, np.asarray(link.center_of_mass), np.asarray(link.inertia))
-        model.appendBodyToJoint(parent, own, frames[joint.child])
-    for name in names:
-        model.addFrame(pinocchio.Frame(name, parents[name], frames[name], pinocchio.FrameType.OP_FRAME))
+    model, ids = pinocchio_model(articulation)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     return model, [model.joints[ids[name]].idx_v for name in articulation.joint_names]
 
@@ -68,7 +44,7 @@ def test_mass_matrix_bias_jacobian_and_drift_are_pinocchios(name: str) -> None:
         efforts = pinocchio.nonLinearEffects(model, data, positions, velocities)
         np.testing.assert_allclose(bias[0], efforts[columns], atol=1e-8)
         link = articulation.link_names[-1]
-        frame = model.getFrameId(link)
+        frame = model.getFrameId(link, pinocchio.FrameType.OP_FRAME)
         axes = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
         jacobian = pinocchio.computeFrameJacobian(model, data, positions, frame, axes)
         np.testing.assert_allclose(own.kinematics.jacobian(links, link)[0], jacobian[:, columns], atol=1e-9)
