@@ -72,6 +72,12 @@ _CONTACT = (
     Gap("bounce", "ball", 0.06, _LATE_IMPACT),
     Gap("bounce", "box", 0.06, _LATE_IMPACT),
     Gap("bouncing_on", "path", 0.2, _LATE_IMPACT),
+    Gap(
+        "puck",
+        "rebound",
+        0.9,
+        "the first contact of a cylinder's side is a single point off its middle: the puck tips as it meets the board",
+    ),
     Gap("grasp", "lift", 6e-3, _ONE_POINT),
     Gap("grasp", "limit", 0.12, _ONE_POINT),
     Gap("grasp", "creep", 0.2, _ONE_POINT),

@@ -103,6 +103,7 @@ CONTACT = (
     Gap("loaded_tower", "sink_100", 4.5e-3, _SOFT),
     Gap("toppling_tower", "tilt", 0.06, _LEANING),
     Gap("toppling_tower", "creep", 0.012, CREEP),
+    Gap("jamming_peg", "insertion", 0.6, _HOP + ": 0.34 at 5 ms and 0.03 at 1.25 ms"),
     Gap("bounce", "ball", 0.14, _SPRING),
     Gap("bounce", "box", 0.14, _SPRING),
     Gap("bouncing_on", "path", 0.4, _SPRING),
