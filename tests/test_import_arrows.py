@@ -21,6 +21,7 @@ RANKS = {
     "interfaces": 1,
     "files": 1.5,
     "registry": 1.5,
+    "tensor_file": 1.6,
     "plugin_kit": 1.5,
     "configuration": 1.5,
     "backends": 2,

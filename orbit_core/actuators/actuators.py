@@ -10,11 +10,12 @@ from torch import Tensor
 
 from orbit_core.actuators.delay import CommandDelay, DelayState
 from orbit_core.actuators.models import DcMotorModel, PdModel
+from orbit_core.actuators.network_model import NetworkModel
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout
 from orbit_core.interfaces.layout import actuator_of_joint
-from orbit_core.scene import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
+from orbit_core.scene import ActuatorConfig, ActuatorNetwork, DcMotor, IdealPd, ImplicitPd
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,8 @@ class ActuatorState:
     effort_targets: Tensor
     gains: tuple[tuple[Tensor, Tensor], ...]
     delays: tuple[DelayState | None, ...]
+    pasts: tuple[Tensor, ...]
+    """Of actuator networks."""
 
 
 class Actuators:
@@ -35,7 +38,7 @@ class Actuators:
     :meth:`apply` must run before each physics step; so it must where efforts are ``shared``, others adding to them.
 
     Raises:
-        ConfigurationError: a group's delay or torque-speed line cannot be.
+        ConfigurationError: a group's delay or torque-speed line cannot be, or its network does not fit.
     """
 
     def __init__(self, engine: Engine, layout: SceneLayout, random: RandomStreams, shared: bool = False) -> None:
@@ -51,7 +54,12 @@ class Actuators:
         if motors:
             self._models.append(DcMotorModel(list(motors), list(motors.values()), *parts))
         self._delays = [_delay([groups[joint] for joint in m.joints], engine.num_envs, random) for m in self._models]
-        self.explicit = shared or bool(self._models)
+        networks = {joint: group for joint, group in groups.items() if isinstance(group, ActuatorNetwork)}
+        self._networks = [
+            NetworkModel([j for j, g in networks.items() if g.file == file], file, layout, *parts[1:])
+            for file in dict.fromkeys(group.file for group in networks.values())
+        ]
+        self.explicit = shared or bool(self._models or self._networks)
         """Whether :meth:`apply` has work to do."""
         self.position_targets = engine.position_targets
         """(N, J) rad or m"""
@@ -65,7 +73,8 @@ class Actuators:
         engine = self._engine
         engine.efforts.copy_(self.effort_targets)
         positions, velocities = engine.joint_positions, engine.joint_velocities
-        for model, delay in zip(self._models, self._delays, strict=True):
+        delays = (*self._delays, *(None for _ in self._networks))
+        for model, delay in zip((*self._models, *self._networks), delays, strict=True):
             columns = model.columns
             targets: Sequence[Tensor] = (
                 self.position_targets[:, columns],
@@ -75,6 +84,10 @@ class Actuators:
             if delay is not None:
                 targets = delay.push(torch.stack(tuple(targets))).unbind(0)
             engine.efforts[:, columns] = model.efforts(positions[:, columns], velocities[:, columns], targets)
+
+    def memory(self) -> dict[str, Tensor]:
+        """What actuator networks remember from step to step, by name."""
+        return {f"actuator network {number}": network.past for number, network in enumerate(self._networks)}
 
     def set_gains(
         self, joints: Sequence[int], stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
@@ -97,6 +110,8 @@ class Actuators:
                 write_rows(model.damping[:, index], damping[:, column], env_ids)
             elif joint not in self._implicit:
                 name = self._engine.layout.joints[joint].name
+                if any(joint in network.joints for network in self._networks):
+                    raise ConfigurationError(f"joint '{name}' is driven by a network, which has no gains: leave it out")
                 raise ConfigurationError(f"joint '{name}' has no actuator whose gains could be set: give it a group")
 
     def reset(self, env_ids: Tensor | None = None) -> None:
@@ -106,12 +121,15 @@ class Actuators:
         for delay in self._delays:
             if delay is not None:
                 delay.reset(env_ids)
+        for network in self._networks:
+            network.reset(env_ids)
 
     def save_state(self) -> ActuatorState:
         """A detached copy."""
         gains = tuple((model.stiffness.clone(), model.damping.clone()) for model in self._models)
         delays = tuple(None if delay is None else delay.save_state() for delay in self._delays)
-        return ActuatorState(self.effort_targets.clone(), gains, delays)
+        pasts = tuple(network.past.clone() for network in self._networks)
+        return ActuatorState(self.effort_targets.clone(), gains, delays, pasts)
 
     def load_state(self, state: ActuatorState) -> None:
         """Return to a saved state."""
@@ -122,6 +140,8 @@ class Actuators:
         for delay, saved in zip(self._delays, state.delays, strict=True):
             if delay is not None and saved is not None:
                 delay.load_state(saved)
+        for network, past in zip(self._networks, state.pasts, strict=True):
+            network.past.copy_(past)
 
 
 def _group_of_joint(layout: SceneLayout) -> dict[int, ActuatorConfig]:

@@ -31,6 +31,7 @@ COMMANDS = {
     "data": ("data", "Tell about, convert, merge, filter, split and replay datasets of demonstrations"),
     "grasp": ("grasp", "Choose, accept and move grasps of an arm in the browser, and take the arm"),
     "train": ("train", "Learn a task with a reinforcement learning library"),
+    "train-actuator": ("train_actuator", "Fit a network to logged data of an actuator's joints"),
     "play": ("play", "Run a learned policy on any backend, and report how it went"),
     "export": ("export", "Write a learned policy as safetensors and ONNX, with its description"),
     "bench": ("bench", "Measure throughput over numbers of environments"),

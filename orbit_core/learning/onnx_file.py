@@ -24,7 +24,7 @@ from orbit_core.learning.description import PolicyDescription
 from orbit_core.learning.onnx_graph import OnnxGraph
 from orbit_core.learning.picture_features import TermByTerm
 from orbit_core.learning.policy_file import check_action, manifest_document, manifest_of
-from orbit_core.learning.tensor_file import parse_json, read_bytes
+from orbit_core.tensor_file import parse_json, read_bytes
 
 SUFFIX = ".onnx"
 _KEY = "orbit"

@@ -1,6 +1,6 @@
 """Policies as safetensors files: the weights, what they were learned for, and the network that they belong to.
 
-The document of such a file (see :mod:`orbit_core.learning.tensor_file`) is
+The document of such a file (see :mod:`orbit_core.tensor_file`) is
 ``{"format": 1, "policy": {...}, "manifest": {...}, "network": {"name": ..., "settings": {...}}}`` with the fields of
 :class:`~orbit_core.learning.description.PolicyDescription`, of :class:`~orbit_core.data.manifest.Manifest`, which may
 be missing, and of a registered network.
@@ -23,7 +23,7 @@ from orbit_core.learning.description import PolicyDescription
 from orbit_core.learning.network_registry import network_type
 from orbit_core.learning.networks import ActorNetwork, Network
 from orbit_core.learning.plain import from_plain
-from orbit_core.learning.tensor_file import read_tensors, write_tensors
+from orbit_core.tensor_file import read_tensors, write_tensors
 
 SUFFIX = ".safetensors"
 

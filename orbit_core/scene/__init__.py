@@ -4,7 +4,7 @@ Units are SI, angles radians, z is up, quaternions are ``(w, x, y, z)``.
 """
 
 from orbit_core.scene.active import ActiveModel, MagneticSeal
-from orbit_core.scene.actuators import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
+from orbit_core.scene.actuators import ActuatorConfig, ActuatorNetwork, DcMotor, IdealPd, ImplicitPd
 from orbit_core.scene.articulation import Articulation, Frame, Link, single_link
 from orbit_core.scene.deformables import (
     Attachment,
@@ -61,12 +61,13 @@ from orbit_core.scene.shapes import (
 )
 
 __all__ = [
-    "END_EFFECTOR", "ActiveModel", "ActuatorConfig", "AmbientLight", "Articulation", "Attachment", "Box", "CameraSpec",
-    "Capsule", "Channel", "Cloth", "Color", "Compliance", "ContactSensorSpec", "Cylinder", "DcMotor", "DeformableSpec",
-    "DifferentialBase", "DirectionalLight", "DriveGains", "EndEffector", "Entity", "Fluid", "ForceTorqueSpec", "Frame",
-    "FrameSensorSpec", "Geometry", "Gripper", "HeightField", "IdealPd", "ImplicitPd", "ImuSpec", "Joint",
-    "JointCommands", "JointSensorSpec", "JointType", "KeyPoint", "Light", "Link", "LoopJoint", "LoopType",
-    "MagneticSeal", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision", "Mimic", "Noise", "ObjectSpec",
-    "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Region", "Rgb", "RobotCategory", "RobotSpec",
-    "Rope", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere", "Workspace", "look_at", "single_link",
+    "END_EFFECTOR", "ActiveModel", "ActuatorConfig", "ActuatorNetwork", "AmbientLight", "Articulation",
+    "Attachment", "Box", "CameraSpec", "Capsule", "Channel", "Cloth", "Color", "Compliance", "ContactSensorSpec",
+    "Cylinder", "DcMotor", "DeformableSpec", "DifferentialBase", "DirectionalLight", "DriveGains", "EndEffector",
+    "Entity", "Fluid", "ForceTorqueSpec", "Frame", "FrameSensorSpec", "Geometry", "Gripper", "HeightField",
+    "IdealPd", "ImplicitPd", "ImuSpec", "Joint", "JointCommands", "JointSensorSpec", "JointType", "KeyPoint",
+    "Light", "Link", "LoopJoint", "LoopType", "MagneticSeal", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision",
+    "Mimic", "Noise", "ObjectSpec", "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Region",
+    "Rgb", "RobotCategory", "RobotSpec", "Rope", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere",
+    "Workspace", "look_at", "single_link",
 ]  # fmt: skip

@@ -52,3 +52,15 @@ class DcMotor(IdealPd):
     """
 
     saturation_effort: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActuatorNetwork(ActuatorConfig):
+    """A learned model of the actuator: effort from the error of position and the velocity, and their past.
+
+    It stands for the drive's own controller too, so that gains are left out, and velocity targets do not count. What it
+    gives, and the effort target with it, is limited to ``effort_limit``. Files come from ``orbit train-actuator``.
+    """
+
+    file: str
+    """Path of a file that :func:`orbit_core.actuators.networks.write_network` wrote."""

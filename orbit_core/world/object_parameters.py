@@ -23,7 +23,7 @@ from orbit_core.dynamics.arguments import (
 )
 from orbit_core.dynamics.indexing import Masking
 from orbit_core.interfaces import Capability, Engine, EntityLayout, Object
-from orbit_core.scene import Entity
+from orbit_core.scene import ActuatorNetwork, Entity
 from orbit_core.world.clock import Clock
 from orbit_core.world.painting import Painting
 
@@ -81,10 +81,11 @@ class ObjectParameters(Object):
 
     @cached_property
     def nominal_gains(self) -> Mapping[int, tuple[float, float]]:
-        """Stiffness and damping in the scene, by joint, of those that have an actuator."""
+        """Stiffness and damping in the scene, by joint, of those that have an actuator with gains."""
         gains: dict[int, tuple[float, float]] = {}
         for group in self.spec.actuators:
-            for joint in self.find_joints(*group.joints):
+            joints = [] if isinstance(group, ActuatorNetwork) else self.find_joints(*group.joints)
+            for joint in joints:
                 gains[joint] = (group.stiffness, group.damping)
         return gains
 

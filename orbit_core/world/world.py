@@ -291,9 +291,9 @@ class SimulatedWorld(World):
             sensor.touch()
 
     def memory(self) -> dict[str, Tensor]:
-        guarded = {} if self._guard is None else {"lost": self._guard.lost}
+        own = self.actuators.memory() | ({} if self._guard is None else {"lost": self._guard.lost})
         sensors = {f"sensor '{n}', {m}": t for n, s in self._timed.items() for m, t in s.memory().items()}
-        return guarded | sensors | self.active.memory()
+        return own | sensors | self.active.memory()
 
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         """Gravity (n, 3) in m/s^2 of some environments, for good.

@@ -1,0 +1,217 @@
+"""Learned actuator models: networks that give a joint's effort from its error of position, velocity, and their past.
+
+Two architectures, as published for the series-elastic ANYdrive: a perceptron that sees the present and some earlier
+steps (Hwangbo et al., Learning Agile and Dynamic Motor Skills for Legged Robots, 2019), and a recurrent network of long
+short-term memory that sees the present alone and remembers (Rudin et al., Learning to Walk in Minutes Using Massively
+Parallel Deep Reinforcement Learning, 2021). One network serves all joints of a kind, each with a past of its own.
+
+A file holds the weights as safetensors and, as JSON in the header, a :class:`NetworkDescription`; reading one executes
+nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import torch
+from torch import Tensor, nn
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.tensor_file import read_tensors, write_tensors
+
+_MOST_UNITS, _MOST_LAYERS, _MOST_HISTORY = 1024, 8, 64
+_INPUTS = 2
+"""Error of position and velocity."""
+_RATE_TOLERANCE = 1e-4
+"""Part of the rate."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkDescription:
+    """What an actuator network is, and what it was fitted to."""
+
+    kind: Literal["mlp", "lstm"]
+    hidden_sizes: tuple[int, ...]
+    """Units of the hidden layers; of an LSTM all the same."""
+    history: tuple[int, ...] = (0,)
+    """Steps back that a perceptron sees, from 0, the present."""
+    rate: float
+    """Hz: steps a second that it was fitted at, and is evaluated at."""
+    unit: Literal["rad", "m"] = "rad"
+    """Of the joints' positions."""
+    scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """What error (rad or m), velocity (rad/s or m/s) and effort (N m or N) are divided by."""
+    fitted_to: tuple[str, ...] = ()
+    """Names of the joints in the recordings."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigurationError: one is out of its range.
+        """
+        sizes, history = self.hidden_sizes, self.history
+        if not (1 <= len(sizes) <= _MOST_LAYERS and all(1 <= size <= _MOST_UNITS for size in sizes)):
+            raise ConfigurationError(
+                f"hidden_sizes are {sizes}: give 1 to {_MOST_LAYERS} layers of 1 to {_MOST_UNITS} units"
+            )
+        if self.kind == "lstm" and (len({*sizes}) > 1 or history != (0,)):
+            raise ConfigurationError(f"an LSTM has layers of one size and no history, not {sizes} and {history}")
+        if history[:1] != (0,) or list(history) != sorted({*history}) or history[-1] > _MOST_HISTORY:
+            raise ConfigurationError(
+                f"history is {history}: give steps back from 0 on, rising, {_MOST_HISTORY} at most"
+            )
+        if not (0.0 < self.rate < 1e6 and all(0.0 < scale < 1e9 for scale in self.scales)):
+            raise ConfigurationError(f"rate {self.rate:g} Hz and scales {self.scales} must be above zero and finite")
+
+    def build(self) -> ActuatorModule:
+        """The network, with weights of its own."""
+        return MlpActuator(self) if self.kind == "mlp" else LstmActuator(self)
+
+
+class ActuatorModule(nn.Module, ABC):
+    """A network for B joints, whose past is one tensor (*past_shape, B, ...), zero at first."""
+
+    def __init__(self, description: NetworkDescription) -> None:
+        super().__init__()
+        self.description = description
+        self._in: Tensor
+        self.register_buffer("_in", torch.tensor(description.scales[:2]), persistent=False)
+
+    @abstractmethod
+    def past(self, joints: int, device: torch.device) -> Tensor:
+        """Memory of B joints that have none; joints are its second dimension."""
+
+    @abstractmethod
+    def step(self, inputs: Tensor, past: Tensor) -> tuple[Tensor, Tensor]:
+        """Efforts (B,) from errors and velocities (B, 2), and the past that comes of it."""
+
+    @abstractmethod
+    def sequence(self, inputs: Tensor) -> Tensor:
+        """Efforts (T, B) of B joints over T steps (T, B, 2) that begin without a past."""
+
+
+class MlpActuator(ActuatorModule):
+    """A perceptron with softsign units. What is not known of the past is taken to have been as it is now."""
+
+    def __init__(self, description: NetworkDescription) -> None:
+        super().__init__(description)
+        sizes = (_INPUTS * len(description.history), *description.hidden_sizes)
+        layers = [layer for a, b in itertools.pairwise(sizes) for layer in (nn.Linear(a, b), nn.Softsign())]
+        self.layers = nn.Sequential(*layers, nn.Linear(sizes[-1], 1))
+        self._depth = description.history[-1]
+
+    def past(self, joints: int, device: torch.device) -> Tensor:
+        """(steps, B, 3): error, velocity, and 1 where they were measured."""
+        return torch.zeros(self._depth, joints, _INPUTS + 1, device=device)
+
+    def step(self, inputs: Tensor, past: Tensor) -> tuple[Tensor, Tensor]:
+        newest = torch.cat((inputs, torch.ones_like(inputs[:, :1])), 1)[None]
+        known = torch.where(past[..., 2:] > 0.0, past, newest)
+        line = torch.cat((newest, known))
+        seen = torch.cat([line[back, :, :_INPUTS] for back in self.description.history], 1)
+        return self.efforts(seen), line[: self._depth]
+
+    def sequence(self, inputs: Tensor) -> Tensor:
+        line = torch.cat((inputs[:1].expand(self._depth, -1, -1), inputs))
+        last = len(line) - self._depth
+        seen = [line[self._depth - back : self._depth - back + last] for back in self.description.history]
+        return self.efforts(torch.cat(seen, 2).flatten(0, 1)).view(inputs.shape[:2])
+
+    def efforts(self, seen: Tensor) -> Tensor:
+        """(B,) of what is seen (B, 2 H)."""
+        scaled = seen / self._in.repeat(len(self.description.history))
+        return self.layers(scaled).squeeze(1) * self.description.scales[2]
+
+
+class LstmActuator(ActuatorModule):
+    """Layers of long short-term memory (Hochreiter and Schmidhuber, 1997), then a linear one."""
+
+    def __init__(self, description: NetworkDescription) -> None:
+        super().__init__(description)
+        self._layers, self._units = len(description.hidden_sizes), description.hidden_sizes[0]
+        self.memory = nn.LSTM(_INPUTS, self._units, self._layers)
+        self.out = nn.Linear(self._units, 1)
+
+    def past(self, joints: int, device: torch.device) -> Tensor:
+        """(2 layers, B, units): hidden states, then cell states."""
+        return torch.zeros(2 * self._layers, joints, self._units, device=device)
+
+    def step(self, inputs: Tensor, past: Tensor) -> tuple[Tensor, Tensor]:
+        # Written out, so that a captured step is made of plain operations; the weights are torch's own.
+        value, hidden, cells = inputs / self._in, [], []
+        for layer in range(self._layers):
+            weight = [
+                getattr(self.memory, f"{name}_l{layer}") for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+            ]
+            gates = torch.addmm(weight[2] + weight[3], value, weight[0].T) + past[layer] @ weight[1].T
+            enter, forget, candidate, leave = gates.chunk(4, 1)
+            kept = forget.sigmoid() * past[self._layers + layer]
+            cells.append(kept + enter.sigmoid() * candidate.tanh())
+            value = leave.sigmoid() * cells[-1].tanh()
+            hidden.append(value)
+        return self.out(value).squeeze(1) * self.description.scales[2], torch.stack((*hidden, *cells))
+
+    def sequence(self, inputs: Tensor) -> Tensor:
+        return self.out(self.memory(inputs / self._in)[0]).squeeze(2) * self.description.scales[2]
+
+
+def write_network(path: Path, network: ActuatorModule) -> None:
+    """Write what :func:`read_network` reads.
+
+    Raises:
+        StorageError: the disk is full, or the folder cannot be written.
+    """
+    document = {"format": 1, "actuator": asdict(network.description)}
+    write_tensors(path, document, network.state_dict())
+
+
+def read_network(path: Path) -> ActuatorModule:
+    """A network from its file.
+
+    Raises:
+        ConfigurationError: there is no such file, it holds no actuator network, or its weights are not of the sizes
+            that its description says.
+        NonFiniteError: a weight is NaN or infinite.
+    """
+    document, tensors = read_tensors(path)
+    if not isinstance(document, dict) or document.get("format") != 1 or "actuator" not in document:
+        raise ConfigurationError(f"{path} holds no actuator network: write one by 'orbit train-actuator'")
+    try:
+        description = msgspec.convert(document["actuator"], NetworkDescription)
+    except (msgspec.ValidationError, ConfigurationError) as error:
+        raise ConfigurationError(f"actuator network {path}: {error}") from None
+    network = description.build()
+    wanted = {name: tuple(weight.shape) for name, weight in network.state_dict().items()}
+    found = {name: tuple(weight.shape) for name, weight in tensors.items()}
+    if wanted != found:
+        name = next(name for name in [*wanted, *found] if wanted.get(name) != found.get(name))
+        raise ConfigurationError(
+            f"actuator network {path}: weight '{name}' is {_shape(found.get(name))}, and an {description.kind} of "
+            f"hidden sizes {list(description.hidden_sizes)} has {_shape(wanted.get(name))}: fit it anew"
+        )
+    network.load_state_dict(tensors)
+    return network.requires_grad_(False)
+
+
+def check_rate(path: str, description: NetworkDescription, physics_dt: float) -> None:
+    """Refuse a network in a world of another rate.
+
+    Raises:
+        ConfigurationError: names both rates.
+    """
+    if abs(description.rate * physics_dt - 1.0) > _RATE_TOLERANCE:
+        raise ConfigurationError(
+            f"actuator network {path} was fitted at {description.rate:g} Hz, and the world's physics steps come at "
+            f"{1.0 / physics_dt:g} Hz: set physics_dt={1.0 / description.rate:g}, or fit one at that rate"
+        )
+
+
+def _shape(shape: Sequence[int] | None) -> Any:
+    return "missing" if shape is None else list(shape)
