@@ -39,16 +39,37 @@ def check_deformable(spec: DeformableSpec, where: str) -> None:
         raise wrong(f"{where}.poissons_ratio", spec.poissons_ratio, f"more than -1 and less than {most}")
     if isinstance(spec, Rope) and (np.ndim(spec.points) != 2 or np.shape(spec.points)[1] != 3):
         raise ArgumentError(f"{where}.points has shape {np.shape(spec.points)}: give (particles, 3)")
+    if isinstance(spec, Rope) and len(spec.points) < 2:
+        raise ArgumentError(f"{where}.points has {len(spec.points)} particles: give two or more")
     count = len(spec.rest_positions)
     if count > _MOST_PARTICLES:
         raise ArgumentError(f"{where} has {count} particles: give {_MOST_PARTICLES} at most")
     if not np.isfinite(spec.rest_positions).all():
         raise ArgumentError(f"{where} has particles that are not finite")
+    if isinstance(spec, Cloth | Rope):
+        _check_size(spec, where)
+    for point in spec.key_points:
+        if point.weights and abs(sum(point.weights) - 1.0) > 1e-3:
+            raise ArgumentError(
+                f"the weights of key point '{point.name}' of '{spec.name}' sum up to {sum(point.weights):g}: make it 1"
+            )
     named = [(f"key point '{point.name}'", point.particles) for point in spec.key_points]
     named += [(f"attachment {number}", held.particles) for number, held in enumerate(spec.attachments)]
     for what, particles in named:
         if missing := [particle for particle in particles if not 0 <= particle < count]:
             raise ArgumentError(f"{what} of '{spec.name}' is of particle {missing[0]}: it has {count}, from 0 on")
+
+
+def _check_size(spec: Cloth | Rope, where: str) -> None:
+    """Refuse what is thicker than it is long: its particles would meet everything that is near."""
+    extent = float(np.ptp(spec.rest_positions, axis=0).max())
+    if isinstance(spec, Rope):
+        extent = float(np.linalg.norm(np.diff(spec.rest_positions, axis=0), axis=1).sum())
+    if extent <= 0.0:
+        raise ArgumentError(f"{where} has all of its particles at one place: give it a size")
+    name = "thickness" if isinstance(spec, Cloth) else "radius"
+    if getattr(spec, name) > extent:
+        raise wrong(f"{where}.{name}", getattr(spec, name), f"{extent:g} m at most, which is its own length")
 
 
 def check_attachments(scene: Scene) -> None:
@@ -62,9 +83,24 @@ def check_attachments(scene: Scene) -> None:
     if len(set(names)) < len(names):
         raise ArgumentError(f"two deformables share a name, of {', '.join(names)}: give each its own")
     for spec in scene.deformables:
-        for held in spec.attachments:
+        if spec.name in links:
+            raise ArgumentError(f"deformable '{spec.name}' has the name of a robot or an object: give it its own")
+        for number, held in enumerate(spec.attachments):
+            if not held.particles:
+                raise ArgumentError(
+                    f"attachment {number} of '{spec.name}' holds no particles: name some, or leave it out"
+                )
+            if held.entity is None and held.link is not None:
+                raise ArgumentError(
+                    f"attachment {number} of '{spec.name}' is to link '{held.link}' of no entity: name the entity too"
+                )
             if held.entity is None:
                 continue
+            if held.link is None and held.entity in links:
+                raise ArgumentError(
+                    f"attachment {number} of '{spec.name}' is to no link of '{held.entity}': name one of "
+                    f"{', '.join(links[held.entity])}"
+                )
             if held.entity not in links:
                 raise ArgumentError(f"an attachment of '{spec.name}' is to '{held.entity}': the scene has {[*links]}")
             if held.link not in links[held.entity]:

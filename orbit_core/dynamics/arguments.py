@@ -10,7 +10,6 @@ import math
 import numbers
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NoReturn
 
 import torch
 from torch import Tensor
@@ -218,8 +217,11 @@ def check_quaternions(poses: Tensor, what: str, env_ids: Tensor | None = None) -
         )
 
 
-def _refuse_number(value: Tensor, bounds: Bounds, what: str, env_ids: Tensor | None) -> NoReturn:
-    row, *rest = (int(index) for index in (~((value >= bounds.least) & (value <= bounds.most))).nonzero()[0])
+def _refuse_number(value: Tensor, bounds: Bounds, what: str, env_ids: Tensor | None) -> None:
+    wrong = (~((value >= bounds.least) & (value <= bounds.most))).nonzero()
+    if not len(wrong):  # a bound itself, which in single precision lies beside that in double
+        return
+    row, *rest = (int(index) for index in wrong[0])
     number = float(value[(row, *rest)])
     component = f" component {', '.join(map(str, rest))}" if rest else ""
     place = f"{what}{component} of environment {_environment(row, env_ids)} is {number:g}"

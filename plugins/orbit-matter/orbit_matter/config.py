@@ -6,13 +6,16 @@ from dataclasses import dataclass
 
 from orbit_core.interfaces.errors import ConfigurationError
 
+SHORTEST_SUBSTEP = 1e-6
+"""Seconds, below which single precision no longer tells velocities."""
+
 
 @dataclass(frozen=True)
 class MatterConfig:
     """How finely matter is computed.
 
     Raises:
-        ConfigurationError: a number is not positive.
+        ConfigurationError: a number is not positive, or a substep so short that a step would never end.
     """
 
     substep: float | None = None
@@ -31,6 +34,10 @@ class MatterConfig:
             value = getattr(self, name)
             if value is not None and not value > 0.0:
                 raise ConfigurationError(f"setting '{name}' of orbit-matter is {value}: give more than 0")
+        if self.substep is not None and self.substep < SHORTEST_SUBSTEP:
+            raise ConfigurationError(
+                f"setting 'substep' of orbit-matter is {self.substep:g} s: give {SHORTEST_SUBSTEP:g} s or more"
+            )
         if self.threads < 0:
             raise ConfigurationError(
                 f"setting 'threads' of orbit-matter is {self.threads}: give 0 (every core) or more"

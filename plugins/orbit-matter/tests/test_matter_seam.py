@@ -194,6 +194,13 @@ def test_contact_sensors_feel_matter(solver: str) -> None:
         (replace(CLOTH, poissons_ratio=1.0), "poissons_ratio"),
         (replace(ROPE, points=np.zeros((3, 2))), "points"),
         (replace(ROPE, radius=float("nan")), "radius"),
+        (replace(ROPE, radius=1.0), "radius is 1.0: give 0.2 m at most"),
+        (replace(ROPE, points=np.zeros((1, 3))), "1 particles: give two"),
+        (replace(CLOTH, attachments=(Attachment(()),)), "holds no particles"),
+        (replace(CLOTH, attachments=(Attachment((0,), link="block"),)), "of no entity"),
+        (replace(CLOTH, attachments=(Attachment((0,), "block"),)), "to no link of 'block'"),
+        (replace(CLOTH, key_points=(KeyPoint("odd", (0, 1), (0.5, 0.6)),)), "sum up to 1.1"),
+        (replace(CLOTH, name="block"), "has the name of a robot or an object"),
     ],
 )
 def test_what_cannot_be_is_refused_by_name(thing: Cloth | Rope, what: str) -> None:
@@ -243,6 +250,11 @@ def test_a_link_too_light_for_its_rope_is_refused_with_the_step_that_would_do() 
         own.step(round(1.0 / own.physics_dt))
         assert own.objects["block"].root_velocity[0, :3].norm() < 5.0
         own.close()
+
+
+def test_a_substep_without_end_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="give 1e-06 s or more"):
+        simulate(SCENE, 1, "mujoco", matter="orbit-matter", matter_settings={"substep": 1e-12})
 
 
 def test_particles_too_light_to_be_computed_are_refused() -> None:
