@@ -175,7 +175,7 @@ class RoomReorganization(Mobile, Task):
     robot: str = "base_omni_franka_panda"
     action: str = "joint_position"
     episode_length: float = 60.0
-    view: Pose = look_at(eye=(-0.6, -5.6, 4.6), target=(0.0, -0.2, 0.0))
+    view: Pose = look_at(eye=(-0.2, -4.6, 4.8), target=(0.0, -0.1, 0.0))
     tolerance: float = 0.05
     """Metres."""
     observations: RoomObservations = field(default_factory=RoomObservations)

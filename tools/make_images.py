@@ -41,6 +41,15 @@ TASKS = (
     Picture("Handover", 3.6, look_at(eye=(0.75, 1.75, 0.95), target=(0.75, 0.0, 0.25))),
     Picture("Handover", 6.5, look_at(eye=(0.75, 1.75, 0.95), target=(0.75, 0.0, 0.25))),
 )
+ROOM_VIEW = look_at(eye=(-0.2, -4.6, 4.8), target=(0.0, -0.1, 0.0))
+MOBILE = (
+    Picture("Mobile-Reach", 5.0, look_at(eye=(2.6, 2.6, 1.6), target=(0.9, 0.9, 0.4))),
+    Picture("Mobile-Cabinet", 6.0, look_at(eye=(-1.0, 2.2, 1.7), target=(0.5, 0.0, 0.5))),
+    Picture("Mobile-Lift", 6.5, look_at(eye=(-0.4, 2.2, 1.7), target=(1.1, 0.0, 0.4))),
+    Picture("Room-Reorganization", 4.5, ROOM_VIEW),
+    Picture("Room-Reorganization", 13.5, ROOM_VIEW),
+    Picture("Room-Reorganization", 40.0, ROOM_VIEW),
+)
 LIFT_TIMES = (0.02, 0.4, 1.3, 3.4)
 
 
@@ -64,6 +73,8 @@ def main(folder: Path) -> None:
     """Write the pictures into a folder."""
     tasks = np.concatenate([frames(picture, (picture.seconds,)) for picture in TASKS])
     iio.imwrite(folder / "tasks.png", tile(tasks, 3), optimize=True)
+    mobile = np.concatenate([frames(picture, (picture.seconds,)) for picture in MOBILE])
+    iio.imwrite(folder / "mobile.png", tile(mobile, 3), optimize=True)
     iio.imwrite(folder / "lift.png", tile(frames(TASKS[0], LIFT_TIMES), 4), optimize=True)
 
 
