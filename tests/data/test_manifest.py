@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from orbit_core.backends import backend_names, default_backend
+from orbit_core.cli import main
 from orbit_core.data.compare import Kind, check_manifest, differences
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.plain import as_plain, digest
@@ -22,6 +23,7 @@ from orbit_core.envs.terms import unit_of
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.networks import perceptron, perceptron_actor
 from orbit_core.learning.policy import Policy, PolicyActor, PolicyDescription, load_policy
+from orbit_core.pretrained import policy_path
 
 BACKEND = default_backend()
 OTHER = next(name for name in backend_names() if name != BACKEND)
@@ -160,3 +162,18 @@ def test_every_task_says_the_unit_of_each_term() -> None:
         for group_name, group in groups_of(task).items():
             unnamed = [term_name for term_name, term in terms_of_group(group).items() if not unit_of(term)]
             assert not unnamed, f"{name}'s group {group_name} has terms of no unit: {unnamed}"
+
+
+def test_a_policy_of_before_there_were_manifests_is_exported_with_todays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy = load_policy(policy_path("reach"))
+    assert policy.manifest is None
+    old = tmp_path / "policy_1.safetensors"
+    replace(policy, description=replace(policy.description, backend="one of before")).save(old)
+    assert main(["export", str(old), "--output", str(tmp_path / "out")]) == 0
+    assert "holds no manifest" in capsys.readouterr().err
+    for name in ("policy.safetensors", "policy.onnx"):
+        manifest = load_policy(tmp_path / "out" / name).manifest
+        assert manifest is not None
+        assert manifest.task == "Reach"
