@@ -38,7 +38,8 @@ def prepared(arguments: argparse.Namespace, action: str) -> tuple[Environment, t
     )  # fmt: skip
     env.reset()
     random = torch.Generator().manual_seed(0)
-    actions = (2.0 * torch.rand(64, arguments.envs, env.action_size, generator=random) - 1.0).to(env.device)
+    actions = 2.0 * torch.rand(64, arguments.envs, env.action_size, generator=random) - 1.0
+    actions = (arguments.spread * actions).to(env.device)
     for step in range(20):
         env.step(actions[step])
     return env, actions
@@ -122,6 +123,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=50, help="of one turn")
     parser.add_argument("--turns", type=int, default=7)
     parser.add_argument("--compile", action=argparse.BooleanOptionalAction, default=True)
+    parser.add_argument("--spread", type=float, default=1.0, help="of the random actions; with 0 arms hold still")
     parser.add_argument("--one-at-a-time", action="store_true", help="build one after the other: for few cores")
     parser.add_argument("--json", type=Path, help="file for all numbers")
     arguments = parser.parse_args()

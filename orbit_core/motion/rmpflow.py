@@ -144,7 +144,9 @@ class RmpFlow(MotionGenerator):
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         goal = self._pose.target(inputs["command"])
-        positions, velocities = self._last.read(torch.stack((self.positions, self.velocities), 1)).unbind(1)
+        last = self._last.read(torch.stack((self.positions, self.velocities), 1))
+        # Each in memory of its own, for a traced step hands both on from one stage to the next.
+        positions, velocities = (part.clone() for part in last.unbind(1))
         still = {"root": self.robot.root_pose, "others": self.robot.joint_positions, "goal": goal}
         obstacles = self._clearance.obstacles.poses()
         for _ in range(self.config.substeps):

@@ -8,9 +8,10 @@ from torch import Tensor
 
 from orbit_core.capture.fusion import fusing
 from orbit_core.capture.replay import CapturedFunction
-from orbit_core.motion import HybridForceMotionConfig, JointImpedanceConfig, OperationalSpaceConfig
+from orbit_core.motion import HybridForceMotionConfig, JointImpedanceConfig, OperationalSpaceConfig, RmpFlowConfig
 from orbit_core.motion.gains import GainCommand
 from orbit_core.motion.servo import Servo
+from orbit_core.scene import Plane, Shape
 from tests.motion.servo_world import BACKENDS, held
 
 
@@ -56,3 +57,24 @@ def positions_after_steps(compile: bool) -> Tensor:
 
 def test_in_a_compiled_step() -> None:
     torch.testing.assert_close(positions_after_steps(False), positions_after_steps(True), rtol=0.0, atol=1e-4)
+
+
+def test_substeps_of_rmpflow_are_handed_from_kernel_to_kernel() -> None:
+    arm = held(RmpFlowConfig(), BACKENDS[0], num_envs=3, terrain=(Shape(Plane()),))
+    command = torch.linspace(-0.2, 0.2, 18).view(3, 6)
+
+    def operations() -> tuple[Tensor, ...]:
+        return tuple(arm.generator.compute({"command": command}).values())
+
+    plain = CapturedFunction(arm.world, operations, arm.generator.memory, False)
+    fused = CapturedFunction(arm.world, operations, arm.generator.memory, False)
+    fused._compiles = True  # the law's own kernels, without the compiler for what is between them
+    ends = []
+    for step in (plain, fused):
+        arm.generator.reset()
+        for _ in range(4):
+            positions, _ = step()
+        assert step.replay is not None, step.refusal
+        ends.append(positions.clone())
+    torch.testing.assert_close(*ends, rtol=0.0, atol=1e-4)
+    arm.world.close()
