@@ -11,7 +11,7 @@ from safetensors.torch import load_file
 from orbit_core.backends import default_backend
 from orbit_core.cli.play import played
 from orbit_core.cli.runner import run
-from orbit_core.cli.settings import PlaySettings, RunSettings
+from orbit_core.cli.settings import PlaySettings
 from orbit_core.learning.policy import load_policy
 from orbit_core.pretrained import policy_path, pretrained_policies
 
@@ -40,12 +40,8 @@ PICTURES = [name for name in pretrained_policies() if load_policy(policy_path(na
 @pytest.mark.parametrize("name", sorted({*pretrained_policies()} - {*PICTURES}))
 def test_a_kept_policy_does_its_task(name: str) -> None:
     """Learned on one engine, played on another by its name: at least 3 of 4 episodes."""
-    learned = load_policy(policy_path(name)).description
-    settings = RunSettings(
-        task=learned.task, robot=learned.robot, action=learned.action, backend=default_backend(), agent=name,
-        num_envs=24, episodes=24,
-    )  # fmt: skip
-    assert run(settings).success_rate.value >= 0.75
+    settings = PlaySettings(policy=Path(name), backend=default_backend(), num_envs=24, episodes=24)
+    assert run(played(settings)).success_rate.value >= 0.75
 
 
 @pytest.mark.parametrize("name", PICTURES)
