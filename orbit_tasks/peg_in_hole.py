@@ -301,10 +301,10 @@ class PegInHole(Task):
 
     robot: str = "franka_panda"
     action: str = "joint_position"
-    episode_length: float = 14.0
+    episode_length: float = 24.0
     ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.3, entropy_weight=0.005)
     shapes: tuple[str, ...] = ("square",)
-    """Sections of the blocks, :data:`orbit_core.assets.pegs.SECTIONS`, a block each: give each about 14 s."""
+    """Sections of the blocks, :data:`orbit_core.assets.pegs.SECTIONS`, a block each: give each about 24 s."""
     clearance: float = 0.002
     """Metres by which a hole is wider than its block."""
     tolerance: float = 0.005
@@ -359,6 +359,11 @@ class PegInHole(Task):
         return Expert(world, self, phases, position_lead=0.06)
 
 
+def _found(world: World, task: PegInHole, index: int) -> Tensor:
+    """(N,) bool: the block reaches into its hole."""
+    return offsets(world, task)[:, index, 2] < BOARD_HEIGHT - 0.003
+
+
 def _insertion(index: int, closing: float) -> tuple[Phase, ...]:
     """Grasp a block, bring it above its hole, find the hole by touch, push the block in and leave it there."""
     at, over = partial(grasp, index=index), partial(grasp, index=index, height=0.1)
@@ -366,6 +371,7 @@ def _insertion(index: int, closing: float) -> tuple[Phase, ...]:
     close = partial(carried, index=index, height=BOARD_HEIGHT + 0.003, push=0.02)
     search = partial(carried, index=index, height=BOARD_HEIGHT - 0.006, push=0.002, search=0.001)
     down = partial(carried, index=index, height=-0.003, push=0.006)
+    reaches_in = partial(_found, index=index)
     again = Retry(3, unless=lambda world, task: inserted(world, task)[:, index] > 0.0, most=1)
     return (
         Phase(over, position_tolerance=0.02, free=True),
@@ -374,7 +380,7 @@ def _insertion(index: int, closing: float) -> tuple[Phase, ...]:
         Phase(partial(raised, index=index), gripper_open=False, position_tolerance=0.03, timeout=1.5),
         Phase(above, gripper_open=False, position_tolerance=0.004, rotation_tolerance=0.03, timeout=2.0),
         Phase(close, gripper_open=False, position_tolerance=0.0003, rotation_tolerance=0.005, timeout=1.2),
-        Phase(search, gripper_open=False, position_tolerance=0.0015, timeout=4.0),
+        Phase(search, False, position_tolerance=0.0015, timeout=4.0, retry=Retry(2, unless=reaches_in, most=2)),
         Phase(down, gripper_open=False, position_tolerance=0.004, timeout=2.0, retry=again),
         Phase(partial(grasp, index=index), dwell=closing, timeout=closing + 0.1),
         Phase(over, position_tolerance=0.04, timeout=1.0),

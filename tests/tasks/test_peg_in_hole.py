@@ -40,7 +40,7 @@ def test_a_board_leaves_out_just_the_hole(kind: str, clearance: float) -> None:
 
 @pytest.mark.parametrize(("backend", "num_envs"), [("mujoco", 4), ("sapien", 2)])
 def test_the_expert_puts_a_block_into_its_hole(backend: str, num_envs: int) -> None:
-    environment, success = episode("Peg-In-Hole", backend, num_envs)
+    environment, success = episode("Peg-In-Hole", backend, num_envs, episode_length=10.0)
     depths = environment.world.objects["block_0"].root_pose[:, 2]
     environment.close()
     assert success.all()
