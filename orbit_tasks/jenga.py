@@ -19,6 +19,7 @@ from orbit_core.envs import (
     ObservationGroup,
     ObservationTerm,
     Phase,
+    PremiseTerm,
     RewardTerm,
     Task,
     TerminationTerm,
@@ -238,6 +239,16 @@ class JengaEvents:
     gains: EventTerm | None = None
 
 
+@dataclass
+class JengaPremises:
+    """The tower stands, and the given block lies in it."""
+
+    standing: PremiseTerm | None = PremiseTerm(
+        lambda world, task: ~fallen(world, task) & (out(world, task) < task.protrusion + 0.005),
+        "the tower does not stand by itself: a block has fallen, or the given one has slid out",
+    )
+
+
 @dataclass(kw_only=True)
 class Jenga(Task):
     """A tower of layers of three blocks each. One, which stands out a little, is to be pulled out and put on top.
@@ -265,6 +276,7 @@ class Jenga(Task):
     rewards: JengaRewards = field(default_factory=JengaRewards)
     terminations: JengaTerminations = field(default_factory=JengaTerminations)
     events: JengaEvents = field(default_factory=JengaEvents)
+    premises: JengaPremises = field(default_factory=JengaPremises)
     foot: Tensor = field(init=False)
     """(N, 7) the middle of the tower's underside."""
     rest: Tensor = field(init=False)

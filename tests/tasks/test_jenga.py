@@ -15,7 +15,7 @@ from orbit_tasks import jenga
 from tests.tasks.experts import episode
 
 
-@pytest.mark.parametrize(("backend", "num_envs"), [("mujoco", 2), ("bullet", 1)])
+@pytest.mark.parametrize(("backend", "num_envs"), [("mujoco", 2), ("sapien", 2)])
 def test_the_expert_puts_the_block_on_top(backend: str, num_envs: int) -> None:
     environment, success = episode("Jenga", backend, num_envs, layers=8, episode_length=9.0)
     top = jenga.given_pose(environment.world, environment.task)[:, 2]
