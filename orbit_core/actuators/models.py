@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -10,6 +11,9 @@ from torch import Tensor
 from orbit_core.dynamics.indexing import columns_of
 from orbit_core.interfaces import ConfigurationError, JointParameters
 from orbit_core.scene import DcMotor, IdealPd
+
+_STANDSTILL = 1e-6
+"""rad/s or m/s, below which power is not looked at."""
 
 
 class PdModel:
@@ -70,9 +74,18 @@ class DcMotorModel(PdModel):
         self._saturation = torch.tensor([group.saturation_effort for group in groups], device=device)
         self._slope = self._saturation / limits
         self._zero = torch.zeros_like(limits)
+        powers = [math.inf if group.power_limit is None else group.power_limit for group in groups]
+        if not all(power > 0.0 for power in powers):
+            raise ConfigurationError(
+                f"a DcMotor on joints {groups[0].joints} has power_limit {min(powers):g} W: give a number above zero"
+            )
+        self._power = torch.tensor(powers, device=device)
 
     def _limited(self, efforts: Tensor, velocity: Tensor) -> Tensor:
         loss = self._slope * velocity
         upper = torch.clamp(self._saturation - loss, self._zero, self._upper)
         lower = torch.clamp(-self._saturation - loss, self._lower, self._zero)
+        most = self._power / velocity.abs().clamp_min(_STANDSTILL)  # along the motion
+        upper = torch.where(velocity > 0.0, torch.minimum(upper, most), upper)
+        lower = torch.where(velocity < 0.0, torch.maximum(lower, -most), lower)
         return torch.clamp(efforts, lower, upper)

@@ -52,6 +52,9 @@ class DcMotor(IdealPd):
     """
 
     saturation_effort: float
+    power_limit: float | None = None
+    """W that the motor gives at most, effort times velocity along the motion; None: as much as the line allows. Braking
+    is not limited by it."""
 
 
 @dataclass(frozen=True, kw_only=True)

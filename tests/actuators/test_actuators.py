@@ -56,6 +56,31 @@ def test_efforts_are_limited(pendulums: Pendulums) -> None:
 
 
 @pytest.mark.parametrize(
+    ("velocity", "wanted", "given"),
+    [
+        (4.0, 100.0, 3.0),  # 12 W / 4 rad/s, where the line leaves 8
+        (-4.0, -100.0, -3.0),
+        (4.0, -100.0, -8.0),  # braking: the effort limit alone
+        (4.0, 2.0, 2.0),  # 8 W
+        (0.0, 100.0, 8.0),
+        (1.0, 100.0, 8.0),  # 8 W at the effort limit
+        (18.0, 100.0, 12.0 / 18.0),  # the line would leave 1
+    ],
+)
+def test_a_motor_gives_no_more_than_its_power(
+    pendulums: Pendulums, velocity: float, wanted: float, given: float
+) -> None:
+    engine = pendulums((DcMotor(joints=("joint_.*",), saturation_effort=10.0, power_limit=12.0),))
+    actuators = _actuators(engine)
+    engine.v[:] = velocity
+    actuators.effort_targets[:] = wanted
+    actuators.apply()
+    torch.testing.assert_close(engine.efforts, torch.full((2, 3), given))
+    with pytest.raises(ConfigurationError, match="power_limit 0 W: give a number above zero"):
+        _actuators(pendulums((DcMotor(joints=("joint_.*",), saturation_effort=10.0, power_limit=0.0),)))
+
+
+@pytest.mark.parametrize(
     ("velocity", "wanted", "available"),
     [
         (0.0, 100.0, 8.0),  # the effort limit cuts the line at standstill
