@@ -27,7 +27,7 @@ from orbit_core.scene import ActuatorNetwork, IdealPd, Scene
 from orbit_core.tensor_file import write_tensors
 from orbit_tasks.velocity_flat import VelocityFlat
 
-SOURCE = Path(__file__).parents[2] / "examples" / "series_elastic.py"
+SOURCE = Path(__file__).parents[2] / "tools" / "series_elastic.py"
 Pendulums = Callable[..., Any]
 
 

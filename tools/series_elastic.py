@@ -5,7 +5,7 @@ Elastic Actuators, 1995). The drive's controller asks the spring for ``80 (targe
 motor for that and more by the spring's own error; the motor has inertia, viscous and dry friction, and an effort limit.
 The joint carries a pendulum that is pushed now and then. Only the joint and the spring's effort are recorded.
 
-    python examples/series_elastic.py out/spring.npz
+    python tools/series_elastic.py out/spring.npz
 """
 
 from __future__ import annotations
