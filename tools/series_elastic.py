@@ -60,5 +60,5 @@ def record(seconds: float, rate: float = 200.0, joints: int = 4, seed: int = 0) 
 if __name__ == "__main__":
     path = Path(sys.argv[1])
     path.parent.mkdir(parents=True, exist_ok=True)
-    np.savez(path, **record(seconds=120.0))
+    np.savez(path, **record(seconds=120.0))  # pyright: ignore[reportArgumentType]
     print(f"two minutes of four joints at 200 Hz are in {path}")
