@@ -74,6 +74,7 @@ $(VENV)/.ready-dev: $(VENV)/.ready
 	sh tools/system_packages.sh graphics vulkan browser
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable \
 		".[mujoco,bullet,sapien,warp,robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,$(LEARNING),dev]"
+	$(BIN)/pip install --quiet --no-deps --constraint constraints.txt crocoddyl libcrocoddyl
 	$(BIN)/pip install --quiet --no-deps $(PLUGINS:%=--editable plugins/orbit-%)
 	touch $@
 

@@ -25,7 +25,8 @@ def libraries() -> tuple[Any, Any]:
         return import_module("pinocchio"), import_module("crocoddyl")
     except ImportError:
         raise ConfigurationError(
-            'model-predictive control needs the package crocoddyl: pip install "orbit-core[mpc]"'
+            "model-predictive control needs crocoddyl and the release of Pinocchio that it was made with: "
+            'pip install "orbit-core[mpc]" and pip install --no-deps crocoddyl==3.2.1 libcrocoddyl==3.2.1'
         ) from None
 
 
