@@ -11,7 +11,9 @@ from orbit_core.motion.mpc import Gait, HandMpcConfig, Plan, Predictive, TrunkMp
 from orbit_core.scene import Plane, Shape
 from tests.motion.servo_world import BACKENDS, Held, held
 
-pytest.importorskip("crocoddyl", reason="the optimal control solver is not installed (docs/motion-generators.md says how)")
+pytest.importorskip(
+    "crocoddyl", reason="the optimal control solver is not installed (docs/motion-generators.md says how)"
+)
 GROUND = (Shape(Plane()),)
 
 
