@@ -78,16 +78,21 @@ def _joints(trial: Trial) -> Mapping[str, float]:
     inertia, speed, effort, seconds = 0.05, 4.0, 0.3, 0.5
     damping, friction = torch.tensor([0.05, 0.15, 0.1]), torch.tensor([0.1, 0.3, 0.2])
     armature = torch.tensor([0.05, 0.2, 0.1])
-    parts = {"damped": {"damping": 0.02}, "rubbed": {"friction": 0.05}, "heavy": {"armature": 0.01}}
+    parts = {
+        "damped": rotor(inertia=inertia, damping=0.02),
+        "rubbed": rotor(inertia=inertia, friction=0.05),
+        "heavy": rotor(inertia=inertia, armature=0.01),
+    }
     wheels = [
-        dataclasses.replace(rotor(inertia=inertia, **own), name=name, pose=Pose((0.0, float(row), 0.0)))
-        for row, (name, own) in enumerate(parts.items())
+        dataclasses.replace(wheel, name=name, pose=Pose((0.0, float(row), 0.0)))
+        for row, (name, wheel) in enumerate(parts.items())
     ]
     world = trial.world(scene(*wheels, gravity=WEIGHTLESS, terrain=()), num_envs=3)
     ids, turning = _PLACES.to(world.device), torch.full((3, 1), speed, device=world.device)
-    for name, values in (("damped", damping), ("rubbed", friction), ("heavy", armature)):
-        own = {next(iter(parts[name])): values[_PLACES][:, None].to(world.device)}
-        world.robots[name].set_joint_parameters(**own, env_ids=ids)
+    own = [values[_PLACES][:, None].to(world.device) for values in (damping, friction, armature)]
+    world.robots["damped"].set_joint_parameters(damping=own[0], env_ids=ids)
+    world.robots["rubbed"].set_joint_parameters(friction=own[1], env_ids=ids)
+    world.robots["heavy"].set_joint_parameters(armature=own[2], env_ids=ids)
     world.reset()
     for name in ("damped", "rubbed"):
         world.robots[name].set_joint_state(velocities=turning)
