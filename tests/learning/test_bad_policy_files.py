@@ -20,8 +20,8 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
 import orbit_core
+from orbit_core import tensor_file
 from orbit_core.interfaces import OrbitError
-from orbit_core.learning import tensor_file
 from orbit_core.learning.checkpoint import read_checkpoint, write_checkpoint
 from orbit_core.learning.description import Part, PolicyDescription
 from orbit_core.learning.networks import Perceptron

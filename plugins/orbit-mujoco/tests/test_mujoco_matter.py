@@ -100,7 +100,7 @@ def test_rays_do_not_meet_matter() -> None:
 
 
 def test_what_no_model_can_be_made_of_is_refused_by_name() -> None:
-    still = replace(ROPE, points=np.zeros((3, 3)))
+    still = replace(ROPE, points=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.24, 0.0, 0.0]]))
     with pytest.raises(ConfigurationError, match="rope 'rope' needs two particles or more"):
         simulate(Scene(deformables=(still,)), 1, "mujoco", matter="native")
     loose = np.concatenate((CLOTH.rest_positions, [[1.0, 1.0, 0.0]]))
