@@ -37,6 +37,8 @@ VIDEO = "video.mp4"
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _DIGITS = 6
 """Significant digits to which a trace is rounded: more than a plot shows."""
+_LONG = 30.0
+"""Seconds beyond which an episode is long."""
 
 
 @dataclass(frozen=True)
@@ -127,11 +129,12 @@ def _write_traces(trial: Trial, path: Path) -> None:
 def _task(record: Record, settings: Settings, folder: Path) -> Record:
     extent, job = settings.extent, record.job
     defaults: dict[str, Any] = {}
-    bends = bool(task_entry(job.name).task_type()(**defaults).scene().deformables)
+    task = task_entry(job.name).task_type()(**defaults)
+    slow = bool(task.scene().deformables) or task.episode_length > _LONG
     result = run_task(
         job.name,
         job.backend,
-        num_envs=extent.matter_episodes if bends else extent.episodes,
+        num_envs=extent.slow_episodes if slow else extent.episodes,
         seed=settings.seed,
         recording=folder / RECORDING,
         device=record.device,

@@ -42,8 +42,9 @@ class Extent:
 
     episodes: int
     """Number of episodes, one in each environment."""
-    matter_episodes: int
-    """The same of tasks with cloth or rope, of which a CPU makes a few hundred steps a second."""
+    slow_episodes: int
+    """The same of tasks with cloth or rope, of which a CPU makes a few hundred steps a second, and of those whose
+    episodes last more than half a minute."""
     pixel_episodes: int
     """The same of policies that see pictures, which most engines here draw on the CPU, a few a second; 0 leaves these
     policies out."""
@@ -56,11 +57,11 @@ class Extent:
 
 
 QUICK = Extent(
-    episodes=8, matter_episodes=3, pixel_episodes=0, throughput_envs=(8,), blocks=3, block_steps=10, video_seconds=1.0
+    episodes=8, slow_episodes=3, pixel_episodes=0, throughput_envs=(8,), blocks=3, block_steps=10, video_seconds=1.0
 )
 FULL = Extent(
     episodes=50,
-    matter_episodes=50,
+    slow_episodes=50,
     pixel_episodes=4,
     throughput_envs=(1, 16, 64),
     blocks=5,
