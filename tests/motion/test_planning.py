@@ -67,8 +67,8 @@ def test_what_stands_against_a_plan_is_told() -> None:
     beyond[3] = 0.5
     with pytest.raises(PlanningError, match=r"the goal has joint 'panda_joint4' at 0.500, outside its limits"):
         planner.plan(beyond)
-    hasty = JointPlanner(arm.world, arm.robot, arm.generator.joints, PlannerConfig(time_limit=1e-3))
-    with pytest.raises(PlanningError, match=r"no path for 'robot' in 0.001 s"):
+    hasty = JointPlanner(arm.world, arm.robot, arm.generator.joints, PlannerConfig(time_limit=1e-9))
+    with pytest.raises(PlanningError, match=r"no path for 'robot' in 1e-09 s"):
         hasty.plan(right)
     arm.world.close()
 
