@@ -10,7 +10,6 @@ import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -27,7 +26,6 @@ from orbit_core.conformance.throughput import measure_once
 from orbit_core.conformance.transfer import learned, transfer
 from orbit_core.conformance.verdict import Status, run_scenario
 from orbit_core.conformance.videos import film
-from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces import StorageError, UnsupportedCapabilityError
 from orbit_core.interfaces.matter import NATIVE
 
@@ -37,8 +35,6 @@ VIDEO = "video.mp4"
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _DIGITS = 6
 """Significant digits to which a trace is rounded: more than a plot shows."""
-_LONG = 30.0
-"""Seconds beyond which an episode is long."""
 
 
 @dataclass(frozen=True)
@@ -128,13 +124,10 @@ def _write_traces(trial: Trial, path: Path) -> None:
 
 def _task(record: Record, settings: Settings, folder: Path) -> Record:
     extent, job = settings.extent, record.job
-    defaults: dict[str, Any] = {}
-    task = task_entry(job.name).task_type()(**defaults)
-    slow = bool(task.scene().deformables) or task.episode_length > _LONG
     result = run_task(
         job.name,
         job.backend,
-        num_envs=extent.slow_episodes if slow else extent.episodes,
+        num_envs=extent.slow_episodes if settings.is_slow(job.name) else extent.episodes,
         seed=settings.seed,
         recording=folder / RECORDING,
         device=record.device,

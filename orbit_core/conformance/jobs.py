@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -134,7 +135,8 @@ def _drawn_by(settings: Settings, renderer: str) -> Iterable[Job]:
 def _replays(settings: Settings, backend: str) -> Iterable[Job]:
     if Part.TASKS in settings.parts:
         sources = settings.backends[:1] if settings.quick else settings.backends
-        for task in settings.scripted_tasks:
+        tasks = settings.scripted_tasks
+        for task in tasks if settings.extent.slow_replays else itertools.filterfalse(settings.is_slow, tasks):
             for source in sources:
                 if source != backend:
                     yield Job(Kind.REPLAY, task, backend, source=source)

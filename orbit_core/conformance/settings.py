@@ -43,8 +43,9 @@ class Extent:
     episodes: int
     """Number of episodes, one in each environment."""
     slow_episodes: int
-    """The same of tasks with cloth or rope, of which a CPU makes a few hundred steps a second, and of those whose
-    episodes last more than half a minute."""
+    """The same of slow tasks, :meth:`Settings.is_slow`."""
+    slow_replays: bool
+    """Whether the actions of slow tasks are taken again on other backends too."""
     pixel_episodes: int
     """The same of policies that see pictures, which most engines here draw on the CPU, a few a second; 0 leaves these
     policies out."""
@@ -57,11 +58,19 @@ class Extent:
 
 
 QUICK = Extent(
-    episodes=8, slow_episodes=3, pixel_episodes=0, throughput_envs=(8,), blocks=3, block_steps=10, video_seconds=1.0
+    episodes=8,
+    slow_episodes=2,
+    slow_replays=False,
+    pixel_episodes=0,
+    throughput_envs=(8,),
+    blocks=3,
+    block_steps=10,
+    video_seconds=0.5,
 )
 FULL = Extent(
     episodes=50,
     slow_episodes=50,
+    slow_replays=True,
     pixel_episodes=4,
     throughput_envs=(1, 16, 64),
     blocks=5,
@@ -69,6 +78,9 @@ FULL = Extent(
     video_seconds=5.0,
 )
 
+
+LONG = 10.0
+"""Seconds from which on an episode is long."""
 
 QUICK_ROBOTS = ("cartpole", "franka_panda", "robotiq_2f85", "unitree_go1")
 """One without a hand, an arm, a hand of many followers, and one that stands."""
@@ -109,6 +121,12 @@ class Settings:
     def extent(self) -> Extent:
         """How much is spent on each task."""
         return QUICK if self.quick else FULL
+
+    def is_slow(self, task: str) -> bool:
+        """Whether the task has cloth or rope, of which a CPU makes a few hundred steps a second, or long episodes."""
+        defaults: dict[str, Any] = {}
+        own = task_entry(task).task_type()(**defaults)
+        return own.episode_length >= LONG or bool(own.scene().deformables)
 
     def settings_of(self, backend: str) -> Mapping[str, Any]:
         """Settings of the backend in the place of its defaults, by field name."""
