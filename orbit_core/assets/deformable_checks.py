@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from orbit_core.interfaces.errors import ArgumentError
@@ -21,7 +23,11 @@ _NOT_NEGATIVE = {
     Fluid: ("viscosity",),
 }
 _LARGEST = 1e12
+_SOFTEST = 1e-3
+"""N/m of a membrane: a thousandth of what a soap film has, below which its strains overflow single precision."""
 _MOST_PARTICLES = 1_000_000
+_LEAST_AREA = 1e-6
+"""Of a triangle, over the mean of its mesh."""
 
 
 def check_deformable(spec: DeformableSpec, where: str) -> None:
@@ -34,6 +40,10 @@ def check_deformable(spec: DeformableSpec, where: str) -> None:
         for name in names[type(spec)]:
             if not least <= getattr(spec, name) <= _LARGEST:
                 raise wrong(f"{where}.{name}", getattr(spec, name), f"{least:g} to {_LARGEST:g}")
+    if isinstance(spec, Cloth) and spec.membrane_stiffness < _SOFTEST:
+        raise wrong(f"{where}.membrane_stiffness", spec.membrane_stiffness, f"{_SOFTEST:g} to {_LARGEST:g} N/m")
+    if isinstance(spec, Fluid):
+        _check_box(spec, where)
     if isinstance(spec, Cloth | SoftBody) and not -1.0 < spec.poissons_ratio < 0.5 + 0.5 * isinstance(spec, Cloth):
         most = "1" if isinstance(spec, Cloth) else "0.5"
         raise wrong(f"{where}.poissons_ratio", spec.poissons_ratio, f"more than -1 and less than {most}")
@@ -48,6 +58,11 @@ def check_deformable(spec: DeformableSpec, where: str) -> None:
         raise ArgumentError(f"{where} has particles that are not finite")
     if isinstance(spec, Cloth | Rope):
         _check_size(spec, where)
+    if isinstance(spec, Cloth):
+        _check_triangles(spec, where)
+    names = [point.name for point in spec.key_points]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ArgumentError(f"two key points of '{spec.name}' are named '{twice[0]}': give each its own name")
     for point in spec.key_points:
         if point.weights and abs(sum(point.weights) - 1.0) > 1e-3:
             raise ArgumentError(
@@ -60,11 +75,44 @@ def check_deformable(spec: DeformableSpec, where: str) -> None:
             raise ArgumentError(f"{what} of '{spec.name}' is of particle {missing[0]}: it has {count}, from 0 on")
 
 
+def _check_box(fluid: Fluid, where: str) -> None:
+    """Refuse a box that is none, or holds more particles than any solver takes."""
+    for half in fluid.half_extents:
+        if not 0.0 < half <= _LARGEST:
+            raise wrong(f"{where}.half_extents", fluid.half_extents, "three lengths above 0")
+    count = math.prod(max(1.0, 2.0 * half / fluid.spacing) for half in fluid.half_extents)
+    if count > _MOST_PARTICLES:
+        raise ArgumentError(
+            f"{where} has {count:.3g} particles at a spacing of {fluid.spacing:g} m: give {_MOST_PARTICLES} at most"
+        )
+
+
+def _check_triangles(cloth: Cloth, where: str) -> None:
+    """Refuse triangles that have no area or are there twice, and particles that nothing holds."""
+    points, faces = cloth.rest_positions, np.asarray(cloth.mesh.faces)
+    a, b, c = (points[faces[:, corner]] for corner in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    if flat := np.flatnonzero(areas < _LEAST_AREA * areas.mean()).tolist():
+        raise ArgumentError(f"triangle {flat[0]} of {where}.mesh has no area: leave it out, or mend the mesh")
+    _, counts = np.unique(np.sort(faces, axis=1), axis=0, return_counts=True)
+    if (counts > 1).any():
+        raise ArgumentError(f"{where}.mesh has a triangle twice, which would weigh and resist twice: leave one out")
+    held = np.zeros(len(points), dtype=bool)
+    held[faces] = True
+    if not held.all():
+        raise ArgumentError(f"particle {int(held.argmin())} of {where}.mesh is in no triangle: leave it out")
+
+
 def _check_size(spec: Cloth | Rope, where: str) -> None:
     """Refuse what is thicker than it is long: its particles would meet everything that is near."""
     extent = float(np.ptp(spec.rest_positions, axis=0).max())
     if isinstance(spec, Rope):
-        extent = float(np.linalg.norm(np.diff(spec.rest_positions, axis=0), axis=1).sum())
+        lengths = np.linalg.norm(np.diff(spec.rest_positions, axis=0), axis=1)
+        extent = float(lengths.sum())
+        if (same := np.flatnonzero(~(lengths > 0.0))).size:
+            raise ArgumentError(
+                f"particles {same[0]} and {same[0] + 1} of {where}.points are at one place: leave one of them out"
+            )
     if extent <= 0.0:
         raise ArgumentError(f"{where} has all of its particles at one place: give it a size")
     name = "thickness" if isinstance(spec, Cloth) else "radius"
@@ -83,6 +131,11 @@ def check_attachments(scene: Scene) -> None:
     if len(set(names)) < len(names):
         raise ArgumentError(f"two deformables share a name, of {', '.join(names)}: give each its own")
     for spec in scene.deformables:
+        held_particles = [particle for held in spec.attachments for particle in set(held.particles)]
+        if twice := [particle for particle in held_particles if held_particles.count(particle) > 1]:
+            raise ArgumentError(
+                f"two attachments of '{spec.name}' hold particle {twice[0]}: leave it to one, which alone can hold it"
+            )
         if spec.name in links:
             raise ArgumentError(f"deformable '{spec.name}' has the name of a robot or an object: give it its own")
         for number, held in enumerate(spec.attachments):

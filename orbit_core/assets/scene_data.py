@@ -29,6 +29,7 @@ from orbit_core.scene import (
     Mesh,
     PhysicsMaterial,
     Pose,
+    Region,
     Rope,
     Scene,
     Shape,
@@ -90,6 +91,10 @@ def _check_size(solid: Box | Sphere | Capsule | Cylinder, where: str) -> None:
     if isinstance(solid, Capsule | Cylinder):
         shortest = 1e-9 if isinstance(solid, Cylinder) else 0.0
         _within(f"{where}.half_length", (solid.half_length,), shortest, MAX_DISTANCE, "m")
+
+
+def _check_region(region: Region, where: str) -> None:
+    _within(f"{where}.half_extents", region.half_extents, 1e-9, MAX_DISTANCE, "m")
 
 
 def _check_compliance(compliance: Compliance, where: str) -> None:
@@ -177,6 +182,7 @@ _SCENES = Typed(
         Rope: check_deformable,
         SoftBody: check_deformable,
         Fluid: check_deformable,
+        Region: _check_region,
         Scene: _check_scene,
     }
 )

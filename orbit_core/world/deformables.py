@@ -8,10 +8,11 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from orbit_core.assets.scene_data import check_data
 from orbit_core.dynamics.arguments import FRICTIONS, POSITIONS, VELOCITIES, Bounds, columns_chosen
 from orbit_core.dynamics.indexing import Masking
 from orbit_core.dynamics.transforms import quat_rotate_inverse
-from orbit_core.interfaces import ConfigurationError, Deformable, Engine, Object, find_name
+from orbit_core.interfaces import ArgumentError, ConfigurationError, Deformable, Engine, Object, find_name
 from orbit_core.interfaces.matter import PARAMETERS
 from orbit_core.scene import Cloth, DeformableSpec, Region
 from orbit_core.world.clock import Clock
@@ -39,6 +40,7 @@ class SimulatedDeformable(Deformable):
         self._masking = masking
         self._clock = clock
         self._shape = (len(spec.rest_positions), 3)
+        self._boxes: dict[Region, tuple[Object | None, Tensor, Tensor, Tensor]] = {}
         most = max((len(point.particles) for point in spec.key_points), default=1)
         numbers, weights = (torch.zeros(len(spec.key_points), most) for _ in range(2))
         for row, point in enumerate(spec.key_points):
@@ -67,6 +69,8 @@ class SimulatedDeformable(Deformable):
         self._clock.touch()
 
     def anchor(self, points: Sequence[int], to: tuple[str, str] | None = None, env_ids: Tensor | None = None) -> None:
+        if to is not None and (isinstance(to, str) or len(to) != 2):
+            raise ArgumentError(f"points of '{self.name}' are held to (entity, link), not to {to!r}")
         link = None if to is None else self._link(*to)
         self._engine.anchor_particles(self._index, self._particles(points), link, self._masking.rows(env_ids))
 
@@ -94,16 +98,33 @@ class SimulatedDeformable(Deformable):
         return CoveredArea(self.spec, self._engine.device)
 
     def share_inside(self, region: Region) -> Tensor:
+        try:
+            box = self._boxes.get(region)
+        except TypeError:
+            raise ArgumentError(f"the region is {region}: give a Region of tuples") from None
+        if box is None:
+            if not isinstance(region, Region):
+                raise ArgumentError(f"the region is {region!r}: give a Region")
+            box = self._boxes[region] = self._box(region)
+        thing, middle, turn, half = box
         points = self.positions
-        if region.entity is not None and region.frame is not None:
-            things = list(self._entities.values())
-            thing = things[find_name(region.entity, list(self._entities), "robot or object", "the scene")]
+        if thing is not None and region.frame is not None:
             pose = thing.frame_pose(region.frame)[:, None]
             points = quat_rotate_inverse(pose[..., 3:], points - pose[..., :3])
-        middle, turn = (torch.tensor(v, device=points.device) for v in (region.pose.position, region.pose.orientation))
-        local = quat_rotate_inverse(turn, points - middle)
-        half = torch.tensor(region.half_extents, device=points.device)
-        return (local.abs() <= half).all(-1).float().mean(1)
+        return (quat_rotate_inverse(turn, points - middle).abs() <= half).all(-1).float().mean(1)
+
+    def _box(self, region: Region) -> tuple[Object | None, Tensor, Tensor, Tensor]:
+        """What a region stands on, its middle and orientation, and its half extents, looked at and copied once."""
+        check_data(region, "region")
+        if (region.entity is None) != (region.frame is None):
+            raise ArgumentError(f"{region} is of an entity or a frame alone: give both, or neither")
+        thing = None
+        if region.entity is not None:
+            row = find_name(region.entity, list(self._entities), "robot or object", "the scene")
+            thing = list(self._entities.values())[row]
+        numbers = (region.pose.position, region.pose.orientation, region.half_extents)
+        middle, turn, half = (torch.tensor(v, dtype=torch.float32, device=self._engine.device) for v in numbers)
+        return thing, middle, turn, half
 
     def contact_force(self, entity: str, link: str) -> Tensor:
         return self._engine.particle_forces(self._index)[:, self._link(entity, link)]

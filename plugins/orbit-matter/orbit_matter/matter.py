@@ -186,7 +186,8 @@ class ParticleMatter(Matter):
 
     @property
     def build_report(self) -> tuple[Approximation, ...]:
-        return substeps.report(self._layout.scene, self._stepping.h, self._stepping.sweeps)
+        of_substeps = substeps.report(self._layout.scene, self._stepping.h, self._stepping.sweeps)
+        return of_substeps + stability.sinking(self._layout, self._config.contact_stiffness)
 
     @property
     def wrenches(self) -> Tensor:

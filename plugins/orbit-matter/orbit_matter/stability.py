@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from orbit_core.interfaces import ConfigurationError, SceneLayout
+from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
 from orbit_core.scene import Attachment, Cloth, Entity, Rope
 from orbit_matter.substeps import edge_length
 
@@ -42,6 +42,21 @@ def check(layout: SceneLayout) -> None:
         for attachment in spec.attachments:
             if attachment.entity is not None:
                 _check_link(layout, spec, attachment)
+
+
+def sinking(layout: SceneLayout, contact_stiffness: float) -> tuple[Approximation, ...]:
+    """What sinks deeper into what it lies on than it is thick, by its own weight on its particles' contacts."""
+    gravity = float(np.linalg.norm(layout.scene.gravity))
+    found: list[Approximation] = []
+    for spec in layout.scene.deformables:
+        if not isinstance(spec, Cloth | Rope):
+            continue
+        weight = gravity * spec.mass / len(spec.rest_positions)
+        thick = 0.5 * spec.thickness if isinstance(spec, Cloth) else spec.radius
+        if weight > thick * contact_stiffness:
+            why = f"a contact_stiffness of {weight / thick:.2g} N/m would carry it, and {contact_stiffness:g} is used"
+            found.append(Approximation(f"'{spec.name}'", "resting on things", "sinks into them or through", why))
+    return tuple(found)
 
 
 def _check_link(layout: SceneLayout, spec: Cloth | Rope, attachment: Attachment) -> None:

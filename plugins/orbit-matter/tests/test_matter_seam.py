@@ -201,9 +201,18 @@ def test_contact_sensors_feel_matter(solver: str) -> None:
         (replace(CLOTH, attachments=(Attachment((0,), "block"),)), "to no link of 'block'"),
         (replace(CLOTH, key_points=(KeyPoint("odd", (0, 1), (0.5, 0.6)),)), "sum up to 1.1"),
         (replace(CLOTH, name="block"), "has the name of a robot or an object"),
+        (replace(CLOTH, key_points=(KeyPoint("a", (0,)), KeyPoint("a", (1,)))), "named 'a'"),
+        (replace(CLOTH, attachments=(Attachment((3,)), Attachment((3,), "block", "block"))), "hold particle 3"),
+        (replace(CLOTH, membrane_stiffness=1e-4), "give 0.001"),
+        (replace(CLOTH, mesh=Mesh(CLOTH.rest_positions, np.vstack((CLOTH.mesh.faces, (0, 1, 2))))), "has no area"),
+        (replace(CLOTH, mesh=Mesh(CLOTH.rest_positions, np.tile(CLOTH.mesh.faces, (2, 1)))), "a triangle twice"),
+        (replace(CLOTH, mesh=Mesh(CLOTH.rest_positions, CLOTH.mesh.faces[2:66])), "is in no triangle"),
+        (replace(ROPE, points=np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0, 0]])), "particles 1 and 2"),
+        (Fluid("water", (0.1, 0.1, -0.1)), "three lengths above 0"),
+        (Fluid("water", (0.1, 0.1, 0.1), spacing=1e-5), "8e.12 particles"),
     ],
 )
-def test_what_cannot_be_is_refused_by_name(thing: Cloth | Rope, what: str) -> None:
+def test_what_cannot_be_is_refused_by_name(thing: Cloth | Rope | Fluid, what: str) -> None:
     with pytest.raises(ArgumentError, match=what):
         simulate(Scene(objects=(BLOCK,), deformables=(thing,)), 1, "mujoco")
 
@@ -250,6 +259,27 @@ def test_a_link_too_light_for_its_rope_is_refused_with_the_step_that_would_do() 
         own.step(round(1.0 / own.physics_dt))
         assert own.objects["block"].root_velocity[0, :3].norm() < 5.0
         own.close()
+
+
+def test_calls_that_mean_nothing_are_refused(fresh: World) -> None:
+    body = fresh.deformables["cloth"]
+    with pytest.raises(ArgumentError, match="points of 'cloth' are held to"):
+        body.anchor([0], to="block")  # pyright: ignore[reportArgumentType]
+    for region, what in (
+        (Region((0.1, 0.1, -0.1)), "half_extents"),
+        (Region((0.1, 0.1, 0.1), entity="block"), "give both, or neither"),
+        (None, "give a Region"),
+    ):
+        with pytest.raises(ArgumentError, match=what):
+            body.share_inside(region)  # pyright: ignore[reportArgumentType]
+
+
+def test_what_sinks_by_its_weight_is_reported() -> None:
+    own = simulate(Scene(deformables=(replace(CLOTH, area_density=1e3),)), 1, "mujoco", matter="orbit-matter")
+    assert [(line.asked, line.got) for line in own.build_report if line.subject == "'cloth'"] == [
+        ("resting on things", "sinks into them or through")
+    ]
+    own.close()
 
 
 def test_a_substep_without_end_is_refused() -> None:
