@@ -107,6 +107,16 @@ def columns_chosen(chosen: Iterable[int], count: int, what: str) -> tuple[int, .
     return indices
 
 
+def check_index_values(value: object, device: torch.device, what: str) -> None:
+    """Refuse what is no tensor of int64 on the device.
+
+    Raises:
+        ArgumentError: it is none.
+    """
+    if not isinstance(value, Tensor) or value.dtype != torch.int64 or value.device != device:
+        raise ArgumentError(f"{what} must be a torch tensor of int64 on {device}, not {_described(value)}")
+
+
 def check_index_tensor(env_ids: object, num_envs: int, device: torch.device) -> None:
     """Refuse what cannot be indices (n,) int64 of environments, or a mask (N,) bool, by what Python knows of it.
 

@@ -14,12 +14,13 @@ from orbit_core.dynamics.arguments import (
     Bounds,
     as_floats,
     check_index_tensor,
+    check_index_values,
     check_indices,
     check_numbers,
     check_quaternions,
     check_shape,
 )
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.interfaces import ArgumentError, ConfigurationError
 from orbit_core.plugin_kit.rows import is_mask, take_rows, write_columns, write_rows
 
 __all__ = [
@@ -76,6 +77,21 @@ class Choice:
             value = value[self.rows]
         if self.seen:
             check_numbers(value, bounds, what, self.rows)
+        return value
+
+    def indices(self, value: Tensor, shape: tuple[int, ...], what: str, least: int, most: int) -> Tensor:
+        """Indices (n, *shape) int64 from ``least`` to ``most``, on the device.
+
+        Raises:
+            ArgumentError: another type or device, or out of bounds.
+            ShapeError: another shape.
+        """
+        check_index_values(value, self.device, what)
+        check_shape(value, (self.count, *shape), what)
+        if self.taken:
+            value = value[self.rows]
+        if self.seen and not bool(((value >= least) & (value <= most)).all()):
+            raise ArgumentError(f"{what} are indices from {least} to {most}, not {value.flatten().tolist()[:8]}")
         return value
 
     def poses(self, pose: Tensor, what: str) -> Tensor:

@@ -78,7 +78,7 @@ class Capability(Enum):
     RANDOMIZE_CENTER_OF_MASS = "centre of mass per environment"
     RANDOMIZE_FRICTION = "friction per environment"
     RANDOMIZE_GAINS = "drive gains per environment"
-    RANDOMIZE_JOINTS = "joint damping, friction and armature per environment"
+    RANDOMIZE_JOINTS = "joint damping, friction, armature and springs per environment"
     RANDOMIZE_GRAVITY = "gravity per environment"
     SHAPES_PER_ENVIRONMENT = "different object shapes per environment"
     SNAPSHOTS = "snapshots whose continuation repeats"

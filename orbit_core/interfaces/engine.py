@@ -194,20 +194,21 @@ class Engine(Watched, ABC):
         """Gains (n, k) of the native drives of joints (k,)."""
         raise self._unsupported("drive gains per environment")
 
-    @changes("damping", "friction", "armature")
+    @changes("damping", "friction", "armature", "stiffness")
     def set_joint_parameters(
         self,
         joints: Tensor,
         damping: Tensor | None,
         friction: Tensor | None,
         armature: Tensor | None,
+        stiffness: Tensor | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        """Damping, Coulomb friction and armature (n, k) of the mechanism of joints (k,); None leaves one as it is.
+        """Damping, Coulomb friction, armature and springs' stiffness (n, k) of the mechanism of joints (k,).
 
-        Damping and friction of a drive's own are no part of it.
+        None leaves one as it is. What a drive has of its own is no part of it.
         """
-        raise self._unsupported("joint damping, friction and armature per environment")
+        raise self._unsupported("joint damping, friction, armature and springs per environment")
 
     @changes("gravity")
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:

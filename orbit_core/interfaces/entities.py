@@ -12,7 +12,7 @@ from torch import Tensor
 
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.names import match_names
-from orbit_core.scene import DeformableSpec, Entity, Joint, MarkerSpec, Region, RobotSpec
+from orbit_core.scene import DeformableSpec, Entity, Joint, MarkerSpec, Region, RobotSpec, Texture
 
 
 class ActivePart(Protocol):
@@ -183,15 +183,26 @@ class Object(ABC):
         damping: Tensor | None = None,
         friction: Tensor | None = None,
         armature: Tensor | None = None,
+        stiffness: Tensor | None = None,
         joints: Sequence[int] | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        """Damping, Coulomb friction and armature (n, k) of some joints themselves; None leaves one as it is."""
+        """Damping, Coulomb friction, armature and springs' stiffness (n, k) of some joints; None leaves it as it is."""
         raise self._unsupported("joint parameters to set")
 
     def set_colors(self, colors: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
         """Red, green and blue (n, k, 3) in [0, 1] of all shapes of some links, in pictures."""
         raise self._unsupported("colours to set")
+
+    def set_textures(
+        self,
+        textures: Sequence[Texture],
+        chosen: Tensor,
+        links: Sequence[int] | None = None,
+        env_ids: Tensor | None = None,
+    ) -> None:
+        """Give all shapes of some links one of ``textures`` each, by index (n, k) int64; -1 takes it away."""
+        raise self._unsupported("textures to set")
 
     def set_wrenches(self, wrenches: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
         """Force at the centre of mass and torque, (n, k, 6), world axes, on some links until set again or reset."""

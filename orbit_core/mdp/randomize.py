@@ -19,6 +19,7 @@ from torch import Tensor
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import EventFunction, TermFunction
 from orbit_core.interfaces import ConfigurationError, Object, UnknownNameError, World
+from orbit_core.scene import Texture
 from orbit_core.scene.pose import Vector3
 
 TERRAIN = "terrain"
@@ -114,9 +115,10 @@ def joint_parameters(
     damping: Range | None = None,
     friction: Range | None = None,
     armature: Range | None = None,
+    stiffness: Range | None = None,
     joints: Sequence[str] = (".*",),
 ) -> EventFunction:
-    """Scale damping, Coulomb friction and armature of joints whose names match, each by its own factor.
+    """Scale damping, Coulomb friction, armature and springs' stiffness of joints whose names match, by factors of each.
 
     What is None keeps to itself, and what is zero in the scene stays zero.
 
@@ -130,9 +132,15 @@ def joint_parameters(
         (own,) = (each for each in world.layout.entities if each.name == entity)
         columns = [own.joints.start + joint for joint in chosen]
         values: dict[str, Tensor] = {}
-        for name, scale in (("damping", damping), ("friction", friction), ("armature", armature)):
+        own_values = {
+            "damping": (damping, parameters.damping),
+            "friction": (friction, parameters.friction),
+            "armature": (armature, parameters.armature),
+            "stiffness": (stiffness, parameters.spring_stiffness),
+        }
+        for name, (scale, scenes) in own_values.items():
             if scale is not None:
-                nominal = torch.as_tensor(getattr(parameters, name)[columns], dtype=torch.float32, device=world.device)
+                nominal = torch.as_tensor(scenes[columns], dtype=torch.float32, device=world.device)
                 values[name] = nominal * scale.sample(world, task, (len(chosen),), env_ids)
         thing.set_joint_parameters(**values, joints=chosen, env_ids=env_ids)
 
@@ -157,6 +165,28 @@ def colors(
             chosen = thing.find_links(*links)
             drawn = world.random.uniform((len(chosen), 3), low, high, env_ids)
             thing.set_colors(drawn, chosen, env_ids)
+
+    return event
+
+
+def textures(entities: Sequence[str], choices: Sequence[Texture], links: Sequence[str] = (".*",)) -> EventFunction:
+    """Give links whose names match one of these textures each, in pictures (:mod:`orbit_core.assets.textures`).
+
+    Raises:
+        ConfigurationError: there are no choices.
+
+    Raises, when it happens:
+        UnsupportedCapabilityError: the renderer cannot; names those that can.
+    """
+    if not choices:
+        raise ConfigurationError("randomize.textures needs one texture at least: see orbit_core.assets.textures")
+
+    def event(world: World, task: Task, env_ids: Tensor) -> None:
+        for name in entities:
+            thing = _entity(world, name)
+            chosen = thing.find_links(*links)
+            drawn = world.random.uniform((len(chosen),), 0.0, float(len(choices)), env_ids).long()
+            thing.set_textures(choices, drawn.clamp_max(len(choices) - 1), chosen, env_ids)
 
     return event
 

@@ -31,9 +31,14 @@ def least_inertias(layout: SceneLayout) -> FloatArray:
     return np.array(values, dtype=np.float64) + layout.joint_parameters.armature
 
 
+def softest(layout: SceneLayout, time_step: float) -> FloatArray:
+    """(J,) the largest stiffness of a spring that may be taken at the beginning of steps of ``time_step`` seconds."""
+    return _SOFT * least_inertias(layout) / time_step**2
+
+
 def soft_springs(layout: SceneLayout, time_step: float) -> npt.NDArray[np.bool_]:
     """(J,) whether the joint's spring is slow enough to be taken at the beginning of steps of ``time_step`` seconds."""
-    return time_step**2 * layout.joint_parameters.spring_stiffness <= _SOFT * least_inertias(layout)
+    return layout.joint_parameters.spring_stiffness <= softest(layout, time_step)
 
 
 def _least_inertia(articulation: Articulation, joint: Joint) -> float:

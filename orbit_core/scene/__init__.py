@@ -59,6 +59,7 @@ from orbit_core.scene.shapes import (
     Shape,
     Sphere,
 )
+from orbit_core.scene.textures import Texture
 
 __all__ = [
     "END_EFFECTOR", "ActiveModel", "ActuatorConfig", "ActuatorNetwork", "AmbientLight", "Articulation",
@@ -69,5 +70,5 @@ __all__ = [
     "Light", "Link", "LoopJoint", "LoopType", "MagneticSeal", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision",
     "Mimic", "Noise", "ObjectSpec", "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Region",
     "Rgb", "RobotCategory", "RobotSpec", "Rope", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere",
-    "Workspace", "look_at", "single_link",
+    "Texture", "Workspace", "look_at", "single_link",
 ]  # fmt: skip

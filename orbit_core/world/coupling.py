@@ -252,9 +252,10 @@ class CoupledEngine(Engine):
         damping: Tensor | None,
         friction: Tensor | None,
         armature: Tensor | None,
+        stiffness: Tensor | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        self._inner.set_joint_parameters(joints, damping, friction, armature, env_ids)
+        self._inner.set_joint_parameters(joints, damping, friction, armature, stiffness, env_ids)
 
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         self._inner.set_gravity(gravity, env_ids)

@@ -1,4 +1,4 @@
-"""Parameters of objects that differ between environments: masses, friction, joints, gains, colours, wrenches."""
+"""Parameters of objects that differ between environments: masses, friction, joints, gains, colours, textures."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from orbit_core.dynamics.arguments import (
 )
 from orbit_core.dynamics.indexing import Masking
 from orbit_core.interfaces import Capability, Engine, EntityLayout, Object
-from orbit_core.scene import ActuatorNetwork, Entity
+from orbit_core.scene import ActuatorNetwork, Entity, Texture
 from orbit_core.world.clock import Clock
 from orbit_core.world.painting import Painting
 
@@ -169,10 +169,13 @@ class ObjectParameters(Object):
         damping: Tensor | None = None,
         friction: Tensor | None = None,
         armature: Tensor | None = None,
+        stiffness: Tensor | None = None,
         joints: Sequence[int] | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        """Damping, Coulomb friction and armature (n, k) of some joints themselves; None leaves one as it is.
+        """Damping, Coulomb friction, armature and springs' stiffness (n, k) of some joints; None leaves one as it is.
+
+        A stiff spring may need damping to be stable, as in the scene; it keeps that until damping is set.
 
         Raises:
             UnsupportedCapabilityError: the engine cannot; names the backends that can.
@@ -184,8 +187,13 @@ class ObjectParameters(Object):
         def checked(value: Tensor | None, what: str) -> Tensor | None:
             return None if value is None else chosen.values(value, shape, f"{what} of joints of '{self.name}'", GAINS)
 
-        values = checked(damping, "damping"), checked(friction, "friction"), checked(armature, "armature")
-        self._engine.set_joint_parameters(self._all_joints[list(columns)], *values, chosen.rows)
+        values = [
+            checked(value, what)
+            for value, what in (
+                (damping, "damping"), (friction, "friction"), (armature, "armature"), (stiffness, "spring stiffness")
+            )
+        ]  # fmt: skip
+        self._engine.set_joint_parameters(self._all_joints[list(columns)], *values, env_ids=chosen.rows)
 
     def set_colors(self, colors: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
         """Red, green and blue (n, k, 3) in [0, 1] of all shapes of some links, in pictures.
@@ -197,6 +205,26 @@ class ObjectParameters(Object):
         indices, chosen = self._link_indices(links), self._masking.choose(env_ids)
         colors = chosen.values(colors, (len(indices), 3), f"colours of '{self.name}'", COLORS)
         self.painting.paint(indices, colors, chosen.rows)
+
+    def set_textures(
+        self,
+        textures: Sequence[Texture],
+        chosen: Tensor,
+        links: Sequence[int] | None = None,
+        env_ids: Tensor | None = None,
+    ) -> None:
+        """Give all shapes of some links one of ``textures`` each, by index (n, k) int64; -1 takes it away.
+
+        Raises:
+            ArgumentError: among others, an index that no texture has.
+            UnsupportedCapabilityError: the renderer lacks what says where in a picture they are; names those that
+                have it.
+        """
+        for capability in (Capability.DEPTH, Capability.NORMALS, Capability.SEGMENTATION):
+            self.require(capability, f"textures of '{self.name}'")
+        indices, rows = self._link_indices(links), self._masking.choose(env_ids)
+        places = rows.indices(chosen, (len(indices),), f"textures of '{self.name}'", -1, len(textures) - 1)
+        self.painting.texture(indices, textures, places, rows.rows)
 
     def _joint_columns(self, joints: Sequence[int]) -> tuple[int, ...]:
         return columns_chosen(joints, len(self.joint_names), f"joints of '{self.name}'")

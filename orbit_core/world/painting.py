@@ -1,18 +1,21 @@
-"""Colours of links that differ between environments, in all pictures of a world."""
+"""Colours and textures of links that differ between environments, in all pictures of a world."""
 
 from __future__ import annotations
 
 import weakref
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import write_columns
 from orbit_core.interfaces import Renderer
+from orbit_core.scene import Texture
+from orbit_core.world.texturing import LinkTextures, TexturedRenderer
 
 
 class Painting:
-    """Links' own colours, of N environments, and the renderers that draw them.
+    """Links' own colours and textures, of N environments, and the renderers that draw them.
 
     Args:
         num_envs: N.
@@ -23,13 +26,19 @@ class Painting:
     def __init__(self, num_envs: int, links: int, device: torch.device) -> None:
         self._shape, self._device = (num_envs, links, 4), device
         self._colors: Tensor | None = None
-        self._renderers: weakref.WeakSet[Renderer] = weakref.WeakSet()
+        self._known: list[Texture] = []
+        self._chosen: Tensor | None = None
+        self.textures: LinkTextures | None = None
+        """What renderers paint; None while nothing has a texture."""
+        self._renderers: weakref.WeakSet[TexturedRenderer] = weakref.WeakSet()
 
     def add(self, renderer: Renderer) -> Renderer:
-        """Have a renderer draw the colours; gives it back."""
-        self._renderers.add(renderer)
-        renderer.set_link_colors(self._colors)
-        return renderer
+        """A renderer that draws what this one draws, with the colours and textures."""
+        textured = TexturedRenderer(renderer)
+        self._renderers.add(textured)
+        textured.set_link_colors(self._colors)
+        textured.set_link_textures(self.textures)
+        return textured
 
     def paint(self, links: Tensor, colors: Tensor, env_ids: Tensor | None) -> None:
         """Give links (k,) colours (n, k, 3) in some environments."""
@@ -39,3 +48,15 @@ class Painting:
                 renderer.set_link_colors(self._colors)
         holding = torch.cat((colors, torch.ones_like(colors[..., :1])), dim=-1)
         write_columns(self._colors, links, holding, env_ids)
+
+    def texture(self, links: Tensor, textures: Sequence[Texture], chosen: Tensor, env_ids: Tensor | None) -> None:
+        """Give links (k,) one of the textures each, by index (n, k) int64, or none by -1, in some environments."""
+        if self._chosen is None:
+            self._chosen = torch.full(self._shape[:2], -1, dtype=torch.int64, device=self._device)
+        if new := [texture for texture in textures if texture not in self._known]:
+            self._known += new
+            self.textures = LinkTextures.of(self._known, self._chosen)
+            for renderer in self._renderers:
+                renderer.set_link_textures(self.textures)
+        numbers = [*(self._known.index(texture) for texture in textures), -1]
+        write_columns(self._chosen, links, torch.tensor(numbers, device=self._device)[chosen], env_ids)

@@ -122,7 +122,7 @@ PARAMETERS: dict[Capability, Change] = {
         index(1), torch.tensor([[5.0]]), torch.tensor([[0.5]]), index(1)
     ),
     Capability.RANDOMIZE_JOINTS: lambda engine: engine.set_joint_parameters(
-        index(1), torch.tensor([[0.5]]), None, torch.tensor([[0.1]]), index(1)
+        index(1), torch.tensor([[0.5]]), None, torch.tensor([[0.1]]), None, index(1)
     ),
     Capability.RANDOMIZE_GRAVITY: lambda engine: engine.set_gravity(torch.tensor([[0.5, 0.0, -3.0]]), index(1)),
     Capability.EXTERNAL_WRENCHES: lambda engine: engine.set_wrenches(

@@ -74,14 +74,15 @@ def _gains(trial: Trial) -> Mapping[str, float]:
 
 
 def _joints(trial: Trial) -> Mapping[str, float]:
-    """Three wheels in each environment: one that is damped, one that rubs, and one that is driven."""
+    """Four wheels in each environment: one is damped, one rubs, one is driven, and one hangs on a spring of its own."""
     inertia, speed, effort, seconds = 0.05, 4.0, 0.3, 0.5
     damping, friction = torch.tensor([0.05, 0.15, 0.1]), torch.tensor([0.1, 0.3, 0.2])
-    armature = torch.tensor([0.05, 0.2, 0.1])
+    armature, stiffness = torch.tensor([0.05, 0.2, 0.1]), torch.tensor([1.0, 4.0, 2.0])
     parts = {
         "damped": rotor(inertia=inertia, damping=0.02),
         "rubbed": rotor(inertia=inertia, friction=0.05),
         "heavy": rotor(inertia=inertia, armature=0.01),
+        "sprung": rotor(inertia=inertia, stiffness=3.0, damping=0.4),
     }
     wheels = [
         dataclasses.replace(wheel, name=name, pose=Pose((0.0, float(row), 0.0)))
@@ -89,20 +90,24 @@ def _joints(trial: Trial) -> Mapping[str, float]:
     ]
     world = trial.world(scene(*wheels, gravity=WEIGHTLESS, terrain=()), num_envs=3)
     ids, turning = _PLACES.to(world.device), torch.full((3, 1), speed, device=world.device)
-    own = [values[_PLACES][:, None].to(world.device) for values in (damping, friction, armature)]
+    own = [values[_PLACES][:, None].to(world.device) for values in (damping, friction, armature, stiffness)]
     world.robots["damped"].set_joint_parameters(damping=own[0], env_ids=ids)
     world.robots["rubbed"].set_joint_parameters(friction=own[1], env_ids=ids)
     world.robots["heavy"].set_joint_parameters(armature=own[2], env_ids=ids)
+    world.robots["sprung"].set_joint_parameters(stiffness=own[3], env_ids=ids)
     world.reset()
     for name in ("damped", "rubbed"):
         world.robots[name].set_joint_state(velocities=turning)
-    world.robots["heavy"].set_effort_targets(torch.full((3, 1), effort, device=world.device))
+    for name in ("heavy", "sprung"):
+        world.robots[name].set_effort_targets(torch.full((3, 1), effort, device=world.device))
     trial.step(world, trial.steps(seconds))
-    speeds = {name: world.robots[name].joint_velocities[:, 0] for name in parts}
+    speeds = {name: world.robots[name].joint_velocities[:, 0].clone() for name in parts}
+    trial.step(world, trial.steps(3.0))  # springs come to rest by exp(-4 t)
     return {
         "damping": _relative(speeds["damped"], speed * (-damping * seconds / inertia).exp()),
         "friction": _relative(speeds["rubbed"], speed - friction * seconds / inertia),
         "armature": _relative(speeds["heavy"], effort * seconds / (inertia + armature)),
+        "stiffness": _relative(world.robots["sprung"].joint_positions[:, 0], effort / stiffness),
     }
 
 
@@ -208,8 +213,8 @@ SCENARIOS = (
     Scenario(
         name="joints_per_environment",
         group=_GROUP,
-        question="Do joints slow down and speed up by their own damping, friction and armature?",
-        truth="w exp(-d t / I); w - f t / I; tau t / (I + a)",
+        question="Do joints slow down, speed up and give way by their own damping, friction, armature and springs?",
+        truth="w exp(-d t / I); w - f t / I; tau t / (I + a); tau / k",
         source=_NEWTON,
         judges=(Capability.RANDOMIZE_JOINTS,),
         run=_joints,
@@ -218,6 +223,7 @@ SCENARIOS = (
             Capability.JOINT_DAMPING,
             Capability.JOINT_FRICTION,
             Capability.ARMATURE,
+            Capability.JOINT_SPRINGS,
         ),
         metrics=(
             Metric(
@@ -239,6 +245,13 @@ SCENARIOS = (
                 unit="",
                 tolerance=1e-4,
                 meaning="largest error of a speed, as a part of it",
+                looser_because=_SINGLE,
+            ),
+            Metric(
+                name="stiffness",
+                unit="",
+                tolerance=1e-4,
+                meaning="largest error of a spring's angle, as a part of it",
                 looser_because=_SINGLE,
             ),
         ),

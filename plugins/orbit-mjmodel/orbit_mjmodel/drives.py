@@ -63,18 +63,16 @@ def hold_drives(model: mujoco.MjModel, addresses: Addresses, layout: SceneLayout
     return [_told(int(number), model, layout, held) for number in np.flatnonzero(concerned)]
 
 
-def least_damping(model: mujoco.MjModel, addresses: Addresses) -> npt.NDArray[np.float64]:
-    """Damping (J,) that joints need at least, for their own springs are as stiff."""
-    step, stiffness = model.opt.timestep, model.jnt_stiffness[addresses.joints]
-    inertia = 1.0 / model.dof_invweight0[addresses.joint_velocities]
-    return np.where(stiffness > 0, np.maximum(step * stiffness - inertia / step, 0.0), 0.0)
+def least_damping(stiffness: _Array, inverse_inertia: _Array, time_step: float) -> _Array:
+    """Damping (..., J) that joints need at least, for their own springs (..., J) are as stiff."""
+    return (time_step * stiffness - 1.0 / (time_step * inverse_inertia)).clip(min=0.0)
 
 
 def hold_springs(model: mujoco.MjModel, addresses: Addresses, layout: SceneLayout) -> list[Approximation]:
     """Give joints whose own springs are as stiff the damping that they need, by the rule of drives."""
     step, columns = model.opt.timestep, addresses.joint_velocities
     stiffness, asked = layout.joint_parameters.spring_stiffness, model.dof_damping[columns]
-    needed = least_damping(model, addresses)
+    needed = least_damping(model.jnt_stiffness[addresses.joints], model.dof_invweight0[columns], step)
     model.dof_damping[columns] = np.maximum(asked, needed)
     report: list[Approximation] = []
     for number in np.flatnonzero(needed > asked):

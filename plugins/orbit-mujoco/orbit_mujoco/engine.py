@@ -239,10 +239,11 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         damping: Tensor | None,
         friction: Tensor | None,
         armature: Tensor | None,
+        stiffness: Tensor | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        rows = self._rows(env_ids)
-        self._parameters.set_joints(joints.numpy(), _array(damping), _array(friction), _array(armature), rows)
+        own = _array(damping), _array(friction), _array(armature), _array(stiffness)
+        self._parameters.set_joints(joints.numpy(), *own, self._rows(env_ids))
 
     def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
         self._xfrc_applied[block(self._rows(env_ids), self._addresses.bodies[links.numpy()])] = wrenches.numpy()

@@ -84,11 +84,20 @@ class Parameters:
         damping: FloatArray | None,
         friction: FloatArray | None,
         armature: FloatArray | None,
+        stiffness: FloatArray | None,
         rows: HostRows,
     ) -> None:
-        index = block(rows, self._addresses.joint_velocities[joints])
+        columns = self._addresses.joint_velocities[joints]
+        index = block(rows, columns)
+        if stiffness is not None:
+            self.field("jnt_stiffness")[block(rows, self._addresses.joints[joints])] = stiffness
+            damping = self.field("dof_damping")[index] if damping is None else damping
         if damping is not None:
-            damping = np.maximum(damping, least_damping(self._model, self._addresses)[joints])
+            varied = self._fields.get("jnt_stiffness")
+            springs = self._model.jnt_stiffness[None] if varied is None else varied[rows]
+            springs = springs[:, self._addresses.joints[joints]]
+            weights, step = self._model.dof_invweight0[columns], self._model.opt.timestep
+            damping = np.maximum(damping, least_damping(springs, weights, step))
         for name, values in (("dof_damping", damping), ("dof_frictionloss", friction), ("dof_armature", armature)):
             if values is not None:
                 self.field(name)[index] = values

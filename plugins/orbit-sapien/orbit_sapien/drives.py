@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError, SceneLayout
-from orbit_core.plugin_kit.springs import least_inertias, soft_springs
+from orbit_core.plugin_kit.springs import least_inertias, softest
 from orbit_sapien.model import BuiltWorld
 
 _RIGID = 1e5
@@ -35,11 +35,7 @@ class Drives:
         self._leads = ~follower
         self._limit = torch.as_tensor(parameters.effort_limit, dtype=torch.float32)
         self._rest = torch.as_tensor(parameters.spring_rest, dtype=torch.float32)
-        self._stiff = ~soft_springs(layout, layout.scene.physics_dt)
-        self._pulling = torch.as_tensor(np.where(self._stiff, 0.0, parameters.spring_stiffness), dtype=torch.float32)
-        """(J,) stiffness of springs that are generalised forces."""
-        self._sprung = torch.from_numpy(self._stiff)
-        """(J,) whether the joint's drive is its spring."""
+        self._softest = softest(layout, layout.scene.physics_dt)
         shape = (num_envs, len(layout.joints))
         self.stiffness = np.where(follower, 0.0, parameters.drive_stiffness) * np.ones(shape)
         """(N, J)"""
@@ -49,6 +45,8 @@ class Drives:
         """(N, J) damping and Coulomb friction of the joints themselves."""
         self.armature = parameters.armature * np.ones(shape)
         """(N, J)"""
+        self.springs = parameters.spring_stiffness * np.ones(shape)
+        """(N, J) stiffness of the joints' own springs."""
         self.efforts = torch.zeros(shape)
         """(N, J) of drives and commands in the last step."""
         self._least = least_inertias(layout) - parameters.armature
@@ -91,23 +89,33 @@ class Drives:
         damping: Tensor | None,
         friction: Tensor | None,
         armature: Tensor | None,
+        stiffness: Tensor | None,
         rows: list[int],
     ) -> None:
         """(n, k) of the joints (k,) themselves."""
-        index = np.ix_(np.asarray(rows, np.int64), joints)
-        for own, values in ((self.passive, damping), (self.friction, friction), (self.armature, armature)):
+        index, before = np.ix_(np.asarray(rows, np.int64), joints), self.save_joints()
+        for own, values in zip(self._own, (damping, friction, armature, stiffness), strict=True):
             if values is not None:
                 own[index] = values.numpy()
-        self._settle()
+        try:
+            self._settle()
+        except ConfigurationError:
+            self.load_joints(before)
+            raise
         self.sent[:, rows] = np.nan
 
-    def save_joints(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def save_joints(self) -> tuple[FloatArray, ...]:
         """Copies of what :meth:`set_joints` sets, of all joints."""
-        return self.passive.copy(), self.friction.copy(), self.armature.copy()
+        return tuple(own.copy() for own in self._own)
 
-    def load_joints(self, saved: tuple[FloatArray, FloatArray, FloatArray]) -> None:
+    def load_joints(self, saved: tuple[FloatArray, ...]) -> None:
         """Return to what :meth:`save_joints` gave; gains are to be loaded after it."""
-        self.passive[:], self.friction[:], self.armature[:] = saved
+        for own, values in zip(self._own, saved, strict=True):
+            own[:] = values
+
+    @property
+    def _own(self) -> tuple[FloatArray, ...]:
+        return self.passive, self.friction, self.armature, self.springs
 
     def forget(self, rows: list[int]) -> None:
         """Send everything anew to these environments."""
@@ -117,9 +125,10 @@ class Drives:
         """Give PhysX the drives that follow from the gains."""
         driven = (self.stiffness > 0) | (self.damping > 0)
         rubbing = ~driven & (self.friction > 0)
-        self._refuse_springs(self._stiff & (driven | rubbing).any(0))
+        stiff = self.springs > self._softest
+        self._refuse_springs(stiff & (driven | rubbing))
         damping = np.where(rubbing, _RIGID, self.damping + self.passive)
-        stiffness = np.where(self._stiff, self._layout.joint_parameters.spring_stiffness, self.stiffness)
+        stiffness = np.where(stiff, self.springs, self.stiffness)
         limit = np.where(driven, self._limit.numpy(), np.where(rubbing, self.friction, np.inf))
         wanted = np.stack((stiffness, damping, np.minimum(limit, _UNLIMITED)))
         for row, column in zip(*np.nonzero((wanted != self._properties).any(0)), strict=True):
@@ -129,6 +138,10 @@ class Drives:
             self.joints[row][column].set_armature(self.armature[row, column, None].astype(np.float32))
         self._armature = self.armature.copy()
         self._inertia = torch.from_numpy(self._least + self.armature).float()
+        self._pulling = torch.from_numpy(np.where(stiff, 0.0, self.springs)).float()
+        """(N, J) stiffness of springs that are generalised forces."""
+        self._sprung = torch.from_numpy(stiff)
+        """(N, J) whether the joint's drive is its spring."""
         self._driven = torch.from_numpy(driven)
         stiffness, gain = torch.from_numpy(self.stiffness).float(), torch.from_numpy(self.damping).float()
         self._gains = stiffness, gain
@@ -145,11 +158,11 @@ class Drives:
         """Whether :meth:`send_forces` must be called at each physics step."""
 
     def _refuse_springs(self, wrong: npt.NDArray[np.bool_]) -> None:
-        for number in np.flatnonzero(wrong)[:1]:
-            parameters, step = self._layout.joint_parameters, self._layout.scene.physics_dt
+        for row, number in np.argwhere(wrong)[:1]:
+            step = self._layout.scene.physics_dt
             raise ConfigurationError(
                 f"joint '{self._layout.joints[number].name}' has a spring of stiffness "
-                f"{parameters.spring_stiffness[number]:.4g} beside a drive or friction, too stiff for PhysX in steps "
+                f"{self.springs[row, number]:.4g} beside a drive or friction, too stiff for PhysX in steps "
                 f"of {step:g} s: use a smaller physics_dt, or an explicit drive (IdealPd)"
             )
 

@@ -42,7 +42,7 @@ class Snapshot:
     """The buffer from which :class:`State` takes velocities, beside ``packed``."""
     parameters: dict[str, npt.NDArray]
     gains: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
-    joints: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]
+    joints: tuple[npt.NDArray[np.float64], ...]
     tensors: tuple[Tensor, ...]
     """Commands, then what the last step measured."""
 
@@ -192,9 +192,11 @@ class SapienEngine(PartedEngine[State, Parameters]):
         damping: Tensor | None,
         friction: Tensor | None,
         armature: Tensor | None,
+        stiffness: Tensor | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        self._drives.set_joints(joints.numpy(), damping, friction, armature, self._rows(env_ids))
+        values = damping, friction, armature, stiffness
+        self._drives.set_joints(joints.numpy(), *values, self._rows(env_ids))
 
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 

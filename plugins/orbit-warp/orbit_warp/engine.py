@@ -250,9 +250,10 @@ class WarpEngine(PartedEngine[State, Parameters]):
         damping: Tensor | None,
         friction: Tensor | None,
         armature: Tensor | None,
+        stiffness: Tensor | None = None,
         env_ids: Tensor | None = None,
     ) -> None:
-        self._parameters.set_joints(joints, damping, friction, armature, self._rows(env_ids))
+        self._parameters.set_joints(joints, damping, friction, armature, stiffness, self._rows(env_ids))
         self._state.mark_written()
 
     def set_drive_gains(

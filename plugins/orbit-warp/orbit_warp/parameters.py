@@ -31,8 +31,9 @@ class Parameters:
         self._model, self._data, self._graphs = native.model, native.data, graphs
         data = self._data
         device = wp.device_to_torch(data.qpos.device)
-        least = least_damping(native.host_model, addresses)
-        self._least_damping = torch.as_tensor(least, dtype=torch.float32, device=device)
+        self._joints = torch.as_tensor(addresses.joints, device=device)
+        weights = native.host_model.dof_invweight0[addresses.joint_velocities]
+        self._weights = torch.as_tensor(weights, dtype=torch.float32, device=device)
         self._environments = torch.arange(data.nworld, device=device)
         self._bodies = torch.as_tensor(addresses.bodies, device=device)
         links = addresses.link_of_geom[:-1]
@@ -85,11 +86,21 @@ class Parameters:
         self._hold_drives()
 
     def set_joints(
-        self, joints: Tensor, damping: Tensor | None, friction: Tensor | None, armature: Tensor | None, rows: Rows
+        self,
+        joints: Tensor,
+        damping: Tensor | None,
+        friction: Tensor | None,
+        armature: Tensor | None,
+        stiffness: Tensor | None,
+        rows: Rows,
     ) -> None:
-        index = block(rows, self._velocity_columns[joints])
+        index, springs = block(rows, self._velocity_columns[joints]), block(rows, self._joints[joints])
+        if stiffness is not None:
+            self._field("jnt_stiffness")[springs] = stiffness
+            damping = self._field("dof_damping")[index] if damping is None else damping
         if damping is not None:
-            damping = torch.maximum(damping, self._least_damping[joints])
+            own = self._field("jnt_stiffness")[springs]
+            damping = torch.maximum(damping, least_damping(own, self._weights[joints], self._time_step))
         for name, values in (("dof_damping", damping), ("dof_frictionloss", friction), ("dof_armature", armature)):
             if values is not None:
                 self._field(name)[index] = values

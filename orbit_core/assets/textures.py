@@ -1,0 +1,68 @@
+"""Textures: chequers, blotches, and pictures from files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from orbit_core.interfaces import AssetError
+from orbit_core.scene import Texture
+
+_SIDE = 256
+_LARGEST = 64 * 1024 * 1024
+"""Pixels of a picture file, beyond which it is refused before it is decoded."""
+
+Gray = float
+"""A brightness in [0, 1]."""
+
+
+def checker(width: float = 0.1, dark: Gray = 0.2, light: Gray = 1.0) -> Texture:
+    """Two by two squares, dark and light, ``width`` metres across all of them."""
+    squares = np.indices((_SIDE, _SIDE)) * 2 // _SIDE
+    return Texture(_gray(np.where(squares.sum(0) % 2 == 0, light, dark)), width)
+
+
+def stripes(width: float = 0.05, dark: Gray = 0.2, light: Gray = 1.0) -> Texture:
+    """Upright stripes, a dark and a light one in ``width`` metres."""
+    return Texture(_gray(np.where(np.arange(_SIDE) * 2 < _SIDE, light, dark) * np.ones((_SIDE, 1))), width)
+
+
+def blotches(seed: int, width: float = 0.2, finest: int = 5, dark: Gray = 0.1, light: Gray = 1.0) -> Texture:
+    """Smooth random blotches that go on without a seam: waves of 1 to ``2^finest`` in ``width`` metres.
+
+    The power of a wave falls with the square of its number, as in pictures of nature (Field, Relations between the
+    Statistics of Natural Images and the Response Properties of Cortical Cells, 1987). One seed gives one texture.
+    """
+    random = np.random.default_rng(seed)
+    numbers = np.fft.fftfreq(_SIDE, 1.0 / _SIDE)
+    waves = np.hypot(*np.meshgrid(numbers, numbers))
+    inside = (waves >= 1.0) & (waves <= 2.0**finest)
+    power = np.where(inside, 1.0 / np.maximum(waves, 1.0), 0.0)
+    height = np.fft.ifft2(np.fft.fft2(random.standard_normal((_SIDE, _SIDE))) * power).real
+    least, most = height.min(), height.max()
+    return Texture(_gray(dark + (light - dark) * (height - least) / (most - least)), width)
+
+
+def texture_file(path: str | Path, width: float = 0.2) -> Texture:
+    """A picture file (PNG, JPEG and others that Pillow reads; needs Pillow), ``width`` metres wide.
+
+    Raises:
+        AssetError: there is none, it is no picture, or one of more than 64 million pixels; or Pillow is missing.
+    """
+    try:
+        from PIL import Image, UnidentifiedImageError
+    except ImportError:
+        raise AssetError(f"reading '{path}' needs Pillow: pip install pillow") from None
+    try:
+        with Image.open(path) as picture:
+            if picture.width * picture.height > _LARGEST:
+                raise AssetError(f"texture '{path}' is {picture.width} x {picture.height} pixels: make it smaller")
+            return Texture(np.asarray(picture.convert("RGB")), width)
+    except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError) as error:
+        raise AssetError(f"texture '{path}' cannot be read as a picture: {error}") from None
+
+
+def _gray(values: np.ndarray) -> np.ndarray:
+    """(H, W) in [0, 1] as pixels (H, W, 3)."""
+    return np.repeat((255.0 * np.clip(values, 0.0, 1.0) + 0.5).astype(np.uint8)[..., None], 3, axis=2)
