@@ -10,6 +10,7 @@ from torch import Tensor
 
 from orbit_core.actuators.delay import CommandDelay, DelayState
 from orbit_core.actuators.models import DcMotorModel, PdModel
+from orbit_core.actuators.motors import REFERENCE
 from orbit_core.actuators.network_model import NetworkModel
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.random import RandomStreams
@@ -27,6 +28,8 @@ class ActuatorState:
     delays: tuple[DelayState | None, ...]
     pasts: tuple[Tensor, ...]
     """Of actuator networks."""
+    temperatures: tuple[Tensor, ...]
+    """Of motors."""
 
 
 class Actuators:
@@ -52,7 +55,9 @@ class Actuators:
         if ideal:
             self._models.append(PdModel(list(ideal), list(ideal.values()), *parts))
         if motors:
-            self._models.append(DcMotorModel(list(motors), list(motors.values()), *parts))
+            self._models.append(DcMotorModel(list(motors), list(motors.values()), *parts, layout.scene.physics_dt))
+        warm = [m for m in self._models if isinstance(m, DcMotorModel) and m.windings]
+        self._windings = [(model.columns, model.windings) for model in warm if model.windings]
         self._delays = [_delay([groups[joint] for joint in m.joints], engine.num_envs, random) for m in self._models]
         networks = {joint: group for joint, group in groups.items() if isinstance(group, ActuatorNetwork)}
         self._networks = [
@@ -86,8 +91,18 @@ class Actuators:
             engine.efforts[:, columns] = model.efforts(positions[:, columns], velocities[:, columns], targets)
 
     def memory(self) -> dict[str, Tensor]:
-        """What actuator networks remember from step to step, by name."""
-        return {f"actuator network {number}": network.past for number, network in enumerate(self._networks)}
+        """What actuator networks and windings remember from step to step, by name."""
+        heat = {f"windings {number}": windings.temperatures for number, (_, windings) in enumerate(self._windings)}
+        return heat | {f"actuator network {number}": network.past for number, network in enumerate(self._networks)}
+
+    def temperatures(self) -> Tensor | None:
+        """(N, J) degrees Celsius of the motors' windings, 25 where none are described; None where there are none."""
+        if not self._windings:
+            return None
+        temperatures = torch.full_like(self.effort_targets, REFERENCE)
+        for columns, windings in self._windings:
+            temperatures[:, columns] = windings.temperatures
+        return temperatures
 
     def set_gains(
         self, joints: Sequence[int], stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
@@ -123,13 +138,24 @@ class Actuators:
                 delay.reset(env_ids)
         for network in self._networks:
             network.reset(env_ids)
+        for _, windings in self._windings:
+            windings.reset(env_ids)
+
+    def copy(self, origin: Actuators, source: int, rows: Tensor | None) -> None:
+        """Give some environments efforts and temperatures of environment ``source`` of an equal scene, no more."""
+        self.reset(rows)
+        if self.explicit:
+            write_rows(self.effort_targets, origin.effort_targets[source].clone(), rows)
+        for (_, own), (_, other) in zip(self._windings, origin._windings, strict=True):
+            write_rows(own.temperatures, other.temperatures[source].clone(), rows)
 
     def save_state(self) -> ActuatorState:
         """A detached copy."""
         gains = tuple((model.stiffness.clone(), model.damping.clone()) for model in self._models)
         delays = tuple(None if delay is None else delay.save_state() for delay in self._delays)
         pasts = tuple(network.past.clone() for network in self._networks)
-        return ActuatorState(self.effort_targets.clone(), gains, delays, pasts)
+        temperatures = tuple(windings.temperatures.clone() for _, windings in self._windings)
+        return ActuatorState(self.effort_targets.clone(), gains, delays, pasts, temperatures)
 
     def load_state(self, state: ActuatorState) -> None:
         """Return to a saved state."""
@@ -142,6 +168,8 @@ class Actuators:
                 delay.load_state(saved)
         for network, past in zip(self._networks, state.pasts, strict=True):
             network.past.copy_(past)
+        for (_, windings), temperatures in zip(self._windings, state.temperatures, strict=True):
+            windings.temperatures.copy_(temperatures)
 
 
 def _group_of_joint(layout: SceneLayout) -> dict[int, ActuatorConfig]:

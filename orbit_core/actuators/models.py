@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from orbit_core.actuators.motors import Ratios, WindingModel
 from orbit_core.dynamics.indexing import columns_of
 from orbit_core.interfaces import ConfigurationError, JointParameters
 from orbit_core.scene import DcMotor, IdealPd
@@ -55,7 +56,15 @@ class PdModel:
 
 
 class DcMotorModel(PdModel):
-    """A PD law through a DC motor's torque-speed line, :class:`orbit_core.scene.DcMotor`."""
+    """A PD law through a DC motor's torque-speed line, :class:`orbit_core.scene.DcMotor`.
+
+    Args:
+        joints, groups, parameters, num_envs, device: as of :class:`PdModel`.
+        physics_dt: seconds, over which windings warm at each turn.
+
+    Raises:
+        ConfigurationError: a motor has no no-load speed, or its power limit is not above zero.
+    """
 
     def __init__(
         self,
@@ -64,13 +73,24 @@ class DcMotorModel(PdModel):
         parameters: JointParameters,
         num_envs: int,
         device: torch.device,
+        physics_dt: float,
     ) -> None:
         super().__init__(joints, groups, parameters, num_envs, device)
-        limits = torch.as_tensor(parameters.velocity_limit[self.joints], dtype=torch.float32, device=device)
-        if not bool((torch.isfinite(limits) & (limits > 0.0)).all()):
-            raise ConfigurationError(
-                f"a DcMotor on joints {groups[0].joints} needs a no-load speed: set its velocity_limit"
-            )
+        speeds = [
+            parameters.velocity_limit[joint] if group.no_load_speed is None else group.no_load_speed
+            for joint, group in zip(self.joints, groups, strict=True)
+        ]
+        for group, speed in zip(groups, speeds, strict=True):
+            if group.transmission is not None and group.no_load_speed is None:
+                raise ConfigurationError(
+                    f"a DcMotor on joints {group.joints} has a transmission: set its no_load_speed, the motor's own"
+                )
+            if not 0.0 < speed < math.inf:
+                raise ConfigurationError(
+                    f"a DcMotor on joints {group.joints} needs a no-load speed above zero: set its no_load_speed, or "
+                    f"its velocity_limit"
+                )
+        limits = torch.tensor(speeds, dtype=torch.float32, device=device)
         self._saturation = torch.tensor([group.saturation_effort for group in groups], device=device)
         self._slope = self._saturation / limits
         self._zero = torch.zeros_like(limits)
@@ -80,12 +100,29 @@ class DcMotorModel(PdModel):
                 f"a DcMotor on joints {groups[0].joints} has power_limit {min(powers):g} W: give a number above zero"
             )
         self._power = torch.tensor(powers, device=device)
+        through = [group.transmission for group in groups]
+        self._ratios = Ratios(through, device) if any(through) else None
+        self._ratio: Tensor | None = None
+        windings = [group.windings for group in groups]
+        self.windings = WindingModel(windings, num_envs, physics_dt, device) if any(windings) else None
+
+    def efforts(self, position: Tensor, velocity: Tensor, targets: Sequence[Tensor]) -> Tensor:
+        self._ratio = None if self._ratios is None else self._ratios.at(position)
+        efforts = super().efforts(position, velocity, targets)
+        if self.windings is not None:
+            self.windings.warm(efforts, self._ratio)
+        return efforts
 
     def _limited(self, efforts: Tensor, velocity: Tensor) -> Tensor:
-        loss = self._slope * velocity
-        upper = torch.clamp(self._saturation - loss, self._zero, self._upper)
-        lower = torch.clamp(-self._saturation - loss, self._lower, self._zero)
+        saturation, loss = self._saturation, self._slope * velocity
+        if self._ratio is not None:  # the motor turns faster by the ratio, and its effort counts as much more
+            saturation, loss = self._ratio * saturation, self._ratio.square() * loss
+        upper = torch.clamp(saturation - loss, self._zero, self._upper)
+        lower = torch.clamp(-saturation - loss, self._lower, self._zero)
         most = self._power / velocity.abs().clamp_min(_STANDSTILL)  # along the motion
         upper = torch.where(velocity > 0.0, torch.minimum(upper, most), upper)
         lower = torch.where(velocity < 0.0, torch.maximum(lower, -most), lower)
+        if self.windings is not None:
+            derating = self.windings.derating()
+            upper, lower = derating * upper, derating * lower
         return torch.clamp(efforts, lower, upper)

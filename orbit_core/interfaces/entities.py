@@ -226,6 +226,15 @@ class Robot(Object):
     def spec(self) -> RobotSpec:
         """Specification that the entity was made from."""
 
+    @property
+    def motor_temperatures(self) -> Tensor:
+        """(N, J) degrees Celsius of the windings of the joints' motors, 25 where a motor's are not described.
+
+        Raises:
+            ConfigurationError: no motor's are.
+        """
+        raise self._unsupported("motor temperatures")
+
     @abstractmethod
     def set_position_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
         """(N, k) rad or m."""

@@ -16,7 +16,16 @@ import numpy.typing as npt
 
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 from orbit_core.interfaces.names import find_name, match_names, match_values
-from orbit_core.scene import ActuatorConfig, ContactSensorSpec, Entity, ForceTorqueSpec, ImplicitPd, Joint, Scene
+from orbit_core.scene import (
+    ActuatorConfig,
+    ContactSensorSpec,
+    DcMotor,
+    Entity,
+    ForceTorqueSpec,
+    ImplicitPd,
+    Joint,
+    Scene,
+)
 from orbit_core.scene.articulation import Link
 
 TERRAIN = -2
@@ -262,6 +271,10 @@ def _entity_parameters(entity: Entity) -> dict[str, npt.NDArray[np.float64]]:
             values["drive_stiffness"][indices] = group.stiffness
             values["drive_damping"][indices] = group.damping
     values["home"] = _home(entity, values["lower_limit"], values["upper_limit"])
+    for index, group in actuator_of_joint(entity).items():
+        if isinstance(group, DcMotor) and group.transmission is not None:
+            ratio = group.transmission.ratio(values["home"][index])
+            values["armature"][index] += group.transmission.rotor_inertia * ratio**2
     return values
 
 

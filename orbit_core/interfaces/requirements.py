@@ -11,6 +11,7 @@ from orbit_core.scene import (
     Channel,
     Cloth,
     ContactSensorSpec,
+    DcMotor,
     Entity,
     Fluid,
     ForceTorqueSpec,
@@ -127,7 +128,8 @@ def _entity_needs(entity: Entity) -> Iterator[tuple[Capability, str]]:
             yield Capability.IMPLICIT_DRIVES, where
         if group.friction:
             yield Capability.JOINT_FRICTION, where
-        if group.armature:
+        through = group.transmission if isinstance(group, DcMotor) else None
+        if group.armature or (through is not None and through.rotor_inertia):
             yield Capability.ARMATURE, where
     for link in articulation.links:
         if link.mass == 0 and link is not articulation.root:

@@ -98,6 +98,12 @@ def joint_velocities(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     return robot_of(world, agent).joint_velocities
 
 
+@measured_in("degrees Celsius")
+def motor_temperatures(world: World, task: Task, agent: str = ROBOT) -> Tensor:
+    """(N, J) of the windings, 25 where a motor's are not described."""
+    return robot_of(world, agent).motor_temperatures
+
+
 @measured_in("1")
 def last_action(world: World, task: Task, agent: str | None = None) -> Tensor:
     """(N, A) the action in effect; an agent's own part of it where one is named."""

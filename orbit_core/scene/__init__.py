@@ -33,6 +33,7 @@ from orbit_core.scene.joints import DriveGains, Joint, JointType, LoopJoint, Loo
 from orbit_core.scene.lights import AmbientLight, DirectionalLight, Light, Rgb, Sky
 from orbit_core.scene.markers import MarkerShape, MarkerSpec
 from orbit_core.scene.materials import Color, Compliance, PhysicsMaterial
+from orbit_core.scene.motors import Transmission, Windings, four_bar, linear_drive
 from orbit_core.scene.pose import Pose, look_at
 from orbit_core.scene.scene import Scene
 from orbit_core.scene.sensors import (
@@ -70,5 +71,5 @@ __all__ = [
     "Light", "Link", "LoopJoint", "LoopType", "MagneticSeal", "MarkerShape", "MarkerSpec", "Mesh", "MeshCollision",
     "Mimic", "Noise", "ObjectSpec", "PhysicsMaterial", "PlanarBase", "Plane", "Pose", "RayCasterSpec", "Region",
     "Rgb", "RobotCategory", "RobotSpec", "Rope", "Scene", "SensorSpec", "Shape", "Sky", "SoftBody", "Sphere",
-    "Texture", "Workspace", "look_at", "single_link",
+    "Texture", "Transmission", "Windings", "Workspace", "four_bar", "linear_drive", "look_at", "single_link",
 ]  # fmt: skip

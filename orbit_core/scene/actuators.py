@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from orbit_core.scene.motors import Transmission, Windings
+
 
 @dataclass(frozen=True, kw_only=True)
 class ActuatorConfig:
@@ -48,13 +50,20 @@ class DcMotor(IdealPd):
 
     The effort available falls linearly from ``saturation_effort`` at standstill to zero at ``velocity_limit``, and
     grows against the motion, within ``effort_limit`` (Rudin et al., Learning to Walk in Minutes, 2021, and any
-    motor's data sheet).
+    motor's data sheet). With a ``transmission`` both are the motor's own, and change with the joint's position;
+    ``effort_limit`` remains the joint's.
     """
 
     saturation_effort: float
+    no_load_speed: float | None = None
+    """rad/s or m/s at which the line ends; None: the joint's velocity limit, which some engines hold joints to."""
     power_limit: float | None = None
     """W that the motor gives at most, effort times velocity along the motion; None: as much as the line allows. Braking
     is not limited by it."""
+    transmission: Transmission | None = None
+    """Between motor and joint; None: the motor's numbers are those at the joint."""
+    windings: Windings | None = None
+    """What heats up by the motor's efforts and limits them; None: nothing does."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from orbit_core.dynamics.arguments import (
     columns_chosen,
 )
 from orbit_core.dynamics.indexing import Masking, columns_of
-from orbit_core.interfaces import Engine, EntityLayout, Robot
+from orbit_core.interfaces import ConfigurationError, Engine, EntityLayout, Robot
 from orbit_core.scene import RobotSpec
 from orbit_core.world.clock import Clock
 from orbit_core.world.entities import SimulatedObject
@@ -41,6 +41,13 @@ class SimulatedRobot(SimulatedObject, Robot):
         self._position_targets = _Targets(actuators.position_targets, POSITIONS, "position targets", *parts)
         self._velocity_targets = _Targets(actuators.velocity_targets, VELOCITIES, "velocity targets", *parts)
         self._effort_targets = _Targets(actuators.effort_targets, EFFORTS, "effort targets", *parts)
+
+    @property
+    def motor_temperatures(self) -> Tensor:
+        temperatures = self._actuators.temperatures()
+        if temperatures is None:
+            raise ConfigurationError(f"no motor of '{self.name}' has windings: give a DcMotor of its actuators some")
+        return temperatures[:, self.layout.joints]
 
     def set_position_targets(self, targets: Tensor, joints: Sequence[int] | None = None) -> None:
         self._position_targets.write(targets, joints)

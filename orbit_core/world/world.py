@@ -365,11 +365,11 @@ class SimulatedWorld(World):
         check_copy(self, origin, source)
         rows = self.masking.choose(targets).rows
         self._engine.copy_state(origin.engine, source, rows)
-        self.actuators.reset(rows)
         if isinstance(origin, SimulatedWorld):
+            self.actuators.copy(origin.actuators, source, rows)
             self.active.copy(origin.active, source, rows)
-            if self.actuators.explicit:
-                write_rows(self.actuators.effort_targets, origin.actuators.effort_targets[source].clone(), rows)
+        else:
+            self.actuators.reset(rows)
         if self.scene.markers:
             write_rows(self._marker_poses, origin.marker_poses[source].clone(), rows)
         for sensor in self._timed.values():

@@ -23,7 +23,7 @@ from orbit_core.dynamics.random import RandomStreams
 from orbit_core.envs import Environment
 from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.interfaces import ConfigurationError, NonFiniteError
-from orbit_core.scene import ActuatorNetwork, IdealPd, Scene
+from orbit_core.scene import ActuatorNetwork, DcMotor, IdealPd, Scene, Transmission, Windings
 from orbit_core.tensor_file import write_tensors
 from orbit_tasks.velocity_flat import VelocityFlat
 
@@ -33,13 +33,22 @@ Pendulums = Callable[..., Any]
 
 @dataclass(kw_only=True)
 class Learned(VelocityFlat):
-    """Velocity-Flat whose robot's legs are driven by a network."""
+    """Velocity-Flat whose robot's hips and thighs are driven by a network, its knees by motors that warm."""
 
     file: str
 
     def scene(self) -> Scene:
         scene = super().scene()
-        drives = (ActuatorNetwork(joints=(".*",), file=self.file),)
+        knees = DcMotor(
+            joints=(".*_calf_joint",),
+            stiffness=40.0,
+            damping=1.0,
+            saturation_effort=20.0,
+            no_load_speed=20.0,
+            transmission=Transmission(positions=(-2.0, -1.0), ratios=(1.0, 2.0), rotor_inertia=0.001),
+            windings=Windings(motor_constant=2.0, thermal_resistance=2.0, time_constant=0.5),
+        )
+        drives = (ActuatorNetwork(joints=(".*_(hip|thigh)_joint",), file=self.file), knees)
         return replace(scene, robots=(replace(scene.robots[0], actuators=drives),))
 
 
@@ -213,5 +222,8 @@ def test_a_captured_step_is_the_step_that_it_stands_for(tmp_path: Path) -> None:
         torch.testing.assert_close(second[0]["policy"], first[0]["policy"])
     pasts = [env.world.memory()["actuator network 0"] for env in environments]
     torch.testing.assert_close(pasts[1], pasts[0])
+    heat = [env.world.robots["robot"].motor_temperatures for env in environments]
+    torch.testing.assert_close(heat[1], heat[0])
+    assert (heat[0] > 25.0).any(1).all()
     for env in environments:
         env.close()
