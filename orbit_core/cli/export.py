@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -18,12 +19,15 @@ from orbit_core.cli.output import console
 from orbit_core.cli.parsing import parse_words
 from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.files import storage_faults
-from orbit_core.interfaces.errors import OrbitError
+from orbit_core.interfaces.errors import ConfigurationError, OrbitError
 from orbit_core.pretrained import policy_fields, policy_path
 
 if TYPE_CHECKING:
     from orbit_core.data.manifest import Manifest
     from orbit_core.learning.policy import Policy
+
+_OF_A_TRAINING = ("robot", "action", "fields", "set", "settings", "setting")
+"""Settings of a training that make its environment's numbers, beside what the policy itself tells."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,16 +39,26 @@ class ExportSettings:
     ('orbit list policies')."""
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("out/policy")
     """Takes policy.safetensors, policy.onnx and policy.json."""
+    amend: bool = False
+    """Export nothing: write into the policy's own file the manifest that it lacks, since it is older than manifests."""
 
 
 def main(words: Sequence[str]) -> None:
-    """Write the three files."""
+    """Write the three files, or the manifest into the policy's own."""
     from orbit_core.learning.policy import load_policy
 
     settings = parse_words(ExportSettings, words, "orbit export")
-    policy = load_policy(policy_path(settings.policy))
+    path = policy_path(settings.policy)
+    policy = load_policy(path)
+    if settings.amend:
+        return _amend(policy, path)
     if policy.manifest is None:
-        policy = dataclasses.replace(policy, manifest=_present(policy, settings.policy))
+        try:
+            policy = dataclasses.replace(policy, manifest=_present(policy, path))
+            told = f"the files get that of its environment as it is today, on {policy.description.backend}"
+        except OrbitError as error:
+            told = f"the files have none either: {error}"
+        warnings.warn(f"{path} holds no manifest of where it was learned: {told}", stacklevel=2)
     with storage_faults(settings.output):
         settings.output.mkdir(parents=True, exist_ok=True)
         described = json.dumps(policy.description.document()["policy"], indent=2)
@@ -52,35 +66,72 @@ def main(words: Sequence[str]) -> None:
     policy.save(settings.output / "policy.safetensors")
     policy.export_onnx(settings.output / "policy.onnx")
     console().print(f"policy.safetensors, policy.onnx and policy.json are in {settings.output}", soft_wrap=True)
+    return None
 
 
-def _present(policy: Policy, path: Path) -> Manifest | None:
-    """The manifest of the environment that a policy fits today, for files of before there were manifests."""
+def _amend(policy: Policy, path: Path) -> None:
+    from orbit_core.learning.policy_file import manifest_document, newest_file
+    from orbit_core.tensor_file import read_tensors, write_tensors
+
+    file = newest_file(path, "policy") if path.is_dir() else path
+    assert file is not None, "it was read"
+    if policy.manifest is not None:
+        raise ConfigurationError(f"{file} holds a manifest already: '--amend' is for files that have none")
+    if policy.network is None:
+        raise ConfigurationError(f"'--amend' writes into safetensors files alone, not into {file}")
+    document, tensors = read_tensors(file)
+    write_tensors(file, {**document, **manifest_document(_present(policy, path))}, tensors)
+    console().print(f"{file} holds the manifest of its environment as it is today", soft_wrap=True)
+
+
+def _present(policy: Policy, path: Path) -> Manifest:
+    """The manifest of the environment that a policy fits today, for files of before there were manifests. What
+    the training's record beside the file tells, it tells too.
+
+    Raises:
+        OrbitError: there is no such environment here.
+    """
     from orbit_core.data.compare import renamed_group
     from orbit_core.data.manifest import Manifest
 
-    learned = policy.description
+    learned, training = policy.description, _training(path)
     installed = learned.backend in backend_names()
+    told = {key: value for key in _OF_A_TRAINING if (value := training.get("settings", {}).get(key)) and installed}
     made = EnvironmentSettings(
-        task=learned.task,
-        robot=learned.robot,
-        action=learned.action,
-        backend=learned.backend if installed else None,
-        fields=policy_fields(path),
+        **{
+            **told,
+            "task": learned.task,
+            "robot": learned.robot,
+            "action": learned.action,
+            "backend": learned.backend if installed else None,
+            "fields": {**told.get("fields", {}), **policy_fields(path)},
+        }
     )
+    environment = make_environment(made, 1)
     try:
-        environment = make_environment(made, 1)
-        try:
-            group = policy.fit(environment)
-            manifest = renamed_group(Manifest.of(environment, learned.task, made.seed), group, learned.group)
-        finally:
-            environment.close()
-    except OrbitError as error:
-        warnings.warn(f"the files hold no manifest: that of {path} has none, and {error}", stacklevel=2)
-        return None
-    warnings.warn(
-        f"{path} holds no manifest of where it was learned: the files get that of its environment as it is today, on "
-        f"{manifest.backend}",
-        stacklevel=2,
-    )
-    return manifest
+        group = policy.fit(environment)
+        manifest = renamed_group(Manifest.of(environment, learned.task, made.seed), group, learned.group)
+    finally:
+        environment.close()
+    known = {key: training["settings"][key] for key in ("seed", "num_envs", "device") if training}
+    known |= {"versions": training["versions"]} if training else {}
+    of = f"; {', '.join(known)} and settings are those that its training recorded" if known else ""
+    on = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    later = f"on {on}, of the environment that the policy fitted on that day{of}"
+    return Manifest.decode(dataclasses.replace(manifest, **known, made_later=later).encode(), f"training of {path}")
+
+
+def _training(path: Path) -> Mapping[str, Any]:
+    """What the file beside a policy tells of its training, empty without one."""
+    from orbit_core.learning.training import RECORD
+
+    file = (path if path.is_dir() else path.parent) / RECORD
+    if not file.exists():
+        return {}
+    try:
+        values = json.loads(file.read_bytes())
+        if {"seed", "num_envs", "device"} <= values["settings"].keys() and isinstance(values["versions"], dict):
+            return values
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        pass
+    raise ConfigurationError(f"{file} tells of no training")

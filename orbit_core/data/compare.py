@@ -11,6 +11,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from orbit_core.data.manifest import Manifest
+from orbit_core.data.plain import ROUNDED
 from orbit_core.interfaces import ConfigurationError
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def _differences(old: Any, new: Any, path: str) -> Iterator[Difference]:
     """All differences below a path. Lists are one thing, and so are the order of terms and what only one side has."""
     if not (isinstance(old, dict) and isinstance(new, dict)):
         if not _same(old, new):
-            yield Difference(_kind(path), path, old, new)
+            yield Difference(_kind(path) if _comparable(path, old, new) else Kind.NOTE, path, old, new)
         return
     ordered = path == "action_terms" or path.endswith(".terms")
     if ordered and old.keys() == new.keys() and [*old] != [*new]:
@@ -128,6 +129,12 @@ def _same(old: Any, new: Any) -> bool:
     if isinstance(old, float) and isinstance(new, int | float):
         return math.isclose(old, new, rel_tol=_CLOSE, abs_tol=_CLOSE)
     return old == new
+
+
+def _comparable(path: str, old: Any, new: Any) -> bool:
+    """Not digests of assets of which one is of every bit, as they were before: nothing tells whether these agree."""
+    digests = path.startswith("assets.") and isinstance(old, str) and isinstance(new, str)
+    return not digests or old.startswith(ROUNDED) == new.startswith(ROUNDED)
 
 
 def _kind(path: str) -> Kind:

@@ -132,6 +132,8 @@ class Manifest:
     """Digests of everything that is simulated, by its name in the scene: links, masses, shapes, joints, meshes."""
     input_device: str = ""
     """What a person moved, where one acted."""
+    made_later: str = ""
+    """When and of what it was made, where that was not when it says: of what was made before there were manifests."""
     format: int = field(default=FORMAT)
 
     @staticmethod

@@ -8,7 +8,7 @@ import hashlib
 import inspect
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -20,45 +20,75 @@ _LISTED = 64
 """Most numbers of an array that are written out; of more, the digest stands."""
 _DIGITS = 16
 """Hexadecimal digits of a digest, 64 bits of SHA-256."""
+ROUNDED = "~"
+"""What a digest begins with whose numbers are rounded; those of before were of every bit."""
+_KEPT = 9
+"""Significant digits of numbers in a digest: processors and versions of Python differ in the last bits."""
+_NOTHING = 1e-12
+"""What is smaller is zero in a digest: what remains where numbers cancel."""
 
 
-def as_plain(value: Any) -> Any:
+def as_plain(value: Any, rounded: bool = False) -> Any:
     """A value as JSON can hold it, the same on every machine and in every process.
 
     A dataclass becomes an object of its fields, with its ``type``; a function its module and name, with the values that
     it has bound. What is none of these is told by its type alone.
+
+    Args:
+        value: of any type.
+        rounded: to nine significant digits, of an array's largest number where it is one.
     """
+    plain = functools.partial(as_plain, rounded=rounded)
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float | np.generic):
-        return _number(value)
+        return _number(value, rounded)
     if isinstance(value, Enum):
-        return as_plain(value.value)
+        return plain(value.value)
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, Tensor | np.ndarray):
-        return _array(value.detach().cpu().numpy() if isinstance(value, Tensor) else value)
+        array = value.detach().cpu().numpy() if isinstance(value, Tensor) else value
+        return _array(_rounded(array) if rounded and array.dtype.kind == "f" else array)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        own = {field.name: as_plain(getattr(value, field.name)) for field in dataclasses.fields(value) if field.init}
+        own = {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value) if field.init}
         return {"type": _name(type(value)), **own}
     if isinstance(value, Mapping):
-        return {str(key): as_plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, set | frozenset):
-        return sorted((as_plain(item) for item in value), key=str)
+        return sorted((plain(item) for item in value), key=str)
     if isinstance(value, list | tuple):
-        return [as_plain(item) for item in value]
-    return _function(value) if callable(value) else {"type": _name(type(value))}
+        return [plain(item) for item in value]
+    return _function(value, plain) if callable(value) else {"type": _name(type(value))}
 
 
 def digest(value: Any) -> str:
-    """16 hexadecimal digits that differ where plain data differs in anything, the numbers of arrays included."""
-    text = json.dumps(as_plain(value), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
+    """``~`` and 16 hexadecimal digits that differ where plain data differs in anything, the numbers of arrays included,
+    but for what is beyond nine significant digits: the same computation on another machine gives the same.
+    """
+    text = json.dumps(as_plain(value, rounded=True), sort_keys=True)
+    return ROUNDED + hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
 
 
-def _number(value: Any) -> Any:
+def _number(value: Any, rounded: bool) -> Any:
     number = value.item() if isinstance(value, np.generic) else value
-    return number if not isinstance(number, float) or math.isfinite(number) else str(number)
+    if not isinstance(number, float):
+        return number
+    if not math.isfinite(number):
+        return str(number)
+    if rounded:
+        return 0.0 if abs(number) < _NOTHING else float(f"{number:.{_KEPT}g}")
+    return number
+
+
+def _rounded(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Multiples of one power of ten, to as many digits as the largest number keeps."""
+    values = np.asarray(array, np.float64)
+    largest = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+    if largest < _NOTHING:
+        return np.where(np.isfinite(values), 0.0, values)
+    places = _KEPT - 1 - math.floor(math.log10(largest * (1.0 + 10.0**-_KEPT)))  # the same just below a power of ten
+    return np.round(values, places) + 0.0  # and no zero with a sign
 
 
 def _array(array: np.ndarray[Any, Any]) -> Any:
@@ -68,12 +98,12 @@ def _array(array: np.ndarray[Any, Any]) -> Any:
     return {"shape": list(array.shape), "dtype": str(array.dtype), "digest": content}
 
 
-def _function(value: Any) -> Any:
+def _function(value: Any, plain: Callable[[Any], Any]) -> Any:
     if isinstance(value, functools.partial):
-        return {"function": as_plain(value.func), "bound": as_plain([value.args, value.keywords])}
+        return {"function": plain(value.func), "bound": plain([value.args, value.keywords])}
     value = inspect.unwrap(value)  # a cache around a function is not what it computes
     bound = inspect.getclosurevars(value).nonlocals if inspect.isfunction(value) else {}
-    return {"function": _name(value), "bound": as_plain(bound)} if bound else _name(value)
+    return {"function": _name(value), "bound": plain(bound)} if bound else _name(value)
 
 
 def _name(value: Any) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import onnx
 import pytest
 import torch
@@ -23,7 +24,7 @@ from orbit_core.envs.terms import unit_of
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.networks import perceptron, perceptron_actor
 from orbit_core.learning.policy import Policy, PolicyActor, PolicyDescription, load_policy
-from orbit_core.pretrained import policy_path
+from orbit_core.pretrained import policy_path, pretrained_policies
 
 BACKEND = default_backend()
 OTHER = next(name for name in backend_names() if name != BACKEND)
@@ -101,7 +102,7 @@ def test_other_actions_are_refused_and_named(manifest: Manifest) -> None:
 
 def test_other_gains_and_physics_warn_and_other_rewards_are_noted(manifest: Manifest) -> None:
     robot = replace(manifest.robots["robot"], damping=(1.0,) * 9)
-    changed = replace(manifest, robots={"robot": robot}, decimation=8, assets={**manifest.assets, "cube": "0"})
+    changed = replace(manifest, robots={"robot": robot}, decimation=8, assets={**manifest.assets, "cube": "~0"})
     kinds = {difference.path: difference.kind for difference in differences(manifest, changed)}
     assert kinds == dict.fromkeys(("robots.robot.damping", "decimation", "assets.cube"), Kind.WARNING)
     group = replace(
@@ -120,6 +121,20 @@ def test_a_digest_tells_apart_what_numbers_functions_and_constants_differ_in() -
     assert len({digest(value) for value in values}) == len(values)
     assert digest(torch.zeros(100)) == digest(torch.zeros(100))
     json.dumps(as_plain(values), allow_nan=False)
+
+
+def test_a_digest_is_the_same_where_a_machine_rounds_otherwise() -> None:
+    exact = [np.linspace(-1.0, 1.0, 99), np.diag([0.5, 0.1, 2e-7]), (1.0, 0.0, 0.0), 0.1]
+    nudged = [exact[0] * (1 + 2e-16) - 1e-17, exact[1] - 1e-19, (1.0 - 1e-16, -0.0, 1e-17), 0.1 + 2e-17]
+    assert [digest(value) for value in exact] == [digest(value) for value in nudged]
+    assert digest(np.diag([0.5, 0.1, 2e-7])) != digest(np.diag([0.5, 0.1, 3e-7]))
+    assert digest(0.1) != digest(0.1000001)
+
+
+def test_a_digest_of_before_they_were_rounded_is_noted_and_no_warning(manifest: Manifest) -> None:
+    old, other = (replace(manifest, assets={**manifest.assets, "cube": d}) for d in ("0123456789abcdef", "~0123"))
+    assert [difference.kind for difference in differences(old, manifest)] == [Kind.NOTE]
+    assert [difference.kind for difference in differences(other, manifest)] == [Kind.WARNING]
 
 
 def untrained(environment: Environment, manifest: Manifest) -> Policy:
@@ -164,16 +179,35 @@ def test_every_task_says_the_unit_of_each_term() -> None:
             assert not unnamed, f"{name}'s group {group_name} has terms of no unit: {unnamed}"
 
 
-def test_a_policy_of_before_there_were_manifests_is_exported_with_todays(
+def test_a_policy_of_before_there_were_manifests_gets_todays(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    policy = load_policy(policy_path("reach"))
-    assert policy.manifest is None
-    old = tmp_path / "policy_1.safetensors"
-    replace(policy, description=replace(policy.description, backend="one of before")).save(old)
+    policy, old = load_policy(policy_path("reach")), tmp_path / "policy_1.safetensors"
+    before = replace(policy, manifest=None, description=replace(policy.description, backend="one of before"))
+    before.save(old)
     assert main(["export", str(old), "--output", str(tmp_path / "out")]) == 0
     assert "holds no manifest" in capsys.readouterr().err
     for name in ("policy.safetensors", "policy.onnx"):
         manifest = load_policy(tmp_path / "out" / name).manifest
         assert manifest is not None
-        assert manifest.task == "Reach"
+        assert (manifest.task, manifest.num_envs) == ("Reach", 1)
+
+    record = {"settings": {"seed": 3, "num_envs": 99, "device": "cuda"}, "versions": {"torch": "1.0"}}
+    (tmp_path / "training.json").write_text(json.dumps(record))
+    assert main(["export", str(old), "--amend"]) == 0
+    amended = load_policy(old)
+    assert amended.description == before.description
+    assert amended.manifest is not None
+    assert (amended.manifest.seed, amended.manifest.num_envs, amended.manifest.versions) == (3, 99, {"torch": "1.0"})
+    assert "of the environment that the policy fitted" in amended.manifest.made_later
+    assert main(["export", str(old), "--amend"]) == 2
+    assert "holds a manifest already" in capsys.readouterr().err
+
+
+def test_every_kept_policy_has_a_manifest_that_says_whether_it_was_made_later() -> None:
+    manifests = {name: load_policy(kept.folder).manifest for name, kept in pretrained_policies().items()}
+    later = {name for name, manifest in manifests.items() if manifest is not None and manifest.made_later}
+    assert None not in manifests.values()
+    assert later == {
+        "cabinet", "cloth_lifting", "lift", "lift_pixels", "reach", "reach_pixels", "velocity_flat",
+    }  # fmt: skip
