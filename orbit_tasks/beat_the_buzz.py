@@ -286,4 +286,4 @@ class BeatTheBuzz(Task):
         return {"covered_m": self.covered - self.penalty * self.touches, "touches": self.touches}
 
     def expert(self, world: World) -> Expert:
-        return Expert(world, self, (Phase(ahead),), position_lead=0.05)
+        return Expert(world, self, (Phase(ahead),), position_lead=0.05, straight=True)

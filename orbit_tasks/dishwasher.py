@@ -37,6 +37,11 @@ BEHIND, DEEP = 0.03, 0.015
 """Metres by which the hand's middle stands behind a bar that it pulls, and below its middle."""
 LET_GO = 0.8
 """rad at which the hand lets go of the door: its weight opens it further."""
+STATIONS = (
+    (-0.27, 0.49), (-0.16, 0.47), (-0.16, 0.395), (-0.28, 0.38), (-0.38, 0.31),
+    (-0.12, 0.45), (-0.12, 0.325), (-0.32, 0.325),
+)  # fmt: skip
+"""Metres forward and up in the dishwasher's frame: where the hand comes to, to within the phases' tolerances."""
 
 
 @once_per_state
@@ -116,20 +121,14 @@ def sample_goal(world: World, task: Dishwasher, env_ids: Tensor) -> None:
     world.markers["goal"].set_pose(torch.cat((bar[:, :3] - out, bar[:, 3:]), dim=1), env_ids)
 
 
-def hook(bar: str, height: float = -DEEP) -> TermFunction:
+def hook(bar: str, height: float = -DEEP, behind: float = BEHIND) -> TermFunction:
     """(N, 7) the hand behind a bar, ``height`` metres above it."""
 
     def pose(world: World, task: Dishwasher) -> Tensor:
-        position = world.objects[THING].frame_pose(bar)[:, :3] + BEHIND * inward(world, task)
+        position = world.objects[THING].frame_pose(bar)[:, :3] + behind * inward(world, task)
         return _down(world, task, position, height)
 
     return pose
-
-
-def before_door(world: World, task: Dishwasher) -> Tensor:
-    """(N, 7) the hand before the door's bar, and high enough to go over it."""
-    position = world.objects[THING].frame_pose(DOOR_BAR)[:, :3] - 0.08 * inward(world, task)
-    return _down(world, task, position, 0.12)
 
 
 def pull_door(world: World, task: Dishwasher) -> Tensor:
@@ -141,11 +140,6 @@ def pull_door(world: World, task: Dishwasher) -> Tensor:
     # The bar lies 9 mm behind the plane of the hinge.
     bar = hinge + (0.009 * angle.cos() - REACH * angle.sin()) * into + (REACH * angle.cos() + 0.009 * angle.sin()) * up
     return _down(world, task, bar + 0.5 * BEHIND * into, -DEEP)
-
-
-def clear(world: World, task: Dishwasher) -> Tensor:
-    """(N, 7) the hand high above the rack's bar."""
-    return hook(RACK_BAR, 0.14)(world, task)
 
 
 def pull_rack(world: World, task: Dishwasher) -> Tensor:
@@ -255,6 +249,8 @@ class Dishwasher(Task):
         box = robot.end_effector.workspace.placed(robot.pose)
         # The door's bar as far as the hand reaches: it comes nearer by its height, and the rack's by a hand's breadth.
         pose = Pose((box.high[0] - 0.03 - FRONT, 0.5 * (box.low[1] + box.high[1]), 0.0))
+        stations = common.pointing_down(torch.tensor([(forward, 0.0, up) for forward, up in STATIONS]))
+        pose = held.furthest(robot, stations, pose)
         # From home some arms would push the door.
         start = torch.tensor([[pose.position[0] + FRONT - 0.12, pose.position[1], HINGE + REACH + 0.08]])
         return Scene(
@@ -289,11 +285,11 @@ class Dishwasher(Task):
     def expert(self, world: World) -> Expert:
         closing = common.closing_time(world)
         phases = (
-            Phase(before_door, False, position_tolerance=0.05, dwell=closing, timeout=closing + 1.0),
+            Phase(hook(DOOR_BAR, 0.12, -0.08), False, position_tolerance=0.05, dwell=closing, timeout=closing + 1.0),
             Phase(hook(DOOR_BAR, 0.08), False, position_tolerance=0.02, timeout=2.0),
             Phase(hook(DOOR_BAR), False, position_tolerance=0.008, timeout=1.5),
             Phase(pull_door, False, position_tolerance=0.03, rotation_tolerance=math.inf, timeout=3.0),
-            Phase(clear, False, position_tolerance=0.03, dwell=0.8, timeout=2.0),
+            Phase(hook(RACK_BAR, 0.14), False, position_tolerance=0.03, dwell=0.8, timeout=2.0),
             Phase(hook(RACK_BAR), False, position_tolerance=0.008, timeout=1.5),
             Phase(pull_rack, False),
         )

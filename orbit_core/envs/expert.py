@@ -10,18 +10,13 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.kinematics import KinematicTree
-from orbit_core.dynamics.transforms import (
-    pose_error,
-    pose_inverse,
-    pose_multiply,
-    quat_from_rotation_vector,
-    quat_multiply,
-)
+from orbit_core.dynamics.transforms import pose_error, pose_inverse, pose_multiply
 from orbit_core.envs.expert_base import DrivenBase
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import TermFunction
 from orbit_core.interfaces import ConfigurationError, Node, Port
 from orbit_core.motion.full_ik import FullIk
+from orbit_core.motion.pose_command import displaced
 
 if TYPE_CHECKING:
     from orbit_core.interfaces import Robot, World
@@ -87,12 +82,15 @@ class Expert(Node):
 
     Bases drive around what stands on the floor where a ``planner`` says how, else straight.
 
+    A joint that is too slow for that lead turns the hand off its straight way; with ``straight`` all wait for it.
+
     Drives whose arm's weight nothing cancels hold it only by what they lack to their targets. With a ``sag_rate`` (1/s)
     what the hand lacks near its target is summed up at that rate, and asked for on top.
 
     Raises:
         ConfigurationError: an agent has no phases, or another number than the others; a phase is to be retried that
-            never ends, or from before the first; or a base is to drive that takes no velocities over the floor.
+            never ends, or from before the first; a base is to drive that takes no velocities over the floor; or only
+            the hand of a robot on legs is led.
     """
 
     def __init__(
@@ -104,6 +102,7 @@ class Expert(Node):
         rotation_lead: float = 0.5,
         planner: BasePlannerConfig | None = None,
         sag_rate: float = 0.0,
+        straight: bool = False,
     ) -> None:
         self.name = "policy"
         self.outputs = (Port("action", (sum(generator.command_size for generator in task.generators),)),)
@@ -125,7 +124,7 @@ class Expert(Node):
                     "one never ends, and none comes before the first"
                 )
         lead = torch.tensor([position_lead, rotation_lead], device=world.device)
-        self._arms = [_Arm(agent, by_agent[agent], lead, world, task, planner) for agent in task.agents]
+        self._arms = [_Arm(agent, by_agent[agent], lead, world, task, planner, straight) for agent in task.agents]
         self._sag_share = sag_rate * self._dt
         self.phase = torch.zeros(world.num_envs, dtype=torch.int64, device=world.device)
         self._elapsed = torch.zeros(world.num_envs, device=world.device)
@@ -181,9 +180,11 @@ class _Arm:
         world: World,
         task: Task,
         planner: BasePlannerConfig | None = None,
+        straight: bool = False,
     ) -> None:
         self._world = world
         self._task = task
+        self._straight = straight
         self._phases = tuple(phases)
         self._lead = lead
         self._robot = world.robots[agent]
@@ -201,6 +202,11 @@ class _Arm:
         drives = any(phase.base is not None for phase in phases)
         self._route = _Route(self._robot, self._generators) if drives or any(phase.free for phase in phases) else None
         self.base = DrivenBase(self._robot, self._generators, world, task, planner) if drives else None
+        if self._robot.spec.feet and not drives:
+            raise ConfigurationError(
+                f"the expert of {type(task).__name__} moves the hand of robot '{self._robot.spec.articulation.name}' "
+                "alone, and nothing balances its legs: choose an arm, or a task whose expert walks, such as Mobile-Reach"
+            )
         self.sag = torch.zeros(world.num_envs, 6, device=world.device)
         """(N, 6) m and rad asked for on top."""
 
@@ -226,9 +232,11 @@ class _Arm:
             self.sag += sag_share * error * (distances < self._lead).all(1, keepdim=True)
             self.sag.copy_((self.sag.view(-1, 2, 3).clamp(-most, most)).view(-1, 6))
             step = step + self.sag.view(-1, 2, 3)
-        turned = quat_multiply(quat_from_rotation_vector(step[:, 1]), hand[:, 3:])
-        waypoint = torch.cat((hand[:, :3] + step[:, 0], turned), dim=1)
+        waypoint = displaced(hand, step.view(-1, 6))
         opened = self._open[phase]
+        if self._straight:
+            share = torch.stack([generator.share(waypoint) for generator in self._generators]).amin(0)
+            waypoint = displaced(hand, share * step.view(-1, 6))
         commands = [generator.encode(waypoint, opened) for generator in self._generators]
         if self._route is not None:
             free, drives = self._free[phase], self._drives[phase]

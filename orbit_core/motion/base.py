@@ -79,6 +79,11 @@ class MotionGenerator(Node):
         """
         return self.encode(pose, gripper_open)
 
+    def share(self, pose: Tensor) -> Tensor:
+        """(N, 1) in (0, 1]: of the way to a pose (N, 7), in each environment's frame, how much one command may ask for
+        without turning aside from it. Where a command is a pose, all of it."""
+        return torch.ones(self.num_envs, 1, device=self.device)
+
     @property
     def position_range(self) -> Tensor:
         """(k, 2) rad or m: lowest and highest position of each joint that a command may ask for."""

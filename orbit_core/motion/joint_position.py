@@ -69,6 +69,13 @@ class JointPosition(MotionGenerator):
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return self.encode_positions(self.positions + towards_pose(self.robot, self.joints, pose))
 
+    def share(self, pose: Tensor) -> Tensor:
+        """As much as the slowest joint's lead lets it go of one damped least-squares step."""
+        if self._lead is None:
+            return super().share(pose)
+        step = towards_pose(self.robot, self.joints, pose).abs()
+        return (self._lead / step.clamp_min(1e-9)).amin(1, keepdim=True).clamp(max=1.0)
+
     @property
     def position_range(self) -> Tensor:
         if self.config.mode is not CommandMode.ABSOLUTE:

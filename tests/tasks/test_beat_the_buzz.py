@@ -14,9 +14,12 @@ from orbit_tasks import beat_the_buzz
 from tests.tasks.experts import episode
 
 
-@pytest.mark.parametrize(("backend", "rod"), [("mujoco", "easy"), ("mujoco", "hard"), ("bullet", "easy")])
-def test_the_expert_covers_the_rod_without_a_touch(backend: str, rod: str) -> None:
-    environment, success = episode("Beat-The-Buzz", backend, 2, rod=rod, episode_length=5.0)
+@pytest.mark.parametrize(
+    ("backend", "rod", "robot"),
+    [("mujoco", "easy", "jaco2"), ("mujoco", "hard", "franka_panda"), ("bullet", "easy", "franka_panda")],
+)
+def test_the_expert_covers_the_rod_without_a_touch(backend: str, rod: str, robot: str) -> None:
+    environment, success = episode("Beat-The-Buzz", backend, 2, rod=rod, robot=robot, episode_length=5.0)
     task = environment.task
     length = (len(task.rings) - 1) * task.spacing
     covered = task.metrics(environment.world)["covered_m"]

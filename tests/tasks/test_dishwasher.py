@@ -15,9 +15,9 @@ from orbit_tasks.dishwasher import THING
 from tests.tasks.experts import episode
 
 
-@pytest.mark.parametrize("backend", ["mujoco", "sapien"])
-def test_the_expert_opens_the_door_and_pulls_the_rack(backend: str) -> None:
-    environment, success = episode("Dishwasher", backend, 2, episode_length=8.0)
+@pytest.mark.parametrize(("backend", "robot"), [("mujoco", "jaco2"), ("sapien", "franka_panda")])
+def test_the_expert_opens_the_door_and_pulls_the_rack(backend: str, robot: str) -> None:
+    environment, success = episode("Dishwasher", backend, 2, robot=robot, episode_length=8.0)
     end = environment.metrics()
     environment.close()
     assert success.all()
