@@ -202,10 +202,10 @@ class _Arm:
         drives = any(phase.base is not None for phase in phases)
         self._route = _Route(self._robot, self._generators) if drives or any(phase.free for phase in phases) else None
         self.base = DrivenBase(self._robot, self._generators, world, task, planner) if drives else None
-        if self._robot.spec.feet and not drives:
+        if self._robot.spec.feet and not self._robot.spec.fixed_base and not drives:
             raise ConfigurationError(
                 f"the expert of {type(task).__name__} moves the hand of robot '{self._robot.spec.articulation.name}' "
-                "alone, and nothing balances its legs: choose an arm, or a task whose expert walks, such as Mobile-Reach"
+                "alone, and nothing balances its legs: choose an arm, or a task whose expert walks, like Mobile-Reach"
             )
         self.sag = torch.zeros(world.num_envs, 6, device=world.device)
         """(N, 6) m and rad asked for on top."""
