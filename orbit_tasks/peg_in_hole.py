@@ -49,8 +49,13 @@ COLORS: Sequence[Color] = (
 SMOOTH = PhysicsMaterial(static_friction=0.3, dynamic_friction=0.3)
 SPACING = 0.11
 """Metres between blocks that wait on the table."""
-GENTLE = 0.002
-"""Metres below itself to which a block is led while it lies on its hole's rim."""
+GENTLE = 0.0015
+"""Metres below itself to which a block is led while it is near its hole's rim: a stronger push turns it in the hand."""
+HASTE = 6.0
+"""How many times what a block lacks sideways is asked for above its hole, for drives are slow to take away the last
+tenths of a millimetre, and a push on the rim moves an arm aside."""
+IN = 0.0005
+"""Metres below the rim from which on a block is in its hole, whose walls lead it."""
 ARM = 0.03
 """Metres by which an error in rotation counts as one in position: a radian moves a block's rim about so far."""
 
@@ -205,25 +210,24 @@ def raised(world: World, task: PegInHole, index: int) -> Tensor:
     return hand
 
 
-def carried(world: World, task: PegInHole, index: int, height: float, push: float = 1.0, search: float = 0.0) -> Tensor:
+def carried(world: World, task: PegInHole, index: int, height: float, push: float = 1.0, haste: float = 1.0) -> Tensor:
     """(N, 7) the hand where the block comes to stand ``height`` (m) above its place, as it sits in the hand now.
 
-    The hand goes down by at most ``push`` (m) from where it is, and by :data:`GENTLE` while the block is on the rim of
-    its hole: a stronger push turns it in the hand until it jams. With ``search`` the block's place goes round in a
-    spiral that reaches so far (m), once in four seconds.
+    The hand goes down by at most ``push`` (m) from where it is, and by :data:`GENTLE` near the rim. Until the block is
+    in its hole, what it lacks sideways is asked for ``haste`` times.
     """
     held, hand = block_poses(world, task)[:, index], common.hand_pose(world, task)
     hand_yaw = 2.0 * torch.atan2(hand[:, 5], hand[:, 4])
     wanted = yaw(held[:, 3:]) - hand_yaw
     seat = turned_seats(world, task, wanted[:, None].expand(-1, len(task.blocks)))[:, index]
-    time = task.episode_step * (task.physics_dt * task.decimation)
-    radius, angle = search * torch.remainder(0.25 * time, 1.0), 2.0 * math.pi * time
     above = held[:, 2] - seat[:, 2]
     on_rim = (above - BOARD_HEIGHT).abs() < 0.003
     up = (above - torch.where(on_rim, min(push, GENTLE), push)).clamp_min(height)
-    offset = torch.stack((radius * angle.cos(), radius * angle.sin(), up), dim=1)
-    target = torch.cat((seat[:, :3] + offset, seat[:, 3:]), dim=1)
-    return pose_multiply(target, pose_multiply(pose_inverse(held), hand))
+    target = torch.cat((seat[:, :2], (seat[:, 2] + up)[:, None], seat[:, 3:]), dim=1)
+    pose = pose_multiply(target, pose_multiply(pose_inverse(held), hand))
+    more = torch.where(above > BOARD_HEIGHT - IN, haste - 1.0, 0.0)[:, None]
+    pose[:, :2] += more * (pose[:, :2] - hand[:, :2])
+    return pose
 
 
 @dataclass
@@ -365,11 +369,11 @@ def _found(world: World, task: PegInHole, index: int) -> Tensor:
 
 
 def _insertion(index: int, closing: float) -> tuple[Phase, ...]:
-    """Grasp a block, bring it above its hole, find the hole by touch, push the block in and leave it there."""
+    """Grasp a block, bring it above its hole, lower it until it is in, else lift it and do so again; push it down."""
     at, over = partial(grasp, index=index), partial(grasp, index=index, height=0.1)
     above = partial(carried, index=index, height=BOARD_HEIGHT + 0.02)
-    close = partial(carried, index=index, height=BOARD_HEIGHT + 0.003, push=0.02)
-    search = partial(carried, index=index, height=BOARD_HEIGHT - 0.006, push=0.002, search=0.001)
+    close = partial(carried, index=index, height=BOARD_HEIGHT + 0.002, push=0.02, haste=HASTE)
+    lower = partial(carried, index=index, height=BOARD_HEIGHT - 0.006, push=0.002, haste=HASTE)
     down = partial(carried, index=index, height=-0.003, push=0.006)
     reaches_in = partial(_found, index=index)
     again = Retry(3, unless=lambda world, task: inserted(world, task)[:, index] > 0.0, most=1)
@@ -379,8 +383,8 @@ def _insertion(index: int, closing: float) -> tuple[Phase, ...]:
         Phase(at, gripper_open=False, dwell=closing, timeout=closing + 0.1),
         Phase(partial(raised, index=index), gripper_open=False, position_tolerance=0.03, timeout=1.5),
         Phase(above, gripper_open=False, position_tolerance=0.004, rotation_tolerance=0.03, timeout=2.0),
-        Phase(close, gripper_open=False, position_tolerance=0.0003, rotation_tolerance=0.005, timeout=1.2),
-        Phase(search, False, position_tolerance=0.0015, timeout=4.0, retry=Retry(2, unless=reaches_in, most=2)),
+        Phase(close, gripper_open=False, position_tolerance=0.001, rotation_tolerance=0.005, timeout=1.5),
+        Phase(lower, False, position_tolerance=0.0015, timeout=1.5, retry=Retry(2, unless=reaches_in, most=5)),
         Phase(down, gripper_open=False, position_tolerance=0.004, timeout=2.0, retry=again),
         Phase(partial(grasp, index=index), dwell=closing, timeout=closing + 0.1),
         Phase(over, position_tolerance=0.04, timeout=1.0),

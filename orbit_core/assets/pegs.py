@@ -42,6 +42,8 @@ BOARD_HEIGHT = 0.03
 """Metres of the board's thickness, through which its holes go."""
 TILE = 0.09
 """Metres, the edge of the square of board around each hole."""
+FIT = 0.001
+"""Metres from which engines may make contacts between block and board."""
 _LEAST_RIM = 0.01
 """Metres of board that a hole leaves at its tile's edge."""
 _ROUND_SIDES = 24
@@ -113,7 +115,7 @@ def block(name: str, kind: str, *, color: Color, material: PhysicsMaterial | Non
     else:
         parts = [prism(piece, BODY_HEIGHT) for piece in _inside(own.outline)]
     parts.append((Box((0.5 * KNOB, 0.5 * KNOB, 0.5 * KNOB)), Pose((0.0, 0.0, GRIP_HEIGHT))))
-    shapes = tuple(Shape(geometry, pose, surface, color) for geometry, pose in parts)
+    shapes = tuple(Shape(geometry, pose, surface, color, contact_distance=FIT) for geometry, pose in parts)
     articulation = Articulation(name, (solid_link(name, shapes, DENSITY),))
     return ObjectSpec(name=name, articulation=articulation, semantic_label="block")
 
@@ -145,7 +147,7 @@ def board(
         frames.append(Frame(f"hole_{index}", name, place))
         for piece in _outside(_hole(kind, clearance)):
             geometry, pose = prism(piece, BOARD_HEIGHT)
-            shapes.append(Shape(geometry, place @ pose, surface, color))
+            shapes.append(Shape(geometry, place @ pose, surface, color, contact_distance=FIT))
     articulation = Articulation(name, (solid_link(name, shapes, DENSITY),), frames=tuple(frames))
     return ObjectSpec(name=name, articulation=articulation, fixed_base=True, semantic_label="board")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -95,10 +96,22 @@ Geometry = Box | Sphere | Capsule | Cylinder | Plane | Mesh | HeightField
 
 @dataclass(frozen=True)
 class Shape:
-    """A geometry placed in its link's frame. ``material`` matters where it collides, ``color`` where it is drawn."""
+    """A geometry placed in its link's frame. ``material`` matters where it collides, ``color`` where it is drawn.
+
+    ``contact_distance`` is for tight fits: the distance (m) from which an engine that makes contacts ahead of touch may
+    make them between this shape and another, half of it from each. Made from further away they stop a block at the rim
+    of a hole that it fits into. None leaves it to the engine.
+    """
 
     geometry: Geometry
     pose: Pose = field(default_factory=Pose)
     material: PhysicsMaterial = field(default_factory=PhysicsMaterial)
     color: Color = (0.7, 0.7, 0.7, 1.0)
     name: str = ""
+    contact_distance: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.contact_distance is not None and not 0.0 < self.contact_distance < math.inf:
+            raise ValueError(
+                f"shape '{self.name}': contact_distance must be metres above zero, not {self.contact_distance}"
+            )

@@ -38,9 +38,9 @@ def test_a_board_leaves_out_just_the_hole(kind: str, clearance: float) -> None:
     assert 0.0 < hole - own - rim < 20.0 * clearance**2
 
 
-@pytest.mark.parametrize(("backend", "num_envs"), [("mujoco", 4), ("sapien", 2)])
-def test_the_expert_puts_a_block_into_its_hole(backend: str, num_envs: int) -> None:
-    environment, success = episode("Peg-In-Hole", backend, num_envs, episode_length=10.0)
+@pytest.mark.parametrize(("backend", "num_envs", "clearance"), [("mujoco", 4, 0.002), ("sapien", 2, 0.0005)])
+def test_the_expert_puts_a_block_into_its_hole(backend: str, num_envs: int, clearance: float) -> None:
+    environment, success = episode("Peg-In-Hole", backend, num_envs, episode_length=10.0, clearance=clearance)
     depths = environment.world.objects["block_0"].root_pose[:, 2]
     environment.close()
     assert success.all()
@@ -78,6 +78,8 @@ def test_a_peg_as_wide_as_its_hole_is_refused() -> None:
         make("Peg-In-Hole", 1, "mujoco", clearance=-0.001)
     with pytest.raises(AssetError, match="breaks through its tile"):
         make("Peg-In-Hole", 1, "mujoco", clearance=0.05)
+    with pytest.raises(ValueError, match="shape 'rim': contact_distance must be metres above zero, not 0"):
+        Shape(Box((0.1, 0.1, 0.1)), name="rim", contact_distance=0.0)
 
 
 def test_an_unknown_section_is_refused_by_name() -> None:

@@ -59,6 +59,8 @@ def collision_shape(
         )
         raise AssetError(f"PhysX cannot collide {what} ({error}): repair its mesh or replace it") from error
     made.set_local_pose(native_pose(pose))
+    if shape.contact_distance is not None:
+        made.set_contact_offset(min(made.get_contact_offset(), 0.5 * shape.contact_distance))
     return made
 
 
