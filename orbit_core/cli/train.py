@@ -21,6 +21,7 @@ from orbit_core.cli.output import console, new_table, progress_bar
 from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues
 from orbit_core.configuration import assignments, configured
+from orbit_core.envs.registry import task_entry
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def train(settings: TrainSettings) -> Path:
     check_positive("save_every", settings.save_every)
     if settings.output is not None and settings.resume is not None:
         raise ConfigurationError("a training resumes in its own folder: leave --output out")
-    settings, leader = _ranked(settings)
+    settings, leader = _ranked(for_training(settings))
     make_trainer = trainer_type(settings.library)
     if _processes() > 1 and not make_trainer.several_gpus:
         raise ConfigurationError(f"library '{settings.library}' trains on one GPU: for several, use --library rsl-rl")
@@ -111,6 +112,14 @@ def _run(training: Training, iterations: int, settings: TrainSettings) -> Progre
                 console().print(_left(training), soft_wrap=True)
             raise
     return last[0] if last else None
+
+
+def for_training(settings: TrainSettings) -> TrainSettings:
+    """With the fields that the task sets in training, under what the user sets."""
+    if settings.task is None:
+        return settings
+    fields = {**task_entry(settings.task).task_type().training, **settings.fields}
+    return dataclasses.replace(settings, fields=fields)
 
 
 def _ranked(settings: TrainSettings) -> tuple[TrainSettings, bool]:

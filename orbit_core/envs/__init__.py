@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
     from orbit_core.envs.expert import Expert, Phase, Retry
+    from orbit_core.envs.expert_starts import ExpertStarts
     from orbit_core.envs.making import make
     from orbit_core.envs.ppo import PpoSettings
     from orbit_core.envs.registry import TaskEntry, TaskRegistry, task_entries, task_entry
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 _MODULES: dict[str, tuple[str, ...]] = {
     "environment": ("Environment",),
     "expert": ("Expert", "Phase", "Retry"),
+    "expert_starts": ("ExpertStarts",),
     "making": ("make",),
     "ppo": ("PpoSettings",),
     "registry": ("TaskEntry", "TaskRegistry", "task_entries", "task_entry"),
@@ -49,9 +51,9 @@ _MODULES: dict[str, tuple[str, ...]] = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "CurriculumTerm", "Environment", "EventTerm", "EventTime", "Expert", "ObservationGroup", "ObservationTerm",
-    "Phase", "PpoSettings", "PremiseTerm", "Retry", "RewardTerm", "Task", "TaskEntry", "TaskRegistry",
-    "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
+    "CurriculumTerm", "Environment", "EventTerm", "EventTime", "Expert", "ExpertStarts", "ObservationGroup",
+    "ObservationTerm", "Phase", "PpoSettings", "PremiseTerm", "Retry", "RewardTerm", "Task", "TaskEntry",
+    "TaskRegistry", "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
 ]  # fmt: skip
 
 

@@ -28,6 +28,7 @@ from orbit_core.envs.action_terms import action_terms, driven_scene
 from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python, remembered
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.event_manager import EventManager
+from orbit_core.envs.expert_starts import ExpertStarts
 from orbit_core.envs.lost_episodes import LostEpisodes
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
 from orbit_core.envs.observation_check import check_finite as check_observation
@@ -151,10 +152,14 @@ class Environment:
         """Whether a step was made, and with it all that is made at first use: a trace would make it anew each time."""
         self.premises = PremiseManager(self.world, task, simulated=world is None)
         """What the task takes for granted of an episode's start, and how often it does not hold."""
+        self.starts = ExpertStarts(self.world, task) if task.expert_starts else None
+        """Which episodes begin on the expert's way, where the task asks for such."""
         self._closed = self._close_step()
         self._events = EventManager(self.world, task, self.step_dt, lambda: remembered(task, self.cut))
         self._events.startup()
         self.premises.sample(self.begin)
+        if self.starts is not None:
+            self.starts.record(self, self._action)
         self.begin(None)
         self._observe()
 
@@ -361,6 +366,8 @@ class Environment:
     def metrics(self) -> dict[str, Tensor]:
         """The task's, which premises held at the episode's start, and the difficulty where a curriculum sets it."""
         metrics = {**self.task.metrics(self.world), **self.premises.metrics()}
+        if self.starts is not None:
+            metrics |= self.starts.metrics()
         return {**metrics, "difficulty": self.task.difficulty} if self._curriculum else metrics
 
     def progress(self) -> None:
@@ -380,6 +387,8 @@ class Environment:
         self._rewards.reset(env_ids)
         self._events.reset(env_ids)
         self.premises.begin(env_ids)
+        if self.starts is not None:
+            self.starts.begin(env_ids)
 
 
 def _no_policy(inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from orbit_core.envs.observation_layout import Observation, map_leaves
+
+EXPERT_START = "expert_start"
+"""Name of the metric that is 1 where an episode began on the expert's way, else 0."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,12 @@ class EpisodeEnd:
     """(n,) each term's contribution to the return."""
     steps: Tensor
     """(n,) int64"""
+
+    @property
+    def usual(self) -> Tensor:
+        """(n,) bool: which began as the task says, not on the expert's way; these tell how far learning has come."""
+        there = self.metrics.get(EXPERT_START)
+        return torch.ones_like(self.success) if there is None else there == 0.0
 
     def only(self, rows: Tensor) -> EpisodeEnd:
         """The ends in the rows (k,), by index."""

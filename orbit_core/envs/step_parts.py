@@ -29,6 +29,8 @@ class StepParts(Protocol):
     """The rewards, by name."""
     reward_sums: Tensor
     """(rewards, N) of each term over the episode."""
+    max_episode_steps: int
+    """Steps of an episode."""
     all_ids: Tensor
     """(N,) indices of all environments."""
     done: Tensor

@@ -48,6 +48,8 @@ class Task(ABC):
     """Names of the scene's robots that act, in the order of the action."""
     observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {}
     """Other observations, by the word that takes the place of ``observations``; ``"state"`` stands for the default."""
+    training: ClassVar[Mapping[str, Any]] = {}
+    """Fields by name that ``orbit train`` sets unless it is told otherwise."""
     robot: str
     """Name of a robot in the catalogue."""
     action: str
@@ -80,6 +82,9 @@ class Task(ABC):
     """Whether the curriculum sets how difficult episodes are; else they are as difficult as can be."""
     view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.35, 0.0, 0.2))
     """Pose of the camera that takes pictures and videos, in the environment's frame."""
+    expert_starts: float = 0.0
+    """Share of episodes that begin on the expert's way (:class:`orbit_core.envs.ExpertStarts`), for learning what a
+    beginner would not come to."""
     backend_presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Engine settings by backend name, where this task needs other than an engine's defaults."""
 

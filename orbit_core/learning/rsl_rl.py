@@ -60,7 +60,8 @@ class RslRlEnvironment(VecEnv):
             extras: dict[str, Any] = {"time_outs": truncated}
             if "final" in info:
                 end = info["final"]
-                extras["log"] = {"success": end.success.float(), **end.metrics}
+                # Those that began on the expert's way tell little of how far learning has come.
+                extras["log"] = {"success": end.success.float()[end.usual], **end.metrics}
             return self._dict(self._observation), reward, (terminated | truncated).long(), extras
 
     def _dict(self, observation: Observation) -> TensorDict:

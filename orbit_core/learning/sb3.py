@@ -76,7 +76,8 @@ class Sb3Environment(VecEnv):
         for row, i in enumerate(end.env_ids.tolist()):
             infos[i]["terminal_observation"] = row_of(last, row)
             infos[i]["TimeLimit.truncated"] = bool(truncated[i])
-            infos[i]["is_success"] = bool(end.success[row])
+            if bool(end.usual[row]):
+                infos[i]["is_success"] = bool(end.success[row])
             infos[i]["episode"] = {"r": float(returns[row]), "l": int(end.steps[row]), "t": time.time()}
 
     def close(self) -> None:

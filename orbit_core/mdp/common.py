@@ -118,6 +118,31 @@ def hand_pose(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     return robot.frame_pose(robot.spec.end_effector.frame)
 
 
+class GripperOpening:
+    """How far the robot's gripper is open; made once, in a task's ``start``.
+
+    Raises:
+        ConfigurationError: the robot has no end effector, or no gripper on it.
+    """
+
+    def __init__(self, world: World, agent: str = ROBOT) -> None:
+        self._robot = robot = robot_of(world, agent)
+        gripper = robot.spec.end_effector.gripper
+        if gripper is None:
+            raise ConfigurationError(f"robot '{robot.spec.name}' has no gripper that could open")
+        opened, closed = (
+            gripper_positions(robot.spec, gripper, value) for value in (gripper.open_position, gripper.closed_position)
+        )
+        self._joints = torch.tensor(list(opened), device=world.device)
+        self._closed = torch.tensor([closed[joint] for joint in opened], device=world.device)
+        self._span = torch.tensor([opened[joint] for joint in opened], device=world.device) - self._closed
+
+    def __call__(self) -> Tensor:
+        """(N,) in [0, 1], 1 where it is open, the mean of its joints."""
+        positions = self._robot.joint_positions.index_select(1, self._joints)
+        return ((positions - self._closed) / self._span).clamp(0.0, 1.0).mean(1)
+
+
 def closing_time(world: World, agent: str = ROBOT) -> float:
     """Seconds in which the gripper closes from its open position at its joints' velocity limits.
 

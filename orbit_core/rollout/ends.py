@@ -48,7 +48,8 @@ def true_next(observation: Observation, info: Mapping[str, EpisodeEnd]) -> Obser
 
 
 class EpisodeTally:
-    """Mean return and success of the episodes that ended since it was last read."""
+    """Mean return and success of the episodes that ended since it was last read; those that began on the expert's way
+    do not count."""  # fmt: skip
 
     def __init__(self, device: torch.device) -> None:
         self._sums = torch.zeros(3, device=device)
@@ -66,6 +67,7 @@ class EpisodeTally:
         if found is None:
             return
         end, ended = found
+        ended = ended & end.usual
         if counts is not None:
             ended = ended & counts
         returns = torch.stack(list(end.rewards.values())).sum(0)

@@ -1,0 +1,65 @@
+"""Episodes that begin on the expert's way."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from orbit_core.backends import default_backend
+from orbit_core.envs import make
+from orbit_core.envs.captured_step import CapturedStep
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.rollout.ends import EpisodeTally
+from orbit_tasks.lift import Lift
+
+NUM_ENVS = 4
+
+
+def lift(share: float) -> Lift:
+    return Lift(episode_length=3.0, action="joint_position_relative", expert_starts=share)
+
+
+def test_a_share_of_episodes_begins_on_the_experts_way() -> None:
+    """By index and by mask alike; they hold what the expert held, have the time left that it had, and do not count."""
+    plain, closed = (make(lift(0.5), NUM_ENVS, default_backend()) for _ in range(2))
+    closed._closed = CapturedStep(closed, compile=False, whole=True)
+    generator = torch.Generator().manual_seed(0)
+    tally, began, held = EpisodeTally(plain.device), 0, 0
+    plain.reset(seed=3), closed.reset(seed=3)
+    for step in range(30):
+        action = 2.0 * torch.rand(NUM_ENVS, plain.action_size, generator=generator) - 1.0
+        for each in (plain, closed):  # whose last step this is
+            each.task.episode_step[step % NUM_ENVS] = each.max_episode_steps - 1
+        mine, its = plain.step(action), closed.step(action)
+        torch.testing.assert_close(its[0], mine[0], rtol=0.0, atol=0.0)
+        tally.add(mine[4], NUM_ENVS)
+        if "final" in mine[4]:
+            assert plain.starts is not None
+            there = plain.starts.began_there[mine[4]["final"].env_ids]
+            steps = plain.task.episode_step[mine[4]["final"].env_ids]
+            height = plain.world.objects["cube"].root_pose[mine[4]["final"].env_ids, 2]
+            began += int(there.sum())
+            held += int((height[there] > 0.06).sum())
+            assert not steps[~there].any()
+            assert not (height[~there] > 0.06).any()
+    assert 6 < began < 24
+    assert 0 < held < began
+    assert 6 < tally.read()[2] < 24
+    plain.close(), closed.close()
+
+
+def test_shares_and_tasks_that_cannot_be() -> None:
+    with pytest.raises(ConfigurationError, match=r"share of episodes, between 0 and 1, not 1.5"):
+        make("Reach", 2, default_backend(), expert_starts=1.5)
+    with pytest.raises(ConfigurationError, match="no scripted expert"):
+        make("Ant", 2, default_backend(), expert_starts=0.5)
+    with pytest.raises(ConfigurationError, match="reached the goal in none of 2; leave expert_starts out"):
+        make("Lift", 2, default_backend(), expert_starts=0.5, episode_length=0.2)
+
+
+def test_a_training_sets_what_the_task_says_for_it_unless_told_otherwise() -> None:
+    from orbit_core.cli.train import TrainSettings, for_training
+
+    settings = for_training(TrainSettings(task="Stack", fields={"action": "joint_position"}))
+    assert settings.fields == {"expert_starts": 0.5, "action": "joint_position"}
+    assert for_training(TrainSettings(task="Reach")).fields == {}
