@@ -261,10 +261,8 @@ class PegObservations:
 
 @dataclass
 class PegRewards:
-    """Rewards of the hand at a block, blocks off the table, above and in their holes, less what is fast or abrupt.
-
-    Who holds a block over its hole for ever earns an eighth of what it earns in there.
-    """
+    """Rewards of the hand at a block, blocks off the table, above and in their holes, less what is fast or abrupt; who
+    holds a block over its hole for ever earns an eighth of what it earns in there."""  # fmt: skip
 
     reach: RewardTerm | None = RewardTerm(reaching, 1.0)
     lift: RewardTerm | None = RewardTerm(lambda world, task: lifted(world, task).mean(1), 2.0)
@@ -361,9 +359,8 @@ class PegInHole(Task):
         friction = randomize.friction((*blocks, "board"), Range(0.2, 0.5))
         self.events.friction = EventTerm(friction, EventTime.STARTUP)
         self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
-        noise = {"joint_positions": 0.005, "joint_velocities": 0.05, "hand_to_knobs": 0.0005, "offsets": 0.0005}
-        noise["fine_offsets"] = 0.05
-        common.add_noise(self.observations.policy, **noise)
+        noise = {"hand_to_knobs": 0.0005, "offsets": 0.0005, "fine_offsets": 0.05}
+        common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, **noise)
 
     def success(self, world: World) -> Tensor:
         return inserted(world, self).amin(1) > 0.0
