@@ -309,8 +309,8 @@ def _home(entity: Entity, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.
     return home
 
 
-def joint_constants(entity: Entity, name: Literal["armature", "damping"]) -> npt.NDArray[np.float64]:
-    """Reflected inertias or passive damping (J,) of the movable joints: an actuator's where it names one."""
+def joint_constants(entity: Entity, name: Literal["armature", "damping", "friction"]) -> npt.NDArray[np.float64]:
+    """Reflected inertias, damping or dry friction (J,) of the movable joints: an actuator's where it names one."""
     return _entity_parameters(entity)[name]
 
 

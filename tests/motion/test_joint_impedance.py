@@ -75,6 +75,19 @@ def test_joints_keep_to_their_velocity_limits_and_stop_at_their_position_limits(
     arm.world.close()
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_dry_friction_is_compensated_and_shakes_nothing(backend: str) -> None:
+    arm = held(JointImpedanceConfig(scale=0.2), backend, name="xarm7", physics_dt=0.01)
+    generator = arm.generator
+    command = torch.tensor([[1.0] * 7, [1.0, -1.0, 0.5, -0.5, 1.0, -1.0, 0.3]])
+    arm.run(command, 180)
+    missing = generator.positions - arm.robot.home_positions[generator.joints] - 0.2 * command
+    # 1 N m would hold the wrists, whose inertia is 0.03 kg m^2, wherever they are within 0.2 rad.
+    assert missing.abs().max() < 0.012
+    assert generator.velocities.abs().max() < 2e-3
+    arm.world.close()
+
+
 @pytest.mark.parametrize("inertia_compensation", [True, False])
 def test_unstable_gains_are_refused_with_what_is_stable(inertia_compensation: bool) -> None:
     config = JointImpedanceConfig(stiffness=1e6, inertia_compensation=inertia_compensation)
