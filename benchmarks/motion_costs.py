@@ -3,11 +3,15 @@
     python benchmarks/motion_costs.py --backend mujoco --envs 64
     python benchmarks/motion_costs.py --backend warp --device cuda --envs 4096 --json costs.json
 
-Steps are compiled, and on a GPU captured in a CUDA graph. Random actions, resets included. Each action space has a
-process of its own; all compile at once, and then they take turns, one at a time, so that what else the machine does
-meets all alike. On a CPU the time is the own time of the process, on a GPU that of the wall. Prints a table in
-Markdown: ms a step, the median of the turns, the share over the first one, and how many operations of arithmetic for
-each environment the law's own kernel has, or why there is none.
+Steps are compiled, and on a GPU captured in a CUDA graph. Resets included. Each action space has a process of its own;
+all compile at once, and then they take turns, one at a time, so that what else the machine does meets all alike. On a
+CPU the time is the own time of the process, on a GPU that of the wall. Prints a table in Markdown: ms a step, the
+median of the turns and their range, the share over the first one, and how many operations of arithmetic for each
+environment the law's own kernel has, or why there is none.
+
+Every random action is followed by its negative, so that relative commands lead nowhere. Where they add up, with
+`--wander`, hands come to press on the table, and engines that iterate until the last environment converges take three
+times as long for it, whatever moved the hands there. `--kernels 12` also tells which kernels a GPU's time goes to.
 """
 
 from __future__ import annotations
@@ -39,6 +43,8 @@ def prepared(arguments: argparse.Namespace, action: str) -> tuple[Environment, t
     env.reset()
     random = torch.Generator().manual_seed(0)
     actions = 2.0 * torch.rand(64, arguments.envs, env.action_size, generator=random) - 1.0
+    if not arguments.wander:
+        actions[1::2] = -actions[::2]
     actions = (arguments.spread * actions).to(env.device)
     for step in range(20):
         env.step(actions[step])
@@ -57,6 +63,16 @@ def turn(env: Environment, actions: torch.Tensor, steps: int) -> float:
     if not on_cpu:
         torch.cuda.synchronize()
     return 1e3 * (clock() - begin) / steps
+
+
+def busiest(env: Environment, actions: torch.Tensor, count: int, steps: int = 20) -> dict[str, list[float]]:
+    """The kernels that a GPU spends most time in: ms and launches a step, by name."""
+    from torch.profiler import ProfilerActivity, profile
+
+    with profile(activities=[ProfilerActivity.CUDA]) as told:
+        turn(env, actions, steps)
+    events = sorted(told.key_averages(), key=lambda event: -event.self_device_time_total)
+    return {event.key: [1e-3 * event.self_device_time_total / steps, event.count / steps] for event in events[:count]}
 
 
 def kernels(env: Environment) -> str:
@@ -81,6 +97,7 @@ def work(arguments: argparse.Namespace, action: str, line: Connection) -> None:
         line.send({"built_s": time.perf_counter() - begin, "kernels": kernels(env)})
         while line.recv():
             line.send(turn(env, actions, arguments.steps))
+        line.send(busiest(env, actions, arguments.kernels) if arguments.kernels else {})
     except EOFError:
         return
     except Exception:
@@ -108,6 +125,7 @@ def measured(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     for name in names:
         if "error" not in results[name]:
             lines[name].send(False)
+            results[name]["busiest"] = lines[name].recv()
     for worker in workers:
         worker.join(10.0)
     return results
@@ -124,20 +142,26 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=7)
     parser.add_argument("--compile", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("--spread", type=float, default=1.0, help="of the random actions; with 0 arms hold still")
+    parser.add_argument("--wander", action="store_true", help="random actions that nothing takes back")
+    parser.add_argument("--kernels", type=int, default=0, help="so many kernels of a GPU's are told of")
     parser.add_argument("--one-at-a-time", action="store_true", help="build one after the other: for few cores")
     parser.add_argument("--json", type=Path, help="file for all numbers")
     arguments = parser.parse_args()
     results = measured(arguments)
     baseline = results[BASELINE]["times"]
-    print("| action space | ms a step | over joint positions | the law's kernel |\n|---|---|---|---|")
+    print("| action space | ms a step | turns | over joint positions | the law's kernel |\n|---|---|---|---|---|")
     for name, result in results.items():
         if "error" in result:
-            print(f"| `{name}` | - | - | {result['error'].strip().splitlines()[-1]} |")
+            print(f"| `{name}` | - | - | - | {result['error'].strip().splitlines()[-1]} |")
             continue
         result["ms"] = sorted(result["times"])[len(result["times"]) // 2]
         shares = [a / b - 1.0 for a, b in zip(result["times"], baseline, strict=True)]
         result["share"] = sorted(shares)[len(shares) // 2]
-        print(f"| `{name}` | {result['ms']:.2f} | {100 * result['share']:.0f} % | {result['kernels']} |")
+        turns = f"{min(result['times']):.2f} to {max(result['times']):.2f}"
+        print(f"| `{name}` | {result['ms']:.2f} | {turns} | {100 * result['share']:.0f} % | {result['kernels']} |")
+    for name, result in results.items():
+        for kernel, (ms, launches) in result.get("busiest", {}).items():
+            print(f"{name}: {ms:.4f} ms in {launches:g} launches a step: {kernel[:120]}")
     if arguments.json is not None:
         cuda = torch.cuda.get_device_name() if arguments.device != "cpu" else ""
         settings = {key: str(value) for key, value in vars(arguments).items()}

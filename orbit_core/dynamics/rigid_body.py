@@ -64,8 +64,11 @@ class RigidBodyModel:
         self._gravity = self._tensor(gravity)
         self._mass = self._tensor([[link.mass] for link in articulation.links])
         self._center = self._tensor([link.center_of_mass for link in articulation.links])
+        # An inertia is its least moment in all directions, and what the two other principal axes have beyond it.
         moments, axes = np.linalg.eigh([link.inertia for link in articulation.links])
-        self._moments, self._axes = self._tensor(moments), self._tensor(axes)
+        self._least = self._tensor(moments[:, 0])
+        self._spread = self._tensor(axes[:, :, 1:] * np.sqrt(moments[:, None, 1:] - moments[:, None, :1]))
+        self._root_mass, self._identity = self._mass.sqrt(), self._tensor(np.eye(3))
         self._composite_mass = self._subtree @ self._mass
 
     def equation_of_motion(
@@ -139,13 +142,12 @@ class RigidBodyModel:
     def _spatial_inertias(self, link_poses: Tensor) -> Tensor:
         """(N, L, 12) first moments of mass, then matrices of inertia, about the root's origin, world axes."""
         centers = self._centers(link_poses)
-        axes = quat_to_matrix(link_poses[..., 3:]) @ self._axes
-        own = (axes * self._moments.unsqueeze(-2)) @ axes.transpose(-1, -2)
-        first = self._mass * centers
-        # Steiner's theorem: m (c.c - c c^T).
-        far = (first * centers).sum(-1)[..., None, None] * torch.eye(3, dtype=self.dtype, device=self.device)
-        about_origin = own + far - first.unsqueeze(-1) * centers.unsqueeze(-2)
-        return torch.cat((first, about_origin.flatten(-2)), -1)
+        spread = quat_to_matrix(link_poses[..., 3:]) @ self._spread
+        heavy = self._root_mass * centers
+        # Steiner's theorem: m (c.c - c c^T). All products are of a vector with itself, so that two halves are one.
+        round_part = (self._least + heavy.square().sum(-1))[..., None, None] * self._identity
+        about_origin = round_part + spread @ spread.mT - heavy.unsqueeze(-1) * heavy.unsqueeze(-2)
+        return torch.cat((self._mass * centers, about_origin.flatten(-2)), -1)
 
     def _tensor(self, values: object) -> Tensor:
         return torch.as_tensor(np.asarray(values, dtype=np.float64), dtype=self.dtype, device=self.device)

@@ -40,6 +40,10 @@ class CartesianImpedanceConfig(CompliantConfig):
 class CartesianImpedance(Compliant):
     """Six commands, or more for gains, :class:`CartesianImpedanceConfig`."""
 
+    def __init__(self, name: str, robot: Robot, config: CartesianImpedanceConfig) -> None:
+        super().__init__(name, robot, config)
+        self._inverse_root = InverseRoot(6, self.device)
+
     def check_stable(self) -> None:
         step = self.physics_dt
         roots = torch.tensor(self.gains.stiffest, dtype=torch.float64, device=self.device).sqrt()
@@ -53,22 +57,36 @@ class CartesianImpedance(Compliant):
         stiffness, ratio = self.gains.of(aims)
         weights = (2.0 * ratio * stiffness).sqrt()
         roots = stiffness.sqrt()
-        inverse_rate = inverse_root(roots.unsqueeze(-1) * hand.inverse_inertia * roots.unsqueeze(-2))
+        inverse_rate = self._inverse_root(roots.unsqueeze(-1) * hand.inverse_inertia * roots.unsqueeze(-2))
         damping = weights * torch.bmm(inverse_rate, (weights * hand.velocity).unsqueeze(-1)).squeeze(-1)
         wrench = stiffness * self.error(hand, aims) - damping
         return hand.joint_accelerations(wrench - hand.wrench(without_free(hand, free))) + free
 
 
-def inverse_root(matrix: Tensor) -> Tensor:
+class InverseRoot:
     """``A^-1/2`` of symmetric positive definite matrices (N, n, n), by products alone.
 
     Newton and Schulz' iteration, coupled (Higham, Functions of Matrices, 2008, equation 6.35). Where A has eigenvalues
     below a 200th of its trace, the root comes out too small there.
     """
-    size = matrix.diagonal(dim1=1, dim2=2).sum(-1)[:, None, None].clamp_min(1e-12)
-    identity = torch.eye(matrix.shape[-1], device=matrix.device)
-    root, inverse = matrix / size, identity.expand_as(matrix)
-    for _ in range(_ROOT_ITERATIONS):
-        step = 1.5 * identity - 0.5 * torch.bmm(inverse, root)
-        root, inverse = torch.bmm(root, step), torch.bmm(step, inverse)
-    return inverse * size.rsqrt()
+
+    def __init__(self, size: int, device: torch.device) -> None:
+        self._identity = torch.eye(size, device=device)
+        places = torch.arange(size, device=device)
+        lower = torch.maximum(places[:, None], places) * size + torch.minimum(places[:, None], places)
+        self._lower = lower.flatten()
+
+    def __call__(self, matrix: Tensor) -> Tensor:
+        size = matrix.diagonal(dim1=1, dim2=2).sum(-1)[:, None, None].clamp_min(1e-12)
+        root, inverse = self._mirrored(matrix / size), self._identity.expand_as(matrix)
+        for _ in range(_ROOT_ITERATIONS):
+            step = 1.5 * self._identity - 0.5 * self._product(inverse, root)
+            root, inverse = self._product(root, step), self._product(step, inverse)
+        return inverse * size.rsqrt()
+
+    def _product(self, a: Tensor, b: Tensor) -> Tensor:
+        """Of matrices that commute, and have a symmetric one: in a kernel only half of it is computed."""
+        return self._mirrored(torch.bmm(a, b))
+
+    def _mirrored(self, matrix: Tensor) -> Tensor:
+        return matrix.flatten(1).index_select(1, self._lower).view(matrix.shape)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 Number = float | bool
@@ -73,6 +73,7 @@ class Builder:
 
     def __init__(self) -> None:
         self._known: dict[tuple[object, ...], Expression] = {}
+        self._sums: dict[tuple[Expression, ...], Expression] = {}
 
     def constant(self, value: Number) -> Expression:
         """A known number; a bool stays one."""
@@ -111,6 +112,28 @@ class Builder:
         if a.operation == "neg":
             return self._subtracted(b, a.operands[0])
         return self.apply("add", *self._ordered(a, b))
+
+    def total(self, numbers: Sequence[Expression]) -> Expression:
+        """A sum as a balanced tree, which makes short chains of additions, but of one that is there with an end added.
+
+        So sums along a robot's branch, of which each has one link more than another, cost an addition each.
+        """
+        parts = tuple(number for number in numbers if not _is(number, 0.0)) or (self.constant(0.0),)
+        if parts in self._sums:
+            return self._sums[parts]
+        for length in range(len(parts) - 1, 1, -1):
+            for known, rest in ((parts[:length], parts[length:]), (parts[-length:], parts[:-length])):
+                if known in self._sums:
+                    return self._sums.setdefault(parts, self._sums[known] + self._balanced(rest))
+        return self._sums.setdefault(parts, self._balanced(parts))
+
+    @staticmethod
+    def _balanced(numbers: Sequence[Expression]) -> Expression:
+        parts = list(numbers)
+        while len(parts) > 1:
+            pairs = [a + b for a, b in zip(parts[::2], parts[1::2], strict=False)]
+            parts = pairs + parts[len(pairs) * 2 :]
+        return parts[0]
 
     def multiply(self, a: Expression, b: Expression) -> Expression:
         """``a b``; nothing times zero is zero."""

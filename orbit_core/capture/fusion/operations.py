@@ -75,17 +75,8 @@ def _power(builder: Builder, a: Numbers, exponent: float) -> Numbers:
     return functools.reduce(lambda x, y: _product(builder, x, y), [a] * int(exponent))
 
 
-def _total(numbers: Sequence[Expression]) -> Expression:
-    """A sum as a balanced tree: short chains of additions."""
-    parts = list(numbers)
-    while len(parts) > 1:
-        pairs = [a + b for a, b in zip(parts[::2], parts[1::2], strict=False)]
-        parts = pairs + parts[len(pairs) * 2 :]
-    return parts[0]
-
-
 def _sum(builder: Builder, a: Numbers, dim: Any = None, keepdim: bool = False, **_: Any) -> Numbers:
-    return _reduced(lambda row: _total([builder.number(x) for x in row]), a, dim, keepdim)
+    return _reduced(lambda row: builder.total([builder.number(x) for x in row]), a, dim, keepdim)
 
 
 def _reduced(function: Callable[[Sequence[Expression]], Expression], a: Numbers, dim: Any, keepdim: bool) -> Numbers:
@@ -94,7 +85,8 @@ def _reduced(function: Callable[[Sequence[Expression]], Expression], a: Numbers,
     kept = [axis for axis in range(a.ndim) if axis not in axes]
     rows = a.transpose([*kept, *axes]).reshape([a.shape[axis] for axis in kept] + [-1])
     result = np.empty(rows.shape[:-1], dtype=object)
-    for place in np.ndindex(result.shape):
+    # Short rows first, for longer ones are made of them.
+    for place in sorted(np.ndindex(result.shape), key=lambda place: sum(not x.constant for x in rows[place])):
         result[place] = function(rows[place].tolist())
     return np.expand_dims(result, axes) if keepdim else result
 
@@ -157,11 +149,11 @@ def _cholesky(builder: Builder, a: Numbers, **_: Any) -> tuple[Numbers, None]:
     factors = np.full(a.shape, zero, dtype=object)
     for j in range(size):
         squares = [factors[j, k] * factors[j, k] for k in range(j)]
-        factors[j, j] = builder.apply("sqrt", a[j, j] - _total(squares) if squares else a[j, j])
+        factors[j, j] = builder.apply("sqrt", a[j, j] - builder.total(squares) if squares else a[j, j])
         inverse = builder.apply("reciprocal", factors[j, j])
         for i in range(j + 1, size):
             products = [factors[i, k] * factors[j, k] for k in range(j)]
-            factors[i, j] = (a[i, j] - _total(products) if products else a[i, j]) * inverse
+            factors[i, j] = (a[i, j] - builder.total(products) if products else a[i, j]) * inverse
     return factors, None
 
 
@@ -181,7 +173,7 @@ def _triangular(
         for column in range(b.shape[1]):
             products = [a[i, k] * result[k, column] for k in solved]
             right = b[i, column]
-            result[i, column] = (right - _total(products) if products else right) * inverse
+            result[i, column] = (right - builder.total(products) if products else right) * inverse
     return result
 
 
