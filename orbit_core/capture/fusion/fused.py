@@ -50,7 +50,7 @@ class Fused(Watched):
         self._launch: Launch | None = None
         self._rows: dict[str, list[str]] = {}
         self._shapes: list[torch.Size] = []
-        self._size = torch.Size()
+        self._sizes = torch.Size()
         self.operations = 0
         """Of arithmetic for each row in the kernel; zero without one."""
         self.refusal = ""
@@ -65,10 +65,12 @@ class Fused(Watched):
             for names in self._rows.values()
         ]
         with _disable_current_modes():  # memory of this call's own, that is there before each replay
-            given = torch.empty(self._size, device=rows[0].device)
+            given = self._program.room(self._sizes)
         self._run(rows, given.flatten(0, -2))
         parts = given.split([shape.numel() for shape in self._shapes], -1)
         return tuple(part.reshape(*given.shape[:-1], *shape) for part, shape in zip(parts, self._shapes, strict=True))
+
+    _program: Program
 
     @changes()
     def _run(self, rows: Sequence[Tensor], outputs: Tensor) -> None:
@@ -98,11 +100,11 @@ class Fused(Watched):
             row: sum(inputs[name].shape[leading:].numel() for name in members) for row, members in self._rows.items()
         }
         outputs = [number for numbers in made for number in numbers.ravel()]
-        program = Program(widths, outputs, sizes[1:].numel())
+        self._program = Program(widths, outputs, sizes[1:].numel(), device)
         self._shapes = [torch.Size(numbers.shape[leading:]) for numbers in made]
-        self._size = torch.Size((*sizes, len(outputs)))
-        self.operations = program.operations()
-        self._launch = launcher(program.source(device), len(widths), device)
+        self._sizes = torch.Size(sizes)
+        self.operations = self._program.operations()
+        self._launch = launcher(self._program.source(), len(widths), device)
 
 
 def _row_of(shape: torch.Size, sizes: torch.Size) -> str:

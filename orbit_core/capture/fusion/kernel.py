@@ -18,7 +18,7 @@ from orbit_core.capture.fusion.interpreter import Unfusable
 
 _THREADS = 32
 """Of a block on a GPU: few, so that a few thousand environments fill all multiprocessors."""
-_GPU_FLAGS = ["--prec-div=false", "--prec-sqrt=false"]
+GPU_FLAGS = ["--prec-div=false", "--prec-sqrt=false"]
 """Quotients and roots to two units in the last place, as in what inductor compiles, and without calls for them."""
 _FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC", "-w")
 
@@ -75,7 +75,7 @@ def _of_library(library: Path, inputs: int) -> Launch:
 def _of_gpu(source: str) -> Launch:
     try:
         compile_kernel = torch.cuda._compile_kernel  # pyright: ignore[reportPrivateUsage]
-        kernel: Any = compile_kernel(source, "fused", nvcc_options=_GPU_FLAGS)
+        kernel: Any = compile_kernel(source, "fused", nvcc_options=GPU_FLAGS)
     except Exception as error:  # torch's release has none, there is no NVRTC, or it refuses the source
         what = " ".join(str(error).splitlines()[:3])
         raise Unfusable(f"no kernel on the GPU, for {type(error).__name__}: {what}") from error

@@ -1,7 +1,8 @@
 """Expressions as source text, for a C++ compiler and for a GPU's.
 
 Both share the arithmetic. On a CPU each variable holds the numbers of several environments, side by side in one
-register (GCC's and Clang's vector extensions); on a GPU, where each thread has its environment, of one.
+register (GCC's and Clang's vector extensions); on a GPU, where each thread has its environment, of one. What comes of
+it lies row by row on a CPU, and column by column on a GPU, where threads that are neighbours write at once.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ extern "C" __global__ void fused({parameters}float* out, int count) {{
   int at = blockIdx.x * blockDim.x + threadIdx.x;
   if (at >= count) return;
 {rows}
-  auto put = [&](int place, V x) {{ out[at * {given} + place] = x; }};
+  auto put = [&](int place, V x) {{ out[place * count + at] = x; }};
 {body}
 }}
 """
@@ -97,15 +98,28 @@ class Program:
         widths: numbers in each row of inputs, by the row's name, one of :data:`ROWS`.
         outputs: of the row that comes of them.
         parts: of an environment that have rows of their own, 1 or more.
+        device: where it is to run.
     """
 
     widths: Mapping[str, int]
     outputs: Sequence[Expression]
-    parts: int = 1
+    parts: int
+    device: torch.device
 
-    def source(self, device: torch.device) -> str:
+    @property
+    def on_cpu(self) -> bool:
+        """Whether it is for a CPU."""
+        return self.device.type == "cpu"
+
+    def room(self, sizes: torch.Size) -> torch.Tensor:
+        """Memory (*sizes, W) for the rows of W numbers that come of so many environments and parts."""
+        if self.on_cpu:
+            return torch.empty(*sizes, len(self.outputs))
+        return torch.empty(len(self.outputs), *sizes, device=self.device).movedim(0, -1)
+
+    def source(self) -> str:
         """Text with a function ``fused`` of pointers to rows, to what becomes of them, and how many come of them."""
-        on_cpu = device.type == "cpu"
+        on_cpu = self.on_cpu
         parameters = "".join(f"const float* in_{row}, " for row in self.widths)
         reads = [
             (_READ_ON_CPU if on_cpu else _READ_ON_GPU).format(
