@@ -118,8 +118,7 @@ def errors(world: World, task: PegInHole) -> Tensor:
 
 
 def fine_offsets(world: World, task: PegInHole) -> Tensor:
-    """(N, B, 6) in [-1, 1] each block's position and turn as its seat sees them, where a centimetre is 0.76 and 0.33
-    rad as well: beside metres of way, millimetres are lost in a network."""  # fmt: skip
+    """(N, B, 6) in [-1, 1] each block's position and turn as its seat sees them; 0.76 is a centimetre, or 0.33 rad."""
     off = offsets(world, task)
     return torch.tanh(torch.cat((off[..., :3], ARM * quat_to_rotation_vector(off[..., 3:])), dim=-1) / 0.01)
 
@@ -261,15 +260,14 @@ class PegObservations:
 
 @dataclass
 class PegRewards:
-    """Rewards of the hand at a block, blocks off the table, above and in their holes, less what is fast or abrupt; who
-    holds a block over its hole for ever earns an eighth of what it earns in there."""  # fmt: skip
+    """Rewards of the hand at a block, blocks off the table, above and in their holes, eight times as much, not fast."""
 
-    reach: RewardTerm | None = RewardTerm(reaching, 1.0)
-    lift: RewardTerm | None = RewardTerm(lambda world, task: lifted(world, task).mean(1), 2.0)
-    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.2), 4.0)
-    align: RewardTerm | None = RewardTerm(aligned, 4.0)
-    depth: RewardTerm | None = RewardTerm(depth, 20.0)
-    insert: RewardTerm | None = RewardTerm(lambda world, task: inserted(world, task).mean(1), 60.0)
+    reach: RewardTerm | None = RewardTerm(reaching, 0.1)
+    lift: RewardTerm | None = RewardTerm(lambda world, task: lifted(world, task).mean(1), 0.2)
+    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.2), 0.4)
+    align: RewardTerm | None = RewardTerm(aligned, 0.4)
+    depth: RewardTerm | None = RewardTerm(depth, 2.0)
+    insert: RewardTerm | None = RewardTerm(lambda world, task: inserted(world, task).mean(1), 6.0)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
 
@@ -359,8 +357,8 @@ class PegInHole(Task):
         friction = randomize.friction((*blocks, "board"), Range(0.2, 0.5))
         self.events.friction = EventTerm(friction, EventTime.STARTUP)
         self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
-        noise = {"hand_to_knobs": 0.0005, "offsets": 0.0005, "fine_offsets": 0.05}
-        common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, **noise)
+        joints, blocks = {"joint_positions": 0.005, "joint_velocities": 0.05}, {"offsets": 0.0005, "fine_offsets": 0.05}
+        common.add_noise(self.observations.policy, **joints, **blocks, hand_to_knobs=0.0005)
 
     def success(self, world: World) -> Tensor:
         return inserted(world, self).amin(1) > 0.0

@@ -200,11 +200,11 @@ class StackRewards:
     Who holds a block at its place for ever earns a quarter of what it earns there by itself.
     """
 
-    reach: RewardTerm | None = RewardTerm(reaching, 1.0)
-    lift: RewardTerm | None = RewardTerm(lambda world, task: staged(world, task, lifted(world, task)), 4.0)
-    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 6.0)
-    track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 6.0)
-    let_go: RewardTerm | None = RewardTerm(letting_go, 60.0)
+    reach: RewardTerm | None = RewardTerm(reaching, 0.1)
+    lift: RewardTerm | None = RewardTerm(lambda world, task: staged(world, task, lifted(world, task)), 0.4)
+    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 0.6)
+    track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 0.6)
+    let_go: RewardTerm | None = RewardTerm(letting_go, 6.0)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
     joint_speed: RewardTerm | None = RewardTerm(common.joint_speed, -1e-4)
 
