@@ -52,7 +52,8 @@ class LoopTrainer(Trainer[Settings]):
                 done = (iteration - first + 1) * self.batch + self.steps_ahead
                 returns, success_rate, episodes = self.tally.read()
                 seconds = time.perf_counter() - begin
-                progress = Progress(iteration, done, seconds, returns, success_rate, episodes, loss=self.loss())
+                told = {"loss": self.loss(), "metrics": self.tally.metrics}
+                progress = Progress(iteration, done, seconds, returns, success_rate, episodes, **told)
                 board.add_scalar("episode/return", progress.episode_return, iteration)
                 board.add_scalar("episode/success_rate", progress.success_rate, iteration)
                 if not math.isnan(progress.loss):

@@ -28,6 +28,9 @@ from orbit_core.learning.networks import ActorNetwork, perceptron_actor
 from orbit_core.learning.rsl_rl_models import PictureModel
 from orbit_core.learning.trainer import Progress, Trainer
 
+MOST_STD = 1.0
+"""Most that the deviation of actions grows to, where it does not begin wider."""
+
 
 class RslRlEnvironment(VecEnv):
     """An environment as RSL-RL expects it. Time-outs are told apart in ``extras``, for bootstrapping."""
@@ -104,6 +107,13 @@ class RslRlTrainer(Trainer[PpoSettings]):
             return convolutional_actor(policy.network, policy.encoders, policy.mlp, mean, std)
         return perceptron_actor(policy.mlp, mean, std)
 
+    def _bound_exploration(self) -> None:
+        """Actions are clipped to [-1, 1]: a wider deviation does the same and only earns more entropy, without end."""
+        policy: Any = self._runner.alg.get_policy()
+        deviation = policy.distribution.log_std_param
+        with torch.no_grad():
+            deviation.clamp_(max=math.log(max(MOST_STD, self.settings.initial_std)))
+
     @contextlib.contextmanager
     def _reporting(self, report: Callable[[Progress], None]) -> Iterator[None]:
         """Call ``report`` where the library would print."""
@@ -111,8 +121,10 @@ class RslRlTrainer(Trainer[PpoSettings]):
         log = logger.log
 
         def logged(*args: Any, **keywords: Any) -> None:
-            successes = [entry["success"] for entry in logger.ep_extras]
+            ends = list(logger.ep_extras)  # which the library clears
+            successes = [entry["success"] for entry in ends]
             log(*args, **keywords)
+            self._bound_exploration()
             report(
                 Progress(
                     iteration=keywords["it"],
@@ -121,6 +133,7 @@ class RslRlTrainer(Trainer[PpoSettings]):
                     episode_return=statistics.mean(logger.rewbuffer) if logger.rewbuffer else math.nan,
                     success_rate=float(torch.cat(successes).mean()) if successes else math.nan,
                     episodes=sum(len(ended) for ended in successes),
+                    metrics={name: _mean(ends, name) for name in (ends[0] if ends else {}) if name != "success"},
                 )
             )
 
@@ -129,6 +142,10 @@ class RslRlTrainer(Trainer[PpoSettings]):
             yield
         finally:
             logger.log = log
+
+
+def _mean(ends: list[dict[str, Tensor]], name: str) -> float:
+    return float(torch.cat([end[name] for end in ends]).float().mean())
 
 
 class _Runner(OnPolicyRunner):

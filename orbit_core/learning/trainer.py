@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
@@ -36,6 +36,8 @@ class Progress:
     """Episodes so far in which the simulation diverged; a training resets them."""
     loss: float = math.nan
     """Mean of what the iteration has brought down, where that is one number; else NaN."""
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    """Means over the last episodes of what the task measures, by name; empty where the library does not tell."""
 
 
 class LearningSettings(Protocol):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -185,10 +184,9 @@ class Training:
             seconds=progress.seconds + self._seconds_before,
         )
         # Before any episode has ended there is no number, and JSON has no NaN.
-        numbers = {
-            name: None if isinstance(value, float) and math.isnan(value) else value
-            for name, value in asdict(progress).items()
-        }
+        told = asdict(progress)
+        for numbers in (told, told["metrics"]):
+            numbers.update({name: None for name, value in numbers.items() if value != value})
         with (self.trainer.folder / CURVE).open("a") as file:
-            file.write(json.dumps(numbers) + "\n")
+            file.write(json.dumps(told) + "\n")
         report(progress)

@@ -54,6 +54,9 @@ class EpisodeTally:
     def __init__(self, device: torch.device) -> None:
         self._sums = torch.zeros(3, device=device)
         self._last = (math.nan, math.nan, 0)
+        self._metrics: dict[str, Tensor] = {}
+        self.metrics: dict[str, float] = {}
+        """Means of what the task measures over the episodes that were last read, by name."""
 
     def add(self, info: Mapping[str, EpisodeEnd], count: int, counts: Tensor | None = None) -> None:
         """Take in a step's episodes; nothing here waits for the device.
@@ -72,6 +75,8 @@ class EpisodeTally:
             ended = ended & counts
         returns = torch.stack(list(end.rewards.values())).sum(0)
         self._sums += (torch.stack([torch.ones_like(returns), returns, end.success.float()]) * ended).sum(1)
+        for name, values in end.metrics.items():
+            self._metrics[name] = self._metrics.get(name, 0.0) + (values * ended).sum()
 
     def read(self) -> tuple[float, float, int]:
         """Return, success rate and number of episodes, and begin anew.
@@ -81,7 +86,9 @@ class EpisodeTally:
         episodes, returns, successes = self._sums.tolist()
         if episodes:
             self._last = (returns / episodes, successes / episodes, round(episodes))
+            self.metrics = {name: float(total) / episodes for name, total in self._metrics.items()}
             self._sums.zero_()
+            self._metrics.clear()
         return self._last
 
 

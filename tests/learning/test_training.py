@@ -126,12 +126,24 @@ def test_a_short_training_improves_the_return(library: str, tmp_path: Path) -> N
     assert curve[-1].env_steps == SHORT.iterations * STEPS * 32
     assert curve[-1].episode_return > curve[0].episode_return + 0.15
     assert list(tmp_path.rglob("events.out.tfevents.*"))
+    last = json.loads((tmp_path / "curve.jsonl").read_text().splitlines()[-1])
+    assert library == "sb3" or 0.0 < last["metrics"]["position_error_m"] < 2.0
 
     # Its file acts as the library's own networks do, normalisation included.
     observation = environment.observe()["policy"]
     with torch.no_grad():
         expected = MEANS[library](made, observation).clamp(-1.0, 1.0)
     torch.testing.assert_close(PolicyActor(environment, tmp_path).act(), expected, atol=1e-5, rtol=1e-5)
+    environment.close()
+
+
+def test_exploration_does_not_grow_beyond_the_range_of_actions(tmp_path: Path) -> None:
+    environment = reach(2)
+    made = trainer("rsl-rl", environment, tmp_path)
+    deviation = made._runner.alg.get_policy().distribution.log_std_param  # pyright: ignore
+    torch.nn.init.constant_(deviation, 1.0)
+    learn(made, 1)
+    assert deviation.detach().exp().max() == 1.0
     environment.close()
 
 
