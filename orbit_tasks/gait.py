@@ -8,6 +8,7 @@ what the forces that the feet shall exert deflect them, and by what their dampin
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -39,6 +40,8 @@ class Gait:
     """Part of the period that a foot is on the ground."""
     swing_height: float = 0.05
     """Metres."""
+    ease: float = 1.0
+    """How softly a swing begins and ends: its greatest speed is ``1 + ease`` times the mean one."""
     rise: float = 0.03
     """Part of its height over the feet at home by which the trunk goes higher: straighter knees carry more."""
     foothold_gain: float = 0.05
@@ -61,6 +64,15 @@ class Gait:
     """1/s^2: vertical acceleration over the error of the trunk's height."""
 
 
+SLOW_JOINTS = Gait(
+    swing_height=0.04, ease=0.3, rise=-0.1, foothold_gain=0.1, velocity_gain=20.0, turning_gain=20.0, grip=0.5
+)
+"""For legs whose joints turn too slowly for the usual steps: bent knees lift a foot by less of a turn, and what swings
+lack, forces along the ground make up for."""
+_BRISK = 1.0
+"""m/s: speed at which a gait's swings are held against the joints' velocity limits."""
+
+
 class FootholdGait(Node):
     """Gives the action whose joint targets walk a quadruped at commanded velocities.
 
@@ -69,7 +81,8 @@ class FootholdGait(Node):
         task: its actions are joint positions.
         command: (N, 3) forward and sideways velocity in m/s and yaw rate in rad/s, in the trunk's axes; read at each
             turn.
-        gait: timing, size and gains of the steps.
+        gait: timing, size and gains of the steps; None: the usual ones, or :data:`SLOW_JOINTS` where these would take a
+            joint to its velocity limit.
 
     Raises:
         ConfigurationError: the actions are others, or the robot has not four feet.
@@ -85,7 +98,6 @@ class FootholdGait(Node):
         if len(self._feet) != 4:
             raise ConfigurationError(f"a gait needs a robot with four feet; '{task.robot}' has {len(self._feet)}")
         self._generator, self._task, self._command, self._robot = generator, task, command, robot
-        self._gait = gait or Gait()
         self.outputs = (Port("action", (generator.command_size,)),)
         self._dt = task.physics_dt * task.decimation
         self._gravity = -world.scene.gravity[2]
@@ -96,7 +108,11 @@ class FootholdGait(Node):
         self._root = root.expand(count, 7)
         self._positions = robot.home_positions.repeat(count, 1)
         """(N, J) that the legs shall have."""
-        feet, _ = self._kinematics(self._positions[:1], self._root[:1])
+        limits = torch.as_tensor(joint_limits(robot.spec, "velocity_limit"), dtype=torch.float32, device=world.device)
+        feet, jacobian = self._kinematics(self._positions[:1], self._root[:1])
+        usual = Gait()
+        hasty = _swing_speed(usual, jacobian[0]) > _OWN_SPEED * limits[self._legs]
+        self._gait = gait or (SLOW_JOINTS if bool(hasty.any()) else usual)
         self._neutral = feet * torch.tensor([1.0, 1.0, 1.0 + self._gait.rise], device=world.device)
         """(1, 4, 3) feet in the trunk's frame at home."""
         self._planted = self._neutral.repeat(count, 1, 1)
@@ -109,7 +125,6 @@ class FootholdGait(Node):
         gains = robot.nominal_gains
         self._stiffness = torch.tensor([gains[j][0] for j in range(len(gains))], device=world.device)
         self._lag = torch.tensor([gains[j][1] / gains[j][0] for j in range(len(gains))], device=world.device)
-        limits = torch.as_tensor(joint_limits(robot.spec, "velocity_limit"), dtype=torch.float32, device=world.device)
         self._most_turn = _OWN_SPEED * limits * self._dt
         self._mass = robot.spec.articulation.mass
         self._inertia = self._mass * float(self._neutral[..., :2].square().sum(2).mean())
@@ -172,8 +187,7 @@ class FootholdGait(Node):
         half = 0.5 * gait.stance * gait.period
         surplus = gait.foothold_gain * (velocity[:, :2] - self._asked[:, :2])
         ahead = self._neutral[..., :2] + half * self._carried(wanted, self._neutral) + surplus[:, None]
-        # A swing without speed at either end, relative to the ground.
-        share = past - torch.sin(2.0 * torch.pi * past) / (2.0 * torch.pi)
+        share = past - gait.ease * torch.sin(2.0 * torch.pi * past) / (2.0 * torch.pi)
         swinging = self._planted[..., :2] + share[..., None] * (ahead - self._planted[..., :2])
         self._planted[..., :2] = torch.where(landing[..., None], ahead, self._planted[..., :2])
         height = self._neutral[..., 2] + gait.swing_height * torch.sin(torch.pi * past).square() * ~standing
@@ -244,3 +258,12 @@ class FootholdGait(Node):
         """(N, 3) m/s forward and to the left, rad/s about the vertical."""
         linear, turning = walking.linear_velocity(self._robot), walking.angular_velocity(self._robot)
         return torch.cat((linear[:, :2], turning[:, 2:]), 1)
+
+
+def _swing_speed(gait: Gait, jacobian: Tensor) -> Tensor:
+    """(4, 3) rad/s: most that joints turn at in swings at :data:`_BRISK`, by the legs' Jacobians (4, 3, 3) at home."""
+    swing = (1.0 - gait.stance) * gait.period
+    along = (1.0 + gait.ease) * _BRISK * gait.stance / (1.0 - gait.stance)
+    upward = math.pi * gait.swing_height / swing  # of a squared sine
+    feet = torch.tensor([[along, along], [0.0, 0.0], [upward, -upward]], device=jacobian.device)
+    return torch.linalg.solve(jacobian, feet.expand(4, 3, 2)).abs().amax(2)

@@ -242,7 +242,9 @@ class _Arm:
             free, drives = self._free[phase], self._drives[phase]
             self._route.plan(target, begun & free)
             way, near = self._route.way(drives)
-            far = free & self._route.known & ~near & (distances > 0.5 * self._lead).any(1)
+            # Once there the hand leads: on a base that still settled the posture is a little off, and would hold it.
+            self._route.reached |= near & free
+            far = free & self._route.known & ~self._route.reached & (distances > 0.5 * self._lead).any(1)
             positions, pose = self._route.along(way)
             others = [generator.encode_posture(positions, pose, opened) for generator in self._generators]
             led = (far | drives)[:, None]
@@ -280,12 +282,15 @@ class _Route:
         self._goal = robot.joint_positions.clone()
         self.known = torch.zeros(len(self._goal), dtype=torch.bool, device=self._goal.device)
         """(N,) whether the pose can be reached."""
+        self.reached = torch.zeros_like(self.known)
+        """(N,) whether the joints have been at the end of the way."""
 
     def plan(self, target: Tensor, rows: Tensor) -> None:
         """Find the way to poses ``target`` (N, 7), in the environments of ``rows`` (N,) bool."""
         env_ids = rows.nonzero().squeeze(-1)
         if not len(env_ids):
             return
+        self.reached[env_ids] = False
         local = pose_multiply(pose_inverse(self._robot.root_pose[env_ids]), target[env_ids])
         solution = self._solver.solve(local, self._robot.joint_positions[env_ids])
         goal = self._robot.joint_positions[env_ids]

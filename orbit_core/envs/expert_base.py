@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from orbit_core.motion.base import MotionGenerator
 
 
+_NEAR, _NEAR_ON_WHEELS = 0.1, 0.03
+"""Metres from a place at which the next one is headed for. What a base on two wheels lacks then, it lacks for good."""
+
+
 class DrivenBase:
     """Leads one robot's base to one place after another, in each environment by itself.
 
@@ -44,12 +48,16 @@ class DrivenBase:
         limits = [each.base_limits for each in generators if each.base_limits is not None]
         if not limits:
             raise ConfigurationError(
-                f"the expert of task {type(task).__name__} drives a base by velocities over the floor in any "
-                f"direction, which action '{task.action}' of robot '{task.robot}' does not take: choose another action "
-                "space, such as joint_position, or a robot whose base moves sideways, such as base_omni_franka_panda"
+                f"the expert of task {type(task).__name__} drives a base by velocities over the floor, which action "
+                f"'{task.action}' of robot '{task.robot}' does not take: choose another action space, such as "
+                "joint_position, or another robot, such as base_omni_franka_panda"
             )
+        sideways = bool(limits[0][1] > 0.0)
+        self._components = slice(None) if sideways else slice(None, None, 2)
+        tolerance = _NEAR if sideways else _NEAR_ON_WHEELS
         # Robots walk best ahead.
-        self._follower = BasePathFollower(f"{robot.name}_base", robot, limits[0], 0.1, face_way=bool(robot.spec.feet))
+        face_way = bool(robot.spec.feet)
+        self._follower = BasePathFollower(f"{robot.name}_base", robot, limits[0], tolerance, face_way=face_way)
         self._link = robot.link_names.index(robot.spec.base_link)
         self._robot, self._planner = robot, None if planner is None else BasePlanner(world, planner)
         self._target = torch.zeros(world.num_envs, 3, device=world.device)
@@ -72,8 +80,8 @@ class DrivenBase:
         self._follower.load(paths, {env: float(target[env, 2]) for env in paths})
 
     def command(self) -> Tensor:
-        """(N, 3) that drives on, or keeps the base where it is to be."""
-        return self._follower.compute({})["command"]
+        """(N, 3), or (N, 2) on two wheels, that drives on, or keeps the base where it is to be."""
+        return self._follower.compute({})["command"][:, self._components]
 
     @property
     def distances(self) -> Tensor:

@@ -98,7 +98,8 @@ class MotionGenerator(Node):
     @property
     def base_limits(self) -> Tensor | None:
         """(3,) m/s forward, m/s to the left, rad/s that a command of 1 stands for, where a command is the velocity of
-        what carries the robot, in its own axes; None elsewhere."""
+        what carries the robot, in its own axes; None elsewhere. On two wheels the second is zero, and a command has no
+        such component."""
         return None
 
     @property

@@ -16,7 +16,7 @@ from orbit_core.motion.ik import towards_pose
 from orbit_core.motion.term import ActionTerm
 from orbit_core.scene import RobotSpec
 
-_PURSUIT_RATE = 2.0
+PURSUIT_RATE = 2.0
 """1/s: the velocity that an expert asks for, over the displacement that is left."""
 ROUNDING = 1e-5
 """Of a command that is meant to be at its limit."""
@@ -116,7 +116,7 @@ def command_towards(displacement: Tensor, heading: Tensor, limits: Tensor) -> Te
         heading: (N,) rad, of the base in the plane.
         limits: (3,) :attr:`BaseVelocityConfig.limits`.
     """
-    velocities = _PURSUIT_RATE * displacement / limits
+    velocities = PURSUIT_RATE * displacement / limits
     planar = _turned(velocities[:, :2], -heading)
     excess = torch.linalg.vector_norm(planar, dim=1, keepdim=True).clamp_min(1.0)
     return torch.cat((planar / excess, velocities[:, 2:].clamp(-1.0, 1.0)), dim=1)

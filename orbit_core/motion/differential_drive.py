@@ -104,11 +104,16 @@ class DifferentialDrive(MotionGenerator):
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, 2, (JointTarget.POSITION, JointTarget.VELOCITY))
         self._limits = torch.tensor([config.max_speed, config.max_yaw_rate], device=self.device)
+        self._base_limits = torch.tensor([config.max_speed, 0.0, config.max_yaw_rate], device=self.device)
         self._wheels = DifferentialWheels(robot, joints)
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         speeds = self._wheels.speeds(inputs["command"] * self._limits)
         return {JointTarget.POSITION.value: self.positions, JointTarget.VELOCITY.value: speeds}
+
+    @property
+    def base_limits(self) -> Tensor:
+        return self._base_limits
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         """The base drives until it looks at the pose, and by as much as the end effector, or itself, is short of it."""

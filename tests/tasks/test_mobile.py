@@ -12,9 +12,9 @@ from orbit_tasks.mobile import base_pose
 from tests.tasks.experts import episode
 
 
-@pytest.mark.parametrize("backend", ["mujoco", "bullet"])
-def test_the_expert_drives_to_the_goal_and_reaches_it(backend: str) -> None:
-    environment, success = episode("Mobile-Reach", backend, 4)
+@pytest.mark.parametrize(("backend", "robot"), [("bullet", "base_omni_franka_panda"), ("mujoco", "tiago")])
+def test_the_expert_drives_to_the_goal_and_reaches_it(backend: str, robot: str) -> None:
+    environment, success = episode("Mobile-Reach", backend, 3, robot=robot)
     environment.close()
     assert success.all()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import torch
@@ -9,19 +10,25 @@ from torch import Tensor
 
 from orbit_core.dynamics.transforms import yaw_angle
 from orbit_core.interfaces import ConfigurationError, Node, Port, Robot
-from orbit_core.motion.base_velocity import BaseVelocityConfig, command_towards
+from orbit_core.motion.base_velocity import PURSUIT_RATE, BaseVelocityConfig, command_towards
 from orbit_core.motion.planning.follower import longer
 
 _ARRIVING = 0.5
 """Metres from the end of its path within which a base turns to its heading there."""
 _AHEAD = 0.9
 """Cosine of the angle to where it goes within which a base that faces its way goes on."""
+_CLOSE = 0.3
+"""Metres within which a base on two wheels backs up to a place behind it."""
+_STRAYED = 3.0
+"""Tolerances from its place at which a base on two wheels that has arrived drives there again."""
 
 
 class BasePathFollower(Node):
     """Gives the commands of :class:`~orbit_core.motion.BaseVelocityConfig` that lead each base along a path of its own.
 
-    The base goes from place to place, the heading to that of the end; an environment without a path stands still.
+    The base goes from place to place, the heading to that of the end; an environment without a path stands still. One
+    on two wheels (whose limit to the left is zero) turns to each place, drives there, and turns to its heading at the
+    end.
 
     Args:
         name: of the node.
@@ -53,11 +60,12 @@ class BasePathFollower(Node):
         self._link = robot.link_names.index(robot.spec.base_link)
         pose = self._pose()
         self._limits = config.to(pose.device)
+        self._sideways = bool(config[1] > 0.0)
         self._rows = torch.arange(len(pose), device=pose.device)
         self._places = pose[:, None, :2].clone()
         self._heading = pose[:, 2].clone()
         self._last, self._next = torch.zeros(2, len(pose), dtype=torch.int64, device=pose.device).unbind()
-        self._drives = torch.zeros(len(pose), dtype=torch.bool, device=pose.device)
+        self._drives, self._arrived = torch.zeros(2, len(pose), dtype=torch.bool, device=pose.device).unbind()
 
     def load(self, paths: Mapping[int, Tensor], headings: Mapping[int, float]) -> None:
         """Begin paths (P, 2), in the environments' frames, in some environments, each to end at its heading (rad).
@@ -75,7 +83,7 @@ class BasePathFollower(Node):
         for env, path in paths.items():
             self._places[env, : len(path)] = path
             self._heading[env], self._last[env], self._next[env] = headings[env], len(path) - 1, 0
-            self._drives[env] = True
+            self._drives[env], self._arrived[env] = True, False
 
     @property
     def finished(self) -> Tensor:
@@ -90,6 +98,8 @@ class BasePathFollower(Node):
         self._next.copy_(torch.minimum(self._next + near, self._last))
         way = self._places[self._rows, self._next] - pose[:, :2]
         left = self._heading - pose[:, 2]
+        if not self._sideways:
+            return {"command": self._on_wheels(way, pose[:, 2], left) * self._drives[:, None]}
         if self._face_way:
             far = (self._next < self._last) | (torch.linalg.vector_norm(way, dim=1) > _ARRIVING)
             left = torch.where(far, torch.atan2(way[:, 1], way[:, 0]) - pose[:, 2], left)
@@ -97,11 +107,26 @@ class BasePathFollower(Node):
         displacement = torch.cat((way, torch.atan2(left.sin(), left.cos())[:, None]), 1)
         return {"command": command_towards(displacement, pose[:, 2], self._limits) * self._drives[:, None]}
 
+    def _on_wheels(self, way: Tensor, heading: Tensor, left: Tensor) -> Tensor:
+        """(N, 3) for a base that cannot move sideways, from the way (N, 2) to its place and what its last heading lacks
+        (N,)."""
+        away = torch.linalg.vector_norm(way, dim=1)
+        there = (self._next == self._last) & (away < self._tolerance)
+        self._arrived.copy_(there | (self._arrived & (away < _STRAYED * self._tolerance)))
+        bearing = torch.atan2(way[:, 1], way[:, 0]) - heading
+        backs = (away < _CLOSE) & (bearing.cos() < 0.0)
+        bearing = torch.where(self._arrived, left, bearing + math.pi * backs)
+        ahead = torch.where(self._arrived | (bearing.cos() < _AHEAD), 0.0, away * (1.0 - 2.0 * backs.float()))
+        turn = torch.atan2(bearing.sin(), bearing.cos())
+        command = torch.stack((ahead / self._limits[0], torch.zeros_like(ahead), turn / self._limits[2]), 1)
+        return (PURSUIT_RATE * command).clamp(-1.0, 1.0)
+
     def reset(self, env_ids: Tensor | None = None) -> None:
         self._drives[slice(None) if env_ids is None else env_ids] = False
 
     def memory(self) -> Mapping[str, Tensor]:
-        return {"next": self._next, "last": self._last, "drives": self._drives, "heading": self._heading}
+        own = {"next": self._next, "last": self._last, "drives": self._drives, "heading": self._heading}
+        return own | {"arrived": self._arrived}
 
     def _pose(self) -> Tensor:
         """(N, 3) x, y and heading of the base."""
