@@ -269,18 +269,18 @@ def test_a_file_in_another_encoding_reads(tmp_path: Path) -> None:
 
 def test_copies_beyond_the_limits_are_refused_before_they_are_made(tmp_path: Path) -> None:
     body = f'<replicate count="100000000"><body>{GEOM}</body></replicate>'
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(AssetError, match="replicates its elements"):
         read_mjcf(write(tmp_path, body))
-    assert time.perf_counter() - start < 5.0
+    assert time.process_time() - start < 5.0
     assert ReadLimits().elements < 100_000_000
 
 
 def test_a_thousand_bodies_read_in_seconds(tmp_path: Path) -> None:
     bodies = "".join(f'<body name="b{n}" pos="0 0 1"><joint name="j{n}"/>{GEOM}</body>' for n in range(1000))
     path = write(tmp_path, f'<body name="base">{GEOM}{bodies}</body>')
-    start = time.perf_counter()
+    start = time.process_time()
     got = read_mjcf(path)
-    assert time.perf_counter() - start < 10.0
+    assert time.process_time() - start < 10.0
     assert len(got.links) == 1001
     assert got.joints[-1].type is JointType.CONTINUOUS

@@ -31,10 +31,10 @@ def stage(path: Path, levels: int, copies: int, arc: str = "references") -> Path
 
 @pytest.mark.parametrize("arc", ["references", "payload", "inherits", "specializes"])
 def test_a_stage_of_a_hundred_million_prims_is_refused_at_once(tmp_path: Path, arc: str) -> None:
-    begin = time.perf_counter()
+    begin = time.process_time()
     with pytest.raises(AssetError, match=r"bomb\.usda composes to some \d{9} prims: .*ReadLimits\.elements"):
         load_articulation(stage(tmp_path / "bomb.usda", 8, 10, arc))
-    assert time.perf_counter() - begin < 10.0
+    assert time.process_time() - begin < 10.0
 
 
 def test_the_bound_is_of_what_is_composed(tmp_path: Path) -> None:
