@@ -47,6 +47,12 @@ def check_positive(name: str, value: int) -> None:
         raise ConfigurationError(f"{name} must be at least 1, not {value}")
 
 
+def check_steps(max_steps: int | None) -> None:
+    """Refuse a limit of steps below one."""
+    if max_steps is not None:
+        check_positive("max_steps", max_steps)
+
+
 def check_size(name: str, size: tuple[int, ...]) -> None:
     """Refuse what is no width and height; a file's list may have any length."""
     if len(size) != 2:

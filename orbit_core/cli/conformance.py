@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -152,8 +153,8 @@ def _pool(settings: RunSettings) -> Pool:
 
     workers = cores() if settings.jobs is None else settings.jobs
     check_positive("jobs", workers)
-    if settings.time_limit <= 0:
-        raise ConfigurationError(f"time_limit must be positive, not {settings.time_limit:g}")
+    if not 0.0 < settings.time_limit < math.inf:
+        raise ConfigurationError(f"time_limit must be positive and finite, not {settings.time_limit:g}")
     if settings.ray is not None:
         return RayPool(settings.ray, settings.time_limit)
     return LocalPool(workers, settings.time_limit, settings.output / LOG)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from orbit_core.cli.checks import check_steps
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.settings import GraspSettings
@@ -12,6 +13,7 @@ from orbit_core.cli.settings import GraspSettings
 def main(words: Sequence[str]) -> None:
     """Show the task's scene until interrupted, or for ``max_steps``."""
     settings = parse_settings(GraspSettings, words, "orbit grasp")
+    check_steps(settings.max_steps)
     environment = make_environment(settings, 1)
     try:
         from orbit_core.viewer.grasp_tool import GraspedEnvironment, GraspTool

@@ -18,6 +18,8 @@ from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from orbit_core.data.episodes import Dataset
     from orbit_core.data.replay import ReplayResult
 
@@ -61,6 +63,8 @@ def main(words: Sequence[str]) -> None:
     settings = parse_words(PlaySettings, words, "orbit data play")
     for path, suffix in ((settings.json, ".json"), (settings.plot, ".png"), (settings.video, ".mp4")):
         check_output(path, suffix, settings.overwrite)
+    if settings.plot is not None:
+        _figure_type()
     check_positive("episodes", settings.episodes)
     check_positive("num_envs", settings.num_envs)
     if settings.video is not None and len(settings.backend) > 1:
@@ -125,16 +129,25 @@ def _plain(result: ReplayResult) -> dict[str, Any]:
     }
 
 
-def _draw(results: Sequence[ReplayResult], path: Path) -> None:
-    """Median and quartiles of the distances, a panel a thing and a line an engine."""
+def _figure_type() -> type[Figure]:
+    """What plots are drawn on.
+
+    Raises:
+        ConfigurationError: it is not installed.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise ConfigurationError('plots need matplotlib: pip install "orbit-core[plots]"') from error
+    return Figure
+
+
+def _draw(results: Sequence[ReplayResult], path: Path) -> None:
+    """Median and quartiles of the distances, a panel a thing and a line an engine."""
     from orbit_core.files import written_whole
 
     things = [*results[0].distances]
-    figure = Figure(figsize=(5.0 * len(things), 3.6), layout="constrained")
+    figure = _figure_type()(figsize=(5.0 * len(things), 3.6), layout="constrained")
     panels = figure.subplots(1, len(things), squeeze=False)
     for panel, thing in zip(panels[0], things, strict=True):
         for result in results:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from orbit_core.cli.checks import check_output, check_port, check_positive, make_folder
+from orbit_core.cli.checks import check_output, check_port, check_steps, make_folder
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console
 from orbit_core.cli.parsing import parse_settings
@@ -81,11 +81,10 @@ def teleop(settings: TeleopSettings) -> None:
             raise ConfigurationError(f"{name} must be above zero and finite, not {getattr(settings, name):g}")
     check_port("port", settings.port)
     check_port("leader_port", settings.leader_port)
-    if settings.max_steps is not None:
-        check_positive("max_steps", settings.max_steps)
-    file = RecordingFile(settings.output)
+    check_steps(settings.max_steps)
     make_folder(settings.output)
     check_output(settings.output, SUFFIX, settings.overwrite or settings.resume)
+    file = RecordingFile(settings.output)
     file.check_begun(settings.resume, settings.overwrite)
     fields = {**settings.fields, "episode_length": settings.seconds}
     environment = make_environment(replace(settings, fields=fields), 1)

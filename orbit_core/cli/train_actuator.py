@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from orbit_core.cli.checks import check_output, check_positive
+from orbit_core.cli.checks import check_output, check_positive, make_folder
 from orbit_core.cli.output import console, new_table, progress_bar
 from orbit_core.cli.parsing import parse_words
 
@@ -62,7 +62,7 @@ def main(words: Sequence[str]) -> None:
     with progress_bar() as bar:
         line = bar.add_task("fitting", total=settings.passes)
         found = fit(recordings, chosen, lambda done, loss: bar.update(line, completed=done + 1))
-    settings.output.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(settings.output)
     write_network(settings.output, found.network)
     unit = "N m" if settings.unit == "rad" else "N"
     table = new_table("over what was held out", "", title=f"{settings.kind} in {settings.output}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from orbit_core.cli.acting import check_actor, make_actor
+from orbit_core.cli.checks import check_steps
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.settings import ViewSettings
@@ -14,6 +15,7 @@ def main(words: Sequence[str]) -> None:
     """Show the task until interrupted, or for ``max_steps``."""
     settings = parse_settings(ViewSettings, words, "orbit view")
     check_actor(settings.agent)
+    check_steps(settings.max_steps)
     environment = make_environment(settings, settings.num_envs)
     try:
         from orbit_core.viewer.information import task_information

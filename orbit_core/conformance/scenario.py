@@ -123,7 +123,8 @@ class Trial:
     def world(self, scene: Scene, num_envs: int = 1) -> World:
         """A world of the scene, at this trial's time step; closed with the trial."""
         scene = dataclasses.replace(scene, physics_dt=self.time_step)
-        own = self.solver.settings_at(self.substep) if self.solver and self.substep else None
+        solver = self.solver if scene.deformables else None
+        own = solver.settings_at(self.substep) if solver and self.substep else None
         common = (num_envs, self.backend, self.settings, self.device, self.seed)
         world = simulate(scene, *common, matter=self.matter, matter_settings=own)
         self._worlds.append(world)

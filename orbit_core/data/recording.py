@@ -42,11 +42,13 @@ class RecordingFile:
         return self.path.exists() or self.parts.path.exists()
 
     def check_begun(self, resume: bool, overwrite: bool) -> None:
-        """Refuse a recording that was cut off, if neither is asked for.
+        """Refuse a recording that was cut off, if neither is asked for, and to do both.
 
         Raises:
             ConfigurationError: tells of both.
         """
+        if resume and overwrite:
+            raise ConfigurationError("--resume goes on with a recording, --overwrite begins it anew: give one of them")
         if self.parts.path.exists() and not (resume or overwrite):
             raise ConfigurationError(
                 f"{self.parts.path} holds a recording that was cut off: --resume goes on with it, --overwrite begins "

@@ -11,7 +11,7 @@ from typing import Any
 
 from orbit_core.data.manifest import Manifest
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.files import written_whole
+from orbit_core.files import storage_faults, written_whole
 from orbit_core.interfaces import ConfigurationError, SimulationError
 from orbit_core.learning.checkpoint import read_checkpoint, write_checkpoint
 from orbit_core.learning.policy import Policy, PolicyDescription
@@ -100,7 +100,8 @@ class Training:
 
     def _start(self, begin: int) -> None:
         folder = self.trainer.folder
-        folder.mkdir(parents=True, exist_ok=True)
+        with storage_faults(folder):
+            folder.mkdir(parents=True, exist_ok=True)
         if not begin and (folder / RECORD).exists():
             raise ConfigurationError(f"folder {folder} holds a training already: resume it, or name another")
         settings = {"task": self.task, "library": self.trainer.name, **self._algorithm()}

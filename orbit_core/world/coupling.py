@@ -48,10 +48,15 @@ def coupled(
 
     Raises:
         ConfigurationError: a setting that the solver does not have, or a scene that it refuses; settings of a solver
-            where the engine simulates.
+            where the engine simulates, or where there is nothing to simulate.
         UnsupportedCapabilityError: the engine's device is a GPU, and the solver has none.
     """
     if not layout.scene.deformables:
+        if settings:
+            raise ConfigurationError(
+                f"matter settings {', '.join(map(repr, settings))} are a matter solver's, and nothing in this scene "
+                "bends or flows"
+            )
         return engine
     if solver is None:
         if settings:

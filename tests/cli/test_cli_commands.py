@@ -198,6 +198,10 @@ MISTAKES = [
     (["bench", "Lift", "--steps", "0"], "steps must be at least 1"),
     (["view", "Lift", "--agent", "nobody"], "unknown actor or policy 'nobody'"),
     (["run", "Lift", "--robot", "franka"], "did you mean 'franka_panda'"),
+    (["view", "Lift", "--max-steps", "-1"], "max_steps must be at least 1"),
+    (["record", "Lift", "--output", ""], "must end in .hdf5"),
+    (["record", "Lift", "--output", "x.hdf5", "--resume", "--overwrite"], "give one of them"),
+    (["conformance", "--scenario", "free_fall", "--time-limit", "nan"], "time_limit must be positive and finite"),
 ]
 BUILT_MISTAKES = [
     (["--num-envs", "0"], "num_envs must be at least 1"),
@@ -207,6 +211,7 @@ BUILT_MISTAKES = [
     (["--set", "cube.siz=1"], "did you mean 'size'"),
     (["--set", "tolerance"], "key=value"),
     (["--set", "tolerance=big"], "'tolerance' of task Lift is 'big'"),
+    (["--matter-setting", "substep=1"], "nothing in this scene bends or flows"),
     (["--setting", "nothing_of_the_kind=1"], "unknown setting 'nothing_of_the_kind'"),
 ]
 
