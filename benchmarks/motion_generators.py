@@ -4,20 +4,23 @@
 
 A control step is one command and four physics steps, for which servos run four times. The robot's state is read anew
 each time, and the engine does not step: the figures are the generators' own. On a GPU the turns are captured in a CUDA
-graph where the device allows it, as a captured step has them. Prints a table in Markdown, ms.
+graph where the device allows it, as a captured step has them. Prints a table in Markdown, ms. Of generators that plan
+for one environment it is the time of a plan, for which a world that steps in no time waits; a dash is what is refused.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 
 import torch
 
 from orbit_core.assets.catalogue import robot as catalogue_robot
-from orbit_core.interfaces import World
+from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.motion import ActionTerm, motion_generators, with_drives_for
+from orbit_core.motion.mpc.predictive import Predictive
 from orbit_core.motion.servo import Servo
 from orbit_core.scene import ContactSensorSpec, Scene
 from orbit_core.world import simulate
@@ -27,6 +30,8 @@ ROBOTS = {
     "whole_body_ik": "base_omni_franka_panda",
     "differential_drive": "tiago",
     "grasp_synergies": "allegro_right",
+    "locomotion": "anymal_c",
+    "trunk_mpc": "unitree_go2",
 }
 """By generator; all others move a Franka."""
 SENSED = ("hybrid", "admittance")
@@ -51,10 +56,13 @@ def control_step(name: str, envs: int, device: str, backend: str) -> tuple[Calla
     generator = term.build(name, world.robots[robot_name])
     generator.enter(world, DECIMATION * world.physics_dt)
     command = 0.1 * torch.ones(envs, generator.command_size, device=device)
+    plans = isinstance(generator, Predictive)
+    turns = round(1.0 / (generator.config.rate * DECIMATION * world.physics_dt)) if plans else 1
 
     def step() -> None:
         world.clock.touch()
-        generator.compute({"command": command})
+        for _ in range(turns):
+            generator.compute({"command": command})
         for _ in range(DECIMATION if isinstance(generator, Servo) else 0):
             world.clock.touch()
             generator.turn()
@@ -103,7 +111,12 @@ def main() -> None:
         for name in names:
             cells: list[str] = []
             for count in arguments.envs:
-                step, world = control_step(name, count, arguments.device, arguments.backend)
+                try:
+                    step, world = control_step(name, count, arguments.device, arguments.backend)
+                except ConfigurationError as refused:
+                    print(refused, file=sys.stderr)
+                    cells.append("-")
+                    continue
                 for _ in range(2):
                     step()
                 run = step if arguments.device == "cpu" else captured(step)

@@ -22,7 +22,8 @@ from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import PlanningError, World
 from orbit_core.motion import Actuate, RmpFlow, RmpFlowConfig, with_drives_for
 from orbit_core.motion.full_ik import FullIk
-from orbit_core.motion.planning import JointPlanner, time_optimal
+from orbit_core.motion.planning import JointPlanner, TrajectoryFollower, time_optimal
+from orbit_core.motion.planning.trajectory import JointTrajectory
 from orbit_core.scene import Box, Capsule, ContactSensorSpec, ObjectSpec, Pose, Scene, Shape, Sphere, single_link
 from orbit_core.sensors import ContactSensor
 from orbit_core.world import simulate
@@ -116,7 +117,7 @@ def planned(scenes: Scenes, count: int) -> str:
     planner = JointPlanner(scenes.world, robot, joints)
     robot.set_joint_state(robot.home_positions.repeat(scenes.world.num_envs, 1), torch.zeros_like(scenes.posture))
     speeds = np.array([joint.velocity_limit for joint in robot.joints])[joints]
-    found, least, over, times = 0, np.inf, 0, []
+    least, over, times, motions = np.inf, 0, [], dict[int, JointTrajectory]()
     for env in range(count):
         begin = time.perf_counter()
         try:
@@ -124,8 +125,7 @@ def planned(scenes: Scenes, count: int) -> str:
         except PlanningError:
             continue
         times.append(time.perf_counter() - begin)
-        found += 1
-        timed = time_optimal(path, speeds, 5.0, 0.008)
+        motions[env] = timed = time_optimal(path, speeds, 5.0, 0.008)
         rates = np.diff(timed.velocities[:-1], axis=0) / 0.008
         over += bool((np.abs(timed.velocities) > 1.001 * speeds).any() or (np.abs(rates) > 5.1).any())
         for points in (path, torch.as_tensor(timed.positions, dtype=path.dtype)):
@@ -133,10 +133,31 @@ def planned(scenes: Scenes, count: int) -> str:
             dense = torch.cat([a + torch.linspace(0, 1, 2 + int(1200 * (b - a).abs().sum()))[:, None] * (b - a)
                                for a, b in itertools.pairwise(points)])  # fmt: skip
             least = min(least, float(planner.clearances(dense, env).min()))
+    arrived, touched = followed(scenes, motions)
     return (
-        f"plans: {found} of {count} found, {np.median(times):.2f} s at the median and {max(times):.2f} s at most, "
+        f"plans: {len(motions)} of {count} found, {arrived} arrive within 2 cm, {touched} touch something; "
+        f"{np.median(times):.2f} s at the median and {max(times):.2f} s at most, "
         f"{1e3 * least:.1f} mm free at every millimetre, {over} beyond a limit"
     )
+
+
+def followed(scenes: Scenes, motions: dict[int, JointTrajectory]) -> tuple[int, int]:
+    """How many arms arrive that are led along their motions by the engine's drives, and how many touch anything."""
+    robot, joints, world = scenes.robot, scenes.generator.joints, scenes.world
+    node = TrajectoryFollower("follower", robot, joints, 1.0 / (DECIMATION * world.physics_dt))
+    node.reset()
+    node.load(motions)
+    rows = torch.tensor(list(motions))
+    touched = torch.zeros(world.num_envs, dtype=torch.bool)
+    longest = max(motion.duration for motion in motions.values())
+    for _ in range(round((longest + 0.5) / (DECIMATION * world.physics_dt))):
+        targets = node.compute({})
+        robot.set_position_targets(targets["position_targets"], joints)
+        robot.set_velocity_targets(targets["velocity_targets"], joints)
+        world.step(DECIMATION)
+        touched |= scenes.touching()
+    missing = (robot.frame_pose(scenes.generator.frame)[:, :3] - scenes.goal[:, :3]).norm(dim=1)
+    return int((missing[rows] < 0.02).sum()), int(touched[rows].sum())
 
 
 def main() -> None:

@@ -10,9 +10,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces import Robot
+from orbit_core.interfaces import ConfigurationError, Robot
 from orbit_core.motion.base import JointTarget, MotionGenerator
-from orbit_core.motion.embodiment import arm_joints_of, end_effector_of
+from orbit_core.motion.embodiment import arm_joints_of, end_effector_of, joints_above
 from orbit_core.motion.ik import IkMethod, joint_delta
 from orbit_core.motion.modes import CommandMode
 from orbit_core.motion.pose_command import COMPONENTS, PoseCommand
@@ -65,9 +65,17 @@ class PoseTermConfig(ActionTerm):
 
         Raises:
             UnknownNameError: the robot has no such link or frame.
+            ConfigurationError: no joint of the term moves it.
         """
-        frame = self.frame or end_effector_of(robot.spec).frame
+        spec = robot.spec
+        frame = self.frame or end_effector_of(spec).frame
         robot.frame_pose(frame)
+        joints = [robot.joint_names[joint] for joint in self.joint_indices(spec, self.name)]
+        if joints_above(spec, frame).isdisjoint(joints):
+            raise ConfigurationError(
+                f"action term '{self.name}' moves {', '.join(joints)} of robot '{spec.name}', none of which moves "
+                f"'{frame}': name joints between the root and it, or the frame that they move"
+            )
         return frame
 
     def pose_command(self, robot: Robot) -> PoseCommand:

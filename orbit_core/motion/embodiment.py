@@ -49,15 +49,21 @@ def base_joints(spec: RobotSpec) -> tuple[str, ...]:
 def leg_joints(spec: RobotSpec) -> tuple[str, ...]:
     """Patterns of the driven joints between a walking robot's root and its feet."""
     articulation = spec.articulation
-    above = {joint.child: joint for joint in articulation.joints}
-    found: set[str] = set()
-    for foot in spec.feet:
-        link = foot if foot in articulation.link_names else articulation.frame(foot).link
-        while link in above:
-            found.add(above[link].name)
-            link = above[link].parent
+    found = {name for foot in spec.feet for name in joints_above(spec, foot)}
     names = (articulation.joint_names[joint] for joint in driven_joints(spec))
     return tuple(re.escape(name) for name in names if name in found)
+
+
+def joints_above(spec: RobotSpec, frame: str) -> set[str]:
+    """Names of the joints between the robot's root and a link or frame: those that move it."""
+    articulation = spec.articulation
+    above = {joint.child: joint for joint in articulation.joints}
+    link = frame if frame in articulation.link_names else articulation.frame(frame).link
+    found: set[str] = set()
+    while link in above:
+        found.add(above[link].name)
+        link = above[link].parent
+    return found
 
 
 def arm_joints_of(spec: RobotSpec, frame: str | None = None) -> tuple[str, ...]:
