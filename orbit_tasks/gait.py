@@ -111,7 +111,7 @@ class FootholdGait(Node):
         limits = torch.as_tensor(joint_limits(robot.spec, "velocity_limit"), dtype=torch.float32, device=world.device)
         feet, jacobian = self._kinematics(self._positions[:1], self._root[:1])
         usual = Gait()
-        hasty = _swing_speed(usual, jacobian[0]) > _OWN_SPEED * limits[self._legs]
+        hasty = _swing_speed(usual, jacobian[0]) > limits[self._legs]
         self._gait = gait or (SLOW_JOINTS if bool(hasty.any()) else usual)
         self._neutral = feet * torch.tensor([1.0, 1.0, 1.0 + self._gait.rise], device=world.device)
         """(1, 4, 3) feet in the trunk's frame at home."""
@@ -263,7 +263,9 @@ class FootholdGait(Node):
 def _swing_speed(gait: Gait, jacobian: Tensor) -> Tensor:
     """(4, 3) rad/s: most that joints turn at in swings at :data:`_BRISK`, by the legs' Jacobians (4, 3, 3) at home."""
     swing = (1.0 - gait.stance) * gait.period
-    along = (1.0 + gait.ease) * _BRISK * gait.stance / (1.0 - gait.stance)
-    upward = math.pi * gait.swing_height / swing  # of a squared sine
-    feet = torch.tensor([[along, along], [0.0, 0.0], [upward, -upward]], device=jacobian.device)
-    return torch.linalg.solve(jacobian, feet.expand(4, 3, 2)).abs().amax(2)
+    along = _BRISK * gait.stance / (1.0 - gait.stance)
+    upward = math.pi * gait.swing_height / swing  # of a squared sine, at a quarter and three of the swing
+    feet = torch.tensor(
+        [[along, along, (1.0 + gait.ease) * along], [0.0, 0.0, 0.0], [upward, -upward, 0.0]], device=jacobian.device
+    )
+    return torch.linalg.solve(jacobian, feet.expand(4, 3, 3)).abs().amax(2)
