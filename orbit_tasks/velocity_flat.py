@@ -230,6 +230,7 @@ class VelocityFlat(Task):
     """(N, 2) linear and yaw error summed over the episode."""
 
     def scene(self) -> Scene:
+        walking.check_commands(self.max_forward, self.max_sideways, self.max_yaw_rate)
         robot = walking.walker(self.robot, self.action_scale)
         biped.suited(self.rewards, len(robot.feet))
         return Scene(

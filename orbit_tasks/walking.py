@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_rotate_inverse, yaw_angle
-from orbit_core.interfaces import Robot, World, match_names
+from orbit_core.interfaces import ConfigurationError, Robot, World, match_names
 from orbit_core.mdp import common
 from orbit_core.motion import joint_commands
 from orbit_core.motion.embodiment import leg_joints
@@ -48,6 +48,18 @@ def walker(name: str, scale: float | None) -> RobotSpec:
     if scale is not None:
         spec = replace(spec, joint_commands=replace(joint_commands(spec), position_scale=scale))
     return replace(spec, actuators=(*_others(spec), *spec.walking_drives)) if spec.walking_drives else spec
+
+
+def check_commands(max_forward: float, max_sideways: float, max_yaw_rate: float) -> None:
+    """See that velocities can be drawn between these, in m/s and rad/s, and their opposites.
+
+    Raises:
+        ConfigurationError: one is below zero.
+    """
+    limits = {"max_forward": max_forward, "max_sideways": max_sideways, "max_yaw_rate": max_yaw_rate}
+    for name, most in limits.items():
+        if most < 0.0:
+            raise ConfigurationError(f"field '{name}' of a task of walking is {most:g}: give zero or more")
 
 
 def carries_arm(spec: RobotSpec) -> bool:

@@ -9,10 +9,12 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.interfaces import ConfigurationError, Robot
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.motion.base import JointTarget, MotionGenerator
+from orbit_core.motion.base_velocity import ROUNDING
 from orbit_core.motion.term import ActionTerm
 from orbit_core.scene import DifferentialBase, RobotSpec
 
@@ -106,10 +108,21 @@ class DifferentialDrive(MotionGenerator):
         self._limits = torch.tensor([config.max_speed, config.max_yaw_rate], device=self.device)
         self._base_limits = torch.tensor([config.max_speed, 0.0, config.max_yaw_rate], device=self.device)
         self._wheels = DifferentialWheels(robot, joints)
+        self.clamped = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
+        """(N,) commands since the reset that asked for more than the limits of speed or yaw rate, and were kept to
+        them."""
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        speeds = self._wheels.speeds(inputs["command"] * self._limits)
+        command = inputs["command"]
+        self.clamped += command.abs().amax(1) > 1.0 + ROUNDING
+        speeds = self._wheels.speeds(command.clamp(-1.0, 1.0) * self._limits)
         return {JointTarget.POSITION.value: self.positions, JointTarget.VELOCITY.value: speeds}
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        write_rows(self.clamped, 0, env_ids)
+
+    def memory(self) -> Mapping[str, Tensor]:
+        return {"clamped": self.clamped}
 
     @property
     def base_limits(self) -> Tensor:

@@ -37,6 +37,11 @@ def test_wheels_turn_as_the_base_moves_and_keep_its_curve_at_their_limits(kinema
     forward = base.radius * speeds.mean(1)
     turning = base.radius * (speeds[:, 1] - speeds[:, 0]) / base.track
     torch.testing.assert_close(torch.stack((forward, turning), 1), commands * torch.tensor([0.5, 0.8]))
+    assert not generator.clamped.any()
+    beyond = generator.compute({"command": torch.tensor([[1.0, 0.0], [0.0, 1.5], [3.0, 0.0]])})["velocity_targets"]
+    torch.testing.assert_close(beyond[:2], speeds[:2])
+    torch.testing.assert_close(beyond[2], speeds[0])
+    assert generator.clamped.tolist() == [0, 1, 1]
     fast = DifferentialDriveConfig(max_speed=20.0, max_yaw_rate=30.0).build("base", robot)
     speeds = fast.compute({"command": commands})["velocity_targets"]
     limit = min(robot.joints[joint].velocity_limit for joint in fast.joints)
