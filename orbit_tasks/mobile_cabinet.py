@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from torch import Tensor
 
@@ -95,7 +95,8 @@ class MobileCabinet(Mobile, Cabinet):
     def scene(self) -> Scene:
         robot = mobile(self.robot)
         lowest = robot.end_effector.workspace.placed(robot.pose).low[2]
-        return self.scene_with(robot, cabinet.PLINTH + max(0.0, lowest - BENCH_ARM))
+        scene = self.scene_with(robot, cabinet.PLINTH + max(0.0, lowest - BENCH_ARM))
+        return replace(scene, firm_friction=bool(robot.feet))
 
     def start(self, world: World) -> None:
         super().start(world)

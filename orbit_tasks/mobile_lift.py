@@ -131,6 +131,7 @@ class MobileLift(Mobile, Lift):
             terrain=(common.floor(),),
             markers=(GOAL,),
             physics_dt=self.physics_dt,
+            firm_friction=bool(robot.feet),
         )
 
     def _fit(self, robot: RobotSpec) -> None:

@@ -108,11 +108,13 @@ class MobileReach(Mobile, Reach):
     events: ReachEvents = field(default_factory=MobileReachEvents)
 
     def scene(self) -> Scene:
+        robot = mobile(self.robot, gripper=False)
         return Scene(
-            robots=(mobile(self.robot, gripper=False),),
+            robots=(robot,),
             terrain=(common.floor(),),
             markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.15),),
             physics_dt=self.physics_dt,
+            firm_friction=bool(robot.feet),
         )
 
     def expert(self, world: World) -> Expert:

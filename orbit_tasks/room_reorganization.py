@@ -208,6 +208,7 @@ class RoomReorganization(Mobile, Task):
             terrain=(common.floor(), *room.walls()),
             markers=marks,
             physics_dt=self.physics_dt,
+            firm_friction=bool(robot.feet),
         )
 
     def _laid_out(self) -> tuple[ObjectSpec, ...]:

@@ -18,7 +18,9 @@ class Scene:
     """Robots, objects, terrain, sensors and light of one environment.
 
     ``physics_dt`` is the engine's time step in seconds. ``terrain`` are static shapes in the environment's frame.
-    ``lights`` and ``sky`` are what colour images are shaded with (:mod:`orbit_core.scene.lights`).
+    ``lights`` and ``sky`` are what colour images are shaded with (:mod:`orbit_core.scene.lights`). With
+    ``firm_friction`` friction shall hold what stands still for long, such as a robot on its feet: an engine whose own
+    is soft makes it firmer, at a cost of speed, unless its settings say how firm; others have nothing to do.
     """
 
     robots: tuple[RobotSpec, ...] = ()
@@ -31,6 +33,7 @@ class Scene:
     sky: Sky = field(default_factory=Sky)
     gravity: Vector3 = (0.0, 0.0, -9.81)
     physics_dt: float = 0.005
+    firm_friction: bool = False
 
     @property
     def entities(self) -> tuple[Entity, ...]:

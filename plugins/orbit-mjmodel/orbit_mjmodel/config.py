@@ -24,8 +24,9 @@ class ModelConfig:
     """Most iterations per line search."""
     cone: str = "elliptic"
     """``pyramidal`` weakens friction by up to 30 % in directions between the axes of a contact."""
-    impratio: float = 1.0
-    """Stiffness of friction over that of the normal; larger values creep less under load."""
+    impratio: float | None = None
+    """Stiffness of friction over that of the normal; larger values creep less under load. None: 1, or 10 where the
+    scene asks for firm friction."""
     contact_solref: tuple[float, float] = (0.02, 1.0)
     """Time constant (s) and damping ratio of contacts. MuJoCo takes at least two steps for the time constant."""
     contact_solimp: tuple[float, float, float, float, float] = (0.9, 0.99, 0.001, 0.5, 2.0)
@@ -36,8 +37,9 @@ class ModelConfig:
             if getattr(self, name) not in known:
                 raise ConfigurationError(f"{name} '{getattr(self, name)}' is not one of {', '.join(known)}")
         for name in ("iterations", "ls_iterations", "impratio"):
-            if getattr(self, name) <= 0:
-                raise ConfigurationError(f"{name} must be positive, not {getattr(self, name)}")
+            value = getattr(self, name)
+            if value is not None and value <= 0:
+                raise ConfigurationError(f"{name} must be positive, not {value}")
         for name, length in (("contact_solref", 2), ("contact_solimp", 5)):
             if len(getattr(self, name)) != length:
                 raise ConfigurationError(f"{name} takes {length} numbers, not {len(getattr(self, name))}")

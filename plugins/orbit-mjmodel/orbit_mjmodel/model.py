@@ -39,6 +39,8 @@ _TORQUE_SCALE = 10
 """Among a weld's data, the weight of its angles beside its distances."""
 _NO_WIDTH = 5e-7
 """Radians or metres on either side of a joint whose limits are one position, as MuJoCo takes no range without width."""
+_FIRM_IMPRATIO = 10.0
+"""Where a scene asks for firm friction: what it holds creeps sixteen times slower."""
 _HARD_FRICTION = (0.999, 0.9999, 0.001, 0.5, 2.0)
 """Impedance of joint friction. With MuJoCo's own, 0.9, a joint that friction holds creeps two hundred times faster."""
 
@@ -146,7 +148,8 @@ class _Builder:
         option.cone = getattr(mujoco.mjtCone, f"mjCONE_{config.cone.upper()}")
         option.iterations = config.iterations
         option.ls_iterations = config.ls_iterations
-        option.impratio = config.impratio
+        own = _FIRM_IMPRATIO if self.layout.scene.firm_friction else 1.0
+        option.impratio = own if config.impratio is None else config.impratio
         # Which links may touch is written out pair by pair.
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT) | disabled
 

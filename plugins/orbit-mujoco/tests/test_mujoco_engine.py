@@ -93,6 +93,12 @@ def test_settings_reach_the_model() -> None:
     assert [line.subject for line in engine.build_report] == ["contacts"]
 
 
+def test_friction_is_firm_where_the_scene_asks_for_it_and_settings_do_not_say() -> None:
+    firm = Scene(robots=(robot(),), firm_friction=True)
+    engines = make(Scene(robots=(robot(),))), make(firm), make(firm, impratio=2.0)
+    assert [model_of(engine).opt.impratio for engine in engines] == [1.0, 10.0, 2.0]
+
+
 def test_only_the_cpu() -> None:
     with pytest.raises(ConfigurationError, match="'cpu' only"):
         MujocoBackend().create_engine(SceneLayout.of(Scene()), 1, torch.device("cuda"), MujocoConfig())
