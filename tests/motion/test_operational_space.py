@@ -96,9 +96,7 @@ def test_joints_that_the_hand_leaves_free_go_home() -> None:
 def test_what_cannot_be_is_refused_by_name() -> None:
     with pytest.raises(UnknownNameError, match=r"panda_hand_tcb.*did you mean 'panda_hand_tcp'"):
         held(OperationalSpaceConfig(frame="panda_hand_tcb"), BACKENDS[0])
-    with pytest.raises(
-        ConfigurationError, match=r"panda_finger_joint1 of robot 'robot', none of which moves 'panda_"
-    ):
+    with pytest.raises(ConfigurationError, match=r"panda_finger_joint1 of robot 'robot', none of which moves 'panda_"):
         held(OperationalSpaceConfig(joints=("panda_finger.*",)), BACKENDS[0])
     with pytest.raises(ConfigurationError, match=r"'it': a stiffness of 4e\+06 .*is unstable"):
         held(OperationalSpaceConfig(stiffness=4e6), BACKENDS[0])
