@@ -315,7 +315,7 @@ class PegInHole(Task):
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 24.0
-    ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.4, entropy_weight=0.0)
+    ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.4, entropy_weight=0.001)
     shapes: tuple[str, ...] = ("square",)
     """Sections of the blocks, :data:`orbit_core.assets.pegs.SECTIONS`, a block each: give each about 24 s."""
     clearance: float = 0.002
