@@ -260,12 +260,12 @@ class PegObservations:
 
 @dataclass
 class PegRewards:
-    """Rewards of the hand at a block, blocks off the table, above and in their holes, eight times as much, not fast."""
+    """Rewards of the hand at a block, blocks off the table, above and in their holes, five times as much, not fast."""
 
-    reach: RewardTerm | None = RewardTerm(reaching, 0.1)
-    lift: RewardTerm | None = RewardTerm(lambda world, task: lifted(world, task).mean(1), 0.2)
-    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.2), 0.4)
-    align: RewardTerm | None = RewardTerm(aligned, 0.4)
+    reach: RewardTerm | None = RewardTerm(reaching, 0.3)
+    lift: RewardTerm | None = RewardTerm(lambda world, task: lifted(world, task).mean(1), 0.4)
+    track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.2), 0.6)
+    align: RewardTerm | None = RewardTerm(aligned, 0.6)
     depth: RewardTerm | None = RewardTerm(depth, 2.0)
     insert: RewardTerm | None = RewardTerm(lambda world, task: inserted(world, task).mean(1), 6.0)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
