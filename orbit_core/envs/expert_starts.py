@@ -14,6 +14,8 @@ from torch import Tensor
 
 from orbit_core.dynamics.indexing import is_mask, write_rows
 from orbit_core.envs.episode import EXPERT_START
+from orbit_core.envs.observation_groups import POLICY
+from orbit_core.envs.observation_layout import observation_of
 from orbit_core.envs.step_parts import StepParts
 from orbit_core.envs.task import Task
 from orbit_core.interfaces import ConfigurationError, Object, World
@@ -23,6 +25,11 @@ MOST_STATES = 2**16
 """States that are kept at most, drawn from all that were recorded."""
 _STRIDE = 4
 """Steps from one state that is kept to the next."""
+_STRAYING = 0.1
+"""Deviation of what is added to the expert's actions, so that states beside its way, and how it comes back to it, are
+among those kept: Laskey et al., DART: Noise Injection for Robust Imitation Learning (2017)."""
+_SEEN, _DONE = "seen", "done"
+"""Names of what is kept of each moment beside the state."""
 
 
 class ExpertStarts:
@@ -49,6 +56,9 @@ class ExpertStarts:
         self._entities: list[Object] = [*world.robots.values(), *world.objects.values()]
         self._states: dict[str, Tensor] = {}
         """(K, ...) of each part of a state that differs between states; empty until they are recorded."""
+        self.seen, self.done = torch.empty(0), torch.empty(0)
+        """(K, O) what a policy would have seen in those states, and (K, A) what the expert did; empty where the
+        observation is a dictionary."""
         self.began_there = torch.zeros(world.num_envs, dtype=torch.bool, device=world.device)
         """(N,) whether the present episode began on the expert's way."""
 
@@ -68,13 +78,17 @@ class ExpertStarts:
         steps, moments = environment.max_episode_steps, list[Mapping[str, Tensor]]()
         failed, reached = self.began_there.clone(), self.began_there.clone()
         reached_at = torch.full_like(self._task.episode_step, steps)
+        generator = torch.Generator(action.device).manual_seed(0)
         with torch.no_grad(), SingleThreaded():
             expert = self._task.expert(self._world)
             for step in range(steps - 1):
+                observed = observation_of(environment.observation, list(environment.cut.observe().values()))[POLICY]
+                wanted = expert.compute({})["action"]
                 if step % _STRIDE == 0:
-                    moments.append({name: part.clone() for name, part in self._parts().items()})
-                environment.cut.observe()  # acting demands it
-                action.copy_(expert.compute({})["action"])
+                    shown = {_SEEN: observed, _DONE: wanted} if isinstance(observed, Tensor) else {}
+                    moments.append({name: part.clone() for name, part in (self._parts() | shown).items()})
+                strays = torch.randn(action.shape, generator=generator, device=action.device)
+                action.copy_((wanted + _STRAYING * strays).clamp(-1.0, 1.0))
                 _, terminated, _ = environment.advance()
                 failed |= terminated
                 new = self._task.success(self._world) & ~reached
@@ -97,7 +111,11 @@ class ExpertStarts:
             kept = kept[chosen.to(kept.device)]
         for name in moments[0]:
             values = torch.stack([moment[name] for moment in moments])[kept[:, 0], kept[:, 1]]
-            if bool((values != values[:1]).any()):
+            if name == _SEEN:
+                self.seen = values
+            elif name == _DONE:
+                self.done = values
+            elif bool((values != values[:1]).any()):
                 self._states[name] = values
 
     def begin(self, env_ids: Tensor | None) -> None:

@@ -41,6 +41,9 @@ class PpoSettings:
     entropy_weight: float = 0.002
     normalize_observations: bool = True
     """Whether observations are shifted and scaled to mean 0 and deviation 1 by their own statistics."""
+    imitation_steps: int = 0
+    """Gradient steps in which the actor imitates what the task's expert did on its way, before the first iteration;
+    needs ``expert_starts`` of the task, and RSL-RL."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -55,6 +58,7 @@ class PpoSettings:
         for name in ("discount", "gae_lambda"):
             self._check(name, 0.0, 1.0)
         self._check("entropy_weight", 0.0, math.inf)
+        self._check("imitation_steps", 0, math.inf)
         if not all(1 <= units <= _MOST_UNITS for units in self.hidden_sizes):
             raise ArgumentError(f"hidden_sizes are {self.hidden_sizes}: give each layer 1 to {_MOST_UNITS} units")
 

@@ -24,6 +24,7 @@ from orbit_core.envs.ppo import PpoSettings
 from orbit_core.learning.convolutional import convolutional, convolutional_actor
 from orbit_core.learning.description import group_parts
 from orbit_core.learning.groups import ACTOR, check_groups, critic_group, tensor_names, tensors_by_name
+from orbit_core.learning.imitation import imitate_expert
 from orbit_core.learning.networks import ActorNetwork, perceptron_actor
 from orbit_core.learning.rsl_rl_models import PictureModel
 from orbit_core.learning.trainer import Progress, Trainer
@@ -76,6 +77,7 @@ class RslRlTrainer(Trainer[PpoSettings]):
 
     name: ClassVar[str] = "rsl-rl"
     several_gpus: ClassVar[bool] = True
+    imitates: ClassVar[bool] = True
 
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
@@ -87,6 +89,9 @@ class RslRlTrainer(Trainer[PpoSettings]):
         self._runner.logger.git_status_repos = []
 
     def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
+        if self.settings.imitation_steps and self._runner.current_learning_iteration == 0:
+            policy: Any = self._runner.alg.get_policy()
+            imitate_expert(self.environment, policy.mlp, policy.obs_normalizer, self.settings)
         with self._reporting(report), contextlib.redirect_stdout(io.StringIO()):
             self._runner.learn(iterations, init_at_random_ep_len=True)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.networks import ActorNetwork
 
 if TYPE_CHECKING:
@@ -65,16 +66,26 @@ class Trainer(ABC, Generic[Settings]):
         settings: of the algorithm.
         folder: takes TensorBoard's files.
         seed: of exploration and of the networks' weights.
+
+    Raises:
+        ConfigurationError: the settings ask for what the library does not do.
     """
 
     name: ClassVar[str]
     """The library's name as the user types it."""
     several_gpus: ClassVar[bool] = False
     """Whether processes that torchrun starts, one a GPU, learn one policy together."""
+    imitates: ClassVar[bool] = False
+    """Whether it imitates the task's expert first, :attr:`PpoSettings.imitation_steps`."""
     settings_type: ClassVar[type[Any]] = PpoSettings
     """Class of its algorithm's settings."""
 
     def __init__(self, environment: Environment, settings: Settings, folder: Path, seed: int) -> None:
+        if getattr(settings, "imitation_steps", 0) and not self.imitates:
+            raise ConfigurationError(
+                f"library '{self.name}' imitates no expert before it learns: use --library rsl-rl, or "
+                "--ppo imitation_steps=0"
+            )
         self.environment = environment
         self.settings = settings
         self.folder = folder

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch import nn
 
 from orbit_core.backends import default_backend
-from orbit_core.envs import make
+from orbit_core.cli.train import TrainSettings, for_training
+from orbit_core.envs import PpoSettings, make
 from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.learning.imitation import imitate_expert
 from orbit_core.rollout.ends import EpisodeTally
 from orbit_tasks.lift import Lift
 
@@ -58,8 +61,21 @@ def test_shares_and_tasks_that_cannot_be() -> None:
 
 
 def test_a_training_sets_what_the_task_says_for_it_unless_told_otherwise() -> None:
-    from orbit_core.cli.train import TrainSettings, for_training
-
     settings = for_training(TrainSettings(task="Stack", fields={"action": "joint_position"}))
     assert settings.fields == {"expert_starts": 0.5, "action": "joint_position"}
     assert for_training(TrainSettings(task="Reach")).fields == {}
+
+
+def test_what_the_expert_saw_and_did_is_imitated() -> None:
+    environment = make("Reach", 4, default_backend(), expert_starts=0.5, action="ik_relative", episode_length=2.0)
+    assert environment.starts is not None
+    seen, done = environment.starts.seen, environment.starts.done
+    assert seen.shape == (len(done), environment.observation_size)
+    network = nn.Sequential(nn.Linear(seen.shape[1], 32), nn.ELU(), nn.Linear(32, done.shape[1]))
+    settings = PpoSettings(imitation_steps=100, learning_rate=3e-3, normalize_observations=False)
+    assert imitate_expert(environment, network, nn.Identity(), settings) < 0.3 * done.square().mean()
+    environment.close()
+    plain = make("Reach", 2, default_backend())
+    with pytest.raises(ConfigurationError, match=r"imitation_steps=100 needs what an expert saw and did"):
+        imitate_expert(plain, network, nn.Identity(), settings)
+    plain.close()
