@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import mujoco
@@ -34,6 +35,7 @@ class GeomBuilder:
         self._spec = spec
         self._hulls: dict[Mesh, str] = {}
         self._fields: dict[Mesh, str] = {}
+        self._numbers = itertools.count()  # of meshes: a specification lists all of its own to tell how many they are
 
     def add(self, body: mujoco.MjsBody, part: Part, contact: ContactParameters, name: str = "") -> None:
         """Add ``part`` to ``body``, under a name or none."""
@@ -93,7 +95,7 @@ class GeomBuilder:
         """The mesh with an octree of distances, which MuJoCo makes as it compiles."""
         if mesh not in self._fields:
             asset = self._spec.add_mesh(
-                name=f"mesh{len(self._spec.meshes)}",
+                name=f"mesh{next(self._numbers)}",
                 uservert=np.asarray(mesh.vertices, dtype=np.float64).ravel(),
                 userface=np.asarray(mesh.faces, dtype=np.int32).ravel(),
                 octree_maxdepth=_FIELD_DEPTH,
@@ -104,7 +106,7 @@ class GeomBuilder:
     def _asset(self, vertices: npt.NDArray[np.float64]) -> str:
         """The convex hull of ``vertices``: MuJoCo makes it of vertices that come without faces."""
         mesh = self._spec.add_mesh(
-            name=f"mesh{len(self._spec.meshes)}",
+            name=f"mesh{next(self._numbers)}",
             uservert=vertices.ravel(),
             inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
         )
