@@ -13,21 +13,11 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import box, table
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import (
-    EventTerm,
-    EventTime,
-    Expert,
-    ObservationGroup,
-    ObservationTerm,
-    Phase,
-    RewardTerm,
-    Task,
-    TerminationTerm,
-)
+from orbit_core.envs import EventTerm, EventTime, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import POSE, measured_in, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, randomize
+from orbit_core.mdp import common, picking, randomize, tabletop
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
 
@@ -48,12 +38,6 @@ def rod_pose(world: World, task: Handover) -> Tensor:
 
 
 @once_per_state
-def rod_position(world: World, task: Handover) -> Tensor:
-    """(N, 3)"""
-    return rod_pose(world, task)[:, :3]
-
-
-@once_per_state
 def rod_direction(world: World, task: Handover) -> Tensor:
     """(N, 3) unit vector along the rod, from the giver's side to the receiver's."""
     along = quat_rotate(rod_pose(world, task)[:, 3:], task.along)
@@ -63,7 +47,7 @@ def rod_direction(world: World, task: Handover) -> Tensor:
 @once_per_state
 def grip(world: World, task: Handover, agent: str) -> Tensor:
     """(N, 3) where that agent holds the rod."""
-    return rod_position(world, task) + SIDES[agent] * GRIP * rod_direction(world, task)
+    return rod_pose(world, task)[:, :3] + SIDES[agent] * GRIP * rod_direction(world, task)
 
 
 @measured_in("m")
@@ -76,30 +60,25 @@ def hand_to_grip(world: World, task: Handover, agent: str) -> Tensor:
 @once_per_state
 def goal_distance(world: World, task: Handover) -> Tensor:
     """(N,) between rod and goal."""
-    return vector_norm(task.goal - rod_position(world, task), dim=1)
+    return vector_norm(task.goal - rod_pose(world, task)[:, :3], dim=1)
 
 
 @once_per_state
 def place_distance(world: World, task: Handover) -> Tensor:
     """(N,) between the rod and the place where it is passed on."""
-    return vector_norm(task.place - rod_position(world, task), dim=1)
-
-
-def dropped(world: World, task: Handover) -> Tensor:
-    """(N,) the rod fell off the table."""
-    return rod_position(world, task)[:, 2] < -0.05
+    return vector_norm(task.place - rod_pose(world, task)[:, :3], dim=1)
 
 
 @once_per_state
 def lifted(world: World, task: Handover) -> Tensor:
     """(N,) 1 where the rod is off the table, else 0."""
-    return (rod_position(world, task)[:, 2] > 1.5 * WIDTH).float()
+    return (rod_pose(world, task)[:, 2] > 1.5 * WIDTH).float()
 
 
 @once_per_state
 def received(world: World, task: Handover) -> Tensor:
     """(N,) 1 where the rod is off the table and beyond the middle, where the receiver alone can have brought it."""
-    beyond = rod_position(world, task)[:, 0] > 0.5 * task.spacing + GRIP
+    beyond = rod_pose(world, task)[:, 0] > 0.5 * task.spacing + GRIP
     return lifted(world, task) * beyond.float()
 
 
@@ -111,8 +90,7 @@ def reaching(world: World, task: Handover, agent: str) -> Tensor:
 
 def offering(world: World, task: Handover, agent: str) -> Tensor:
     """(N,) in [0, 1]: how near the lifted rod is to where it is passed on; 1 once it has been."""
-    near = lifted(world, task) * common.nearness(place_distance(world, task), 0.2)
-    return torch.maximum(near, received(world, task))
+    return torch.maximum(lifted(world, task) * common.nearness(place_distance(world, task), 0.2), received(world, task))
 
 
 def tracking(world: World, task: Handover, scale: float) -> Tensor:
@@ -122,11 +100,8 @@ def tracking(world: World, task: Handover, scale: float) -> Tensor:
 
 def place_rod(world: World, task: Handover, env_ids: Tensor) -> None:
     """Place the rod on a 10 x 40 cm patch that the giver alone can reach, turned by up to half a radian."""
-    height = 0.5 * WIDTH
-    low, high = (0.37, -0.2, height, -0.5), (0.47, 0.2, height, 0.5)
-    place = world.random.uniform((4,), low, high, env_ids)
-    pose = common.standing(place)
-    world.objects["rod"].set_root_pose(pose, env_ids)
+    bounds = (0.37, -0.2, 0.5 * WIDTH, -0.5), (0.47, 0.2, 0.5 * WIDTH, 0.5)
+    world.objects["rod"].set_root_pose(common.standing(world.random.uniform((4,), *bounds, env_ids)), env_ids)
     task.nearest[env_ids] = torch.inf
 
 
@@ -137,17 +112,13 @@ def sample_goal(world: World, task: Handover, env_ids: Tensor) -> None:
     common.place_markers(world, ("goal",), goal[:, None], env_ids)
 
 
-# Where the expert leads the hands
-
-
-def around_rod(agent: str, height: float = 0.0) -> Callable[[World, Handover], Tensor]:
-    """(N, 7) that agent's hand around its end of the rod, pointing down, or above that by ``height``."""
+def around_rod(agent: str) -> Callable[[World, Handover], Tensor]:
+    """(N, 7) that agent's hand around its end of the rod, pointing down."""
 
     def target(world: World, task: Handover) -> Tensor:
         direction = rod_direction(world, task)
         yaw = torch.atan2(direction[:, 1], direction[:, 0])
-        above = torch.tensor([0.0, 0.0, height], device=world.device)
-        return torch.cat((grip(world, task, agent) + above, _facing_down(agent, yaw)), dim=1)
+        return torch.cat((grip(world, task, agent), _facing_down(agent, yaw)), dim=1)
 
     return target
 
@@ -156,8 +127,7 @@ def beside_place(agent: str, back: float, height: float) -> Callable[[World, Han
     """(N, 7) that agent's hand above its side of the place where the rod is passed on, and behind by ``back``."""
 
     def target(world: World, task: Handover) -> Tensor:
-        offset = torch.tensor([SIDES[agent] * (GRIP + back), 0.0, height], device=world.device)
-        position = task.place + offset
+        position = task.place + torch.tensor([SIDES[agent] * (GRIP + back), 0.0, height], device=world.device)
         return torch.cat((position, _facing_down(agent, torch.zeros_like(position[:, 0]))), dim=1)
 
     return target
@@ -168,7 +138,7 @@ def carried(agent: str, goal: Callable[[Handover], Tensor]) -> Callable[[World, 
 
     def target(world: World, task: Handover) -> Tensor:
         wanted = goal(task)
-        position = wanted + common.hand_pose(world, task, agent)[:, :3] - rod_position(world, task)
+        position = wanted + common.hand_pose(world, task, agent)[:, :3] - rod_pose(world, task)[:, :3]
         return torch.cat((position, _facing_down(agent, torch.zeros_like(wanted[:, 0]))), dim=1)
 
     return target
@@ -196,14 +166,6 @@ class HandoverState(ObservationGroup):
 
 
 @dataclass
-class HandoverObservations:
-    """Policy and critic see the state."""
-
-    policy: HandoverState = field(default_factory=HandoverState)
-    critic: ObservationGroup | None = None
-
-
-@dataclass
 class HandoverRewards:
     """Rewards of each arm for its own part, and of both for the rod at the goal, less what is fast or abrupt."""
 
@@ -217,13 +179,6 @@ class HandoverRewards:
     lift: RewardTerm | None = RewardTerm(lifted, 4.0)
     track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 16.0)
     track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 5.0)
-
-
-@dataclass
-class HandoverTerminations:
-    """An episode ends early where the rod is dropped."""
-
-    dropped: TerminationTerm | None = TerminationTerm(dropped)
 
 
 @dataclass
@@ -241,19 +196,16 @@ class HandoverEvents:
 
 
 @dataclass(kw_only=True)
-class Handover(Task):
+class Handover(tabletop.TabletopTask):
     """Two arms face each other across a table. The rod starts where only the giver reaches it, the goal hangs where
     only the receiver does.
 
-    Succeeds when the rod's middle is within ``tolerance`` of the goal at the episode's end. Metrics: that distance,
-    which is the receiver's to close, and the least in the episode between the rod and the place in the middle where it
-    is passed on, which is the giver's.
-    """  # fmt: skip
+    Succeeds when the rod's middle is within ``tolerance`` of the goal at the episode's end. Metrics: that distance, the
+    receiver's to close, and the least between the rod and the place where it is passed on, the giver's."""  # fmt: skip
 
     agents: ClassVar[tuple[str, ...]] = (GIVER, RECEIVER)
     robot: str = "franka_panda"
     """Name of both arms in the catalogue."""
-    action: str = "joint_position"
     episode_length: float = 8.0
     view: Pose = look_at(eye=(0.75, 1.9, 0.95), target=(0.75, 0.0, 0.2))
     ppo: PpoSettings = PpoSettings(iterations=2000, initial_std=0.3, entropy_weight=0.005)
@@ -264,9 +216,9 @@ class Handover(Task):
     """Kilograms."""
     tolerance: float = 0.03
     """Metres."""
-    observations: HandoverObservations = field(default_factory=HandoverObservations)
+    observations: tabletop.StateObservations = field(default_factory=tabletop.state(HandoverState))
     rewards: HandoverRewards = field(default_factory=HandoverRewards)
-    terminations: HandoverTerminations = field(default_factory=HandoverTerminations)
+    terminations: tabletop.DropTerminations = field(default_factory=tabletop.DropTerminations)
     events: HandoverEvents = field(default_factory=HandoverEvents)
     goal: Tensor = field(init=False)
     """(N, 3) in the environment's frame."""
@@ -277,10 +229,13 @@ class Handover(Task):
     nearest: Tensor = field(init=False)
     """(N,) metres, the least distance in the episode between the rod and that place."""
 
+    @property
+    def pieces(self) -> tuple[str, ...]:
+        return ("rod",)
+
     def scene(self) -> Scene:
-        size = (LENGTH, WIDTH, WIDTH)
         start = Pose((0.42, 0.0, 0.5 * WIDTH))
-        rod = box("rod", size=size, mass=self.rod_mass, pose=start, color=(0.8, 0.2, 0.15, 1.0))
+        rod = box("rod", size=(LENGTH, WIDTH, WIDTH), mass=self.rod_mass, pose=start, color=(0.8, 0.2, 0.15, 1.0))
         middle = Pose((0.5 * self.spacing, 0.0, 0.0))
         bench = table("table", size=(self.spacing + 0.6, 1.4, common.BENCH_HEIGHT), pose=middle)
         facing_giver = Pose((self.spacing, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
@@ -304,16 +259,14 @@ class Handover(Task):
 
     def randomize(self) -> None:
         """The rod's mass, its friction and the fingers', the arms' gains, and noise on joints and rod."""
-        scale = Range(0.8, 1.25)
-        friction = randomize.friction((GIVER, RECEIVER, "rod", "table"), Range(0.5, 1.2))
         self.events.rod_mass = EventTerm(randomize.masses("rod", Range(0.5, 2.0)), EventTime.STARTUP)
+        friction = randomize.friction((*self.agents, "rod", "table"), Range(0.5, 1.2))
         self.events.friction = EventTerm(friction, EventTime.STARTUP)
-        self.events.giver_gains = EventTerm(randomize.gains(GIVER, stiffness=scale, damping=scale), EventTime.STARTUP)
-        receiver_gains = randomize.gains(RECEIVER, stiffness=scale, damping=scale)
-        self.events.receiver_gains = EventTerm(receiver_gains, EventTime.STARTUP)
-        positions = {f"{agent}_joint_positions": 0.005 for agent in self.agents}
-        velocities = {f"{agent}_joint_velocities": 0.05 for agent in self.agents}
-        common.add_noise(self.observations.policy, rod_pose=0.002, **positions, **velocities)
+        self.events.giver_gains = EventTerm(randomize.uncertain_gains(GIVER), EventTime.STARTUP)
+        self.events.receiver_gains = EventTerm(randomize.uncertain_gains(RECEIVER), EventTime.STARTUP)
+        for agent in self.agents:
+            noise = {f"{agent}_joint_positions": 0.005, f"{agent}_joint_velocities": 0.05}
+            common.add_noise(self.observations.policy, rod_pose=0.002, **noise)
 
     def success(self, world: World) -> Tensor:
         return goal_distance(world, self) < self.tolerance
@@ -329,7 +282,7 @@ class Handover(Task):
         keep = Phase(around_rod(RECEIVER), False, position_tolerance=math.inf, rotation_tolerance=math.inf)
         back_off = Phase(beside_place(GIVER, back=0.1, height=0.15), position_tolerance=0.05, timeout=1.5)
         steps = (
-            (Phase(around_rod(GIVER, 0.1), position_tolerance=0.02), wait),
+            (Phase(picking.raised(around_rod(GIVER), 0.1), position_tolerance=0.02), wait),
             (Phase(around_rod(GIVER), position_tolerance=0.006, timeout=1.5), wait),
             (Phase(around_rod(GIVER), gripper_open=False, dwell=0.4, timeout=0.5), wait),
             (offer, ready),

@@ -9,55 +9,22 @@ import torch
 from torch import Tensor
 from torch.linalg import vecdot, vector_norm
 
-from orbit_core.assets.objects import WOOD, box, cylinder, solid_link, table
-from orbit_core.envs import (
-    EventTerm,
-    EventTime,
-    Expert,
-    ObservationGroup,
-    ObservationTerm,
-    Phase,
-    PremiseTerm,
-    RewardTerm,
-    Task,
-    TerminationTerm,
-)
+from orbit_core.assets.hockey import BLADE_HALF, DEPTH, WHITE, WIDTH, net, stick
+from orbit_core.assets.objects import box, cylinder, table
+from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, held, premises, randomize
-from orbit_core.mdp.randomize import Range
-from orbit_core.scene import (
-    Articulation,
-    Box,
-    Color,
-    Cylinder,
-    Frame,
-    ImplicitPd,
-    Joint,
-    JointType,
-    Link,
-    PhysicsMaterial,
-    Pose,
-    RobotSpec,
-    Scene,
-    Shape,
-    look_at,
-)
-from orbit_core.scene.pose import Vector3
+from orbit_core.mdp import common, held, premises, tabletop
+from orbit_core.scene import PhysicsMaterial, Pose, Scene, look_at
 
-ICE, BLADE = PhysicsMaterial(0.04, 0.04), PhysicsMaterial(0.3, 0.3)
+ICE = PhysicsMaterial(0.04, 0.04)
 THICKNESS = 0.01
 """Metres, of the ice on the table."""
 RADIUS, HEIGHT = 0.03, 0.02
 """Metres, of the puck."""
-LENGTH, WIDTH, DEPTH, BOARD = 0.14, 0.2, 0.12, 0.01
-"""Metres: from the hand to the blade's middle; between the net's posts; from its line to its back; its boards."""
-BLADE_HALF: Vector3 = (0.006, 0.05, 0.02)
 STRIKE = THICKNESS + BLADE_HALF[2] + 0.005
 """Metres above the table at which the blade's middle strikes."""
-RED: Color = (0.75, 0.1, 0.1, 1.0)
-WHITE: Color = (0.9, 0.93, 0.97, 1.0)
 
 
 def puck_position(world: World, task: Hockey) -> Tensor:
@@ -126,11 +93,6 @@ def sliding(world: World, task: Hockey) -> Tensor:
     return torch.maximum(speed, inside(world, task).float())
 
 
-def lost(world: World, task: Hockey) -> Tensor:
-    """(N,) the puck fell off the table."""
-    return puck_position(world, task)[:, 2] < -0.05
-
-
 def place_net(world: World, task: Hockey, env_ids: Tensor) -> None:
     """Up to 10 cm off the middle; where it moves, anywhere on its way."""
     place = world.random.uniform((2,), (-0.1, 0.0), (0.1, 2.0 * math.pi), env_ids)
@@ -191,14 +153,6 @@ class HockeyState(ObservationGroup):
 
 
 @dataclass
-class HockeyObservations:
-    """Policy and critic see the state."""
-
-    policy: HockeyState = field(default_factory=HockeyState)
-    critic: ObservationGroup | None = None
-
-
-@dataclass
 class HockeyRewards:
     """Rewards of the blade behind the puck, of the puck on its way and in the net, less what is fast or abrupt."""
 
@@ -211,21 +165,11 @@ class HockeyRewards:
 
 
 @dataclass
-class HockeyTerminations:
-    """An episode ends early where the puck is lost."""
-
-    lost: TerminationTerm | None = TerminationTerm(lost)
-
-
-@dataclass
-class HockeyEvents:
+class HockeyEvents(tabletop.ArmEvents):
     """Robot, net and puck are placed anew for each episode; friction and the like with domain randomisation."""
 
-    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_net: EventTerm | None = EventTerm(place_net)
     place_puck: EventTerm | None = EventTerm(place_puck)
-    friction: EventTerm | None = None
-    gains: EventTerm | None = None
 
 
 @dataclass
@@ -242,23 +186,21 @@ class HockeyPremises:
 
 
 @dataclass(kw_only=True)
-class Hockey(Task):
+class Hockey(tabletop.TabletopTask):
     """The hand holds a stick for good. The puck lies before it on ice, the net stands at the end of its reach.
 
     Succeeds when the whole puck is in the net at the episode's end. Metric: the shortest distance in the episode from
     the puck to the net's inside.
     """
 
-    robot: str = "franka_panda"
-    action: str = "joint_position"
     episode_length: float = 5.0
     ppo: PpoSettings = PpoSettings(iterations=800, initial_std=0.3, entropy_weight=0.005)
     view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.5, 0.0, 0.1))
     moving_goal: bool = False
     """Whether the net slides to and fro, 8 cm either way in 4 s."""
-    observations: HockeyObservations = field(default_factory=HockeyObservations)
+    observations: tabletop.StateObservations = field(default_factory=tabletop.state(HockeyState))
     rewards: HockeyRewards = field(default_factory=HockeyRewards)
-    terminations: HockeyTerminations = field(default_factory=HockeyTerminations)
+    terminations: tabletop.DropTerminations = field(default_factory=tabletop.DropTerminations)
     events: HockeyEvents = field(default_factory=HockeyEvents)
     premises: HockeyPremises = field(default_factory=HockeyPremises)
     net_middle: Tensor = field(init=False)
@@ -268,6 +210,10 @@ class Hockey(Task):
     nearest: Tensor = field(init=False)
     """(N,) metres, the shortest distance in the episode."""
 
+    @property
+    def pieces(self) -> tuple[str, ...]:
+        return ("puck",)
+
     def net_at(self, seconds: Tensor | float) -> tuple[Tensor, Tensor]:
         """(N,) metres and (N,) m/s: place and velocity of the net, so many seconds from now."""
         amplitude, rate = (0.08 if self.moving_goal else 0.0), 0.5 * math.pi
@@ -276,14 +222,14 @@ class Hockey(Task):
         return self.net_middle + amplitude * angle.sin(), amplitude * rate * angle.cos()
 
     def scene(self) -> Scene:
-        robot = _with_stick(common.arm(self.robot, gripper=False))
+        robot = held.with_tool(common.arm(self.robot, gripper=False), stick(), "blade")
         near, line = robot.end_effector.workspace.low[0], robot.end_effector.workspace.high[0] + 0.08
         end = line + DEPTH + 0.05
         ice = (end - near + 0.1, 1.0, THICKNESS)
         middle = Pose((0.5 * (end + near - 0.1), 0.0, 0.5 * THICKNESS))
         puck = Pose((near + 0.06, 0.0, THICKNESS + 0.5 * HEIGHT))
         return Scene(
-            robots=(robot, _net(line)),
+            robots=(robot, net(Pose((line, 0.0, THICKNESS)))),
             objects=(
                 cylinder("puck", RADIUS, HEIGHT, mass=0.1, color=(0.05, 0.05, 0.05, 1.0), material=ICE, pose=puck),
                 box("ice", ice, color=WHITE, material=ICE, fixed_base=True, pose=middle),
@@ -306,9 +252,7 @@ class Hockey(Task):
 
     def randomize(self) -> None:
         """The friction of puck and ice, the arm's gains, and noise on joints and puck."""
-        self.events.friction = EventTerm(randomize.friction(("puck", "ice"), Range(0.02, 0.08)), EventTime.STARTUP)
-        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
-        common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, puck_position=0.002)
+        self.vary(("puck", "ice"), (0.02, 0.08), puck_position=0.002)
 
     def success(self, world: World) -> Tensor:
         return inside(world, self)
@@ -323,32 +267,3 @@ class Hockey(Task):
             Phase(follow_through),
         )
         return Expert(world, self, phases)
-
-
-def _with_stick(robot: RobotSpec) -> RobotSpec:
-    """The robot with a stick fixed in its hand, whose blade is what it moves."""
-    shaft = Shape(Cylinder(0.006, 0.5 * LENGTH), Pose((0.0, 0.0, 0.5 * LENGTH)), BLADE, WOOD, "shaft")
-    blade = Shape(Box(BLADE_HALF), Pose((0.0, 0.0, LENGTH)), BLADE, RED, "blade")
-    tip = Frame("blade", "stick", Pose((0.0, 0.0, LENGTH)))
-    stick = Articulation("stick", (solid_link("stick", (shaft, blade), 600.0),), frames=(tip,))
-    return held.with_tool(robot, stick, "blade")
-
-
-def _net(line: float) -> RobotSpec:
-    """A net of boards on a rail across the ice, with a drive; its frame is in the middle of its line."""
-    half, up = 0.5 * WIDTH + BOARD, 0.03
-    parts = {
-        "left": ((0.5 * DEPTH, half - 0.5 * BOARD, up), (0.5 * DEPTH, 0.5 * BOARD, up - 0.002), RED),
-        "right": ((0.5 * DEPTH, 0.5 * BOARD - half, up), (0.5 * DEPTH, 0.5 * BOARD, up - 0.002), RED),
-        "back": ((DEPTH + 0.5 * BOARD, 0.0, up), (0.5 * BOARD, half, up - 0.002), WHITE),
-    }
-    boards = tuple(Shape(Box(size), Pose(at), BLADE, color, name) for name, (at, size, color) in parts.items())
-    rail = Joint("rail", JointType.PRISMATIC, "mount", "net", axis=(0.0, 1.0, 0.0), lower_limit=-0.3, upper_limit=0.3)
-    return RobotSpec(
-        name="net",
-        articulation=Articulation("net", (Link("mount"), solid_link("net", boards, 1000.0)), (rail,)),
-        pose=Pose((line, 0.0, THICKNESS)),
-        fixed_base=True,
-        actuators=(ImplicitPd(joints=("rail",), stiffness=2000.0, damping=60.0),),
-        gravity_compensation=True,
-    )

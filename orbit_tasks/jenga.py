@@ -9,27 +9,15 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.objects import WOOD, SolidOptions, box
-from orbit_core.assets.towers import SIZE, cell_poses
+from orbit_core.assets.objects import WOOD, box
+from orbit_core.assets.towers import SIZE, cell_poses, tower
 from orbit_core.dynamics.transforms import pose_inverse, pose_multiply, quat_multiply, quat_rotate, quat_rotate_inverse
-from orbit_core.envs import (
-    EventTerm,
-    EventTime,
-    Expert,
-    ObservationGroup,
-    ObservationTerm,
-    Phase,
-    PremiseTerm,
-    RewardTerm,
-    Task,
-    TerminationTerm,
-)
+from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, RewardTerm, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
-from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common, picking, randomize
-from orbit_core.mdp.randomize import Range
+from orbit_core.interfaces import World
+from orbit_core.mdp import common, picking, tabletop
 from orbit_core.scene import Color, PhysicsMaterial, Pose, RobotSpec, Scene, look_at
 
 PLINTH = 0.2
@@ -75,8 +63,7 @@ def fallen(world: World, task: Jenga) -> Tensor:
 @once_per_state
 def put_down(world: World, task: Jenga) -> Tensor:
     """(N,) bool: the given block is at its place, and the hand away from it."""
-    away = vector_norm(grasp(world, task)[:, :3] - common.hand_pose(world, task)[:, :3], dim=1)
-    return (distance(world, task) < task.tolerance) & (away > 0.04)
+    return (distance(world, task) < task.tolerance) & (vector_norm(hand_to_block(world, task), dim=1) > 0.04)
 
 
 def block_to_place(world: World, task: Jenga) -> Tensor:
@@ -97,11 +84,6 @@ def out(world: World, task: Jenga) -> Tensor:
     return torch.where(above, SIZE[0], ahead.clamp(0.0, SIZE[0]))
 
 
-def pulling(world: World, task: Jenga) -> Tensor:
-    """(N,) in [0, 1]: how far the block is out of the tower."""
-    return out(world, task) / SIZE[0]
-
-
 def tracking(world: World, task: Jenga, scale: float) -> Tensor:
     """(N,) in [0, 1]: how near the block is to its place, once it is out of the tower."""
     return (out(world, task) > 0.9 * SIZE[0]) * common.nearness(distance(world, task), scale)
@@ -120,17 +102,6 @@ def slanting(turn: Tensor) -> Tensor:
     angle = math.pi / 8.0
     own = torch.tensor([0.0, math.cos(angle), 0.0, math.sin(angle)], device=turn.device)
     return quat_multiply(turn, own.expand_as(turn))
-
-
-def back(target: TermFunction, way: float) -> TermFunction:
-    """The pose of a hand that ``target`` gives, ``way`` metres back out of where the hand points."""
-
-    def pose(world: World, task: Jenga) -> Tensor:
-        hand = target(world, task)
-        shift = torch.tensor([0.0, 0.0, -way], device=world.device).expand(len(hand), 3)
-        return torch.cat((hand[:, :3] + quat_rotate(hand[:, 3:], shift), hand[:, 3:]), dim=1)
-
-    return pose
 
 
 def pulled(world: World, task: Jenga) -> Tensor:
@@ -171,8 +142,7 @@ def place_tower(world: World, task: Jenga, env_ids: Tensor) -> None:
     # The others fill the cells that are left, from the lowest.
     order = torch.arange(len(task.others), device=world.device).expand(len(env_ids), -1)
     poses = cell_poses(foot, order + (order >= chosen), task.layers)
-    for index, name in enumerate(task.others):
-        world.objects[name].set_root_pose(poses[:, index], env_ids)
+    tabletop.put(world, task.others, poses, env_ids)
     own = cell_poses(foot, chosen, task.layers)[:, 0]
     out_and_down = torch.tensor([-task.protrusion, 0.0, -0.5 * task.slack], device=world.device).expand(len(own), 3)
     own = torch.cat((own[:, :3] + quat_rotate(own[:, 3:], out_and_down), own[:, 3:]), dim=1)
@@ -186,24 +156,13 @@ def distance_of_tower(robot: RobotSpec) -> float:
 
 
 @dataclass
-class JengaState(ObservationGroup):
+class JengaState(tabletop.ArmState):
     """The arm's joints and hand, the given block, the ways to it and on to its place, and the last action."""
 
-    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
-    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
-    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     given_pose: ObservationTerm | None = ObservationTerm(given_pose, unit=POSE)
     hand_to_block: ObservationTerm | None = ObservationTerm(hand_to_block, unit="m")
     block_to_place: ObservationTerm | None = ObservationTerm(block_to_place, unit="m")
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
-
-
-@dataclass
-class JengaObservations:
-    """Policy and critic see the state."""
-
-    policy: JengaState = field(default_factory=JengaState)
-    critic: ObservationGroup | None = None
 
 
 @dataclass
@@ -213,7 +172,7 @@ class JengaRewards:
     reach: RewardTerm | None = RewardTerm(
         lambda world, task: common.nearness(vector_norm(hand_to_block(world, task), dim=1), 0.1), 1.0
     )
-    pull: RewardTerm | None = RewardTerm(pulling, 5.0)
+    pull: RewardTerm | None = RewardTerm(lambda world, task: out(world, task) / SIZE[0], 5.0)
     track: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.3), 10.0)
     track_finely: RewardTerm | None = RewardTerm(lambda world, task: tracking(world, task, 0.05), 10.0)
     let_go: RewardTerm | None = RewardTerm(lambda world, task: put_down(world, task).float(), 20.0)
@@ -230,13 +189,10 @@ class JengaTerminations:
 
 
 @dataclass
-class JengaEvents:
+class JengaEvents(tabletop.ArmEvents):
     """Robot and tower are placed anew for each episode; friction and gains with domain randomisation."""
 
-    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_tower: EventTerm | None = EventTerm(place_tower)
-    friction: EventTerm | None = None
-    gains: EventTerm | None = None
 
 
 @dataclass
@@ -250,15 +206,13 @@ class JengaPremises:
 
 
 @dataclass(kw_only=True)
-class Jenga(Task):
+class Jenga(tabletop.TabletopTask):
     """A tower of layers of three blocks each. One, which stands out a little, is to be pulled out and put on top.
 
     Succeeds when at the episode's end that block is within ``tolerance`` of its place, the hand has let go and the
     tower stands. Metric: the distance between block and place, and ``penalty`` more where the tower has fallen.
     """
 
-    robot: str = "franka_panda"
-    action: str = "joint_position"
     episode_length: float = 10.0
     ppo: PpoSettings = PpoSettings(iterations=2000, initial_std=0.3, entropy_weight=0.005)
     view: Pose = look_at(eye=(0.1, 1.3, 0.75), target=(0.5, 0.0, 0.3))
@@ -272,7 +226,7 @@ class Jenga(Task):
     """Metres."""
     penalty: float = 1.0
     """Metres that a fallen tower adds to the metric."""
-    observations: JengaObservations = field(default_factory=JengaObservations)
+    observations: tabletop.StateObservations = field(default_factory=tabletop.state(JengaState))
     rewards: JengaRewards = field(default_factory=JengaRewards)
     terminations: JengaTerminations = field(default_factory=JengaTerminations)
     events: JengaEvents = field(default_factory=JengaEvents)
@@ -292,35 +246,25 @@ class Jenga(Task):
         return tuple(f"block_{index}" for index in range(3 * self.layers - 1))
 
     def scene(self) -> Scene:
-        for name, least, most in (("layers", 7, 16), ("protrusion", 0.02, 0.05), ("slack", 0.0, 0.003)):
-            if not least <= getattr(self, name) <= most:
-                raise ConfigurationError(f"field '{name}' of task Jenga must be {least} to {most}")
+        self.bound(layers=(7, 16), protrusion=(0.02, 0.05), slack=(0.0, 0.003))
         robot = common.arm(self.robot)
         at = distance_of_tower(robot)
-        plinth = SolidOptions(fixed_base=True, material=SMOOTH, pose=Pose((at, 0.0, 0.5 * PLINTH)))
-        foot = torch.tensor([[at, 0.0, PLINTH, 1.0, 0.0, 0.0, 0.0]])
-        poses = cell_poses(foot, torch.arange(3 * self.layers)[None], self.layers)[0].tolist()
+        middle = Pose((at, 0.0, 0.5 * PLINTH))
+        plinth = box("plinth", (0.2, 0.2, PLINTH), fixed_base=True, material=SMOOTH, pose=middle)
         looser = (*SIZE[:2], SIZE[2] - self.slack)
+        kinds = (*((name, SIZE, WOOD) for name in self.others), (GIVEN, looser, RED))
         blocks = [
-            box(name, size, color=color, material=SMOOTH, pose=Pose((x, y, z), (qw, qx, qy, qz)))
-            for (name, size, color), (x, y, z, qw, qx, qy, qz) in zip(
-                (*((name, SIZE, WOOD) for name in self.others), (GIVEN, looser, RED)), poses, strict=True
-            )
+            box(name, size, color=color, material=SMOOTH, pose=pose)
+            for (name, size, color), pose in zip(kinds, tower((at, 0.0, PLINTH), self.layers), strict=True)
         ]
-        return Scene(
-            robots=(robot,),
-            objects=(*blocks, box("plinth", (0.2, 0.2, PLINTH), **plinth), common.work_bench()),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
-            physics_dt=self.physics_dt,
-        )
+        return self.bench(*blocks, plinth, robot=robot)
 
     def start(self, world: World) -> None:
         super().start(world)
         self.foot, self.rest = (torch.zeros(world.num_envs, 7, device=world.device) for _ in range(2))
         self.heights = torch.zeros(world.num_envs, len(self.others), device=world.device)
         pointing = [layer for layer in range(3, self.layers - 2) if (self.layers - layer) % 2 == 0]
-        cells = [3 * layer + slot for layer in pointing for slot in range(3)]
-        self.cells = torch.tensor(cells, device=world.device)
+        self.cells = torch.tensor([3 * layer + slot for layer in pointing for slot in range(3)], device=world.device)
 
     def advance(self, world: World) -> None:
         inside = out(world, self) < self.protrusion + 0.002
@@ -328,9 +272,7 @@ class Jenga(Task):
 
     def randomize(self) -> None:
         """The blocks' friction, the arm's gains, and noise on joints and the given block."""
-        self.events.friction = EventTerm(randomize.friction((*self.others, GIVEN), Range(0.2, 0.5)), EventTime.STARTUP)
-        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
-        common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, given_pose=0.001)
+        self.vary((*self.others, GIVEN), (0.2, 0.5), given_pose=0.001)
 
     def success(self, world: World) -> Tensor:
         return put_down(world, self) & ~fallen(world, self)
@@ -345,7 +287,7 @@ class Jenga(Task):
         closing = max(0.4, common.closing_time(world))
         held = picking.hand_for
         phases = (
-            Phase(back(grasp, 0.1), position_tolerance=0.02, timeout=4.0, free=True),
+            Phase(picking.back(grasp, 0.1), position_tolerance=0.02, timeout=4.0, free=True),
             Phase(grasp, position_tolerance=0.003, rotation_tolerance=0.03, timeout=2.0),
             Phase(grasp, False, dwell=closing, timeout=closing + 0.1),
             Phase(pulled, False, position_tolerance=0.01, timeout=3.0),
@@ -353,6 +295,6 @@ class Jenga(Task):
             Phase(held(seat(0.03), given_pose), False, position_tolerance=0.006, rotation_tolerance=0.03, timeout=2.0),
             Phase(held(seat(0.001), given_pose), False, position_tolerance=0.002, rotation_tolerance=0.03, timeout=1.5),
             Phase(held(seat(0.001), given_pose), dwell=closing, timeout=closing + 0.1),
-            Phase(back(grasp, 0.12)),
+            Phase(picking.back(grasp, 0.12)),
         )
         return Expert(world, self, phases, position_lead=0.04, rotation_lead=0.2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar
@@ -13,48 +13,27 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.pegs import BOARD_HEIGHT, GRIP_HEIGHT, block, board, section
+from orbit_core.assets.pegs import BOARD_HEIGHT, COLORS, GRIP_HEIGHT, block, board, section
 from orbit_core.dynamics.transforms import (
     pose_inverse,
     pose_multiply,
     quat_multiply,
     quat_to_rotation_vector,
+    rotation_angle,
+    yaw_angle,
 )
-from orbit_core.envs import (
-    EventTerm,
-    EventTime,
-    Expert,
-    ObservationGroup,
-    ObservationTerm,
-    Phase,
-    PremiseTerm,
-    Retry,
-    RewardTerm,
-    Task,
-    TerminationTerm,
-)
+from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, Retry, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import POSE, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, premises, randomize
-from orbit_core.mdp.randomize import Range
-from orbit_core.scene import Color, PhysicsMaterial, Scene
+from orbit_core.mdp import common, picking, tabletop
+from orbit_core.scene import PhysicsMaterial, Scene
 
-COLORS: Sequence[Color] = (
-    (0.80, 0.20, 0.15, 1.0),
-    (0.15, 0.35, 0.75, 1.0),
-    (0.95, 0.70, 0.10, 1.0),
-    (0.20, 0.60, 0.30, 1.0),
-    (0.55, 0.30, 0.65, 1.0),
-)
 SMOOTH = PhysicsMaterial(static_friction=0.3, dynamic_friction=0.3)
-SPACING = 0.11
-"""Metres between blocks that wait on the table."""
 GENTLE = 0.0015
 """Metres below itself to which a block is led while it is near its hole's rim: a stronger push turns it in the hand."""
 HASTE = 6.0
-"""How many times what a block lacks sideways is asked for above its hole, for drives are slow to take away the last
-tenths of a millimetre, and a push on the rim moves an arm aside."""
+"""How many times what a block lacks sideways is asked for: drives are slow, and a push on the rim moves them."""
 IN = 0.0005
 """Metres below the rim from which on a block is in its hole, whose walls lead it."""
 ARM = 0.03
@@ -62,46 +41,24 @@ ARM = 0.03
 
 
 @once_per_state
-def block_poses(world: World, task: PegInHole) -> Tensor:
-    """(N, B, 7) of the middles of the blocks' bases."""
-    return torch.stack([world.objects[name].root_pose for name in task.blocks], dim=1)
-
-
-@once_per_state
 def seats(world: World, task: PegInHole) -> Tensor:
     """(N, B, 7) of each block all the way in its hole, in the turn that is nearest to how it is turned now."""
-    return turned_seats(world, task, yaw(block_poses(world, task)[..., 3:]))
+    return turned_seats(world, task, yaw_angle(tabletop.piece_poses(world, task)[..., 3:]))
 
 
 def turned_seats(world: World, task: PegInHole, wanted: Tensor) -> Tensor:
     """(N, B, 7) of blocks in their holes, in the turn that is nearest to ``wanted`` (N, B) rad about the vertical."""
-    frames = [world.objects["board"].frame_pose(f"hole_{index}") for index in range(len(task.blocks))]
-    holes = torch.stack(frames, dim=1)
-    way = wanted - yaw(holes[..., 3:])
+    holes = torch.stack([world.objects["board"].frame_pose(f"hole_{k}") for k in range(len(task.pieces))], dim=1)
+    way = wanted - yaw_angle(holes[..., 3:])
     turn = torch.where(task.turn > 0.0, task.turn * torch.round(way / task.turn.clamp_min(1e-6)), way)
     turned = common.turned(turn.flatten()).view(*turn.shape, 4)
     return torch.cat((holes[..., :3], quat_multiply(holes[..., 3:], turned)), dim=-1)
 
 
-def yaw(orientation: Tensor) -> Tensor:
-    """(...) rad about the vertical, of bodies (..., 4) that stand about upright."""
-    return 2.0 * torch.atan2(orientation[..., 3], orientation[..., 0])
-
-
-def wrapped(angle: Tensor) -> Tensor:
-    """The same angles in [-pi, pi]."""
-    return torch.remainder(angle + math.pi, 2.0 * math.pi) - math.pi
-
-
 @once_per_state
 def offsets(world: World, task: PegInHole) -> Tensor:
     """(N, B, 7) each block's pose as its seat sees it."""
-    return pose_multiply(pose_inverse(seats(world, task)), block_poses(world, task))
-
-
-def turned_by(pose: Tensor) -> Tensor:
-    """(...) rad by which poses (..., 7) are turned."""
-    return vector_norm(quat_to_rotation_vector(pose[..., 3:]), dim=-1)
+    return pose_multiply(pose_inverse(seats(world, task)), tabletop.piece_poses(world, task))
 
 
 @once_per_state
@@ -114,7 +71,7 @@ def distances(world: World, task: PegInHole) -> Tensor:
 def errors(world: World, task: PegInHole) -> Tensor:
     """(N, B) metres from each block to its place, with its turn and tilt counted as well."""
     off = offsets(world, task)
-    return torch.hypot(vector_norm(off[..., :3], dim=-1), ARM * turned_by(off))
+    return torch.hypot(vector_norm(off[..., :3], dim=-1), ARM * rotation_angle(off[..., 3:]))
 
 
 def fine_offsets(world: World, task: PegInHole) -> Tensor:
@@ -132,13 +89,13 @@ def inserted(world: World, task: PegInHole) -> Tensor:
 @once_per_state
 def lifted(world: World, task: PegInHole) -> Tensor:
     """(N, B) 1 where the block is off the table or in its hole, else 0."""
-    return torch.maximum((block_poses(world, task)[..., 2] > 0.01).float(), inserted(world, task))
+    return torch.maximum((tabletop.piece_poses(world, task)[..., 2] > 0.01).float(), inserted(world, task))
 
 
 @once_per_state
 def hand_to_knobs(world: World, task: PegInHole) -> Tensor:
     """(N, B, 3) from the hand to the middle of each block's knob."""
-    knobs = pose_multiply(block_poses(world, task), task.grip.expand(task.num_envs, len(task.blocks), 7))
+    knobs = pose_multiply(tabletop.piece_poses(world, task), task.grip.expand(task.num_envs, len(task.pieces), 7))
     return knobs[..., :3] - common.hand_pose(world, task)[:, None, :3]
 
 
@@ -157,7 +114,7 @@ def tracking(world: World, task: PegInHole, scale: float) -> Tensor:
 def aligned(world: World, task: PegInHole) -> Tensor:
     """(N,) in [0, 1]: how well lifted blocks stand above or in their holes, at whatever height, on average."""
     off = offsets(world, task)
-    error = torch.hypot(vector_norm(off[..., :2], dim=-1), ARM * turned_by(off))
+    error = torch.hypot(vector_norm(off[..., :2], dim=-1), ARM * rotation_angle(off[..., 3:]))
     return (lifted(world, task) * common.nearness(error, 0.01)).mean(1)
 
 
@@ -168,15 +125,10 @@ def depth(world: World, task: PegInHole) -> Tensor:
     return (over * (1.0 - off[..., 2] / BOARD_HEIGHT).clamp(0.0, 1.0)).mean(1)
 
 
-def dropped(world: World, task: PegInHole) -> Tensor:
-    """(N,) a block fell off the table."""
-    return (block_poses(world, task)[..., 2] < -0.05).any(1)
-
-
 def place_board(world: World, task: PegInHole, env_ids: Tensor) -> None:
     """Place the board at the far side of the workspace; a short one is placed and turned more than a long one."""
     low, high = common.workspace(world)
-    spread = 1.0 / len(task.blocks)
+    spread = 1.0 / len(task.pieces)
     far, middle = high[0] - 0.06, 0.5 * (low[1] + high[1])
     least = (far - 0.03, middle - 0.08 * spread, 0.0, -0.3 * spread)
     place = world.random.uniform((4,), least, (far, middle + 0.08 * spread, 0.0, 0.3 * spread), env_ids)
@@ -184,52 +136,39 @@ def place_board(world: World, task: PegInHole, env_ids: Tensor) -> None:
 
 
 def place_blocks(world: World, task: PegInHole, env_ids: Tensor) -> None:
-    """Stand the blocks in a row before the board, in any order, each turned by any angle."""
+    """Stand the blocks in a row before the board, 11 cm apart, in any order, each turned by any angle."""
     low, high = common.workspace(world)
-    count = len(task.blocks)
+    count = len(task.pieces)
     draw = world.random.uniform((4 * count,), -1.0, 1.0, env_ids).view(-1, count, 4)
     slots = draw[..., 0].argsort(dim=1).float() - 0.5 * (count - 1)
     poses = torch.zeros(len(env_ids), count, 7, device=world.device)
     poses[..., 0] = low[0] + 0.01 + 0.02 * draw[..., 1]
-    poses[..., 1] = 0.5 * (low[1] + high[1]) + SPACING * slots + (0.1 / count) * draw[..., 2]
+    poses[..., 1] = 0.5 * (low[1] + high[1]) + 0.11 * slots + (0.1 / count) * draw[..., 2]
     poses[..., 3:] = common.turned(math.pi * draw[..., 3].flatten()).view(-1, count, 4)
-    for index, name in enumerate(task.blocks):
-        world.objects[name].set_root_pose(poses[:, index], env_ids)
+    tabletop.put(world, task.pieces, poses, env_ids)
 
 
 def grasp(world: World, task: PegInHole, index: int, height: float = 0.0) -> Tensor:
     """(N, 7) the hand around a block's knob, or above it, in the quarter turn that turns the hand least in all."""
-    knob = pose_multiply(block_poses(world, task)[:, index], task.grip.expand(task.num_envs, 7))
+    knob = pose_multiply(tabletop.piece_poses(world, task)[:, index], task.grip.expand(task.num_envs, 7))
     quarters = 0.5 * math.pi * torch.tensor([-1.0, 0.0, 1.0, 2.0], device=world.device)
-    before = wrapped(yaw(knob[:, 3:])[:, None] + quarters)
-    after = [yaw(turned_seats(world, task, (-turn).expand(task.num_envs, len(task.blocks)))[:, index, 3:]) + turn
+    before = yaw_angle(knob[:, 3:])[:, None] + quarters
+    after = [yaw_angle(turned_seats(world, task, (-turn).expand(task.num_envs, len(task.pieces)))[:, index, 3:]) + turn
              for turn in quarters]  # fmt: skip
-    most = torch.maximum(before.abs(), wrapped(torch.stack(after, dim=1)).abs())
-    best = before.gather(1, most.argmin(1, keepdim=True)).squeeze(1)
     position = knob[:, :3] + torch.tensor([0.0, 0.0, height], device=world.device)
-    return torch.cat((position, common.facing_down(best)), dim=1)
-
-
-def raised(world: World, task: PegInHole, index: int) -> Tensor:
-    """(N, 7) the hand so high above where it is that the block clears all others."""
-    hand = grasp(world, task, index)
-    hand[:, 2] = 0.12 + GRIP_HEIGHT
-    return hand
+    return torch.cat((position, common.facing_down(picking.least_turn(before, torch.stack(after, dim=1)))), dim=1)
 
 
 def carried(world: World, task: PegInHole, index: int, height: float, push: float = 1.0, haste: float = 1.0) -> Tensor:
     """(N, 7) the hand where the block comes to stand ``height`` (m) above its place, as it sits in the hand now.
 
-    The hand goes down by at most ``push`` (m) from where it is, and by :data:`GENTLE` near the rim. Until the block is
-    in its hole, what it lacks sideways is asked for ``haste`` times.
-    """
-    held, hand = block_poses(world, task)[:, index], common.hand_pose(world, task)
-    hand_yaw = 2.0 * torch.atan2(hand[:, 5], hand[:, 4])
-    wanted = yaw(held[:, 3:]) - hand_yaw
-    seat = turned_seats(world, task, wanted[:, None].expand(-1, len(task.blocks)))[:, index]
+    It goes down by at most ``push`` (m), near the rim by :data:`GENTLE`, and until it is in the hole asks for ``haste``
+    times what it lacks sideways."""  # fmt: skip
+    held, hand = tabletop.piece_poses(world, task)[:, index], common.hand_pose(world, task)
+    wanted = yaw_angle(held[:, 3:]) - 2.0 * torch.atan2(hand[:, 5], hand[:, 4])
+    seat = turned_seats(world, task, wanted[:, None].expand(-1, len(task.pieces)))[:, index]
     above = held[:, 2] - seat[:, 2]
-    on_rim = (above - BOARD_HEIGHT).abs() < 0.003
-    up = (above - torch.where(on_rim, min(push, GENTLE), push)).clamp_min(height)
+    up = (above - torch.where((above - BOARD_HEIGHT).abs() < 0.003, min(push, GENTLE), push)).clamp_min(height)
     target = torch.cat((seat[:, :2], (seat[:, 2] + up)[:, None], seat[:, 3:]), dim=1)
     pose = pose_multiply(target, pose_multiply(pose_inverse(held), hand))
     more = torch.where(above > BOARD_HEIGHT - IN, haste - 1.0, 0.0)[:, None]
@@ -238,24 +177,13 @@ def carried(world: World, task: PegInHole, index: int, height: float, push: floa
 
 
 @dataclass
-class PegState(ObservationGroup):
+class PegState(tabletop.ArmState):
     """The arm's joints, the hand, the blocks as the hand and as their places see them, and the last action."""
 
-    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
-    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
-    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     hand_to_knobs: ObservationTerm | None = ObservationTerm(hand_to_knobs, unit="m")
     offsets: ObservationTerm | None = ObservationTerm(offsets, unit=POSE)
     fine_offsets: ObservationTerm | None = ObservationTerm(fine_offsets, unit="1")
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
-
-
-@dataclass
-class PegObservations:
-    """Policy and critic see the state."""
-
-    policy: PegState = field(default_factory=PegState)
-    critic: ObservationGroup | None = None
 
 
 @dataclass
@@ -273,38 +201,25 @@ class PegRewards:
 
 
 @dataclass
-class PegTerminations:
-    """An episode ends early where a block is dropped off the table."""
-
-    dropped: TerminationTerm | None = TerminationTerm(dropped)
-
-
-@dataclass
-class PegEvents:
+class PegEvents(tabletop.ArmEvents):
     """Robot, board and blocks are placed anew for each episode; masses and the like with domain randomisation."""
 
-    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_board: EventTerm | None = EventTerm(place_board)
     place_blocks: EventTerm | None = EventTerm(place_blocks)
-    friction: EventTerm | None = None
-    gains: EventTerm | None = None
 
 
 @dataclass
 class PegPremises:
     """Blocks stand free on the table."""
 
-    standing: PremiseTerm | None = PremiseTerm(
-        lambda world, task: premises.standing(world, task.blocks, 0.0),
-        "a block does not stand still and upright on the table, so that it began inside another thing, or fell over",
-    )
+    standing: PremiseTerm | None = tabletop.pieces_stand(0.0)
     outside: PremiseTerm | None = PremiseTerm(
-        lambda world, task: inserted(world, task).amax(1) == 0.0, "a block is in its hole already"
+        lambda world, task: ~inserted(world, task).any(1), "a block is in its hole"
     )
 
 
 @dataclass(kw_only=True)
-class PegInHole(Task):
+class PegInHole(tabletop.TabletopTask):
     """Blocks stand before a board with a hole for each; each is to be put into its own.
 
     Succeeds when every block's base is within ``tolerance`` of its place, the bottom of its hole, at the episode's end.
@@ -312,8 +227,6 @@ class PegInHole(Task):
     """
 
     training: ClassVar[Mapping[str, Any]] = {"expert_starts": 0.5, "action": "ik_relative", "episode_length": 10.0}
-    robot: str = "franka_panda"
-    action: str = "joint_position"
     episode_length: float = 24.0
     ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.4, entropy_weight=0.001)
     shapes: tuple[str, ...] = ("square",)
@@ -322,43 +235,33 @@ class PegInHole(Task):
     """Metres by which a hole is wider than its block."""
     tolerance: float = 0.005
     """Metres."""
-    observations: PegObservations = field(default_factory=PegObservations)
+    observations: tabletop.StateObservations = field(default_factory=tabletop.state(PegState))
     rewards: PegRewards = field(default_factory=PegRewards)
-    terminations: PegTerminations = field(default_factory=PegTerminations)
+    terminations: tabletop.DropTerminations = field(default_factory=tabletop.DropTerminations)
     events: PegEvents = field(default_factory=PegEvents)
     premises: PegPremises = field(default_factory=PegPremises)
-    blocks: tuple[str, ...] = field(init=False, default=())
-    """The objects' names."""
     turn: Tensor = field(init=False)
     """(B,) rad of the least turn that brings each section onto itself; zero where any does."""
     grip: Tensor = field(init=False)
     """(7,) of the knob's middle in a block's frame."""
 
+    @property
+    def pieces(self) -> tuple[str, ...]:
+        return tuple(f"block_{index}" for index in range(len(self.shapes)))
+
     def scene(self) -> Scene:
-        self.blocks = tuple(f"block_{index}" for index in range(len(self.shapes)))
-        parts = zip(self.blocks, self.shapes, itertools.cycle(COLORS), strict=False)
+        parts = zip(self.pieces, self.shapes, itertools.cycle(COLORS), strict=False)
         blocks = [block(name, shape, color=color, material=SMOOTH) for name, shape, color in parts]
-        return Scene(
-            robots=(common.arm(self.robot),),
-            objects=(*blocks, board("board", self.shapes, self.clearance, material=SMOOTH), common.work_bench()),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
-            physics_dt=self.physics_dt,
-        )
+        return self.bench(*blocks, board("board", self.shapes, self.clearance, material=SMOOTH))
 
     def start(self, world: World) -> None:
         super().start(world)
-        turns = [2.0 * math.pi / turns if (turns := section(shape).turns) else 0.0 for shape in self.shapes]
-        self.turn = torch.tensor(turns, device=world.device)
+        self.turn = torch.tensor([section(shape).turn for shape in self.shapes], device=world.device)
         self.grip = torch.tensor([0.0, 0.0, GRIP_HEIGHT, 1.0, 0.0, 0.0, 0.0], device=world.device)
 
     def randomize(self) -> None:
         """The blocks' friction, the board's and the fingers', the arm's gains, and noise on joints and blocks."""
-        blocks = tuple(f"block_{index}" for index in range(len(self.shapes)))
-        friction = randomize.friction((*blocks, "board"), Range(0.2, 0.5))
-        self.events.friction = EventTerm(friction, EventTime.STARTUP)
-        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
-        joints, blocks = {"joint_positions": 0.005, "joint_velocities": 0.05}, {"offsets": 0.0005, "fine_offsets": 0.05}
-        common.add_noise(self.observations.policy, **joints, **blocks, hand_to_knobs=0.0005)
+        self.vary((*self.pieces, "board"), (0.2, 0.5), hand_to_knobs=0.0005, offsets=0.0005, fine_offsets=0.05)
 
     def success(self, world: World) -> Tensor:
         return inserted(world, self).amin(1) > 0.0
@@ -368,33 +271,28 @@ class PegInHole(Task):
 
     def expert(self, world: World) -> Expert:
         closing = max(0.4, common.closing_time(world))
-        phases = [phase for index in range(len(self.shapes)) for phase in _insertion(index, closing)]
-        return Expert(world, self, phases, position_lead=0.06)
-
-
-def _found(world: World, task: PegInHole, index: int) -> Tensor:
-    """(N,) bool: the block reaches into its hole."""
-    return offsets(world, task)[:, index, 2] < BOARD_HEIGHT - 0.003
+        insertions = [phase for index in range(len(self.shapes)) for phase in _insertion(index, closing)]
+        return Expert(world, self, insertions, position_lead=0.06)
 
 
 def _insertion(index: int, closing: float) -> tuple[Phase, ...]:
     """Grasp a block, bring it above its hole, lower it until it is in, else lift it and do so again; push it down."""
     at, over = partial(grasp, index=index), partial(grasp, index=index, height=0.1)
-    above = partial(carried, index=index, height=BOARD_HEIGHT + 0.02)
-    close = partial(carried, index=index, height=BOARD_HEIGHT + 0.002, push=0.02, haste=HASTE)
-    lower = partial(carried, index=index, height=BOARD_HEIGHT - 0.006, push=0.002, haste=HASTE)
-    down = partial(carried, index=index, height=-0.003, push=0.006)
-    reaches_in = partial(_found, index=index)
-    again = Retry(3, unless=lambda world, task: inserted(world, task)[:, index] > 0.0, most=1)
+    held = partial(carried, index=index)
+    above, down = partial(held, height=BOARD_HEIGHT + 0.02), partial(held, height=-0.003, push=0.006)
+    close = partial(held, height=BOARD_HEIGHT + 0.002, push=0.02, haste=HASTE)
+    lower = partial(held, height=BOARD_HEIGHT - 0.006, push=0.002, haste=HASTE)
+    reaches = Retry(2, lambda world, task: offsets(world, task)[:, index, 2] < BOARD_HEIGHT - 0.003, most=5)
+    is_in = Retry(3, lambda world, task: inserted(world, task)[:, index] > 0.0, most=1)
     return (
         Phase(over, position_tolerance=0.02, free=True),
         Phase(at, position_tolerance=0.004, timeout=1.5),
         Phase(at, gripper_open=False, dwell=closing, timeout=closing + 0.1),
-        Phase(partial(raised, index=index), gripper_open=False, position_tolerance=0.03, timeout=1.5),
+        Phase(picking.straight_up(0.12 + GRIP_HEIGHT), False, position_tolerance=0.03, timeout=1.5),
         Phase(above, gripper_open=False, position_tolerance=0.004, rotation_tolerance=0.03, timeout=2.0),
         Phase(close, gripper_open=False, position_tolerance=0.001, rotation_tolerance=0.005, timeout=1.5),
-        Phase(lower, False, position_tolerance=0.0015, timeout=1.5, retry=Retry(2, unless=reaches_in, most=5)),
-        Phase(down, gripper_open=False, position_tolerance=0.004, timeout=2.0, retry=again),
-        Phase(partial(grasp, index=index), dwell=closing, timeout=closing + 0.1),
+        Phase(lower, False, position_tolerance=0.0015, timeout=1.5, retry=reaches),
+        Phase(down, gripper_open=False, position_tolerance=0.004, timeout=2.0, retry=is_in),
+        Phase(at, dwell=closing, timeout=closing + 0.1),
         Phase(over, position_tolerance=0.04, timeout=1.0),
     )

@@ -13,24 +13,12 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import box
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import (
-    EventTerm,
-    EventTime,
-    Expert,
-    ObservationGroup,
-    ObservationTerm,
-    Phase,
-    PremiseTerm,
-    RewardTerm,
-    Task,
-    TerminationTerm,
-)
+from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
-from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common, picking, premises, randomize
-from orbit_core.mdp.randomize import Range
+from orbit_core.interfaces import World
+from orbit_core.mdp import common, picking, tabletop
 from orbit_core.scene import Color, Pose, Scene
 from orbit_tasks.pixels import ArmLabels
 
@@ -46,21 +34,15 @@ GAP = 0.004
 
 
 @once_per_state
-def block_poses(world: World, task: StackPyramid) -> Tensor:
-    """(N, B, 7) of all blocks: the first of each pyramid, then those to be moved, in order."""
-    return torch.stack([world.objects[name].root_pose for name in (*task.first, *task.moved)], dim=1)
-
-
-@once_per_state
 def moved_positions(world: World, task: StackPyramid) -> Tensor:
     """(N, M, 3) of the blocks that are to be moved."""
-    return block_poses(world, task)[:, task.pyramids :, :3]
+    return tabletop.piece_poses(world, task)[:, task.pyramids :, :3]
 
 
 @once_per_state
 def places(world: World, task: StackPyramid) -> Tensor:
     """(N, M, 3) where those belong: beside the first block of their pyramid along its x axis, or on top."""
-    first = block_poses(world, task)[:, : task.pyramids]
+    first = tabletop.piece_poses(world, task)[:, : task.pyramids]
     position, turn = first[..., :3], common.turned(picking.quarter_yaw(first[..., 3:].flatten(0, 1)))
     offsets = [position + quat_rotate(turn, way).view_as(position) for way in task.ways]
     return torch.cat(offsets, dim=1)
@@ -75,8 +57,7 @@ def distances(world: World, task: StackPyramid) -> Tensor:
 @once_per_state
 def hand_distances(world: World, task: StackPyramid) -> Tensor:
     """(N, M) metres between the hand and the blocks that are to be moved."""
-    hand = common.hand_pose(world, task)[:, None, :3]
-    return vector_norm(moved_positions(world, task) - hand, dim=2)
+    return vector_norm(hand_to_blocks(world, task), dim=2)
 
 
 @once_per_state
@@ -133,63 +114,39 @@ def letting_go(world: World, task: StackPyramid) -> Tensor:
     return staged(world, task, gone * (distances(world, task) < task.tolerance))
 
 
-def dropped(world: World, task: StackPyramid) -> Tensor:
-    """(N,) a block fell off the table."""
-    return (block_poses(world, task)[..., 2] < -0.05).any(1)
-
-
 def place_blocks(world: World, task: StackPyramid, env_ids: Tensor) -> None:
-    """First blocks stand in the middle, turned by up to 0.3 rad; the others, turned by any angle, at four places on
-    both sides of them, drawn anew."""  # fmt: skip
+    """First blocks stand in the middle, turned by up to 0.3 rad; others, by any angle, at four places beside them."""
     low, high = common.workspace(world)
     near, far, width = low[0], high[0] - 0.05, 0.5 * (high[1] - low[1])
     middle, height = 0.5 * (low[1] + high[1]), 0.5 * SIZE
     bands = ((-0.11, 0.11),) if task.pyramids == 1 else ((-0.11, -0.07), (0.07, 0.11))
     for name, (right, left) in zip(task.first, bands, strict=True):
         bounds = (near + 0.03, middle + right, height, -0.3), (near + 0.07, middle + left, height, 0.3)
-        _stand(world, name, world.random.uniform((4,), *bounds, env_ids), env_ids)
+        world.objects[name].set_root_pose(common.standing(world.random.uniform((4,), *bounds, env_ids)), env_ids)
     cells = [(x, middle + y) for x in (near + 0.035, far - 0.035) for y in (0.015 - width, width - 0.015)]
-    order = world.random.uniform((len(cells),), env_ids=env_ids).argsort(dim=1)
-    chosen = torch.tensor(cells, device=world.device)[order]
+    chosen = torch.tensor(cells, device=world.device)[world.random.uniform((4,), env_ids=env_ids).argsort(dim=1)]
     for index, name in enumerate(task.moved):
         bounds = (-0.02, -0.015, height, -math.pi), (0.02, 0.015, height, math.pi)
         place = world.random.uniform((4,), *bounds, env_ids)
         place[:, :2] += chosen[:, index]
-        _stand(world, name, place, env_ids)
-
-
-def _stand(world: World, name: str, place: Tensor, env_ids: Tensor) -> None:
-    """Put a block to x, y, z and yaw (n, 4)."""
-    world.objects[name].set_root_pose(common.standing(place), env_ids)
+        world.objects[name].set_root_pose(common.standing(place), env_ids)
 
 
 @dataclass
-class StackState(ObservationGroup):
+class StackState(tabletop.ArmState):
     """The arm's joints and hand, all blocks, the ways to the blocks and on to their places, and the last action."""
 
-    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
-    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
-    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
-    block_poses: ObservationTerm | None = ObservationTerm(block_poses, unit=POSE)
+    block_poses: ObservationTerm | None = ObservationTerm(tabletop.piece_poses, unit=POSE)
     hand_to_blocks: ObservationTerm | None = ObservationTerm(hand_to_blocks, unit="m")
     blocks_to_places: ObservationTerm | None = ObservationTerm(blocks_to_places, unit="m")
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 
 @dataclass
-class StackObservations:
-    """Policy and critic see the state; the blocks' colours are their places in it."""
+class StackSemanticObservations(tabletop.StateObservations):
+    """The policy tells the blocks' colours by a camera's labels; critic and teacher see the state."""
 
-    policy: StackState = field(default_factory=StackState)
-    critic: ObservationGroup | None = None
-
-
-@dataclass
-class StackSemanticObservations:
-    """The policy tells the blocks' colours by a semantic camera, whose labels they are; critic and teacher see the
-    state."""  # fmt: skip
-
-    policy: ArmLabels = field(default_factory=ArmLabels)
+    policy: ObservationGroup = field(default_factory=ArmLabels)
     critic: ObservationGroup | None = field(default_factory=StackState)
     teacher: ObservationGroup | None = field(default_factory=StackState)
 
@@ -211,37 +168,24 @@ class StackRewards:
 
 
 @dataclass
-class StackTerminations:
-    """An episode ends early where a block is dropped."""
-
-    dropped: TerminationTerm | None = TerminationTerm(dropped)
-
-
-@dataclass
-class StackEvents:
+class StackEvents(tabletop.ArmEvents):
     """Robot and blocks are placed anew for each episode; masses and the like with domain randomisation."""
 
-    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_blocks: EventTerm | None = EventTerm(place_blocks)
-    friction: EventTerm | None = None
-    gains: EventTerm | None = None
 
 
 @dataclass
 class StackPremises:
     """Blocks stand free on the table."""
 
-    standing: PremiseTerm | None = PremiseTerm(
-        lambda world, task: premises.standing(world, (*task.first, *task.moved), 0.5 * SIZE),
-        "a block does not stand still and upright on the table, so that it began inside another thing, or fell over",
-    )
+    standing: PremiseTerm | None = tabletop.pieces_stand(0.5 * SIZE)
     apart: PremiseTerm | None = PremiseTerm(
         lambda world, task: distances(world, task).amin(1) > task.tolerance, "a block is at its place already"
     )
 
 
 @dataclass(kw_only=True)
-class StackPyramid(Task):
+class StackPyramid(tabletop.TabletopTask):
     """Pyramids of coloured blocks, each built where its first block stands: a second beside it, and a third on both.
 
     A pyramid of two blocks has the second on the first. Succeeds when at the episode's end every block is within
@@ -249,8 +193,6 @@ class StackPyramid(Task):
     """
 
     observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {"semantic": StackSemanticObservations}
-    robot: str = "franka_panda"
-    action: str = "joint_position"
     episode_length: float = 24.0
     ppo: PpoSettings = PpoSettings(iterations=3000, initial_std=0.3, entropy_weight=0.005)
     pyramids: int = 2
@@ -259,9 +201,9 @@ class StackPyramid(Task):
     """Of each pyramid: two or three."""
     tolerance: float = 0.015
     """Metres."""
-    observations: StackObservations | StackSemanticObservations = field(default_factory=StackObservations)
+    observations: tabletop.StateObservations = field(default_factory=tabletop.state(StackState))
     rewards: StackRewards = field(default_factory=StackRewards)
-    terminations: StackTerminations = field(default_factory=StackTerminations)
+    terminations: tabletop.DropTerminations = field(default_factory=tabletop.DropTerminations)
     events: StackEvents = field(default_factory=StackEvents)
     premises: StackPremises = field(default_factory=StackPremises)
     opening: common.GripperOpening = field(init=False)
@@ -278,23 +220,19 @@ class StackPyramid(Task):
         """The blocks to be moved, in order: all second ones, then all third ones."""
         return tuple(list(colors)[level] for level in range(1, self.blocks) for colors in COLORS[: self.pyramids])
 
+    @property
+    def pieces(self) -> tuple[str, ...]:
+        return (*self.first, *self.moved)
+
     def scene(self) -> Scene:
-        for name, least, most in (("pyramids", 1, 2), ("blocks", 2, 3)):
-            if not least <= getattr(self, name) <= most:
-                raise ConfigurationError(f"field '{name}' of task {type(self).__name__} must be {least} or {most}")
+        self.bound(pyramids=(1, 2), blocks=(2, 3))
         colors = {name: color for pyramid in COLORS for name, color in pyramid.items()}
+        size = (SIZE, SIZE, SIZE)
         blocks = [
-            box(
-                name, (SIZE, SIZE, SIZE), mass=0.1, color=colors[name], pose=Pose((0.5, 0.1 * index - 0.25, 0.5 * SIZE))
-            )
-            for index, name in enumerate((*self.first, *self.moved))
+            box(name, size, mass=0.1, color=colors[name], pose=Pose((0.5, 0.1 * index - 0.25, 0.5 * SIZE)))
+            for index, name in enumerate(self.pieces)
         ]
-        return Scene(
-            robots=(common.arm(self.robot),),
-            objects=(*blocks, common.work_bench()),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
-            physics_dt=self.physics_dt,
-        )
+        return self.bench(*blocks)
 
     def start(self, world: World) -> None:
         super().start(world)
@@ -305,10 +243,7 @@ class StackPyramid(Task):
 
     def randomize(self) -> None:
         """The friction of blocks and fingers, the arm's gains, and noise on joints and blocks."""
-        friction = randomize.friction((common.ROBOT, *self.first, *self.moved, "table"), Range(0.5, 1.2))
-        self.events.friction = EventTerm(friction, EventTime.STARTUP)
-        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
-        common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, block_poses=0.002)
+        self.vary((common.ROBOT, *self.pieces, "table"), (0.5, 1.2), block_poses=0.002)
 
     def success(self, world: World) -> Tensor:
         return put_down(world, self).all(1)
@@ -326,23 +261,19 @@ class StackPyramid(Task):
 
 def _block(index: int) -> TermFunction:
     """Term: (N, 7) a block that is to be moved."""
-    return lambda world, task: block_poses(world, task)[:, task.pyramids + index]
+    return lambda world, task: tabletop.piece_poses(world, task)[:, task.pyramids + index]
 
 
 def _grasp(index: int) -> TermFunction:
     """Term: (N, 7) the hand around it."""
-    block = _block(index)
-    return lambda world, task: picking.grasp_square(block(world, task))
+    return lambda world, task: picking.grasp_square(_block(index)(world, task))
 
 
 def _place(index: int) -> TermFunction:
     """Term: (N, 7) its place, with the hand turned as the pyramid is."""
-
-    def place(world: World, task: StackPyramid) -> Tensor:
-        first = block_poses(world, task)[:, index % task.pyramids, 3:]
-        return torch.cat((places(world, task)[:, index], common.facing_down(picking.quarter_yaw(first))), dim=1)
-
-    return place
+    return lambda world, task: picking.over_square(
+        places(world, task)[:, index], tabletop.piece_poses(world, task)[:, index % task.pyramids, 3:]
+    )
 
 
 def _moving(world: World, index: int) -> tuple[Phase, ...]:

@@ -42,6 +42,14 @@ BOARD_HEIGHT = 0.03
 """Metres of the board's thickness, through which its holes go."""
 TILE = 0.09
 """Metres, the edge of the square of board around each hole."""
+COLORS: Sequence[Color] = (
+    (0.80, 0.20, 0.15, 1.0),
+    (0.15, 0.35, 0.75, 1.0),
+    (0.95, 0.70, 0.10, 1.0),
+    (0.20, 0.60, 0.30, 1.0),
+    (0.55, 0.30, 0.65, 1.0),
+)
+"""For blocks that are to look different."""
 FIT = 0.001
 """Metres from which engines may make contacts between block and board."""
 _LEAST_RIM = 0.01
@@ -60,6 +68,11 @@ class Section:
     outline: Polygon
     turns: int
     radius: float = 0.0
+
+    @property
+    def turn(self) -> float:
+        """rad of the least turn that brings it onto itself; zero where any does."""
+        return 2.0 * math.pi / self.turns if self.turns else 0.0
 
     @property
     def width(self) -> float:

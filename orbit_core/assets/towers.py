@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_from_rotation_vector, quat_multiply, quat_rotate
-from orbit_core.scene.pose import Vector3
+from orbit_core.scene.pose import Pose, Vector3
 
 SIZE: Vector3 = (0.12, 0.0395, 0.024)
 """Metres: length, width and height of a block; every gripper of the catalogue opens wider than its width."""
@@ -33,3 +33,10 @@ def cell_poses(foot: Tensor, cells: Tensor, layers: int) -> Tensor:
     standing = foot[:, None].expand(*cells.shape, 7)
     position = standing[..., :3] + quat_rotate(standing[..., 3:], local)
     return torch.cat((position, quat_multiply(standing[..., 3:], quat_from_rotation_vector(turn))), dim=-1)
+
+
+def tower(foot: Vector3, layers: int) -> list[Pose]:
+    """Poses of all blocks of a tower, from the lowest layer, where ``foot`` is the middle of its underside."""
+    cells = torch.arange(3 * layers)[None]
+    poses = cell_poses(torch.tensor([[*foot, 1.0, 0.0, 0.0, 0.0]]), cells, layers)[0].tolist()
+    return [Pose((x, y, z), (qw, qx, qy, qz)) for x, y, z, qw, qx, qy, qz in poses]

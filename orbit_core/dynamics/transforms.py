@@ -95,6 +95,11 @@ def quat_to_rotation_vector(q: Tensor) -> Tensor:
     return torch.where(sine > 1e-7, angle / sine.clamp_min(1e-12), torch.full_like(sine, 2.0)) * q[..., 1:]
 
 
+def rotation_angle(q: Tensor) -> Tensor:
+    """(...) rad in [0, pi] by which unit quaternions (..., 4) turn."""
+    return quat_to_rotation_vector(q).norm(dim=-1)
+
+
 def quat_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
     """Quaternions (..., 4) of ``Rz(yaw) Ry(pitch) Rx(roll)``."""
     cr, sr, cp, sp = (0.5 * roll).cos(), (0.5 * roll).sin(), (0.5 * pitch).cos(), (0.5 * pitch).sin()

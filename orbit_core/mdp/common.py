@@ -210,6 +210,11 @@ def standing(place: Tensor) -> Tensor:
     return torch.cat((place[:, :3], turned(place[:, 3])), dim=1)
 
 
+def wrapped(angle: Tensor) -> Tensor:
+    """The same angles in [-pi, pi]."""
+    return torch.remainder(angle + math.pi, 2.0 * math.pi) - math.pi
+
+
 def facing_down(yaw: Tensor) -> Tensor:
     """(n, 4) orientation of a hand that points down, its fingers opening along world y at ``yaw`` (n,) zero."""
     half = 0.5 * yaw

@@ -23,9 +23,26 @@ def quarter_yaw(orientation: Tensor) -> Tensor:
     return yaw - _QUARTER * torch.round(yaw / _QUARTER)
 
 
+def over_square(position: Tensor, orientation: Tensor) -> Tensor:
+    """(N, 7) the hand at positions (N, 3), pointing down, along the nearest faces of square things (N, 4)."""
+    return torch.cat((position, common.facing_down(quarter_yaw(orientation))), dim=1)
+
+
 def grasp_square(pose: Tensor) -> Tensor:
     """(N, 7) the hand around a square thing (N, 7) from above, along the faces that need the least turn."""
-    return torch.cat((pose[:, :3], common.facing_down(quarter_yaw(pose[:, 3:]))), dim=1)
+    return over_square(pose[:, :3], pose[:, 3:])
+
+
+def least_turn(before: Tensor, after: Tensor) -> Tensor:
+    """(N,) rad: how to turn a hand that takes a thing now and leaves it elsewhere, so that it turns least in all.
+
+    Args:
+        before: (N, K) rad of the hand's turns at which it may take the thing.
+        after: (N, K) rad of its turns when it leaves it.
+    """
+    before = common.wrapped(before)
+    most = torch.maximum(before.abs(), common.wrapped(after).abs())
+    return before.gather(1, most.argmin(1, keepdim=True)).squeeze(1)
 
 
 def raised(target: TermFunction, height: float) -> TermFunction:
@@ -34,6 +51,17 @@ def raised(target: TermFunction, height: float) -> TermFunction:
     def pose(world: World, task: Task) -> Tensor:
         up = torch.tensor([0.0, 0.0, height, 0.0, 0.0, 0.0, 0.0], device=world.device)
         return target(world, task) + up
+
+    return pose
+
+
+def back(target: TermFunction, way: float) -> TermFunction:
+    """The pose of a hand that ``target`` gives, ``way`` metres back out of where the hand points."""
+
+    def pose(world: World, task: Task) -> Tensor:
+        hand = target(world, task)
+        shift = torch.tensor([0.0, 0.0, -way], device=world.device).expand(len(hand), 3)
+        return torch.cat((hand[:, :3] + quat_rotate(hand[:, 3:], shift), hand[:, 3:]), dim=1)
 
     return pose
 

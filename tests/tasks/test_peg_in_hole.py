@@ -68,7 +68,7 @@ def test_a_quarter_turn_of_a_square_block_fits_as_well_and_an_eighth_does_not() 
     turns = torch.tensor([0.5 * torch.pi, 0.24 * torch.pi])
     pose[:, 3:] = task_file.quat_multiply(pose[:, 3:], task_file.common.turned(turns))
     world.objects["block_0"].set_root_pose(pose)
-    off = task_file.turned_by(task_file.offsets(world, task))[:, 0]
+    off = task_file.rotation_angle(task_file.offsets(world, task)[:, 0, 3:])
     assert off.tolist() == pytest.approx([0.0, 0.24 * torch.pi], abs=1e-4)
     environment.close()
 

@@ -86,7 +86,7 @@ def test_blocks_start_apart() -> None:
 
 
 def test_more_blocks_than_there_are_is_refused_by_name() -> None:
-    with pytest.raises(ConfigurationError, match="field 'blocks' of task Stack must be 2 or 3"):
+    with pytest.raises(ConfigurationError, match="field 'blocks' of task Stack must be 2 to 3"):
         make("Stack", 1, "mujoco", blocks=4)
 
 
