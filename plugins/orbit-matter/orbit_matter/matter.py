@@ -18,12 +18,13 @@ from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, SceneL
 from orbit_core.interfaces.matter import PARAMETERS, Matter
 from orbit_core.plugin_kit.rows import take_rows, write_columns, write_rows
 from orbit_core.scene import Attachment
-from orbit_matter import stability, substeps
+from orbit_matter import contact, kernels, rows, self_contact, stability, substeps
 from orbit_matter.colliders import Colliders
 from orbit_matter.config import MatterConfig
 from orbit_matter.model import build
 from orbit_matter.part import Part, Stepping
 from orbit_warpkit.graphs import Graphs
+from orbit_warpkit.loading import load_kernels
 from orbit_warpkit.start import start
 
 _FREE, _WORLD = -2, -1
@@ -50,6 +51,8 @@ class ParticleMatter(Matter):
         count = max(1, math.ceil(layout.scene.physics_dt / longest - 1e-6))
         self._stepping = Stepping(layout.scene.physics_dt, count, sweeps, config.contact_stiffness)
         self._graphs = Graphs(device, config.capture)
+        by_rows = (rows,) if device.type == "cpu" else ()
+        load_kernels("orbit-matter", (kernels, contact, self_contact, *by_rows), self._graphs.device)
         self._colliders = Colliders(layout, self._graphs.device)
         self._tensors: dict[str, Tensor] = {}
         """State and parameters; snapshots hold them."""

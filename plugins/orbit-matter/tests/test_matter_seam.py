@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -259,6 +260,25 @@ def test_a_link_too_light_for_its_rope_is_refused_with_the_step_that_would_do() 
         own.step(round(1.0 / own.physics_dt))
         assert own.objects["block"].root_velocity[0, :3].norm() < 5.0
         own.close()
+
+
+def test_kernels_that_are_compiled_first_are_told_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import warp as wp
+
+    from orbit_matter import kernels, rows
+    from orbit_warpkit import loading
+
+    loaded: list[str] = []
+    monkeypatch.setattr(loading.wp, "load_module", lambda module, **rest: loaded.append(module.__name__))
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    (tmp_path / wp.get_module(rows.__name__).get_module_identifier(1)).mkdir()
+    loading.load_kernels("matter", (kernels, rows), wp.get_device("cpu"))
+    assert loaded == ["orbit_matter.kernels", "orbit_matter.rows"]
+    told = capsys.readouterr().err
+    assert "matter: compiling kernels, once on this machine: orbit_matter.kernels (1 of 1) ..." in told
+    assert "rows" not in told
 
 
 def test_calls_that_mean_nothing_are_refused(fresh: World) -> None:

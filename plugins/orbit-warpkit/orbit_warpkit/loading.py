@@ -1,0 +1,44 @@
+"""Loading kernels before they are needed, and saying so where they are compiled first, which takes many seconds."""
+
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+
+import warp as wp
+
+
+def load_kernels(what: str, modules: Sequence[ModuleType], device: wp.Device) -> None:
+    """Load the kernels of some modules for a device, from Warp's cache or by compiling them.
+
+    Args:
+        what: whose kernels they are, for the lines on standard error that tell what is compiled and how long it took.
+        modules: that define kernels.
+        device: on which they will run, in Warp's own blocks: of 256 threads on a GPU, of one on a CPU.
+    """
+    block = 1 if device.is_cpu else 256
+    new = [module for module in modules if not _is_cached(module, block)]
+    for module in modules:
+        if module not in new:
+            wp.load_module(module, device=device, block_dim=block)
+            continue
+        name, begin = module.__name__, time.perf_counter()
+        _tell(f"{what}: compiling kernels, once on this machine: {name} ({new.index(module) + 1} of {len(new)}) ... ")
+        wp.load_module(module, device=device, block_dim=block)
+        _tell(f"{time.perf_counter() - begin:.0f} s\n")
+
+
+def _is_cached(module: ModuleType, block: int) -> bool:
+    """Whether Warp's cache has a folder for the module as it is now, launched in blocks of that many threads."""
+    folder = wp.get_module(module.__name__).get_module_identifier(block)
+    return Path(wp.config.kernel_cache_dir or "", folder).is_dir()
+
+
+def _tell(words: str) -> None:
+    sys.stderr.write(words)
+    sys.stderr.flush()
