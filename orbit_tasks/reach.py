@@ -18,6 +18,7 @@ from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
+from orbit_tasks.mobile import sag_rate
 from orbit_tasks.pixels import ArmPixels
 
 
@@ -159,4 +160,5 @@ class Reach(Task):
         return {"position_error_m": position_error(world, self), "rotation_error_rad": rotation_error(world, self)}
 
     def expert(self, world: World) -> Expert:
-        return Expert(world, self, (Phase(lambda world, task: task.goal, free=True),))
+        goal = Phase(lambda world, task: task.goal, free=True)
+        return Expert(world, self, (goal,), sag_rate=sag_rate(world))

@@ -138,3 +138,7 @@ class DifferentialDrive(MotionGenerator):
         heading = torch.atan2(goal[:, 1], goal[:, 0])
         short = (torch.linalg.vector_norm(goal[:, :2], dim=1) - here[:, 0]) * heading.cos()
         return (_PURSUIT_RATE * torch.stack((short, heading), 1) / self._limits).clamp(-1.0, 1.0)
+
+    def encode_posture(self, positions: Tensor, pose: Tensor, gripper_open: Tensor) -> Tensor:
+        """The base stands: where it turned, the positions of its arm would be those of another pose."""
+        return torch.zeros(self.num_envs, self.command_size, device=self.device)

@@ -42,6 +42,11 @@ def test_wheels_turn_as_the_base_moves_and_keep_its_curve_at_their_limits(kinema
     torch.testing.assert_close(beyond[:2], speeds[:2])
     torch.testing.assert_close(beyond[2], speeds[0])
     assert generator.clamped.tolist() == [0, 1, 1]
+    beside, open_ = robot.root_pose.clone(), torch.ones(3, dtype=torch.bool)
+    beside[:, 1] += 1.0
+    assert generator.encode(beside, open_)[:, 1].abs().min() > 0.1
+    # The positions of an arm belong to the place where its base stands now.
+    assert generator.encode_posture(robot.joint_positions, beside, open_).abs().max() == 0.0
     fast = DifferentialDriveConfig(max_speed=20.0, max_yaw_rate=30.0).build("base", robot)
     speeds = fast.compute({"command": commands})["velocity_targets"]
     limit = min(robot.joints[joint].velocity_limit for joint in fast.joints)
