@@ -10,6 +10,7 @@ import torch
 from torch import nn
 
 from orbit_core.envs.environment import Environment
+from orbit_core.envs.observation_groups import POLICY
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.interfaces import ConfigurationError
 
@@ -19,6 +20,10 @@ _BATCH = 4096
 
 def imitate_expert(environment: Environment, network: nn.Module, normalizer: nn.Module, settings: PpoSettings) -> float:
     """Fit what the network does to what the expert did where episodes begin on its way (:class:`ExpertStarts`).
+
+    A last action among what the policy sees is taken from other moments: an expert mostly does what it did before, and
+    who learns that from it never begins anything, such as to close a gripper (de Haan et al., Causal Confusion in
+    Imitation Learning, 2019).
 
     Args:
         environment: whose expert it is.
@@ -39,6 +44,7 @@ def imitate_expert(environment: Environment, network: nn.Module, normalizer: nn.
             "task above zero, and let the policy see one tensor, or set imitation_steps=0"
         )
     seen, done = starts.seen, starts.done
+    last = environment.observation[POLICY].columns.get("last_action")
     if settings.normalize_observations:
         normalizer.update(seen)  # pyright: ignore[reportCallIssue]
     optimizer = torch.optim.Adam(network.parameters(), settings.learning_rate)
@@ -46,7 +52,10 @@ def imitate_expert(environment: Environment, network: nn.Module, normalizer: nn.
     loss = torch.zeros((), device=seen.device)
     for _ in range(settings.imitation_steps):
         rows = torch.randint(len(seen), (min(_BATCH, len(seen)),), generator=generator, device=seen.device)
-        loss = (network(normalizer(seen[rows])) - done[rows]).square().mean()
+        shown = seen[rows]
+        if last is not None:
+            shown[:, last] = shown[:, last].roll(1, 0)  # rows are drawn at random
+        loss = (network(normalizer(shown)) - done[rows]).square().mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
