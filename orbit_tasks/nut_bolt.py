@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import WOOD, SolidOptions, box
-from orbit_core.assets.threads import Thread, bolt_on_base, hexagonal_nut
+from orbit_core.assets.threads import Thread, ThreadOptions, bolt_on_base, hexagonal_nut
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import (
     EventTerm,
@@ -265,6 +265,8 @@ class NutBolt(Task):
     """By which the nut is to be screwed down, counted from where the bolt's thread begins: 0.25 to 3."""
     tolerance: float = 0.001
     """Metres: a quarter of a turn."""
+    thread: str = "field"
+    """How threads collide: ``field``, by their distance fields, or ``boxes``, square ones that every engine has."""
     observations: NutObservations = field(default_factory=NutObservations)
     rewards: NutRewards = field(default_factory=NutRewards)
     terminations: NutTerminations = field(default_factory=NutTerminations)
@@ -274,15 +276,16 @@ class NutBolt(Task):
     def scene(self) -> Scene:
         if not 0.25 <= self.turns <= 3.0:
             raise ConfigurationError("field 'turns' of task Nut-Bolt must be 0.25 to 3")
-        steel = (0.55, 0.57, 0.6, 1.0)
+        if self.thread not in ("field", "boxes"):
+            raise ConfigurationError("field 'thread' of task Nut-Bolt must be 'field' or 'boxes'")
+        metal = ThreadOptions(material=OILED, boxes=self.thread == "boxes")
+        steel, brass = (0.55, 0.57, 0.6, 1.0), (0.8, 0.6, 0.2, 1.0)
         stand = SolidOptions(fixed_base=True, color=WOOD, pose=Pose((0.5, -0.1, 0.5 * STAND)))
         return Scene(
             robots=(common.arm(self.robot),),
             objects=(
-                hexagonal_nut(
-                    "nut", HEIGHT, WIDTH, THREAD, clearance=CLEARANCE, color=(0.8, 0.6, 0.2, 1.0), material=OILED
-                ),
-                bolt_on_base("bolt", LENGTH, THREAD, base=BASE, color=steel, material=OILED),
+                hexagonal_nut("nut", HEIGHT, WIDTH, THREAD, clearance=CLEARANCE, color=brass, **metal),
+                bolt_on_base("bolt", LENGTH, THREAD, base=BASE, color=steel, **metal),
                 box("stand", (0.024, 0.024, STAND), **stand),
                 common.work_bench(),
             ),

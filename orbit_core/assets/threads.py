@@ -1,13 +1,16 @@
 """Bolts and nuts with a right-handed metric thread, as meshes whose threads really meet.
 
 The profile is the basic one of ISO 68-1: flanks of 60 degrees, crests cut by an eighth of the fundamental triangle's
-height, roots by a quarter.
+height, roots by a quarter. For engines without signed distance fields there are square threads of boxes along the
+helix, of the same radii and lead.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NotRequired, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +34,10 @@ _ROWS = 10
 """Rows of vertices in each turn of a thread."""
 _AROUND = 48
 """Vertices around."""
+_BOXES = 12
+"""Boxes in each turn of a thread of boxes."""
+_NEAR = 1e-3
+"""Metres from which engines may make contacts between boxes of threads."""
 _STEEL = 7800.0
 """kg/m^3"""
 _WALL = 0.002
@@ -56,6 +63,15 @@ class Thread:
         phase = (heights / self.lead - angles / (2.0 * math.pi)) % 1.0
         rise = np.clip((0.375 - np.abs(phase - 0.5)) / 0.3125, 0.0, 1.0)
         return self.minor_radius + (self.radius - self.minor_radius) * rise
+
+
+class ThreadOptions(TypedDict):
+    """What bolts and nuts on their own may be given besides their shape."""
+
+    material: PhysicsMaterial
+    """Of all of it."""
+    boxes: NotRequired[bool]
+    """Whether threads collide as :func:`bolt_boxes` and :func:`nut_boxes` do, and not by fields of distances."""
 
 
 def bolt(length: float, thread: Thread = Thread()) -> Mesh:
@@ -112,8 +128,37 @@ def nut(height: float, outer_radius: float, thread: Thread = Thread(), *, cleara
     return Mesh(np.concatenate((inner, outer)), faces, MeshCollision.SIGNED_DISTANCE)
 
 
+def bolt_boxes(length: float, thread: Thread, material: PhysicsMaterial) -> tuple[Shape, ...]:
+    """Boxes that stand for :func:`bolt`: a ridge half a lead wide around a core of the roots' radius."""
+    half = thread.minor_radius / math.sqrt(2.0)
+    core = Box((half, half, 0.5 * length))
+    across = (math.cos(math.pi / 8.0), 0.0, 0.0, math.sin(math.pi / 8.0))
+    cores = [Shape(core, Pose((0.0, 0.0, 0.5 * length), turn), material) for turn in ((1.0, 0.0, 0.0, 0.0), across)]
+    ridge = _ridge(thread, (half, thread.radius), 0.5 * thread.lead, (0.0, length - thread.lead), 0.5, material)
+    return (*cores, *ridge)
+
+
+def nut_boxes(
+    height: float, outer_radius: float, thread: Thread, material: PhysicsMaterial, *, clearance: float
+) -> tuple[Shape, ...]:
+    """Boxes that stand for the thread of :func:`nut`: a ridge in the groove of the bolt's.
+
+    It is narrower than the groove by ``clearance`` (metres), and as much further from the axis than the bolt's core.
+    """
+    radii = (thread.minor_radius + clearance, outer_radius)
+    width = 0.5 * thread.lead - clearance
+    return _ridge(thread, radii, width, (0.0, height - 0.5 * width), 0.0, material)
+
+
 def bolt_on_base(
-    name: str, length: float, thread: Thread, *, base: float, color: Color, material: PhysicsMaterial
+    name: str,
+    length: float,
+    thread: Thread,
+    *,
+    base: float,
+    color: Color,
+    material: PhysicsMaterial,
+    boxes: bool = False,
 ) -> ObjectSpec:
     """A bolt that stands on a square base 80 mm wide, fixed; its frame lies in the middle of the base's underside.
 
@@ -124,6 +169,7 @@ def bolt_on_base(
         base: metres of the base's height.
         color: of both.
         material: of both.
+        boxes: whether its thread collides as :func:`bolt_boxes` do, and not as the field of distances of :func:`bolt`.
 
     Raises:
         AssetError: as :func:`bolt`.
@@ -132,6 +178,8 @@ def bolt_on_base(
     foot = Shape(Box((0.04, 0.04, half)), Pose((0.0, 0.0, half)), material, color, "base")
     rod = Shape(bolt(length, thread), Pose((0.0, 0.0, base)), material, color, "bolt")
     link = solid_link(name, (foot, rod), _STEEL)
+    if boxes:
+        link = replace(link, collisions=(foot, *_placed(bolt_boxes(length, thread, material), rod.pose)))
     return ObjectSpec(name=name, articulation=Articulation(name, (link,)), fixed_base=True, semantic_label="bolt")
 
 
@@ -144,6 +192,7 @@ def hexagonal_nut(
     clearance: float,
     color: Color,
     material: PhysicsMaterial,
+    boxes: bool = False,
 ) -> ObjectSpec:
     """A nut of six flat sides; its frame lies in the middle of its underside, x towards a corner.
 
@@ -158,6 +207,7 @@ def hexagonal_nut(
         clearance: metres by which the radius of its thread exceeds the bolt's.
         color: of the nut.
         material: of all of it.
+        boxes: whether its thread collides as :func:`nut_boxes` do, with half the clearance.
 
     Raises:
         AssetError: as :func:`nut`.
@@ -173,7 +223,37 @@ def hexagonal_nut(
         geometry, pose = prism(sides, height)
         shapes.append(Shape(geometry, pose, material, color, f"side_{k}"))
     link = solid_link(name, shapes, _STEEL)
+    if boxes:
+        ridge = nut_boxes(height - 1e-3, inner, thread, material, clearance=0.5 * clearance)
+        link = replace(link, collisions=(*_placed(ridge, shapes[0].pose), *link.collisions[1:]))
     return ObjectSpec(name=name, articulation=Articulation(name, (link,)), semantic_label="nut")
+
+
+def _placed(shapes: Sequence[Shape], pose: Pose) -> tuple[Shape, ...]:
+    return tuple(replace(shape, pose=pose @ shape.pose) for shape in shapes)
+
+
+def _ridge(
+    thread: Thread,
+    radii: tuple[float, float],
+    width: float,
+    heights: tuple[float, float],
+    phase: float,
+    material: PhysicsMaterial,
+) -> tuple[Shape, ...]:
+    """Boxes between two radii (m), ``width`` metres high, along the helix that is ``phase`` leads high at angle 0."""
+    shapes: list[Shape] = []
+    middle, half = 0.5 * sum(radii), math.pi / _BOXES
+    slope = 0.5 * math.atan(thread.lead / (math.pi * (thread.minor_radius + thread.radius)))  # where threads meet
+    box = Box((0.5 * (radii[1] - radii[0]), thread.radius * math.tan(half), 0.5 * width))
+    for number in range(-_BOXES, math.ceil(heights[1] / thread.lead) * _BOXES):
+        angle, height = 2.0 * half * number, thread.lead * (number / _BOXES + phase)
+        if heights[0] + 0.5 * width <= height <= heights[1]:
+            c, s = math.cos(half * number), math.sin(half * number)
+            turn = (c * math.cos(slope), c * math.sin(slope), s * math.sin(slope), s * math.cos(slope))
+            place = (middle * math.cos(angle), middle * math.sin(angle), height)
+            shapes.append(Shape(box, Pose(place, turn), material, contact_distance=_NEAR))
+    return tuple(shapes)
 
 
 def _check(length: float, thread: Thread) -> None:

@@ -27,8 +27,13 @@ def test_the_expert_screws_the_nut_half_a_turn_down() -> None:
 def test_engines_without_distance_fields_refuse_the_task() -> None:
     with pytest.raises(UnsupportedCapabilityError, match=rf"{Capability.SIGNED_DISTANCE_FIELDS.value}.*mujoco"):
         make("Nut-Bolt", 1, "bullet")
+    environment = make("Nut-Bolt", 1, "bullet", thread="boxes")  # which looks whether the nut lies still
+    assert not nut_bolt.dropped(environment.world, environment.task).any()
+    environment.close()
 
 
 def test_turns_that_the_bolt_lacks_are_refused_by_name() -> None:
     with pytest.raises(ConfigurationError, match="field 'turns' of task Nut-Bolt must be"):
         make("Nut-Bolt", 1, "mujoco", turns=9.0)
+    with pytest.raises(ConfigurationError, match="field 'thread' of task Nut-Bolt must be 'field' or 'boxes'"):
+        make("Nut-Bolt", 1, "mujoco", thread="wood")

@@ -26,6 +26,7 @@ _HELD = (
     "a weakly damped drive of more than one radian of natural frequency per step is damped further, to be stable, and "
     "passes its target once: at 2.5 radians by 0.16 of the way"
 )
+_SINKING = "contacts give way: the boxes of a thread sink into each other by some 0.2 mm, an edge at a time"
 _UNDAMPED = (
     "joint velocities are integrated in first order, which takes energy from fast chains and gives it to slow ones; "
     "integrator 'rk4' keeps it to 1.2 % over 20 s, and to 4 % in single precision"
@@ -84,6 +85,8 @@ _WALKERS = ("anymal_b", "anymal_c", "anymal_c_kinova_gen3", "unitree_go2")
 _FEET = f"soft legs that stand apart push their feet outwards all the time, and these creep: {CREEP}"
 
 CONTACT = (
+    Gap("screw", "lead", 0.12, _SINKING),
+    Gap("screw", "pace", 0.15, _SINKING),
     Gap("stick_and_slip", "creep", 0.012, CREEP),
     Gap("stick_and_slip", "friction", 0.12, _HOP),
     Gap("stopping_distance", "distance", 0.09, _HOP),

@@ -12,6 +12,7 @@ import trimesh
 
 from orbit_core.assets.inertia import mass_properties
 from orbit_core.assets.threads import Thread, bolt, nut
+from orbit_core.backends import backend_names
 from orbit_core.dynamics.transforms import yaw_angle
 from orbit_core.interfaces import Capability, UnsupportedCapabilityError
 from orbit_core.interfaces.errors import ArgumentError, AssetError
@@ -29,6 +30,7 @@ from orbit_core.scene import (
 )
 from orbit_core.world import simulate
 
+BACKENDS = [name for name in ("mujoco", "warp") if name in backend_names()]
 THREAD = Thread(lead=0.004)
 CLEARANCE = 3e-4
 SLIPPERY = PhysicsMaterial(0.01, 0.01)
@@ -67,14 +69,15 @@ def test_a_nut_driven_by_a_torque_moves_down_its_bolt_by_the_lead_in_a_turn() ->
     assert across < CLEARANCE
 
 
-def test_a_ball_rests_on_the_rim_of_a_ring() -> None:
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_ball_rests_on_the_rim_of_a_ring(backend: str) -> None:
     surface = trimesh.creation.annulus(0.05, 0.08, 0.04, sections=48)
     ring = thing("ring", Mesh(surface.vertices, surface.faces, MeshCollision.SIGNED_DISTANCE), fixed=True)
     radius = 0.055
     link = Link("ball", 0.3, (0.0, 0.0, 0.0), np.eye(3) * 0.4 * 0.3 * radius**2, (Shape(Sphere(radius)),))
     ball = ObjectSpec(name="ball", articulation=Articulation("ball", (link,)), pose=Pose((0.0, 0.0, 0.045)))
-    world = simulate(Scene(objects=(ring, ball), terrain=()), num_envs=1, backend="mujoco")
-    world.step(200)
+    world = simulate(Scene(objects=(ring, ball), terrain=()), num_envs=1, backend=backend)
+    world.step(120)
     place = world.objects["ball"].root_pose[0, :3].tolist()
     world.close()
     assert place == pytest.approx((0.0, 0.0, 0.02 + math.sqrt(radius**2 - 0.05**2)), abs=1.5e-3)

@@ -17,6 +17,8 @@ from orbit_warp.config import WarpConfig
 _LEAST_CONTACTS = 16
 _CONTACTS_OF_BODY = 12
 """Contacts of a single free body: one face full of contacts, and two fingers that hold it."""
+_MANY_PARTS, _CONTACTS_OF_PART = 8, 12
+"""Shapes of a single free body beyond which each has as many contacts, as those of a nut's thread of boxes have."""
 _CONTACTS_OF_GEOM = 1
 """Contacts of a shape of an articulation: few of them touch at a time, but each may be near something."""
 _CROWDED = 2
@@ -41,10 +43,14 @@ def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpCon
     moving = moving[model.geom_bodyid[moving] > 0]
     tree_sizes = np.bincount(model.body_rootid, minlength=model.nbody)
     alone = tree_sizes[model.body_rootid[model.geom_bodyid[moving]]] == 1
-    bodies = len(np.unique(model.geom_bodyid[moving[alone]]))
-    likely = max(_CONTACTS_OF_BODY * bodies + _CONTACTS_OF_GEOM * int((~alone).sum()), _LEAST_CONTACTS)
+    _, parts = np.unique(model.geom_bodyid[moving[alone]], return_counts=True)
+    of_bodies = int(np.where(parts > _MANY_PARTS, _CONTACTS_OF_PART * parts, _CONTACTS_OF_BODY).sum())
+    likely = max(of_bodies + _CONTACTS_OF_GEOM * int((~alone).sum()), _LEAST_CONTACTS)
     if model.nhfield:
         likely *= 4  # a height field offers every cell under a shape
+    fields = model.geom_type[pairs] == mujoco.mjtGeom.mjGEOM_SDF
+    if fields.any():  # each descent of a pair may end in a contact
+        likely += model.opt.sdf_initpoints * (1 + int(fields.all(axis=1).sum()))
     nconmax = config.nconmax or max(min(possible, likely), 1)
     condim = int(model.geom_condim[touching].max(initial=1))
     rows = condim if config.cone == "elliptic" else max(2 * (condim - 1), 1)
@@ -72,4 +78,5 @@ def _contacts_of_pairs(model: mujoco.MjModel, pairs: npt.NDArray[np.int32]) -> n
     most[has(kind.mjGEOM_CAPSULE)] = 2
     most[has(kind.mjGEOM_SPHERE)] = 1
     most[has(kind.mjGEOM_HFIELD)] = 50
+    most[has(kind.mjGEOM_SDF)] = model.opt.sdf_initpoints
     return most

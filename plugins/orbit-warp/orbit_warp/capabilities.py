@@ -6,6 +6,10 @@ from orbit_mjmodel.capabilities import shared_support
 CAPABILITIES = Capabilities(
     shared_support("MuJoCo-Warp")
     | {
+        Capability.SIGNED_DISTANCE_FIELDS: approximate(
+            "as MuJoCo's, in single precision: contacts are found by descent from 40 points, none left out where they "
+            "meet; the lead of a screw of 4 mm came to 4.16 mm, on a CPU"
+        ),
         Capability.COPIED_STATES: approximate("contacts begin anew: what follows differs a little where things touch"),
         Capability.DETERMINISTIC: approximate(
             "bit for bit on a CPU; on a GPU only with WarpConfig(deterministic=True), for sums run in any order"
