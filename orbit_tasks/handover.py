@@ -234,6 +234,7 @@ class Handover(tabletop.TabletopTask):
         return ("rod",)
 
     def scene(self) -> Scene:
+        self.bound(spacing=(1.0, 2.0), tolerance=(1e-6, 0.1))
         start = Pose((0.42, 0.0, 0.5 * WIDTH))
         rod = box("rod", size=(LENGTH, WIDTH, WIDTH), mass=self.rod_mass, pose=start, color=(0.8, 0.2, 0.15, 1.0))
         middle = Pose((0.5 * self.spacing, 0.0, 0.0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -25,7 +24,7 @@ from orbit_core.dynamics.transforms import (
 from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, Retry, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import POSE, once_per_state
-from orbit_core.interfaces import World
+from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, picking, tabletop
 from orbit_core.scene import PhysicsMaterial, Scene
 
@@ -250,7 +249,10 @@ class PegInHole(tabletop.TabletopTask):
         return tuple(f"block_{index}" for index in range(len(self.shapes)))
 
     def scene(self) -> Scene:
-        parts = zip(self.pieces, self.shapes, itertools.cycle(COLORS), strict=False)
+        self.bound(tolerance=(1e-6, 0.02))
+        if len(self.shapes) > len(COLORS):
+            raise ConfigurationError(f"{len(self.shapes)} shapes do not fit before an arm: give {len(COLORS)} at most")
+        parts = zip(self.pieces, self.shapes, COLORS, strict=False)
         blocks = [block(name, shape, color=color, material=SMOOTH) for name, shape, color in parts]
         return self.bench(*blocks, board("board", self.shapes, self.clearance, material=SMOOTH))
 

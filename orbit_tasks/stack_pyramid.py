@@ -110,8 +110,7 @@ def letting_go(world: World, task: StackPyramid) -> Tensor:
     """(N,) in [0, 1]: how far the gripper is open, and the hand has left, where a block is at its place."""
     away = (hand_distances(world, task) / SIZE).clamp(max=1.0)
     wider = (4.0 * task.opening() - 3.0).clamp_min(0.0)  # than any gripper that still holds a block
-    gone = 0.5 * (wider[:, None] + away)
-    return staged(world, task, gone * (distances(world, task) < task.tolerance))
+    return staged(world, task, 0.5 * (wider[:, None] + away) * (distances(world, task) < task.tolerance))
 
 
 def place_blocks(world: World, task: StackPyramid, env_ids: Tensor) -> None:
@@ -225,7 +224,7 @@ class StackPyramid(tabletop.TabletopTask):
         return (*self.first, *self.moved)
 
     def scene(self) -> Scene:
-        self.bound(pyramids=(1, 2), blocks=(2, 3))
+        self.bound(pyramids=(1, 2), blocks=(2, 3), tolerance=(1e-6, 0.5 * SIZE))
         colors = {name: color for pyramid in COLORS for name, color in pyramid.items()}
         size = (SIZE, SIZE, SIZE)
         blocks = [

@@ -8,7 +8,7 @@ import torch
 
 from orbit_core.assets import pegs
 from orbit_core.envs import make
-from orbit_core.interfaces import AssetError, UnknownNameError
+from orbit_core.interfaces import AssetError, ConfigurationError, UnknownNameError
 from orbit_core.scene import Box, Mesh, Shape
 from orbit_tasks import peg_in_hole as task_file
 from orbit_tasks.peg_in_hole import PegInHole
@@ -85,3 +85,10 @@ def test_a_peg_as_wide_as_its_hole_is_refused() -> None:
 def test_an_unknown_section_is_refused_by_name() -> None:
     with pytest.raises(UnknownNameError, match=r"'sqare'.*square"):
         make("Peg-In-Hole", 1, "mujoco", shapes=("sqare",))
+
+
+def test_more_blocks_than_fit_before_an_arm_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match="6 shapes do not fit before an arm: give 5 at most"):
+        make("Peg-In-Hole", 1, "mujoco", shapes=("square",) * 6)
+    with pytest.raises(ConfigurationError, match="field 'tolerance' of task PegInHole must be 1e-06 to"):
+        make("Peg-In-Hole", 1, "mujoco", tolerance=-1.0)
