@@ -17,6 +17,9 @@ from orbit_core.interfaces import Robot
 from orbit_core.interfaces.layout import joint_constants
 
 _GRAVITY = (0.0, 0.0, -9.81)
+_FRICTION_SHARE, _FRICTION_TIME, _FRICTION_SPEED = 0.95, 0.02, 0.02
+"""Share of the dry friction that is compensated; s after which the wanted motion counts; and rad/s or m/s of it at
+which all of that share is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +67,25 @@ class ArmDynamics:
         spec, device = robot.spec, robot.joint_positions.device
         damping = joint_constants(spec, "damping")
         armature = joint_constants(spec, "armature") + physics_dt * damping
+        friction = _FRICTION_SHARE * torch.as_tensor(joint_constants(spec, "friction"))[list(joints)]
+        self._friction = friction.float().to(device) if bool(friction.any()) else None
         gravity = (0.0, 0.0, 0.0) if spec.gravity_compensation else gravity
         self.robot = robot
         self.model = RigidBodyModel(spec.articulation, True, device, armature=armature.tolist(), gravity=gravity)
         self._joints = torch.tensor(list(joints), dtype=torch.int64, device=device)
         self._damping = torch.as_tensor(damping, dtype=torch.float32, device=device)[self._joints]
+
+    def against_friction(self, state: ArmState, wanted: Tensor, efforts: Tensor) -> Tensor:
+        """(N, k) the efforts and what overcomes the joints' dry friction where they shall accelerate by ``wanted``.
+
+        ``0.95 friction sat((v + T a) / v_0)``, the friction along the motion that is wanted (Olsson et al., Friction
+        Models and Friction Compensation, European Journal of Control 4(3), 1998): never more than the friction itself,
+        so that it drives nothing by itself.
+        """
+        if self._friction is None:
+            return efforts
+        soon = (state.velocities + _FRICTION_TIME * wanted) * (1.0 / _FRICTION_SPEED)
+        return efforts + self._friction * torch.clamp(soon, -1.0, 1.0)
 
     def measured(self) -> dict[str, Tensor]:
         """What :meth:`state_of` takes, of the present."""

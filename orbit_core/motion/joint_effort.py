@@ -97,7 +97,8 @@ class JointEffort(MotionGenerator):
         acceleration = frequency**2 * displacement - 2.0 * frequency * self.velocities
         if self._dynamics is None:
             self._dynamics = ArmDynamics(self.robot, self.joints)
-        return self.encode_efforts(self._dynamics.state().efforts(acceleration))
+        state = self._dynamics.state()
+        return self.encode_efforts(self._dynamics.against_friction(state, acceleration, state.efforts(acceleration)))
 
     def _origin(self) -> Tensor | float:
         """What commands are added to."""

@@ -6,9 +6,7 @@ held to what the joints' position and velocity limits leave, and become efforts 
 ``efforts = M(q) a + bias(q, v)``, clipped to the effort limits (computed torque; Siciliano et al., Robotics: Modelling,
 Planning and Control, 2009, section 8.5.2).
 
-Where the description tells of dry friction, ``0.95 friction sat((v + T a) / v_0)`` is added, the friction along the
-motion that is wanted (Olsson et al., Friction Models and Friction Compensation, European Journal of Control 4(3),
-1998): never more than the friction itself, so that it drives nothing by itself.
+Dry friction that the description tells of is compensated (:meth:`ArmDynamics.against_friction`).
 """
 
 from __future__ import annotations
@@ -21,15 +19,12 @@ from torch import Tensor
 
 from orbit_core.capture.fusion import Fused
 from orbit_core.interfaces import ConfigurationError, Robot, World
-from orbit_core.interfaces.layout import joint_constants, joint_limits
+from orbit_core.interfaces.layout import joint_limits
 from orbit_core.motion.arm_dynamics import ArmDynamics, ArmState
 from orbit_core.motion.base import MotionGenerator
 
 _LIMIT_RATE = 10.0
 """1/s: joints near a limit of position approach it no faster than this times the distance that is left."""
-_FRICTION_SHARE, _FRICTION_TIME, _FRICTION_SPEED = 0.95, 0.02, 0.02
-"""Share of the dry friction that is compensated; s after which the wanted motion counts; and rad/s or m/s of it at
-which all of that share is."""
 _BRAKING_STEPS = 2.0
 """Physics steps in which what exceeds the velocity that a joint may have is taken off."""
 
@@ -57,8 +52,6 @@ class Servo(MotionGenerator):
                     f"joint '{robot.joint_names[joint]}' of '{robot.name}' has effort limit {effort:g}, so that action "
                     f"term '{name}' cannot move it by efforts: choose a position space, or raise the limit"
                 )
-        friction = _FRICTION_SHARE * torch.as_tensor(joint_constants(robot.spec, "friction"))[self.joints]
-        self._friction = friction.float().to(self.device) if bool(friction.any()) else None
         self._strongest, self._fastest = (
             torch.as_tensor(limits, dtype=torch.float32, device=self.device) for limits in (efforts, speeds)
         )
@@ -106,10 +99,7 @@ class Servo(MotionGenerator):
         """(N, k)"""
         state = self.dynamics.state_of(poses, positions, velocities)
         wanted = self._within_limits(state, self.accelerations(state, aims))
-        efforts = state.efforts(wanted)
-        if self._friction is not None:
-            soon = (state.velocities + _FRICTION_TIME * wanted) * (1.0 / _FRICTION_SPEED)
-            efforts = efforts + self._friction * torch.clamp(soon, -1.0, 1.0)
+        efforts = self.dynamics.against_friction(state, wanted, state.efforts(wanted))
         return (torch.clamp(efforts, -self._strongest, self._strongest),)
 
     def _within_limits(self, state: ArmState, accelerations: Tensor) -> Tensor:
