@@ -187,7 +187,7 @@ def _table(settings: TrainSettings, last: Progress, folder: Path) -> Table:
     table.add_row("time of collecting and learning", f"{last.seconds:.1f} s")
     ended = not math.isnan(last.episode_return)
     table.add_row("return of the last episodes", f"{last.episode_return:.3f}" if ended else "none has ended")
-    if ended:
+    if not math.isnan(last.success_rate):
         table.add_row("success of the last episodes, exploring", f"{_success(last)} of {last.episodes}")
     if last.diverged:
         table.add_row("episodes that diverged, and were begun anew", f"{last.diverged:,}")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import pytest
 import torch
 from torch import nn
 
 from orbit_core.backends import default_backend
-from orbit_core.cli.train import TrainSettings, for_training
+from orbit_core.cli.train import TrainSettings, for_training, train
 from orbit_core.envs import PpoSettings, make
 from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.interfaces import ConfigurationError
@@ -64,6 +67,16 @@ def test_a_training_sets_what_the_task_says_for_it_unless_told_otherwise() -> No
     settings = for_training(TrainSettings(task="Stack", fields={"action": "joint_position"}))
     assert settings.fields == {"expert_starts": 0.5, "action": "joint_position"}
     assert for_training(TrainSettings(task="Reach")).fields == {}
+
+
+def test_a_training_ends_well_whose_every_episode_began_on_the_experts_way(tmp_path: Path) -> None:
+    settings = {"num_envs": 4, "backend": default_backend(), "iterations": 1, "output": tmp_path / "out"}
+    fields = {"expert_starts": 1.0, "episode_length": 1.6}
+    ppo = ("steps_per_iteration=81", "imitation_steps=2")
+    folder = train(TrainSettings(task="Reach", action="ik_relative", fields=fields, ppo=ppo, **settings))
+    (line,) = map(json.loads, (folder / "curve.jsonl").read_text().splitlines())
+    assert line["success_rate"] is None
+    assert line["metrics"]["expert_start"] > 0.0
 
 
 def test_what_the_expert_saw_and_did_is_imitated() -> None:
