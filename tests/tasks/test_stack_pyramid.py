@@ -10,7 +10,7 @@ import torch
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.mdp import common
+from orbit_core.mdp import common, tabletop
 from orbit_core.sensors import CameraSensor
 from orbit_tasks import stack_pyramid as tasks
 from tests.tasks.experts import episode
@@ -74,12 +74,12 @@ def test_a_block_in_the_hand_is_not_put_down(stack: Environment) -> None:
 def test_a_block_off_the_table_ends_the_episode(stack: Environment) -> None:
     stack.reset(seed=0)
     _put(stack, torch.tensor([[0.0, 0.0, -0.2]]).expand(N, 3))
-    assert tasks.dropped(stack.world, stack.task).all()
+    assert tabletop.dropped(stack.world, stack.task).all()
 
 
 def test_blocks_start_apart() -> None:
     environment = make("Stack-Pyramid", 32, "mujoco", seed=3)
-    positions = tasks.block_poses(environment.world, environment.task)[..., :2]
+    positions = tabletop.piece_poses(environment.world, environment.task)[..., :2]
     apart = torch.cdist(positions, positions) + torch.eye(6)
     environment.close()
     assert apart.min() > 2**0.5 * tasks.SIZE
