@@ -243,8 +243,7 @@ class SimulatedWorld(World):
 
     def _step_engine(self, steps: int) -> None:
         if not self._steps_singly:
-            self._step_watched(steps)
-            return
+            return self._step_watched(steps)
         for left in range(steps, 0, -1):
             for servo in self._servos:
                 servo()
