@@ -227,9 +227,8 @@ class SimulatedWorld(World):
         for sensor in self._timed.values():
             sensor.begin_step()
         while steps > 0:
-            stretch = steps
-            if self._stretch is not None:
-                stretch = min(steps, self._stretch - self.clock.steps % self._stretch)
+            whole = self._stretch
+            stretch = steps if whole is None else min(steps, whole - self.clock.steps % whole)
             self._step_engine(stretch)
             self.clock.advance(stretch)
             for sensor in self._timed.values():
@@ -243,7 +242,8 @@ class SimulatedWorld(World):
 
     def _step_engine(self, steps: int) -> None:
         if not self._steps_singly:
-            return self._step_watched(steps)
+            self._step_watched(steps)
+            return
         for left in range(steps, 0, -1):
             for servo in self._servos:
                 servo()
@@ -251,7 +251,7 @@ class SimulatedWorld(World):
                 self.actuators.apply()
             if self.active:
                 self.active.apply()
-            # Nothing in a traced step refuses what a servo makes of a state that diverged: one look at the end will do.
+            # A traced step refuses nothing that servos make of diverged states: one look at its end will do.
             self._step_watched(1, looks=left == 1 or not self.masking.traced)
             self.clock.touch()  # the next servo derives poses anew
 
