@@ -43,7 +43,8 @@ def chosen(scene: Scene, longest: float | None = None) -> tuple[float, int]:
     hanging = min((_hanging(spec) for spec in scene.deformables), default=math.inf)
     bending = min((_bending(spec) for spec in scene.deformables), default=math.inf)
     most = _GATHERED if any(isinstance(spec, Cloth) for spec in scene.deformables) else LONGEST
-    begin = longest or max(SHORTEST, min(most, bending))
+    taut = min((_taut(spec, scene) for spec in scene.deformables), default=math.inf)
+    begin = longest or max(SHORTEST, min(most, bending, taut))
     sweeps = max(1, min(MOST_SWEEPS, math.ceil((begin / hanging) ** 2 - 1e-6)))
     return longest or max(SHORTEST, min(begin, hanging * math.sqrt(sweeps))), sweeps
 

@@ -31,6 +31,7 @@ from orbit_core.scene import (
     look_at,
 )
 from orbit_core.world import simulate
+from orbit_matter import substeps
 from orbit_matter.part import Part
 
 COUNTS = (9, 9)
@@ -300,6 +301,12 @@ def test_what_sinks_by_its_weight_is_reported() -> None:
         ("resting on things", "sinks into them or through")
     ]
     own.close()
+
+
+def test_a_loaded_rope_takes_the_substep_that_its_waves_need() -> None:
+    """0.6 of an edge of 2 cm over ``sqrt(T / rho)``, with the tension T of 3 kg and the rope."""
+    substep, _ = substeps.chosen(hung(ROPE, 3.0))
+    assert substep == pytest.approx(0.6 * 0.02 * (0.1 / (9.81 * 3.02)) ** 0.5)
 
 
 def test_a_substep_without_end_is_refused() -> None:
