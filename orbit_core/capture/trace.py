@@ -173,6 +173,12 @@ def by_index(use: Use) -> bool:
 
 
 def _replaced(argument: Any, values: dict[int, Tensor]) -> Any:
+    if isinstance(argument, Tensor):
+        return values.get(id(argument), argument)
+    if argument is None or isinstance(argument, bool | int | float | str):
+        return argument
+    if type(argument) is list:  # torch's own way through a structure takes longer than many a call
+        return [_replaced(part, values) for part in argument]
     return tree_map_only(Tensor, lambda tensor: values.get(id(tensor), tensor), argument)
 
 

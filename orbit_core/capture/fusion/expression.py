@@ -24,6 +24,8 @@ class Expression:
     place: tuple[str, int] = ("", 0)
     """Of an element: the name of the row, and the place in it."""
     is_bool: bool = False
+    number: int = 0
+    """Of those that were made before it."""
 
     @property
     def constant(self) -> bool:
@@ -166,8 +168,8 @@ class Builder:
 
     @staticmethod
     def _ordered(a: Expression, b: Expression) -> tuple[Expression, Expression]:
-        """The same for ``a b`` and ``b a``."""
-        return (a, b) if id(a) <= id(b) else (b, a)
+        """The same for ``a b`` and ``b a``, and in every run, so that what was compiled is found again."""
+        return (a, b) if a.number <= b.number else (b, a)
 
     def _made(
         self,
@@ -180,7 +182,7 @@ class Builder:
         key = (operation, *map(id, operands), value, place, is_bool)
         found = self._known.get(key)
         if found is None:
-            found = Expression(self, operation, operands, value, place, is_bool)
+            found = Expression(self, operation, operands, value, place, is_bool, len(self._known))
             self._known[key] = found
         return found
 
