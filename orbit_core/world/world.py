@@ -199,8 +199,7 @@ class SimulatedWorld(World):
         return self._renderer
 
     def create_renderer(self, cameras: tuple[CameraSpec, ...], frames: bool = False) -> Renderer:
-        layout = with_frames(self.layout) if frames else self.layout
-        layout = rigid_part(layout, self._solver)
+        layout = rigid_part(with_frames(self.layout) if frames else self.layout, self._solver)
         renderer = self._renderer_plugin.create_renderer(layout, cameras, self._renderer_config)
         return self.painting.add(with_matter(renderer, self._solver, self._engine, self.layout))
 
