@@ -21,8 +21,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", metavar="NAME", help="mutants of these names")
     options = parser.parse_args(arguments)
     chosen = catalogue.chosen(options.only, tenth=options.tenth)
-    checks = tuple(dict.fromkeys(check for mutant in chosen for check in mutant.caught_by))
-    complaints = [f"{check} fails for the unbroken example" for check in _shown(checks) if not passes(check)]
+    checks = {(check, mutant.of_example): mutant for mutant in chosen for check in mutant.caught_by}
+    unbroken = (key[0] for key in _shown([*checks]) if not passes(key[0], checks[key]))
+    complaints = [f"{check} fails for what is not broken" for check in unbroken]
     complaints += [complaint for mutant in _shown(chosen) for complaint in _survived(mutant)]
     print("\n".join(complaints) or f"{len(chosen)} mutants, each caught by every one of its tests")
     return 1 if complaints else 0
@@ -36,7 +37,7 @@ def _survived(mutant: Mutant) -> list[str]:
 def _shown(things: Sequence):
     """With a bar on the terminal."""
     for count, thing in enumerate(things):
-        name = thing.name if isinstance(thing, Mutant) else thing
+        name = thing.name if isinstance(thing, Mutant) else thing[0]
         done = 30 * count // len(things)
         print(f"\r[{'#' * done:<30}] {count + 1}/{len(things)} {name:<90.90}", end="", file=sys.stderr, flush=True)
         yield thing

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from orbit_core.interfaces import UnknownNameError
 
-from . import commands, contacts, frames, masks, snapshots, time  # noqa: F401 - each registers its mutants
+from . import commands, contacts, frames, masks, readings, snapshots, time  # noqa: F401 - each registers its mutants
 from .mutant import MUTANTS, Mutant
 
 

@@ -20,18 +20,19 @@ _BACKEND = "torch"
 _TESTS = Path(__file__).parents[1] / "conformance"
 
 
-def passes(check: str) -> bool:
-    """Whether the example as it stands passes, and is not skipped."""
+def passes(check: str, mutant: Mutant) -> bool:
+    """Whether what the mutant breaks passes as it stands, and is not skipped."""
     if "::" not in check:
-        return _verdict(_scenario(check)) in (Status.PASS, Status.GAP)
+        return _verdict(_scenario(check), _backend_of(mutant)) in (Status.PASS, Status.GAP)
     return _pytest(check) == pytest.ExitCode.OK
 
 
 def caught(mutant: Mutant, check: str) -> bool:
     """Whether the test fails, or the scenario's verdict is none that its backend declares."""
-    with patch("orbit_torch.engine.TorchEngine", mutant.engine):
+    name = "orbit_torch.engine.TorchEngine" if mutant.of_example else "orbit_mujoco.engine.MujocoEngine"
+    with patch(name, mutant.engine):
         if "::" not in check:
-            return _verdict(_scenario(check)) in (Status.FAIL, Status.STALE)
+            return _verdict(_scenario(check), _backend_of(mutant)) in (Status.FAIL, Status.STALE)
         return _pytest(check) == pytest.ExitCode.TESTS_FAILED
 
 
@@ -47,9 +48,13 @@ def _scenario(name: str) -> Scenario:
     return next(scenario for scenario in SCENARIOS if scenario.name == name)
 
 
-def _verdict(scenario: Scenario) -> Status:
-    backend = backends.backend(_BACKEND)
+def _backend_of(mutant: Mutant) -> str:
+    return _BACKEND if mutant.of_example else "mujoco"
+
+
+def _verdict(scenario: Scenario, name: str) -> Status:
+    backend = backends.backend(name)
     try:
-        return run_scenario(scenario, backend, Trial(_BACKEND, scenario.time_step)).status
+        return run_scenario(scenario, backend, Trial(name, scenario.time_step)).status
     except Exception:  # whatever a broken engine dies of, it is not as declared
         return Status.FAIL

@@ -1,17 +1,19 @@
-"""What a mutant is: the example backend's engine with one thing broken."""
+"""What a mutant is: the engine of the example backend, or of MuJoCo, with one thing broken."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import torch
 from orbit_torch.engine import TorchEngine
 
-from orbit_core.interfaces import JointParameters, SceneLayout
+from orbit_core.interfaces import Engine, JointParameters, SceneLayout
 from orbit_core.scene import Articulation, Joint, Link, Shape
+
+_Engine = TypeVar("_Engine", bound=Engine)
 
 
 @dataclass(frozen=True)
@@ -24,17 +26,22 @@ class Mutant:
     """What it does wrong, in a sentence."""
     caught_by: tuple[str, ...]
     """Each must fail for it: a scenario, or ``state::test_x`` of ``tests/conformance/test_conformance_state.py``."""
-    engine: type[TorchEngine]
+    engine: type[Engine]
+
+    @property
+    def of_example(self) -> bool:
+        """Whether it is the example that is broken, and not MuJoCo."""
+        return issubclass(self.engine, TorchEngine)
 
 
 MUTANTS: list[Mutant] = []
 """All of them, in the order of their definition."""
 
 
-def mutant(*caught_by: str) -> Callable[[type[TorchEngine]], type[TorchEngine]]:
+def mutant(*caught_by: str) -> Callable[[type[_Engine]], type[_Engine]]:
     """Register an engine as a mutant, whose docstring says what is broken and whose module is its group."""
 
-    def register(engine: type[TorchEngine]) -> type[TorchEngine]:
+    def register(engine: type[_Engine]) -> type[_Engine]:
         group = engine.__module__.rpartition(".")[2]
         MUTANTS.append(Mutant(engine.__name__, group, inspect.getdoc(engine) or "", caught_by, engine))
         return engine
