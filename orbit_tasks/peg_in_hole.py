@@ -227,7 +227,7 @@ class PegInHole(tabletop.TabletopTask):
 
     training: ClassVar[Mapping[str, Any]] = {"expert_starts": 0.5, "action": "ik_relative", "episode_length": 10.0}
     episode_length: float = 24.0
-    ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.3, entropy_weight=0.001, imitation_steps=3000)
+    ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.4, entropy_weight=0.001)
     shapes: tuple[str, ...] = ("square",)
     """Sections of the blocks, :data:`orbit_core.assets.pegs.SECTIONS`, a block each: give each about 24 s."""
     clearance: float = 0.002

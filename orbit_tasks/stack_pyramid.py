@@ -295,6 +295,6 @@ class Stack(StackPyramid):
 
     training: ClassVar[Mapping[str, Any]] = {"expert_starts": 0.5, "action": "ik_relative"}
     episode_length: float = 8.0
-    ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.3, entropy_weight=0.002, imitation_steps=3000)
+    ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.4, entropy_weight=0.002)
     pyramids: int = 1
     blocks: int = 2

@@ -57,8 +57,8 @@ class ExpertStarts:
         self._states: dict[str, Tensor] = {}
         """(K, ...) of each part of a state that differs between states; empty until they are recorded."""
         self.seen, self.done = torch.empty(0), torch.empty(0)
-        """(K, O) what a policy would have seen in those states, and (K, A) what the expert did; empty where the
-        observation is a dictionary."""
+        """(M, O) what a policy would have seen in those episodes, to their ends, so that it also sees what is done at
+        the goal, and (M, A) what the expert did; empty where the observation is a dictionary."""
         self.began_there = torch.zeros(world.num_envs, dtype=torch.bool, device=world.device)
         """(N,) whether the present episode began on the expert's way."""
 
@@ -105,18 +105,15 @@ class ExpertStarts:
                 f"'{self._world.backend}' it reached the goal in none of {len(good)}; leave expert_starts out"
             )
         begun = torch.arange(len(moments), device=self._world.device)[:, None] * _STRIDE
-        kept = (good & (begun <= until)).nonzero()  # (K, 2): moment and environment
-        if len(kept) > MOST_STATES:
-            chosen = torch.randperm(len(kept), generator=torch.Generator().manual_seed(0))[:MOST_STATES]
-            kept = kept[chosen.to(kept.device)]
+        starts, shown = _some(good & (begun <= until)), _some(good & (begun >= 0))
         for name in moments[0]:
-            values = torch.stack([moment[name] for moment in moments])[kept[:, 0], kept[:, 1]]
+            values = torch.stack([moment[name] for moment in moments])
             if name == _SEEN:
-                self.seen = values
+                self.seen = values[shown]
             elif name == _DONE:
-                self.done = values
-            elif bool((values != values[:1]).any()):
-                self._states[name] = values
+                self.done = values[shown]
+            elif bool((values[starts] != values[starts][:1]).any()):
+                self._states[name] = values[starts]
 
     def begin(self, env_ids: Tensor | None) -> None:
         """After the events of a reset: put some of these environments on the expert's way.
@@ -183,3 +180,12 @@ class ExpertStarts:
             held = generator.memory().items()
             memories |= {f"{number} {name}": each for name, each in held if each.shape[:1] == (task.num_envs,)}
         return memories
+
+
+def _some(wanted: Tensor) -> tuple[Tensor, Tensor]:
+    """Moments (K,) and environments (K,) that are wanted (moments, N), :data:`MOST_STATES` of them at most."""
+    kept = wanted.nonzero()
+    if len(kept) > MOST_STATES:
+        chosen = torch.randperm(len(kept), generator=torch.Generator().manual_seed(0))[:MOST_STATES]
+        kept = kept[chosen.to(kept.device)]
+    return kept[:, 0], kept[:, 1]

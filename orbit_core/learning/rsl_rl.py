@@ -89,9 +89,11 @@ class RslRlTrainer(Trainer[PpoSettings]):
         self._runner.logger.git_status_repos = []
 
     def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
-        if self.settings.imitation_steps and self._runner.current_learning_iteration == 0:
+        if self.settings.imitation_steps:
             policy: Any = self._runner.alg.get_policy()
-            imitate_expert(self.environment, policy.mlp, policy.obs_normalizer, self.settings)
+            if self._runner.current_learning_iteration == 0:
+                imitate_expert(self.environment, policy.mlp, policy.obs_normalizer, self.settings)
+            policy.obs_normalizer.until = 0  # what was imitated holds for these statistics
         with self._reporting(report), contextlib.redirect_stdout(io.StringIO()):
             self._runner.learn(iterations, init_at_random_ep_len=True)
 
