@@ -7,6 +7,7 @@ search, ACM Transactions on Graphics, 2022.
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.assets.cache import cache_folder, digest_arrays, write_cached
-from orbit_core.assets.surface_checks import extents
-from orbit_core.interfaces.errors import AssetError, StorageError
+from orbit_core.assets.surface_checks import check_mesh, extents
+from orbit_core.interfaces.errors import ArgumentError, AssetError, StorageError
 from orbit_core.scene import Articulation, Entity, Mesh, MeshCollision, ObjectSpec, Shape
 
 _EntityType = TypeVar("_EntityType", bound=Entity)
@@ -45,10 +46,16 @@ def convex_pieces(
         where: its name, for messages.
 
     Raises:
-        AssetError: it encloses no volume, the settings cannot be, or the package ``coacd`` is not installed.
+        AssetError: it is no mesh of finite points, it encloses no volume, the settings cannot be, or the package
+            ``coacd`` is not installed.
     """
-    if not 0.01 <= settings.concavity <= 1.0 or (settings.max_pieces is not None and settings.max_pieces < 1):
+    most = settings.max_pieces
+    if not 0.01 <= settings.concavity <= 1.0 or not (most is None or (isinstance(most, int) and most >= 1)):
         raise AssetError(f"{where} cannot be split by {settings}: give a concavity of 0.01 to 1 and at least one piece")
+    try:
+        check_mesh(mesh, where)  # the package reads whatever lies where a triangle points
+    except ArgumentError as error:
+        raise AssetError(str(error)) from None
     vertices = np.ascontiguousarray(mesh.vertices, dtype=np.float64)
     faces = np.ascontiguousarray(mesh.faces, dtype=np.int64)
     limits = np.array((settings.concavity, settings.max_pieces or 0), dtype=np.float64)
@@ -148,9 +155,21 @@ def _stored(path: Path) -> _Pieces | None:
     """What the cache holds; ``None`` for nothing, or a file that is damaged."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            return [(file[f"vertices_{number}"], file[f"faces_{number}"]) for number in range(len(file.files) // 2)]
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile):
+            found = [(file[f"vertices_{number}"], file[f"faces_{number}"]) for number in range(len(file.files) // 2)]
+        for piece in found:
+            check_mesh(Mesh(*piece), "a piece")
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        KeyError,
+        NotImplementedError,
+        zlib.error,
+        zipfile.BadZipFile,
+        ArgumentError,
+    ):
         return None
+    return found or None
 
 
 def _store(path: Path, pieces: _Pieces) -> None:

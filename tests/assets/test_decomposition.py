@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 from orbit_core.assets import decomposition
+from orbit_core.assets.cache import cache_folder
 from orbit_core.assets.decomposition import ConvexDecomposition, convex_pieces
 from orbit_core.assets.inertia import mass_properties
 from orbit_core.assets.usd import read_usd, write_usd
@@ -73,6 +74,22 @@ def test_a_split_that_fails_names_the_mesh_and_a_remedy(monkeypatch: pytest.Monk
     unseen = Mesh(1.1 * FRAME.vertices, FRAME.faces, MeshCollision.CONVEX_DECOMPOSITION)
     with pytest.raises(AssetError, match=f"mesh 'rim' of link 'ring' of 'hoop' could not be split.*{refuse}"):
         decomposition.decomposed_entity(ObjectSpec(name="hoop", articulation=body(unseen)))
+
+
+def test_what_is_no_mesh_is_refused_and_a_damaged_cache_made_anew() -> None:
+    holed = RING.vertices.copy()
+    holed[0, 0] = np.nan
+    for vertices, faces, told in (
+        (RING.vertices[:0], RING.faces[:0], "0 vertices and 0 triangles"),
+        (holed, RING.faces, "not finite"),
+        (RING.vertices, RING.faces - 1, "a triangle of vertex -1"),
+    ):
+        with pytest.raises(AssetError, match=f"the lid .*{told}"):
+            convex_pieces(Mesh(vertices, faces), where="the lid")
+    pieces = convex_pieces(RING)
+    for path in (cache_folder() / "decompositions").iterdir():
+        np.savez(path)
+    assert convex_pieces(RING) == pieces
 
 
 @pytest.mark.parametrize("backend", ["mujoco", "sapien"])
