@@ -192,7 +192,7 @@ class StackPyramid(tabletop.TabletopTask):
     """
 
     observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {"semantic": StackSemanticObservations}
-    episode_length: float = 24.0
+    episode_length: float = 27.0
     ppo: PpoSettings = PpoSettings(iterations=3000, initial_std=0.3, entropy_weight=0.005)
     pyramids: int = 2
     """One or two."""
@@ -278,7 +278,7 @@ def _place(index: int) -> TermFunction:
 def _moving(world: World, index: int) -> tuple[Phase, ...]:
     """Pick a block up and put it to its place, 3 mm too high, so that it does not press."""
     put = picking.hand_for(picking.raised(_place(index), 0.003), _block(index))
-    return picking.pick(world, _grasp(index), clearance=0.12) + picking.put(put, height=0.22)
+    return picking.pick(world, _grasp(index), clearance=0.12) + picking.put(put, height=0.22, over=1.25 * GAP)
 
 
 def _parts(index: int) -> tuple[Subtask, Subtask]:

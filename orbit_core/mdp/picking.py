@@ -102,17 +102,18 @@ def pick(world: World, grasp: TermFunction, clearance: float = 0.1, free: bool =
     )
 
 
-def put(place: TermFunction, height: float, clearance: float = 0.1) -> tuple[Phase, ...]:
+def put(place: TermFunction, height: float, clearance: float = 0.1, over: float = 0.015) -> tuple[Phase, ...]:
     """Carry what is held, ``height`` metres above the origin, to its place, let go, and leave straight up.
 
     Args:
         place: (N, 7) of the hand, such as :func:`hand_for` gives.
         height: of the hand on the way, in metres in the environment's frame.
         clearance: metres above the place at which the hand arrives.
+        over: metres within which it is there before it goes down: less than what is free beside the place.
     """
     return (
         Phase(straight_up(height), False, position_tolerance=0.03, rotation_tolerance=math.inf, timeout=2.0),
-        Phase(raised(place, clearance), False, position_tolerance=0.015, rotation_tolerance=0.05, timeout=4.0),
+        Phase(raised(place, clearance), False, position_tolerance=over, rotation_tolerance=0.05, timeout=4.0),
         Phase(place, False, position_tolerance=0.003, rotation_tolerance=0.05, timeout=2.0),
         Phase(place, dwell=0.3, timeout=0.4),
         Phase(straight_up(height), position_tolerance=0.03, rotation_tolerance=math.inf, timeout=2.0),
