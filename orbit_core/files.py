@@ -1,14 +1,16 @@
-"""Files that are whole or not there: whatever ends a program in the midst of writing, what was there before stays."""
+"""Files that are whole or not there, whatever ends a program in the midst of writing, and folders of one writer."""
 
 from __future__ import annotations
 
+import fcntl
 import os
+import platform
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from orbit_core.interfaces.errors import StorageError
+from orbit_core.interfaces.errors import ConfigurationError, StorageError
 
 
 @contextmanager
@@ -54,3 +56,33 @@ def _to_disk(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+LOCK = ".lock"
+
+
+class FolderLock:
+    """Holds a folder until it is released. The system releases what a process held that died.
+
+    Raises:
+        ConfigurationError: another process holds it; names that.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._file = (folder / LOCK).open("a+")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._file.seek(0)
+            holder = self._file.read().strip()
+            self._file.close()
+            raise ConfigurationError(
+                f"a run of process {holder} is writing into folder {folder}: wait for its end, or give another --output"
+            ) from None
+        self._file.truncate(0)
+        self._file.write(f"{os.getpid()} on {platform.node()}\n")
+        self._file.flush()
+
+    def release(self) -> None:
+        """Release the folder."""
+        self._file.close()

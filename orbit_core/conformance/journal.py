@@ -10,7 +10,6 @@ from pathlib import Path
 
 from orbit_core.conformance.courses import Course
 from orbit_core.conformance.execution import Outcome
-from orbit_core.conformance.lock import FolderLock
 from orbit_core.conformance.results import (
     RESULT_FILE,
     Header,
@@ -22,7 +21,7 @@ from orbit_core.conformance.results import (
     save,
 )
 from orbit_core.conformance.sources import CORE, sources_of
-from orbit_core.files import storage_faults, written_whole
+from orbit_core.files import FolderLock, storage_faults, written_whole
 from orbit_core.interfaces import ConfigurationError
 
 JOURNAL = "journal.jsonl"

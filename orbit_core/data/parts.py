@@ -17,7 +17,7 @@ from safetensors import SafetensorError, safe_open
 
 from orbit_core.data.episodes import INITIAL, Array, Episode, EpisodeInfo
 from orbit_core.data.manifest import Manifest
-from orbit_core.files import storage_faults, written_whole
+from orbit_core.files import LOCK, FolderLock, storage_faults, written_whole
 from orbit_core.interfaces import ConfigurationError
 
 _MANIFEST = "manifest.json"
@@ -34,6 +34,7 @@ class PartFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._lock: FolderLock | None = None
 
     @property
     def files(self) -> list[Path]:
@@ -41,16 +42,36 @@ class PartFolder:
         found = [path for path in self.path.iterdir() if _PART.fullmatch(path.name)] if self.path.is_dir() else []
         return sorted(found, key=lambda path: int(path.stem.removeprefix("part_")))
 
+    def hold(self) -> None:
+        """Let nobody else write into the folder until it is removed or released.
+
+        Raises:
+            ConfigurationError: another process writes into it; names that.
+            StorageError: it cannot be written.
+        """
+        if self._lock is None:
+            with storage_faults(self.path):
+                self.path.mkdir(parents=True, exist_ok=True)
+                self._lock = FolderLock(self.path)
+
+    def release(self) -> None:
+        """Let others write into the folder."""
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
+
     def begin(self, manifest: Manifest) -> None:
         """Make the folder, or take it up again: what a killed program left half written is removed.
 
         Raises:
+            ConfigurationError: another process writes into it; names that.
             StorageError: it cannot be written.
         """
+        self.hold()
         with storage_faults(self.path):
-            self.path.mkdir(parents=True, exist_ok=True)
             for left in self.path.glob(".*"):
-                left.unlink()
+                if left.name != LOCK:
+                    left.unlink()
         with written_whole(self.path / _MANIFEST) as written:
             written.write_bytes(manifest.encode())
 
@@ -96,11 +117,18 @@ class PartFolder:
                 yield Episode(info, {n: a[row if n.startswith(INITIAL) else own] for n, a in arrays.items()})
 
     def remove(self) -> None:
-        """Delete the folder, once all is elsewhere."""
+        """Delete the folder, once all is elsewhere.
+
+        Raises:
+            ConfigurationError: another process writes into it; names that.
+            StorageError: it cannot be deleted.
+        """
+        self.hold()
         with storage_faults(self.path):
             for path in self.path.iterdir():
                 path.unlink()
             self.path.rmdir()
+        self.release()
 
 
 def _header(path: Path) -> list[EpisodeInfo]:

@@ -42,14 +42,18 @@ class RecordingFile:
         return self.path.exists() or self.parts.path.exists()
 
     def check_begun(self, resume: bool, overwrite: bool) -> None:
-        """Refuse a recording that was cut off, if neither is asked for, and to do both.
+        """Refuse a recording that was cut off, if neither is asked for, to do both, and one that still runs.
 
         Raises:
-            ConfigurationError: tells of both.
+            ConfigurationError: tells of both, or of the process that records.
         """
         if resume and overwrite:
             raise ConfigurationError("--resume goes on with a recording, --overwrite begins it anew: give one of them")
-        if self.parts.path.exists() and not (resume or overwrite):
+        if not self.parts.path.exists():
+            return
+        self.parts.hold()
+        if not (resume or overwrite):
+            self.parts.release()
             raise ConfigurationError(
                 f"{self.parts.path} holds a recording that was cut off: --resume goes on with it, --overwrite begins "
                 "anew"
@@ -170,6 +174,22 @@ def record(
         ConfigurationError: the file was recorded with another environment.
         StorageError: the disk is full; finished episodes are kept.
     """
+    try:
+        return _record(environment, make_actor, file, task, episodes, seed, groups, progress)
+    finally:
+        file.parts.release()
+
+
+def _record(
+    environment: Environment,
+    make_actor: Callable[[], Actor],
+    file: RecordingFile,
+    task: str,
+    episodes: int,
+    seed: int,
+    groups: Collection[str] | None,
+    progress: Callable[[int], None],
+) -> Pace:
     file.take_up(Manifest.of(environment, task, seed))
     shares, infos = Shares(episodes, environment), file.infos()
     begun = shares.left(infos)

@@ -171,7 +171,7 @@ def test_a_second_run_into_a_folder_is_refused_with_the_first_ones_process(tmp_p
 
 def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path, header: Header) -> None:
     script = (
-        "import os, sys; from pathlib import Path; from orbit_core.conformance.lock import FolderLock;"
+        "import os, sys; from pathlib import Path; from orbit_core.files import FolderLock;"
         "lock = FolderLock(Path(sys.argv[1])); os._exit(0)"
     )
     subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=True, timeout=60)

@@ -239,7 +239,7 @@ def test_a_kill_at_any_of_fifty_moments_loses_no_finished_episode(manifest: Mani
             assert (episode.arrays["actions"] == episode.info.number).all()
         begun = len(numbers)
         gathered += file.path.exists()
-        torn += bool([*tmp_path.glob(".x.*"), *file.parts.path.glob(".*")])
+        torn += bool([*tmp_path.glob(".x.*"), *file.parts.path.glob(".*.*")])
     assert begun > 50
     assert gathered > 5
     assert torn > 3  # else no kill came in the midst of writing
@@ -248,6 +248,22 @@ def test_a_kill_at_any_of_fifty_moments_loses_no_finished_episode(manifest: Mani
 @pytest.fixture(scope="module")
 def manifest(environment: Environment) -> Manifest:
     return Manifest.of(environment, "Lift", SEED)
+
+
+def test_a_second_recorder_into_the_same_file_is_refused_whatever_it_asks_for(
+    manifest: Manifest, tmp_path: Path
+) -> None:
+    first, second = RecordingFile(tmp_path / "x.hdf5"), RecordingFile(tmp_path / "x.hdf5")
+    first.parts.begin(manifest)
+    first.parts.add(*synthetic(0))
+    for resume, overwrite in ((False, False), (True, False), (False, True)):
+        with pytest.raises(ConfigurationError, match=rf"a run of process {os.getpid()} on .* is writing into folder"):
+            second.check_begun(resume, overwrite)
+    with pytest.raises(ConfigurationError, match="is writing into folder"):
+        second.discard()
+    first.parts.release()
+    second.check_begun(True, False)
+    assert [*second.infos()] == [0]
 
 
 def test_a_full_disk_is_one_error_and_keeps_what_was_written(manifest: Manifest, tmp_path: Path, capfd) -> None:
