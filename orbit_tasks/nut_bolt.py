@@ -12,23 +12,11 @@ from torch.linalg import vector_norm
 from orbit_core.assets.objects import WOOD, SolidOptions, box
 from orbit_core.assets.threads import Thread, ThreadOptions, bolt_on_base, hexagonal_nut
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import (
-    EventTerm,
-    EventTime,
-    Expert,
-    ObservationGroup,
-    ObservationTerm,
-    Phase,
-    PremiseTerm,
-    RewardTerm,
-    Task,
-    TerminationTerm,
-)
+from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, RewardTerm, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common, picking, premises, randomize
-from orbit_core.mdp.randomize import Range
+from orbit_core.mdp import common, picking, premises, tabletop
 from orbit_core.scene import PhysicsMaterial, Pose, Scene
 
 THREAD = Thread(radius=0.008, lead=0.004)
@@ -117,9 +105,7 @@ def place_things(world: World, task: NutBolt, env_ids: Tensor) -> None:
 
 def hand_yaw(world: World, task: NutBolt) -> Tensor:
     """(N,) rad in [-pi, pi], by which the hand is turned as :func:`common.facing_down` counts."""
-    hand = common.hand_pose(world, task)
-    yaw = 2.0 * torch.atan2(hand[:, 5], hand[:, 4])
-    return torch.remainder(yaw + math.pi, 2.0 * math.pi) - math.pi
+    return common.wrapped(common.turn_facing_down(common.hand_pose(world, task)[:, 3:]))
 
 
 def grasp(world: World, task: NutBolt) -> Tensor:
@@ -161,7 +147,7 @@ def turning(world: World, task: NutBolt) -> Tensor:
 def held(world: World, task: NutBolt) -> Tensor:
     """(N, 7) the hand at the nut, its fingers along those flats that need the least turn."""
     hand, target = hand_yaw(world, task), grasp(world, task)
-    yaw = 2.0 * torch.atan2(target[:, 5], target[:, 4])
+    yaw = common.turn_facing_down(target[:, 3:])
     yaw = yaw + SIXTH * torch.round((hand - yaw) / SIXTH)
     return torch.cat((target[:, :3], common.facing_down(yaw)), dim=1)
 
@@ -182,31 +168,19 @@ def around(world: World, task: NutBolt) -> Tensor:
 def turning_back(world: World, task: NutBolt) -> Tensor:
     """(N, 7) the open hand around the nut, turned on towards its next grasp."""
     target, yaw = grasp(world, task), hand_yaw(world, task)
-    goal = 2.0 * torch.atan2(target[:, 5], target[:, 4])
-    goal = torch.remainder(goal + math.pi, 2.0 * math.pi) - math.pi
+    goal = common.wrapped(common.turn_facing_down(target[:, 3:]))
     wanted = torch.where(goal > yaw, torch.minimum(yaw + 2.0 * STRIDE, goal), goal)
     return torch.cat((target[:, :3], common.facing_down(wanted)), dim=1)
 
 
 @dataclass
-class NutState(ObservationGroup):
+class NutState(tabletop.ArmState):
     """The arm's joints and hand, the nut, the ways to it and on to its place, and the last action."""
 
-    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
-    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
-    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     nut_pose: ObservationTerm | None = ObservationTerm(nut_pose, unit=POSE)
     hand_to_nut: ObservationTerm | None = ObservationTerm(hand_to_nut, unit="m")
     nut_to_place: ObservationTerm | None = ObservationTerm(nut_to_place, unit="m")
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
-
-
-@dataclass
-class NutObservations:
-    """Policy and critic see the state."""
-
-    policy: NutState = field(default_factory=NutState)
-    critic: ObservationGroup | None = None
 
 
 @dataclass
@@ -231,13 +205,10 @@ class NutTerminations:
 
 
 @dataclass
-class NutEvents:
+class NutEvents(tabletop.ArmEvents):
     """Robot, bolt and nut are placed anew for each episode; friction and gains with domain randomisation."""
 
-    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
     place_things: EventTerm | None = EventTerm(place_things)
-    friction: EventTerm | None = None
-    gains: EventTerm | None = None
 
 
 @dataclass
@@ -251,14 +222,12 @@ class NutPremises:
 
 
 @dataclass(kw_only=True)
-class NutBolt(Task):
+class NutBolt(tabletop.TabletopTask):
     """A nut lies on a stand beside a bolt, onto which it is to be screwed, ``turns`` down.
 
     Succeeds when at the episode's end the nut is upright and within ``tolerance`` of its place. Metric: that distance.
     """
 
-    robot: str = "franka_panda"
-    action: str = "joint_position"
     episode_length: float = 32.0
     ppo: PpoSettings = PpoSettings(iterations=3000, initial_std=0.3, entropy_weight=0.005)
     turns: float = 2.0
@@ -267,11 +236,15 @@ class NutBolt(Task):
     """Metres: a quarter of a turn."""
     thread: str = "field"
     """How threads collide: ``field``, by their distance fields, or ``boxes``, square ones that every engine has."""
-    observations: NutObservations = field(default_factory=NutObservations)
+    observations: tabletop.StateObservations = field(default_factory=tabletop.state(NutState))
     rewards: NutRewards = field(default_factory=NutRewards)
     terminations: NutTerminations = field(default_factory=NutTerminations)
     events: NutEvents = field(default_factory=NutEvents)
     premises: NutPremises = field(default_factory=NutPremises)
+
+    @property
+    def pieces(self) -> tuple[str, ...]:
+        return ("nut",)
 
     def scene(self) -> Scene:
         if not 0.25 <= self.turns <= 3.0:
@@ -281,23 +254,15 @@ class NutBolt(Task):
         metal = ThreadOptions(material=OILED, boxes=self.thread == "boxes")
         steel, brass = (0.55, 0.57, 0.6, 1.0), (0.8, 0.6, 0.2, 1.0)
         stand = SolidOptions(fixed_base=True, color=WOOD, pose=Pose((0.5, -0.1, 0.5 * STAND)))
-        return Scene(
-            robots=(common.arm(self.robot),),
-            objects=(
-                hexagonal_nut("nut", HEIGHT, WIDTH, THREAD, clearance=CLEARANCE, color=brass, **metal),
-                bolt_on_base("bolt", LENGTH, THREAD, base=BASE, color=steel, **metal),
-                box("stand", (0.024, 0.024, STAND), **stand),
-                common.work_bench(),
-            ),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
-            physics_dt=self.physics_dt,
+        return self.bench(
+            hexagonal_nut("nut", HEIGHT, WIDTH, THREAD, clearance=CLEARANCE, color=brass, **metal),
+            bolt_on_base("bolt", LENGTH, THREAD, base=BASE, color=steel, **metal),
+            box("stand", (0.024, 0.024, STAND), **stand),
         )
 
     def randomize(self) -> None:
         """The friction of nut and bolt, the arm's gains, and noise on joints and nut."""
-        self.events.friction = EventTerm(randomize.friction(("nut", "bolt"), Range(0.05, 0.15)), EventTime.STARTUP)
-        self.events.gains = EventTerm(randomize.uncertain_gains(common.ROBOT), EventTime.STARTUP)
-        common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, nut_pose=0.0005)
+        self.vary(("nut", "bolt"), (0.05, 0.15), nut_pose=0.0005)
 
     def success(self, world: World) -> Tensor:
         return (distance(world, self) < self.tolerance) & (upright(world, self) > 0.99)

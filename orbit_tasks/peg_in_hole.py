@@ -164,7 +164,7 @@ def carried(world: World, task: PegInHole, index: int, height: float, push: floa
     It goes down by at most ``push`` (m), near the rim by :data:`GENTLE`, and until it is in the hole asks for ``haste``
     times what it lacks sideways."""  # fmt: skip
     held, hand = tabletop.piece_poses(world, task)[:, index], common.hand_pose(world, task)
-    wanted = yaw_angle(held[:, 3:]) - 2.0 * torch.atan2(hand[:, 5], hand[:, 4])
+    wanted = yaw_angle(held[:, 3:]) - common.turn_facing_down(hand[:, 3:])
     seat = turned_seats(world, task, wanted[:, None].expand(-1, len(task.pieces)))[:, index]
     above = held[:, 2] - seat[:, 2]
     up = (above - torch.where((above - BOARD_HEIGHT).abs() < 0.003, min(push, GENTLE), push)).clamp_min(height)

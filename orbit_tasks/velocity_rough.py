@@ -82,8 +82,8 @@ def turn_to_heading(world: World, task: VelocityRough, env_ids: Tensor) -> None:
 
 def _yaw_rate(world: World, task: VelocityRough) -> Tensor:
     """(N,) rad/s towards the heading."""
-    error = torch.remainder(task.heading - walking.heading(common.robot_of(world)) + torch.pi, 2.0 * torch.pi)
-    return (_HEADING_GAIN * (error - torch.pi)).clamp(-task.max_yaw_rate, task.max_yaw_rate)
+    error = common.wrapped(task.heading - walking.heading(common.robot_of(world)))
+    return (_HEADING_GAIN * error).clamp(-task.max_yaw_rate, task.max_yaw_rate)
 
 
 @dataclass

@@ -56,8 +56,8 @@ class Actuators:
             self._models.append(PdModel(list(ideal), list(ideal.values()), *parts))
         if motors:
             self._models.append(DcMotorModel(list(motors), list(motors.values()), *parts, layout.scene.physics_dt))
-        warm = [m for m in self._models if isinstance(m, DcMotorModel) and m.windings]
-        self._windings = [(model.columns, model.windings) for model in warm if model.windings]
+        motor_models = [model for model in self._models if isinstance(model, DcMotorModel)]
+        self._windings = [(model.columns, model.windings) for model in motor_models if model.windings is not None]
         self._delays = [_delay([groups[joint] for joint in m.joints], engine.num_envs, random) for m in self._models]
         networks = {joint: group for joint, group in groups.items() if isinstance(group, ActuatorNetwork)}
         self._networks = [

@@ -30,6 +30,17 @@ class Image:
     albedo: Tensor | None = None
     """(n, H, W, 3) uint8: the shapes' own colours, unlit; black beyond everything."""
 
+    def only(self, channels: Sequence[Channel]) -> Image:
+        """What serves these channels, and nothing else."""
+        return Image(**{name: getattr(self, name) for name in {_FIELDS[channel] for channel in channels}})
+
+
+_FIELDS = {
+    Channel.RGB: "rgb", Channel.DEPTH: "depth", Channel.NORMALS: "normals", Channel.ALBEDO: "albedo",
+    Channel.INSTANCE: "links", Channel.SEMANTIC: "links",
+}  # fmt: skip
+"""Of an image, by the channel that it serves."""
+
 
 class Renderer(Watched, ABC):
     """Draws visual shapes (collision shapes where a link has none), terrain and markers."""

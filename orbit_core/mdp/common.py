@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
@@ -126,13 +126,8 @@ class GripperOpening:
     """
 
     def __init__(self, world: World, agent: str = ROBOT) -> None:
-        self._robot = robot = robot_of(world, agent)
-        gripper = robot.spec.end_effector.gripper
-        if gripper is None:
-            raise ConfigurationError(f"robot '{robot.spec.name}' has no gripper that could open")
-        opened, closed = (
-            gripper_positions(robot.spec, gripper, value) for value in (gripper.open_position, gripper.closed_position)
-        )
+        self._robot = robot_of(world, agent)
+        opened, closed = _gripper_ends(self._robot.spec, "open")
         self._joints = torch.tensor(list(opened), device=world.device)
         self._closed = torch.tensor([closed[joint] for joint in opened], device=world.device)
         self._span = torch.tensor([opened[joint] for joint in opened], device=world.device) - self._closed
@@ -150,14 +145,18 @@ def closing_time(world: World, agent: str = ROBOT) -> float:
         ConfigurationError: the robot has no end effector, or no gripper on it.
     """
     spec = world.robots[agent].spec
-    gripper = spec.end_effector.gripper
-    if gripper is None:
-        raise ConfigurationError(f"robot '{spec.name}' has no gripper that could close")
-    opened, closed = (
-        gripper_positions(spec, gripper, value) for value in (gripper.open_position, gripper.closed_position)
-    )
+    opened, closed = _gripper_ends(spec, "close")
     limits = [joint.velocity_limit for joint in spec.articulation.movable_joints]
     return max(abs(closed[joint] - opened[joint]) / limits[joint] for joint in opened)
+
+
+def _gripper_ends(spec: RobotSpec, purpose: str) -> tuple[Mapping[int, float], Mapping[int, float]]:
+    """Positions of the gripper's joints, by index, where it is open and where it is closed."""
+    gripper = spec.end_effector.gripper
+    if gripper is None:
+        raise ConfigurationError(f"robot '{spec.name}' has no gripper that could {purpose}")
+    opened, closed = gripper.open_position, gripper.closed_position
+    return gripper_positions(spec, gripper, opened), gripper_positions(spec, gripper, closed)
 
 
 def action_rate(world: World, task: Task, agent: str | None = None) -> Tensor:
@@ -221,6 +220,11 @@ def facing_down(yaw: Tensor) -> Tensor:
     zero = torch.zeros_like(yaw)
     # A half turn about x, then the yaw about z.
     return torch.stack((zero, half.cos(), half.sin(), zero), dim=1)
+
+
+def turn_facing_down(orientation: Tensor) -> Tensor:
+    """(n,) rad, up to whole turns: the yaw that :func:`facing_down` would need for orientations (n, 4) like its own."""
+    return 2.0 * torch.atan2(orientation[:, 2], orientation[:, 1])
 
 
 def pointing_down(position: Tensor) -> Tensor:

@@ -12,11 +12,7 @@ from orbit_core.interfaces import Engine, Image, Renderer, SceneLayout, Unsuppor
 from orbit_core.interfaces.matter import MatterPainter, MatterSolver
 from orbit_core.plugin_kit.deformable_surface import DeformableSurface
 from orbit_core.scene import CameraSpec, Channel
-
-_SERVED = {
-    Channel.RGB: "rgb", Channel.DEPTH: "depth", Channel.NORMALS: "normals", Channel.ALBEDO: "albedo",
-    Channel.INSTANCE: "links", Channel.SEMANTIC: "links",
-}  # fmt: skip
+from orbit_core.world.outer_renderer import OuterRenderer
 
 
 def with_matter(renderer: Renderer, solver: MatterSolver | None, engine: Engine, layout: SceneLayout) -> Renderer:
@@ -39,16 +35,13 @@ def with_matter(renderer: Renderer, solver: MatterSolver | None, engine: Engine,
     raise UnsupportedCapabilityError(f"pictures of deformables need a matter solver that paints: {'; '.join(reasons)}")
 
 
-class MatterRenderer(Renderer):
+class MatterRenderer(OuterRenderer):
     """Draws with another renderer, depth with it, and paints deformables over what lies behind them."""
 
     def __init__(self, inner: Renderer, painter: MatterPainter, engine: Engine, layout: SceneLayout) -> None:
-        self._inner, self._painter, self._engine = inner, painter, engine
+        super().__init__(inner)
+        self._painter, self._engine = painter, engine
         self._surfaces = [DeformableSurface(spec) for spec in layout.scene.deformables]
-        self.capture = inner.capture
-
-    def set_link_colors(self, colors: Tensor | None) -> None:
-        self._inner.set_link_colors(colors)
 
     def render(
         self,
@@ -66,9 +59,4 @@ class MatterRenderer(Renderer):
             surface.vertices(take_rows(self._engine.particle_positions(index), env_ids)[:count])
             for index, surface in enumerate(self._surfaces)
         ]
-        painted = self._painter.paint(camera, camera_poses, shown, image)
-        wanted = {_SERVED[channel] for channel in channels}
-        return Image(**{name: getattr(painted, name) for name in wanted})
-
-    def close(self) -> None:
-        self._inner.close()
+        return self._painter.paint(camera, camera_poses, shown, image).only(channels)

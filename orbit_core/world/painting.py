@@ -27,6 +27,8 @@ class Painting:
         self._shape, self._device = (num_envs, links, 4), device
         self._colors: Tensor | None = None
         self._known: list[Texture] = []
+        self._numbers: dict[tuple[Texture, ...], Tensor] = {}
+        """Of textures that were given together, made once, so that a captured step copies nothing to its device."""
         self._chosen: Tensor | None = None
         self.textures: LinkTextures | None = None
         """What renderers paint; None while nothing has a texture."""
@@ -53,10 +55,16 @@ class Painting:
         """Give links (k,) one of the textures each, by index (n, k) int64, or none by -1, in some environments."""
         if self._chosen is None:
             self._chosen = torch.full(self._shape[:2], -1, dtype=torch.int64, device=self._device)
+        choices = tuple(textures)
+        if choices not in self._numbers:
+            self._numbers[choices] = self._learned(choices, self._chosen)
+        write_columns(self._chosen, links, self._numbers[choices][chosen], env_ids)
+
+    def _learned(self, textures: Sequence[Texture], chosen: Tensor) -> Tensor:
+        """Have renderers know these textures; (k + 1,) their numbers among all that are known, then -1 for none."""
         if new := [texture for texture in textures if texture not in self._known]:
             self._known += new
-            self.textures = LinkTextures.of(self._known, self._chosen)
+            self.textures = LinkTextures.of(self._known, chosen)
             for renderer in self._renderers:
                 renderer.set_link_textures(self.textures)
-        numbers = [*(self._known.index(texture) for texture in textures), -1]
-        write_columns(self._chosen, links, torch.tensor(numbers, device=self._device)[chosen], env_ids)
+        return torch.tensor([*(self._known.index(texture) for texture in textures), -1], device=self._device)

@@ -9,7 +9,7 @@ and shadows. It does not show in reflections; where light is so strong that a pi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -19,13 +19,10 @@ from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.interfaces import Image, Renderer
 from orbit_core.scene import CameraSpec, Channel, Texture
 from orbit_core.sensors.points import intrinsic_matrix, point_cloud
+from orbit_core.world.outer_renderer import OuterRenderer
 
 RESOLUTION = 256
 """Pixels of a texture's sides, to which all are brought."""
-_FIELDS = {
-    Channel.RGB: "rgb", Channel.DEPTH: "depth", Channel.NORMALS: "normals", Channel.ALBEDO: "albedo",
-    Channel.INSTANCE: "links", Channel.SEMANTIC: "links",
-}  # fmt: skip
 _WHERE = (Channel.DEPTH, Channel.NORMALS, Channel.INSTANCE)
 
 
@@ -69,18 +66,13 @@ class LinkTextures:
         return total
 
 
-class TexturedRenderer(Renderer):
+class TexturedRenderer(OuterRenderer):
     """Draws with another renderer, and paints textures where links have any."""
 
     def __init__(self, inner: Renderer) -> None:
-        self._inner = inner
+        super().__init__(inner)
         self._textures: LinkTextures | None = None
         self._lenses: dict[tuple[CameraSpec, torch.device], Tensor] = {}
-        self.capture = inner.capture
-
-    def set_link_colors(self, colors: Tensor | None) -> None:
-        self.link_colors = colors
-        self._inner.set_link_colors(colors)
 
     def set_link_textures(self, textures: LinkTextures | None) -> None:
         """Paint these from now on; whoever owns ``chosen`` writes it in place."""
@@ -103,14 +95,12 @@ class TexturedRenderer(Renderer):
         chosen = take_rows(textures.chosen, env_ids)[: len(link_poses)]
         lens = self._lens(camera, link_poses.device)
         share = _shares(textures, chosen, lens, camera_poses, link_poses, image)
-        kept = {_FIELDS[channel]: getattr(image, _FIELDS[channel]) for channel in channels}
-        for name in ("rgb", "albedo"):
-            if kept.get(name) is not None:
-                kept[name] = (kept[name] * share + 0.5).to(torch.uint8)
-        return Image(**kept)
-
-    def close(self) -> None:
-        self._inner.close()
+        kept = image.only(channels)
+        colors = {"rgb": kept.rgb, "albedo": kept.albedo}
+        return replace(
+            kept,
+            **{name: (each * share + 0.5).to(torch.uint8) for name, each in colors.items() if each is not None},
+        )
 
     def _lens(self, camera: CameraSpec, device: torch.device) -> Tensor:
         """(3, 3) in pixels, made once, for a captured step copies nothing to its device."""

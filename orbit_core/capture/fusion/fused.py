@@ -47,14 +47,18 @@ class Fused(Watched):
     def __init__(self, function: Callable[..., tuple[Tensor, ...]], in_parts: bool = False) -> None:
         self._function = function
         self._leading = 2 if in_parts else 1
+        self._program: Program | None = None
         self._launch: Launch | None = None
         self._rows: dict[str, list[str]] = {}
         self._shapes: list[torch.Size] = []
         self._sizes = torch.Size()
-        self.operations = 0
-        """Of arithmetic for each row in the kernel; zero without one."""
         self.refusal = ""
         """Why there is no kernel; empty if there is, or none was asked for."""
+
+    @property
+    def operations(self) -> int:
+        """Of arithmetic for each row in the kernel; zero without one."""
+        return 0 if self._launch is None or self._program is None else self._program.operations()
 
     def __call__(self, **inputs: Tensor) -> tuple[Tensor, ...]:
         """What the function gives."""
@@ -64,13 +68,12 @@ class Fused(Watched):
             torch.cat([inputs[name].flatten(self._leading).float() for name in names], -1)
             for names in self._rows.values()
         ]
+        assert self._program is not None, "it is ready"
         with _disable_current_modes():  # memory of this call's own, that is there before each replay
             given = self._program.room(self._sizes)
         self._run(rows, given.flatten(0, -2))
         parts = given.split([shape.numel() for shape in self._shapes], -1)
         return tuple(part.reshape(*given.shape[:-1], *shape) for part, shape in zip(parts, self._shapes, strict=True))
-
-    _program: Program
 
     @changes()
     def _run(self, rows: Sequence[Tensor], outputs: Tensor) -> None:
@@ -103,7 +106,6 @@ class Fused(Watched):
         self._program = Program(widths, outputs, sizes[1:].numel(), device)
         self._shapes = [torch.Size(numbers.shape[leading:]) for numbers in made]
         self._sizes = torch.Size(sizes)
-        self.operations = self._program.operations()
         self._launch = launcher(self._program.source(), len(widths), device)
 
 
