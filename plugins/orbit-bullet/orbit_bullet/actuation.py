@@ -10,6 +10,7 @@ import numpy.typing as npt
 from orbit_bullet.buffers import Buffers
 from orbit_bullet.drives import Wheels, write_wheels
 from orbit_bullet.stage import Stage
+from orbit_core.files import written_whole
 from orbit_core.plugin_kit.mimics import on_leaders
 from orbit_core.plugin_kit.springs import soft_springs
 
@@ -60,7 +61,8 @@ class Actuation:
         start = self._stage.layout.entities[entity].joints.start
         file = self._stage.files.folder / f"wheels{len(columns)}.urdf"
         if not file.exists():
-            write_wheels(file, len(columns))
+            with written_whole(file) as written:  # other workers look for it and write it, too
+                write_wheels(written, len(columns))
         body, numbers = self._stage.bodies[slot][entity], self._stage.joints[entity]
         return Wheels(self._stage.client, file, [(body, numbers[column - start]) for column in columns])
 
