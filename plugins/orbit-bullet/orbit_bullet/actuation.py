@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,6 @@ import numpy.typing as npt
 from orbit_bullet.buffers import Buffers
 from orbit_bullet.drives import Wheels, write_wheels
 from orbit_bullet.stage import Stage
-from orbit_core.files import written_whole
 from orbit_core.plugin_kit.mimics import on_leaders
 from orbit_core.plugin_kit.springs import soft_springs
 
@@ -59,10 +59,10 @@ class Actuation:
 
     def _wheels(self, slot: int, entity: int, columns: list[int]) -> Wheels:
         start = self._stage.layout.entities[entity].joints.start
-        file = self._stage.files.folder / f"wheels{len(columns)}.urdf"
+        # A file of this worker's own: another's could be read when half of it is written.
+        file = self._stage.files.folder / f"wheels{len(columns)}_{os.getpid()}.urdf"
         if not file.exists():
-            with written_whole(file) as written:  # other workers look for it and write it, too
-                write_wheels(written, len(columns))
+            write_wheels(file, len(columns))
         body, numbers = self._stage.bodies[slot][entity], self._stage.joints[entity]
         return Wheels(self._stage.client, file, [(body, numbers[column - start]) for column in columns])
 
