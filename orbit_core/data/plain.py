@@ -28,7 +28,7 @@ _NOTHING = 1e-12
 """What is smaller is zero in a digest: what remains where numbers cancel."""
 
 
-def as_plain(value: Any, rounded: bool = False) -> Any:
+def as_plain(value: Any, for_digest: bool = False) -> Any:
     """A value as JSON can hold it, the same on every machine and in every process.
 
     A dataclass becomes an object of its fields, with its ``type``; a function its module and name, with the values that
@@ -36,23 +36,25 @@ def as_plain(value: Any, rounded: bool = False) -> Any:
 
     Args:
         value: of any type.
-        rounded: to nine significant digits, of an array's largest number where it is one.
+        for_digest: whether numbers have nine significant digits, of an array's largest number where it is one, and
+            fields that are None are left out: what does not use a field that was added later is what it was before.
     """
-    plain = functools.partial(as_plain, rounded=rounded)
+    plain = functools.partial(as_plain, for_digest=for_digest)
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float | np.generic):
-        return _number(value, rounded)
+        return _number(value, for_digest)
     if isinstance(value, Enum):
         return plain(value.value)
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, Tensor | np.ndarray):
         array = value.detach().cpu().numpy() if isinstance(value, Tensor) else value
-        return _array(_rounded(array) if rounded and array.dtype.kind == "f" else array)
+        return _array(_rounded(array) if for_digest and array.dtype.kind == "f" else array)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        own = {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value) if field.init}
-        return {"type": _name(type(value)), **own}
+        own = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
+        told = {name: plain(each) for name, each in own.items() if not (for_digest and each is None)}
+        return {"type": _name(type(value)), **told}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, set | frozenset):
@@ -64,9 +66,10 @@ def as_plain(value: Any, rounded: bool = False) -> Any:
 
 def digest(value: Any) -> str:
     """``~`` and 16 hexadecimal digits that differ where plain data differs in anything, the numbers of arrays included,
-    but for what is beyond nine significant digits: the same computation on another machine gives the same.
+    but for what is beyond nine significant digits, and for fields that are None: the same computation on another
+    machine gives the same, and so does data from before a field was there that it does not use.
     """
-    text = json.dumps(as_plain(value, rounded=True), sort_keys=True)
+    text = json.dumps(as_plain(value, for_digest=True), sort_keys=True)
     return ROUNDED + hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import make_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +129,12 @@ def test_a_digest_is_the_same_where_a_machine_rounds_otherwise() -> None:
     assert [digest(value) for value in exact] == [digest(value) for value in nudged]
     assert digest(np.diag([0.5, 0.1, 2e-7])) != digest(np.diag([0.5, 0.1, 3e-7]))
     assert digest(0.1) != digest(0.1000001)
+
+
+def test_a_digest_is_the_same_where_a_field_is_new_that_is_not_used() -> None:
+    old = make_dataclass("Thing", [("size", float)])
+    new = make_dataclass("Thing", [("size", float), ("margin", float | None, None)])
+    assert digest(old(1.0)) == digest(new(1.0)) != digest(new(1.0, 0.0))
 
 
 def test_a_digest_of_before_they_were_rounded_is_noted_and_no_warning(manifest: Manifest) -> None:
