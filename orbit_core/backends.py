@@ -2,8 +2,8 @@
 what draws and simulates nothing ``orbit.renderers``, and for what simulates deformables ``orbit.matter``, by name.
 
 Nothing is imported until a backend is asked for. The core knows no engine's name: those that could be installed are
-the extras of the distribution ``orbit-core`` that bring a distribution ``orbit-<extra>``. An entry point that ends in
-``[extra]`` needs that extra of its distribution, which ``orbit-core`` has under the same name.
+the extras of the distribution ``orbit-core`` that bring a distribution ``orbit-<extra>``, but for ``matter``, which brings
+a matter solver. An entry point that ends in ``[extra]`` needs that extra of its distribution.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from orbit_core.scene import Scene
 GROUP = "orbit.backends"
 RENDERERS = "orbit.renderers"
 MATTER_SOLVERS = "orbit.matter"
+_MATTER_EXTRA = "matter"
 
 
 def backend_names() -> list[str]:
@@ -64,11 +65,19 @@ def default_backend() -> str:
 
 def installable_backends() -> dict[str, str]:
     """Each backend that is known but not installed, with the command that installs it."""
-    extras = {name: name for name in _extras()}
     points = importlib_metadata.entry_points(group=GROUP)
-    extras |= {point.name: point.extras[0] for point in points if not _is_complete(point)}
+    here = {point.dist.name for point in points if point.dist} | {f"orbit-{_MATTER_EXTRA}"}
+    commands = {name: f'pip install "orbit-core[{name}]"' for name in _extras() if f"orbit-{name}" not in here}
+    commands |= {point.name: f'pip install "{_with_extra(point)}"' for point in points if not _is_complete(point)}
     installed = {*_backends().names}
-    return {name: f'pip install "orbit-core[{extra}]"' for name, extra in extras.items() if name not in installed}
+    return {name: command for name, command in commands.items() if name not in installed}
+
+
+def installable_matter() -> dict[str, str]:
+    """The matter solver of ``orbit-core``'s own extra with the command that installs it, unless it is installed."""
+    name = f"orbit-{_MATTER_EXTRA}"
+    known = _MATTER_EXTRA in _extras() and name not in matter_names()
+    return {name: f'pip install "orbit-core[{_MATTER_EXTRA}]"'} if known else {}
 
 
 def renderer_names() -> list[str]:
@@ -221,7 +230,7 @@ def _check(kind: str, plugin: Backend, needs: Mapping[Capability, str], others: 
     if solvers := [name for name in matter_names() if _simulates(matter_solver(name), missing)]:
         remedy += f", and with matter={' or '.join(map(repr, solvers))} any backend does"
     elif not matter_names() and set(missing) <= {*MATTER}:
-        remedy += ', and with a matter solver any may: pip install "orbit-core[matter]"'
+        remedy += f', and with a matter solver any may: pip install "orbit-core[{_MATTER_EXTRA}]"'
     raise UnsupportedCapabilityError(f"{kind} '{plugin.name}' does not do {', nor '.join(complaints)}: {remedy}")
 
 
@@ -319,12 +328,23 @@ def _is_installed(distribution: str) -> bool:
 @functools.cache
 def _extras() -> tuple[str, ...]:
     """The extras of this distribution that bring a plugin of the same name."""
-    try:
-        requirements = importlib_metadata.requires("orbit-core") or []
-    except importlib_metadata.PackageNotFoundError:  # run from a source tree
-        return ()
     pattern = re.compile(r"orbit-([\w-]+)\b.*extra\s*==\s*['\"]\1['\"]")
-    return tuple(match[1] for requirement in requirements if (match := pattern.match(requirement)))
+    return tuple(match[1] for match in map(pattern.match, _requirements()) if match)
+
+
+def _with_extra(entry_point: importlib_metadata.EntryPoint) -> str:
+    """What to install for an entry point's extra: the extra of this distribution that brings it, or else its own."""
+    own = f"{entry_point.dist.name if entry_point.dist else entry_point.name}[{entry_point.extras[0]}]"
+    pattern = re.compile(rf"{re.escape(own)}.*extra\s*==\s*['\"]([\w-]+)['\"]")
+    return next((f"orbit-core[{match[1]}]" for match in map(pattern.match, _requirements()) if match), own)
+
+
+def _requirements() -> list[str]:
+    """What this distribution asks for, with and without extras."""
+    try:
+        return importlib_metadata.requires("orbit-core") or []
+    except importlib_metadata.PackageNotFoundError:  # run from a source tree
+        return []
 
 
 def _able(names: Iterable[str], needs: Iterable[Capability]) -> list[str]:

@@ -83,6 +83,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
         for cached in (
             backends._backends,
             backends._renderers,
+            backends._matter_solvers,
             backends._kept,
             backends._extras,
         ):
@@ -92,13 +93,12 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
         *plugins: tuple[str, str, Any],
         extras: tuple[str, ...] = (),
         renderers: tuple[tuple[str, str, Any], ...] = (),
+        matters: tuple[tuple[str, str, Any], ...] = (),
     ) -> None:
-        groups = {
-            group: [_entry_point(*plugin) for plugin in members]
-            for group, members in ((backends.GROUP, plugins), (backends.RENDERERS, renderers))
-        }
-
-        requirements = ["numpy>=1", *(f"orbit-{extra} @ file:///x ; extra == '{extra}'" for extra in extras)]
+        members = {backends.GROUP: plugins, backends.RENDERERS: renderers, backends.MATTER_SOLVERS: matters}
+        groups = {group: [_entry_point(*plugin) for plugin in each] for group, each in members.items()}
+        pairs = ((extra, extra.partition("[")[0]) for extra in extras)
+        requirements = ["numpy>=1", *(f"orbit-{brought} @ file:///x ; extra == '{extra}'" for brought, extra in pairs)]
         monkeypatch.setattr(importlib_metadata, "entry_points", lambda group: groups[group])
         monkeypatch.setattr(importlib_metadata, "requires", lambda name: requirements)
         monkeypatch.delenv("ORBIT_BACKEND", raising=False)
@@ -157,9 +157,20 @@ def test_a_backend_whose_extra_is_not_installed_says_how_to_install_it(install: 
     plain = ("plain", "orbit-plain", PlainBackend)
     install(plain, ("plain-fast more", "orbit-plain", MeshBackend), ("plain-slow tested", "orbit-plain", MeshBackend))
     assert backends.backend_names() == ["plain", "plain-slow"]
-    assert backends.installable_backends() == {"plain-fast": 'pip install "orbit-core[more]"'}
-    with pytest.raises(BackendNotInstalledError, match=r"'plain-fast' is not installed.*orbit-core\[more\]"):
+    assert backends.installable_backends() == {"plain-fast": 'pip install "orbit-plain[more]"'}
+    with pytest.raises(BackendNotInstalledError, match=r"'plain-fast' is not installed.*orbit-plain\[more\]"):
         backends.backend("plain-fast")
+    install(("plain-fast more", "orbit-plain", MeshBackend), extras=("plain[more]",))
+    assert backends.installable_backends() == {"plain-fast": 'pip install "orbit-core[plain]"'}
+
+
+def test_a_matter_solver_is_installable_as_such_and_never_as_a_backend(install: Install) -> None:
+    install(extras=("later", "matter"))
+    assert [*backends.installable_backends()] == ["later"]
+    assert backends.installable_matter() == {"orbit-matter": 'pip install "orbit-core[matter]"'}
+    install(extras=("later", "matter"), matters=(("orbit-matter", "orbit-matter", None),))
+    assert [*backends.installable_backends()] == ["later"]
+    assert backends.installable_matter() == {}
 
 
 def test_two_plugins_of_one_name_are_both_named_to_who_asks_for_it_alone(install: Install) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -67,8 +67,7 @@ def _sensors() -> list[tuple[str, str]]:
 def _backends() -> list[tuple[str, str]]:
     from orbit_core.backends import backend_names, installable_backends
 
-    installed = [(name, _state(name)) for name in backend_names()]
-    return installed + [(name, f"not installed: {command}") for name, command in installable_backends().items()]
+    return [(name, _state(name)) for name in backend_names()] + _missing(installable_backends())
 
 
 def _renderers() -> list[tuple[str, str]]:
@@ -78,14 +77,14 @@ def _renderers() -> list[tuple[str, str]]:
 
 
 def _matter() -> list[tuple[str, str]]:
-    from orbit_core.backends import matter_names, matter_solver
+    from orbit_core.backends import installable_matter, matter_names, matter_solver
     from orbit_core.interfaces import MATTER
 
     rows: list[tuple[str, str]] = []
     for name in matter_names():
         does = [each.value for each in MATTER if matter_solver(name).capabilities().has(each)]
         rows.append((name, f"simulates {', '.join(does)} with any backend"))
-    return rows
+    return rows + _missing(installable_matter())
 
 
 def _policies() -> list[tuple[str, str]]:
@@ -110,6 +109,10 @@ def _motion() -> list[tuple[str, str]]:
     from orbit_core.motion import generator_descriptions
 
     return [*generator_descriptions().items()]
+
+
+def _missing(commands: Mapping[str, str]) -> list[tuple[str, str]]:
+    return [(name, f"not installed: {command}") for name, command in commands.items()]
 
 
 def _state(name: str) -> str:
