@@ -2,8 +2,8 @@
 what draws and simulates nothing ``orbit.renderers``, and for what simulates deformables ``orbit.matter``, by name.
 
 Nothing is imported until a backend is asked for. The core knows no engine's name: those that could be installed are
-the extras of the distribution ``orbit-core`` that bring a distribution ``orbit-<extra>``, but for ``matter``, which brings
-a matter solver. An entry point that ends in ``[extra]`` needs that extra of its distribution.
+the extras of the distribution ``orbit-core`` that bring a distribution ``orbit-<extra>``, but for ``matter``, which
+brings a matter solver. An entry point that ends in ``[extra]`` needs that extra of its distribution.
 """
 
 from __future__ import annotations
