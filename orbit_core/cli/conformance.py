@@ -33,7 +33,8 @@ class RunSettings:
     """Hold backends against physics with known answers and whole tasks; write JSON and an HTML report.
 
     A run that was interrupted goes on when the same command is given again. The exit code is 1 if a backend is not as
-    it declares. Other uses: 'orbit conformance compare A B' and 'orbit conformance report DIR'.
+    it declares. Other uses: 'orbit conformance compare A B', 'orbit conformance merge A B --output DIR' and 'orbit
+    conformance report DIR'.
     """
 
     backend: Names = ()
@@ -50,6 +51,8 @@ class RunSettings:
     """Matter solvers of the scenarios of matter, or 'native' for the engines' own; all if left out."""
     quick: bool = False
     """Nominal time steps only, few episodes, few numbers of environments."""
+    episodes: int | None = None
+    """The most episodes of a task or a policy; those of the run if left out."""
     output: Annotated[Path, arg(metavar="DIR")] = Path("out/conformance")
     """Folder for the result, the report and the videos."""
     jobs: int | None = None
@@ -79,6 +82,17 @@ class CompareSettings:
 
 
 @dataclass(frozen=True)
+class MergeSettings:
+    """Make one result of those of several runs: of other parts, tasks or backends, on other machines. The exit code is
+    that of a run."""
+
+    folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="DIR...")]
+    """The folders of finished runs."""
+    output: Annotated[Path, arg(metavar="DIR")] = Path("out/conformance")
+    """Folder for the result, the report and the videos."""
+
+
+@dataclass(frozen=True)
 class ReportSettings:
     """Make a result's HTML report anew."""
 
@@ -99,6 +113,8 @@ def _run(words: Sequence[str]) -> int:
     from orbit_core.conformance.runner import run
     from orbit_core.conformance.settings import choose
 
+    if settings.episodes is not None:
+        check_positive("episodes", settings.episodes)
     chosen = choose(
         backends=settings.backend,
         scenarios=settings.scenario,
@@ -107,6 +123,7 @@ def _run(words: Sequence[str]) -> int:
         parts=settings.part,
         matters=settings.matter,
         quick=settings.quick,
+        episodes=settings.episodes,
         device=settings.device,
         seed=settings.seed,
         backend_settings=_backend_settings(settings.setting, settings.backend),
@@ -205,6 +222,15 @@ def _compare(words: Sequence[str]) -> int:
     return 1 if comparison.worse_status else 0
 
 
+def _merge(words: Sequence[str]) -> int:
+    settings = parse_words(MergeSettings, words, f"{PROGRAM} merge")
+    if not settings.folders:
+        raise ConfigurationError("name the folders of the runs to be merged")
+    from orbit_core.conformance.merge import merge
+
+    return _tell(merge(settings.folders, settings.output), settings.output)
+
+
 def _report(words: Sequence[str]) -> int:
     from orbit_core.conformance.report.page import write_report
 
@@ -217,4 +243,6 @@ def _require_extra() -> None:
         raise ConfigurationError('the conformance suite needs its extra: pip install "orbit-core[conformance]"')
 
 
-_COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {"run": _run, "compare": _compare, "report": _report}
+_COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
+    "run": _run, "compare": _compare, "merge": _merge, "report": _report
+}  # fmt: skip

@@ -165,6 +165,20 @@ class PolicyInfo:
         return PolicyInfo(name, kept.description, *where, kept.least_success, kept.gaps)
 
 
+@dataclass(frozen=True)
+class Origin:
+    """Where and when some of the jobs of a merged result were done."""
+
+    jobs: dict[str, int]
+    """Numbers of jobs by their kind and backend, as in ``"task on mujoco"``."""
+    hardware: Hardware
+    versions: dict[str, str]
+    core: str
+    """The digest of the core's source."""
+    started: str
+    finished: str
+
+
 @dataclass(frozen=True, kw_only=True)
 class Header:
     """What a run is of, written before its first record."""
@@ -181,6 +195,8 @@ class Header:
     policies: tuple[PolicyInfo, ...] = ()
     sources: dict[str, str] = field(default_factory=dict)
     """Digests of the code that the records come from, as :func:`sources.source_digests` names it."""
+    origins: tuple[Origin, ...] = ()
+    """Of a merged result, whose own machine and versions are those of the first run."""
     schema: int = SCHEMA
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
@@ -106,6 +106,8 @@ class Settings:
     """Who simulates what bends or flows in scenarios that have some: matter solvers, and the engines themselves."""
     quick: bool = False
     """The nominal time steps of the quick scenarios and of those that are named; few episodes, few environments."""
+    episodes: int | None = None
+    """The most episodes of a task or a policy, if these are to be fewer than ``quick`` or the full run has."""
     device: str = "cpu"
     """Torch device of the backends that simulate on a GPU; the others take the CPU."""
     seed: int = 0
@@ -119,8 +121,13 @@ class Settings:
 
     @property
     def extent(self) -> Extent:
-        """How much is spent on each task."""
-        return QUICK if self.quick else FULL
+        """How much is spent on each task. Where episodes are few, slow tasks are not replayed either."""
+        whole = QUICK if self.quick else FULL
+        if self.episodes is None:
+            return whole
+        names = ("episodes", "slow_episodes", "pixel_episodes")
+        fewer = {name: min(self.episodes, getattr(whole, name)) for name in names}
+        return replace(whole, slow_replays=whole.slow_replays and fewer["episodes"] == whole.episodes, **fewer)
 
     def is_slow(self, task: str) -> bool:
         """Whether the task has cloth or rope, of which a CPU makes a few hundred steps a second, or long episodes."""
@@ -146,6 +153,7 @@ def choose(
     parts: Sequence[str] = (),
     matters: Sequence[str] = (),
     quick: bool = False,
+    episodes: int | None = None,
     device: str = "cpu",
     seed: int = 0,
     backend_settings: Mapping[str, Mapping[str, Any]] | None = None,
@@ -190,6 +198,7 @@ def choose(
         matters=matters,
         renderers=_renderers() if any(learned(name).sees_pictures for name in policies) else (),
         quick=quick,
+        episodes=episodes,
         device=device,
         seed=seed,
         backend_settings=backend_settings or {},

@@ -306,13 +306,13 @@ def _task_section(result: Result, task: str, folder: Path) -> TaskSection:
 def _task_row(backend: str, record: Record) -> tuple[str, ...]:
     task = record.task
     if task is None:
-        return (backend, record.why, "", "", "", "")
+        return (backend, "-", record.why, "", "", "", "")
     name, metric = next(iter(task.metrics.items()))
     time = _estimate(task.seconds_to_success) if task.seconds_to_success else "-"
     broken = ", ".join(f"{check.name}: {check.failed} of {check.starts}" for check in task.premises) or "-"
-    return (
-        backend, task.success.percent(), f"{name}: {_estimate(metric)}", _estimate(task.episode_return), time, broken
-    )  # fmt: skip
+    leading = f"{name}: {_estimate(metric)}"
+    returned = _estimate(task.episode_return)
+    return (backend, str(task.num_envs), task.success.percent(), leading, returned, time, broken)
 
 
 def _replay_text(

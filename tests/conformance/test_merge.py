@@ -1,0 +1,92 @@
+"""Results of several runs as one: what is taken over, what is reckoned anew, what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orbit_core.backends import backend_names
+from orbit_core.cli.conformance import main
+from orbit_core.conformance.execution import Outcome, execute
+from orbit_core.conformance.hardware import Hardware
+from orbit_core.conformance.jobs import Job, Kind
+from orbit_core.conformance.journal import Journal
+from orbit_core.conformance.merge import merge
+from orbit_core.conformance.results import Ending, Record, load
+from orbit_core.conformance.runner import header_of
+from orbit_core.conformance.settings import FULL, QUICK, Settings, choose
+from orbit_core.interfaces import ConfigurationError, Gap
+
+ONE, TWO = backend_names()[:2]
+FALL = Job(Kind.SCENARIO, "free_fall", ONE, 0.005)
+
+
+def settings(backend: str, **changes: Any) -> Settings:
+    chosen = choose(backends=(backend,), tasks=("Reach",), scenarios=("free_fall",), parts=("scenarios", "tasks"))
+    return dataclasses.replace(chosen, episodes=2, **changes)
+
+
+def finished(folder: Path, backend: str, *outcomes: Outcome, **changes: Any) -> Path:
+    """The folder of a finished run that had these outcomes, with a header changed in these fields."""
+    header = dataclasses.replace(header_of(settings(backend)), **changes)
+    journal = Journal(folder, header)
+    for outcome in outcomes:
+        journal.add(outcome)
+    journal.finish()
+    journal.close()
+    return folder
+
+
+def test_two_backends_runs_on_two_machines_become_one_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    played = {name: execute(Job(Kind.TASK, "Reach", name), settings(name), {}) for name in (ONE, TWO)}
+    assert all(outcome.record.ending is Ending.DONE for outcome in played.values())
+    other = Hardware("another", 32, 64.0, ("a GPU",), "system")
+    fall = Outcome(Record(FALL, Ending.UNSUPPORTED, "it has no weight"), {"traces.json": b"[]"})
+    first = finished(tmp_path / "first", ONE, played[ONE], fall)
+    second = finished(tmp_path / "second", TWO, played[TWO], hardware=other)
+    output = tmp_path / "merged"
+    assert main(["merge", str(first), str(second), "--output", str(output)]) == 0
+    result = load(output)
+    assert result.header.settings.backends == (ONE, TWO)
+    assert {record.job.key for record in result.records} == {
+        FALL.key, *(outcome.record.job.key for outcome in played.values())
+    }  # fmt: skip
+    (parting,) = result.partings
+    assert {parting.backend, parting.reference} == {ONE, TWO}, "reckoned from recordings of two runs"
+    assert [origin.jobs for origin in result.header.origins] == [
+        {f"task on {ONE}": 1, f"scenario on {ONE}": 1}, {f"task on {TWO}": 1}
+    ]  # fmt: skip
+    page = (output / "report.html").read_text()
+    assert "another, 32 cores" in page
+    again = merge((output, finished(tmp_path / "third", ONE)), tmp_path / "again")
+    assert again.records == result.records
+    assert again.partings == result.partings
+    with pytest.raises(ConfigurationError, match=f"hold task/Reach/{ONE}: leave one out"):
+        merge((output, first), tmp_path / "twice")
+    with pytest.raises(ConfigurationError, match="is one of those to be merged"):
+        merge((first, second), first)
+
+
+def test_results_of_other_seeds_or_other_declarations_are_refused(tmp_path: Path) -> None:
+    first = finished(tmp_path / "first", ONE)
+    seeded = finished(tmp_path / "seeded", TWO, settings=settings(TWO, seed=1))
+    with pytest.raises(ConfigurationError, match="differ in seed"):
+        merge((first, seeded), tmp_path / "out")
+    info = header_of(settings(ONE)).backends[0]
+    gap = Gap("free_fall", "position", 9.0, "it falls as it likes")
+    changed = finished(tmp_path / "changed", ONE, backends=(dataclasses.replace(info, gaps=(gap,)),))
+    with pytest.raises(ConfigurationError, match=f"know backend '{ONE}' differently"):
+        merge((first, changed), tmp_path / "out")
+
+
+def test_fewer_episodes_are_never_more_and_replay_no_slow_tasks() -> None:
+    fewer = settings(ONE).extent
+    assert (fewer.episodes, fewer.slow_episodes, fewer.pixel_episodes, fewer.slow_replays) == (2, 2, 2, False)
+    many = settings(ONE, quick=True)
+    assert dataclasses.replace(many, episodes=99).extent == QUICK
+    assert dataclasses.replace(many, quick=False, episodes=99).extent == FULL
