@@ -6,12 +6,17 @@ search, ACM Transactions on Graphics, 2022.
 
 from __future__ import annotations
 
+import importlib.util
+import os
+import subprocess
+import sys
+import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +38,8 @@ class ConvexDecomposition:
     """The most by which pieces may differ from the surface, as a share of half the mesh's longest side: 0.01 to 1."""
     max_pieces: int | None = None
     """Pieces are merged until no more are left, whatever the concavity then is."""
+    time_limit: float = 600.0
+    """Seconds that a split may take; what the cache holds takes none."""
 
 
 def convex_pieces(
@@ -46,10 +53,12 @@ def convex_pieces(
         where: its name, for messages.
 
     Raises:
-        AssetError: it is no mesh of finite points, it encloses no volume, the settings cannot be, or the package
-            ``coacd`` is not installed.
+        AssetError: it is no mesh of finite points, it encloses no volume, the settings cannot be, the split takes
+            longer than its limit, or the package ``coacd`` is not installed.
     """
     most = settings.max_pieces
+    if not settings.time_limit > 0.0:
+        raise AssetError(f"{where} cannot be split by {settings}: give a time limit above zero")
     if not 0.01 <= settings.concavity <= 1.0 or not (most is None or (isinstance(most, int) and most >= 1)):
         raise AssetError(f"{where} cannot be split by {settings}: give a concavity of 0.01 to 1 and at least one piece")
     try:
@@ -119,29 +128,49 @@ def _split(
     """The pieces, while a line on a terminal says what is being split."""
     from rich.console import Console
 
-    try:
-        import coacd
-    except ImportError as error:
+    if importlib.util.find_spec("coacd") is None:
         raise AssetError(
             f'{where} asks for convex pieces, which need the package coacd: pip install "orbit-core[decomposition]", '
             "or have it collide as its hull"
-        ) from error
-    coacd.set_log_level("error")
+        )
     if extents(vertices) < 3:
         raise _failed(where, "it lies in a plane")
-    most = settings.max_pieces or -1
-    try:
+    with tempfile.TemporaryDirectory() as folder:
+        np.savez(Path(folder) / "mesh.npz", vertices=vertices, faces=faces)
         with Console(stderr=True).status(f"splitting {where} into convex pieces ({len(faces)} triangles)"):
-            found = coacd.run_coacd(
-                coacd.Mesh(vertices, faces.astype(np.int32)), threshold=settings.concavity, max_convex_hull=most
-            )
-    except (RuntimeError, ValueError) as error:
-        raise _failed(where, str(error)) from error
-    pieces = [(np.asarray(points, np.float64), np.asarray(sides, np.int64)) for points, sides in found]
+            _run(Path(folder), settings, where)
+        with np.load(Path(folder) / "pieces.npz", allow_pickle=False) as file:
+            pieces = _read(file)
     solid = [piece for piece in pieces if extents(piece[0]) == 3]
     if not solid:
         raise _failed(where, "no piece has a volume")
     return solid
+
+
+def _run(folder: Path, settings: ConvexDecomposition, where: str) -> None:
+    """Split the mesh in this folder in a process of its own, which is ended at the time limit."""
+    script = str(Path(__file__).with_name("split_process.py"))
+    command = [
+        sys.executable,
+        "-P",
+        script,
+        str(folder),
+        str(float(settings.concavity)),
+        str(settings.max_pieces or -1),
+    ]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    try:
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, timeout=settings.time_limit, check=False
+        )
+    except subprocess.TimeoutExpired:
+        raise AssetError(
+            f"{where} was not split into convex pieces within {settings.time_limit:g} s: give it fewer triangles, a "
+            f"concavity above {settings.concavity:g} or a longer time_limit, or have it collide as its hull"
+        ) from None
+    if done.returncode != 0:
+        told = done.stderr.strip().splitlines()
+        raise _failed(where, told[-1] if told else f"the process that splits it ended with {done.returncode}")
 
 
 def _failed(where: str, reason: str) -> AssetError:
@@ -155,7 +184,7 @@ def _stored(path: Path) -> _Pieces | None:
     """What the cache holds; ``None`` for nothing, or a file that is damaged."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            found = [(file[f"vertices_{number}"], file[f"faces_{number}"]) for number in range(len(file.files) // 2)]
+            found = _read(file)
         for piece in found:
             check_mesh(Mesh(*piece), "a piece")
     except (
@@ -170,6 +199,13 @@ def _stored(path: Path) -> _Pieces | None:
     ):
         return None
     return found or None
+
+
+def _read(file: Mapping[str, npt.NDArray[Any]]) -> _Pieces:
+    return [
+        (np.asarray(file[f"vertices_{number}"], np.float64), np.asarray(file[f"faces_{number}"], np.int64))
+        for number in range(len(file) // 2)
+    ]
 
 
 def _store(path: Path, pieces: _Pieces) -> None:

@@ -59,21 +59,27 @@ def test_a_split_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
         convex_pieces(RING, ConvexDecomposition(concavity=0.2), where="the lid")
 
 
-def test_a_split_that_fails_names_the_mesh_and_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_split_that_fails_names_the_mesh_and_a_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flat = Mesh(np.eye(3), np.array([[0, 1, 2]]))
     with pytest.raises(AssetError, match=r"lid\.obj could not be split .*it lies in a plane.*close its surface"):
         convex_pieces(flat, where="lid.obj")
     with pytest.raises(AssetError, match=r"concavity of 0\.01 to 1"):
         convex_pieces(RING, ConvexDecomposition(concavity=0.0))
-    refuse = "cannot make it manifold"
-
-    def fails(*_: object, **__: object) -> None:
-        raise RuntimeError(refuse)
-
-    monkeypatch.setattr("coacd.run_coacd", fails)
     unseen = Mesh(1.1 * FRAME.vertices, FRAME.faces, MeshCollision.CONVEX_DECOMPOSITION)
-    with pytest.raises(AssetError, match=f"mesh 'rim' of link 'ring' of 'hoop' could not be split.*{refuse}"):
-        decomposition.decomposed_entity(ObjectSpec(name="hoop", articulation=body(unseen)))
+    monkeypatch.syspath_prepend(tmp_path)
+    for does, told in (("raise RuntimeError('not manifold')", "not manifold"), ("__import__('os')._exit(7)", "with 7")):
+        code = f"Mesh = set_log_level = lambda *_: None\ndef run_coacd(*_, **__): {does}\n"
+        (tmp_path / "coacd.py").write_text(code)
+        with pytest.raises(AssetError, match=f"mesh 'rim' of link 'ring' of 'hoop' could not be split.*{told}"):
+            decomposition.decomposed_entity(ObjectSpec(name="hoop", articulation=body(unseen)))
+
+
+def test_a_split_that_takes_too_long_is_ended_and_says_so() -> None:
+    unseen = Mesh(1.2 * FRAME.vertices, FRAME.faces, MeshCollision.CONVEX_DECOMPOSITION)
+    with pytest.raises(AssetError, match=r"the lid was not split .* within 0\.01 s: .*longer time_limit"):
+        convex_pieces(unseen, ConvexDecomposition(time_limit=0.01), where="the lid")
+    with pytest.raises(AssetError, match="time limit above zero"):
+        convex_pieces(unseen, ConvexDecomposition(time_limit=0.0))
 
 
 def test_what_is_no_mesh_is_refused_and_a_damaged_cache_made_anew() -> None:

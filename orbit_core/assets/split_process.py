@@ -1,0 +1,36 @@
+"""The process that splits one mesh by CoACD, so that a split may be stopped and a crash is only its own.
+
+    python -P split_process.py FOLDER CONCAVITY MOST
+
+Reads ``mesh.npz`` of the folder and writes ``pieces.npz`` there; says on its error stream why it could not.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+
+def main(folder: Path, concavity: float, most: int) -> int:
+    """Split the folder's mesh into at most so many pieces, -1 for any number; the process's exit code."""
+    import coacd
+
+    coacd.set_log_level("error")
+    with np.load(folder / "mesh.npz", allow_pickle=False) as mesh:
+        solid = coacd.Mesh(mesh["vertices"], mesh["faces"].astype(np.int32))
+    try:
+        found = coacd.run_coacd(solid, threshold=concavity, max_convex_hull=most)
+    except (RuntimeError, ValueError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    arrays: dict[str, np.ndarray] = {}
+    for number, (vertices, faces) in enumerate(found):
+        arrays |= {f"vertices_{number}": np.asarray(vertices), f"faces_{number}": np.asarray(faces)}
+    np.savez(folder / "pieces.npz", allow_pickle=False, **arrays)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3])))
