@@ -16,7 +16,7 @@ import time
 import torch
 
 from orbit_core.envs import make
-from orbit_core.envs.actors import scripted_actor
+from orbit_core.envs.actors import Actor, scripted_actor
 from orbit_core.envs.environment import Environment
 
 
@@ -30,6 +30,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=60, help="environment steps of a block")
     parser.add_argument("--blocks", type=int, default=5)
     parser.add_argument("--compile", action="store_true", help="compile the layer's part of the step")
+    parser.add_argument("--profile", action="store_true", help="print the kernels that cost most in ten steps")
     parser.add_argument("--setting", action="append", default=[], help="of orbit-matter, as name=JSON")
     arguments = parser.parse_args()
     for task in arguments.tasks:
@@ -57,6 +58,8 @@ def measure(arguments: argparse.Namespace, task: str, num_envs: int) -> dict[str
         environment.step(agent.act())
     blocks = [_seconds(environment, agent, arguments.steps) for _ in range(arguments.blocks)]
     left = _free(arguments.device)
+    if arguments.profile:
+        _profile(environment, agent)
     environment.close()
     return {
         "task": task,
@@ -72,13 +75,20 @@ def measure(arguments: argparse.Namespace, task: str, num_envs: int) -> dict[str
     }
 
 
-def _seconds(environment: Environment, agent, steps: int) -> float:
+def _seconds(environment: Environment, agent: Actor, steps: int) -> float:
     _wait(environment)
     begun = time.perf_counter()
     for _ in range(steps):
         environment.step(agent.act())
     _wait(environment)
     return time.perf_counter() - begun
+
+
+def _profile(environment: Environment, agent: Actor) -> None:
+    activities = [torch.profiler.ProfilerActivity.CPU, torch.profiler.ProfilerActivity.CUDA]
+    with torch.profiler.profile(activities=activities) as profile:
+        _seconds(environment, agent, 10)
+    print(profile.key_averages().table(sort_by="cuda_time_total", row_limit=25))
 
 
 def _wait(environment: Environment) -> None:
