@@ -39,6 +39,7 @@ from orbit_core.conformance.scenarios import (
     touching,
     turning_friction,
     velocities,
+    wedging,
 )
 
 SCENARIOS: tuple[Scenario, ...] = (
@@ -65,6 +66,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     *contact_forces.SCENARIOS,
     *touching.SCENARIOS,
     *fits.SCENARIOS,
+    *wedging.SCENARIOS,
     *screws.SCENARIOS,
     *sensing.SCENARIOS,
     *rays.SCENARIOS,

@@ -107,6 +107,8 @@ CONTACT = (
     Gap("toppling_tower", "tilt", 0.06, _LEANING),
     Gap("toppling_tower", "creep", 0.012, CREEP),
     Gap("jamming_peg", "insertion", 0.6, _HOP + ": 0.34 at 5 ms and 0.03 at 1.25 ms"),
+    Gap("wedged_peg", "wedge", 0.25, f"a wedged peg turns by 0.05 rad until it is held: {CREEP}"),
+    Gap("wedged_peg", "creep", 6e-4, CREEP),
     Gap("bounce", "ball", 0.14, _SPRING),
     Gap("bounce", "box", 0.14, _SPRING),
     Gap("bouncing_on", "path", 0.4, _SPRING),
