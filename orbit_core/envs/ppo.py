@@ -44,6 +44,9 @@ class PpoSettings:
     imitation_steps: int = 0
     """Gradient steps in which the actor imitates what the task's expert did on its way, before the first iteration;
     needs ``expert_starts`` of the task, and RSL-RL."""
+    start: str = ""
+    """A kept policy's name, a policy's file or a training's folder that the actor begins with; it may have seen less.
+    Its hidden layers are those of ``hidden_sizes``; needs RSL-RL."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

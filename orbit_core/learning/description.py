@@ -144,7 +144,7 @@ class PolicyDescription:
         Raises:
             ConfigurationError: there is none, or the environment differs otherwise; names what differs.
         """
-        self._check_action(environment)
+        self.check_action(environment)
         groups = environment.observation
         names = sorted(groups, key=lambda name: (name != self.group, name != "teacher"))
         faults = {name: self._misfit(groups[name]) for name in names}
@@ -157,7 +157,7 @@ class PolicyDescription:
             )
         return fitting
 
-    def _check_action(self, environment: Environment) -> None:
+    def check_action(self, environment: Environment) -> None:
         """Refuse an environment of another robot, action or rate.
 
         Raises:

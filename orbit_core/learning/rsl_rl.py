@@ -9,7 +9,7 @@ import os
 import statistics
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")  # its logger imports git, which need not be there
 
@@ -17,20 +17,27 @@ import torch
 from rsl_rl.env import VecEnv
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
-from torch import Tensor
+from torch import Tensor, nn
 
 from orbit_core.envs.environment import Environment, Observation
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.convolutional import convolutional, convolutional_actor
 from orbit_core.learning.description import group_parts
 from orbit_core.learning.groups import ACTOR, check_groups, critic_group, tensor_names, tensors_by_name
 from orbit_core.learning.imitation import imitate_expert
-from orbit_core.learning.networks import ActorNetwork, perceptron_actor
+from orbit_core.learning.networks import ActorNetwork, NormalizedActor, Perceptron, perceptron_actor
+from orbit_core.learning.policy import Policy, load_policy
 from orbit_core.learning.rsl_rl_models import PictureModel
 from orbit_core.learning.trainer import Progress, Trainer
+from orbit_core.learning.warm_start import started_from
+from orbit_core.pretrained import policy_path
 
 MOST_STD = 1.0
 """Most that the deviation of actions grows to, where it does not begin wider."""
+
+_START_WEIGHT = 20
+"""Iterations that what a policy to begin with had seen counts for in the statistics of observations."""
 
 
 class RslRlEnvironment(VecEnv):
@@ -78,6 +85,7 @@ class RslRlTrainer(Trainer[PpoSettings]):
     name: ClassVar[str] = "rsl-rl"
     several_gpus: ClassVar[bool] = True
     imitates: ClassVar[bool] = True
+    begins_with_policies: ClassVar[bool] = True
 
     def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
@@ -87,6 +95,8 @@ class RslRlTrainer(Trainer[PpoSettings]):
         with contextlib.redirect_stdout(io.StringIO()):  # it prints its networks
             self._runner = _Runner(adapted, _configuration(settings, environment), str(folder), str(environment.device))
         self._runner.logger.git_status_repos = []
+        if settings.start:
+            self._begin_with(load_policy(policy_path(settings.start), environment.device))
 
     def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
         if self.settings.imitation_steps:
@@ -113,6 +123,24 @@ class RslRlTrainer(Trainer[PpoSettings]):
         if isinstance(policy, PictureModel):
             return convolutional_actor(policy.network, policy.encoders, policy.mlp, mean, std)
         return perceptron_actor(policy.mlp, mean, std)
+
+    def _begin_with(self, policy: Policy) -> None:
+        """Give the actor the policy's layers, and the statistics that they were learned with."""
+        started, actor = started_from(policy, self.environment), cast(Any, self._runner.alg.get_policy())
+        sizes = cast(Perceptron, started.network).hidden_sizes
+        if sizes != self.settings.hidden_sizes or not self.settings.normalize_observations:
+            raise ConfigurationError(
+                f"the policy to begin with has layers of {list(sizes)} and normalises what it sees: give "
+                f"--ppo hidden_sizes={str(list(sizes)).replace(' ', '')} --ppo normalize_observations=true"
+            )
+        module, seen = cast(NormalizedActor, started.module), actor.obs_normalizer
+        with torch.no_grad():
+            for layer, given in zip(_linear(actor.mlp), _linear(module.layers), strict=True):
+                layer.load_state_dict(given.state_dict())
+            seen._mean.copy_(module.mean)
+            seen._std.copy_((module.std - seen.eps).clamp_min(0.0))
+            seen._var.copy_(seen._std.square())
+        seen.count.fill_(_START_WEIGHT * self.settings.steps_per_iteration * self.environment.num_envs)
 
     def _bound_exploration(self) -> None:
         """Actions are clipped to [-1, 1]: a wider deviation does the same and only earns more entropy, without end."""
@@ -149,6 +177,10 @@ class RslRlTrainer(Trainer[PpoSettings]):
             yield
         finally:
             logger.log = log
+
+
+def _linear(layers: nn.Module) -> list[nn.Linear]:
+    return [layer for layer in layers.modules() if isinstance(layer, nn.Linear)]
 
 
 def _mean(ends: list[dict[str, Tensor]], name: str) -> float:

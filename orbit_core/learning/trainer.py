@@ -77,6 +77,8 @@ class Trainer(ABC, Generic[Settings]):
     """Whether processes that torchrun starts, one a GPU, learn one policy together."""
     imitates: ClassVar[bool] = False
     """Whether it imitates the task's expert first, :attr:`PpoSettings.imitation_steps`."""
+    begins_with_policies: ClassVar[bool] = False
+    """Whether its actor can begin with a policy, :attr:`PpoSettings.start`."""
     settings_type: ClassVar[type[Any]] = PpoSettings
     """Class of its algorithm's settings."""
 
@@ -85,6 +87,10 @@ class Trainer(ABC, Generic[Settings]):
             raise ConfigurationError(
                 f"library '{self.name}' imitates no expert before it learns: use --library rsl-rl, or "
                 "--ppo imitation_steps=0"
+            )
+        if getattr(settings, "start", "") and not self.begins_with_policies:
+            raise ConfigurationError(
+                f"library '{self.name}' begins with no policy: use --library rsl-rl, or leave --ppo start out"
             )
         self.environment = environment
         self.settings = settings

@@ -1,0 +1,65 @@
+"""A policy to begin a training with: it acts at first as it did where it was learned, however more is shown now."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from orbit_core.assets.terrain import Rough, TerrainGrid
+from orbit_core.envs import Environment, PpoSettings, make
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.learning.learners import library_names, trainer_type
+from orbit_core.learning.policy import load_policy
+from orbit_core.learning.warm_start import started_from
+from orbit_core.pretrained import policy_path
+
+WALKER = "velocity_flat_go2"
+SMALL = TerrainGrid(kinds=(Rough(),), levels=2, cell_size=4.0)
+
+
+def rough(robot: str = "unitree_go2") -> Environment:
+    env = make("Velocity-Rough", 3, "mujoco", robot=robot, terrain=SMALL, seed=0)
+    env.reset()
+    return env
+
+
+def settings(*sizes: int) -> PpoSettings:
+    return PpoSettings(steps_per_iteration=4, hidden_sizes=sizes, start=WALKER, initial_std=0.1)
+
+
+def test_a_walker_of_the_plane_walks_on_terrain_as_it_did_until_it_learns(tmp_path: Path) -> None:
+    """Half a radian was its unit of action, one radian is the terrain's; 187 heights weigh nothing."""
+    env, walker = rough(), load_policy(policy_path(WALKER))
+    for _ in range(5):
+        env.step(0.2 * torch.randn(3, 12))
+    seen = env.observe()["policy"]
+    flat = seen[:, :48].clone()
+    flat[:, 36:48] *= 2.0
+    expected = 0.5 * walker.module(flat)
+    for actor in (
+        started_from(walker, env),
+        trainer_type("rsl-rl")(env, settings(256, 128, 64), tmp_path, 0).actor(),
+    ):
+        changed = seen.clone()
+        changed[:, 48:] += 1.0
+        # What begins also says what was clipped there.
+        torch.testing.assert_close(actor.module(changed).clamp(-0.5, 0.5), expected, atol=2e-3, rtol=0.0)
+    heights = started_from(walker, env).module.mean[48:]
+    torch.testing.assert_close(heights, env.observe()["policy"][:, 48:].mean(0))
+    env.close()
+
+
+def test_layers_of_other_sizes_robots_and_libraries_are_refused(tmp_path: Path) -> None:
+    env = rough()
+    with pytest.raises(ConfigurationError, match=r"give --ppo hidden_sizes=\[256,128,64\]"):
+        trainer_type("rsl-rl")(env, settings(64, 64), tmp_path, 0)
+    for library in set(library_names()) - {"rsl-rl", "distill"}:
+        with pytest.raises(ConfigurationError, match="begins with no policy"):
+            trainer_type(library)(env, settings(256, 128, 64), tmp_path, 0)
+    env.close()
+    other = rough("unitree_a1")
+    with pytest.raises(ConfigurationError, match="learned with robot 'unitree_go2', not with 'unitree_a1'"):
+        started_from(load_policy(policy_path(WALKER)), other)
+    other.close()
