@@ -154,6 +154,8 @@ class Recover(Task):
         iterations=1000, hidden_sizes=(512, 256, 128), initial_std=1.0, entropy_weight=0.005, discount=0.99
     )
     view: Pose = look_at(eye=(2.4, 1.8, 1.2), target=(0.0, 0.0, 0.25))
+    action_scale: float = 1.5
+    """rad from home for one unit of action ``joint_position``: who lies on the back pushes off far from home."""
     tilt_tolerance: float = 0.25
     """rad"""
     height_tolerance: float = 0.2
@@ -168,7 +170,8 @@ class Recover(Task):
     """Metres."""
 
     def scene(self) -> Scene:
-        return Scene(robots=(common.legged(self.robot),), terrain=(common.floor(),), physics_dt=self.physics_dt)
+        robot = walking.scaled(common.legged(self.robot), self.action_scale)
+        return Scene(robots=(robot,), terrain=(common.floor(),), physics_dt=self.physics_dt)
 
     def start(self, world: World) -> None:
         super().start(world)

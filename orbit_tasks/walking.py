@@ -46,8 +46,13 @@ def walker(name: str, scale: float | None) -> RobotSpec:
     if scale is None and len(spec.feet) <= 2:
         scale = _BIPED_SCALE
     if scale is not None:
-        spec = replace(spec, joint_commands=replace(joint_commands(spec), position_scale=scale))
+        spec = scaled(spec, scale)
     return replace(spec, actuators=(*_others(spec), *spec.walking_drives)) if spec.walking_drives else spec
+
+
+def scaled(spec: RobotSpec, scale: float) -> RobotSpec:
+    """The robot with so many rad from home for one unit of action ``joint_position``."""
+    return replace(spec, joint_commands=replace(joint_commands(spec), position_scale=scale))
 
 
 def check_commands(max_forward: float, max_sideways: float, max_yaw_rate: float) -> None:
