@@ -17,7 +17,7 @@ from __future__ import annotations
 import warp as wp
 
 from orbit_matter.kernels import FREE, HELD, Links, Particles, mass_of, target
-from orbit_matter.surfaces import PLANE, Shapes, distance
+from orbit_matter.surfaces import HEIGHT_FIELD, PLANE, Shapes, distance
 
 NEAREST = wp.constant(6)
 """Shapes that one particle may be near at a time; those met first count."""
@@ -47,10 +47,11 @@ class Felt:
 
 @wp.kernel(enable_backward=False)
 def bound(links: Links, shapes: Shapes):
-    """How far each shape reaches. ``links.shape`` are at the step's end, ``shape_before`` at its beginning."""
+    """How far each shape reaches, with what it moves and turns in the physics step, of which ``links.way`` are."""
     env, s = wp.tid()
-    way = wp.transform_get_translation(links.shape[env, s]) - wp.transform_get_translation(links.shape_before[env, s])
-    links.reach[env, s] = shapes.reach[env % shapes.kind.shape[0], s] + wp.length(way)
+    own, turn = shapes.reach[env % shapes.kind.shape[0], s], links.turn[env, s]
+    turned = 2.0 * own * wp.length(wp.vec3(turn[0], turn[1], turn[2]))
+    links.reach[env, s] = own + wp.length(links.way[env, s]) + turned
 
 
 @wp.func
@@ -60,7 +61,15 @@ def range_of(p: Particles, step: float, env: int, i: int) -> float:
 
 
 @wp.func
-def is_near(shapes: Shapes, kind: int, s: int, pose: wp.transform, reach: float, x: wp.vec3, moved: float) -> bool:
+def deepest(radius: float) -> float:
+    """Metres from a mesh's surface within which a particle is looked for in it."""
+    return 10.0 * radius + MARGIN
+
+
+@wp.func
+def is_near(
+    shapes: Shapes, kind: int, s: int, pose: wp.transform, reach: float, x: wp.vec3, radius: float, moved: float
+) -> bool:
     """Whether what is at x and may move that far may meet a shape, at its pose at the step's end."""
     reach += moved
     close = reach > 0.0 and wp.length_sq(x - wp.transform_get_translation(pose)) < reach * reach
@@ -68,8 +77,9 @@ def is_near(shapes: Shapes, kind: int, s: int, pose: wp.transform, reach: float,
         local = wp.transform_point(wp.transform_inverse(pose), x)
         if shapes.kind[kind, s] == PLANE:
             close = local[2] < moved
-        elif shapes.kind[kind, s] < PLANE:
-            close = distance(shapes, kind, s, local, reach)[3] < reach - shapes.reach[kind, s]
+        elif shapes.kind[kind, s] != HEIGHT_FIELD:
+            gap = reach - shapes.reach[kind, s]  # what both move, and a margin
+            close = distance(shapes, kind, s, local, wp.max(gap, deepest(radius)))[3] < gap
     return close
 
 
@@ -79,7 +89,9 @@ def find_near(p: Particles, links: Links, shapes: Shapes, felt: Felt, step: floa
     env, i = wp.tid()
     count, kind, moved = int(0), env % shapes.kind.shape[0], range_of(p, step, env, i)
     for s in range(shapes.kind.shape[1]):
-        if count < NEAREST and is_near(shapes, kind, s, links.shape[env, s], links.reach[env, s], p.x[env, i], moved):
+        if count < NEAREST and is_near(
+            shapes, kind, s, links.shape[env, s], links.reach[env, s], p.x[env, i], p.radius[i], moved
+        ):
             felt.near[env, i, count] = s
             count += 1
     for k in range(count, NEAREST):
@@ -166,7 +178,7 @@ def surface(links: Links, shapes: Shapes, env: int, kind: int, shape: int, x: wp
     """Normal of a shape near x, and how deep a ball around x is in it."""
     axes = links.axes[env, shape]
     local = (x - wp.transform_get_translation(links.shape[env, shape])) @ axes
-    found = distance(shapes, kind, shape, local, 10.0 * radius + MARGIN)
+    found = distance(shapes, kind, shape, local, deepest(radius))
     n = axes @ wp.vec3(found[0], found[1], found[2])
     return wp.vec4(n[0], n[1], n[2], radius - found[3])
 

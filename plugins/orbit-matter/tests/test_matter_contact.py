@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,8 +64,6 @@ def test_cloth_comes_to_rest_on_terrain(geometry: Geometry) -> None:
 
 def _height(scene: Scene) -> float:
     """Metres to which the middle of a patch of cloth falls, from 2 cm above."""
-    from dataclasses import replace
-
     patch = Cloth("patch", sheet((0.06, 0.06), (7, 7)), 0.2, Pose((0.0, 0.0, 0.12)), damping=1.0)
     world = simulate(replace(scene, deformables=(patch,)), 1, "mujoco")
     world.step(100)
@@ -102,3 +101,46 @@ def test_a_rope_lies_across_another() -> None:
     gap = world.deformables["upper"].positions[0, 10, 2] - world.deformables["lower"].positions[0, 10, 2]
     world.close()
     assert gap.item() == pytest.approx(0.01, abs=1.5e-3)
+
+
+def test_cloth_rests_on_a_plate_of_many_meshes_in_one_frame() -> None:
+    """Each of nine pieces of a split mesh is somewhere within the same ball; none is passed over."""
+    places = [(x, y, 0.0) for x in (-0.04, 0.0, 0.04) for y in (-0.04, 0.0, 0.04)]
+    pieces = tuple(Shape(Mesh(0.4 * CORNERS + np.array(place), FACES)) for place in places)
+    body = single_link("plate", pieces[0], 1.0, np.eye(3) * 0.01)
+    body = replace(body, links=(replace(body.links[0], collisions=pieces),))
+    plate = ObjectSpec(name="plate", articulation=body, fixed_base=True, pose=Pose((0.0, 0.0, 0.5)))
+    cloth = Cloth("cloth", sheet((0.1, 0.1), (9, 9)), 0.2, Pose((0.0, 0.0, 0.523)), damping=1.0)
+    world = simulate(Scene(objects=(plate,), deformables=(cloth,)), 1, "mujoco", matter="orbit-matter")
+    world.step(40)
+    heights = world.deformables["cloth"].positions[0, :, 2]
+    world.close()
+    torch.testing.assert_close(heights, torch.full_like(heights, 0.522), rtol=0.0, atol=3e-4)
+
+
+def test_a_triangle_mesh_that_moves_carries_cloth_as_a_box_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No engine here moves one on a CPU: the engine has a box, and the solver a box or a mesh of its form."""
+    free = single_link("lift", Shape(Box((0.05, 0.05, 0.05))), 1.0, np.eye(3) * 0.01)
+    lift = ObjectSpec(name="lift", articulation=free, pose=Pose((0.0, 0.0, 0.5)))
+    cloth = Cloth("cloth", sheet((0.14, 0.14), (9, 9)), 0.2, Pose((0.0, 0.0, 0.5525)), friction=0.5)
+    scene = Scene(objects=(lift,), deformables=(cloth,), terrain=(), gravity=(0.0, 0.0, 0.0))
+
+    def lifted() -> tuple[torch.Tensor, torch.Tensor]:
+        """Where the cloth is, and what it weighs, on what rises with g, turns and goes aside."""
+        world, weights = simulate(scene, 1, "mujoco", matter="orbit-matter"), []
+        for step in range(80):
+            speed = 0.005 * (step + 1)
+            world.objects["lift"].set_root_velocity(torch.tensor([[speed, 0.0, 9.81 * speed, 0.0, 0.0, 2.0 * speed]]))
+            world.step(1)
+            weights.append(world.deformables["cloth"].contact_force("lift", "lift")[0, 2].clone())
+        found = world.deformables["cloth"].positions[0].clone()
+        world.close()
+        return found, torch.stack(weights[40:]).mean()
+
+    place, weight = lifted()
+    mesh = [(Shape(Mesh(CORNERS, FACES, MeshCollision.TRIANGLES)), 0)]
+    monkeypatch.setattr("orbit_matter.colliders._shapes_of", lambda layout: mesh)
+    meshed, felt = lifted()
+    assert felt.item() == pytest.approx(weight.item(), rel=1e-3)
+    torch.testing.assert_close(meshed, place, rtol=0.0, atol=1e-4)
+    assert weight.item() == pytest.approx(-0.2 * 0.14**2 * 9.81, rel=0.1)
