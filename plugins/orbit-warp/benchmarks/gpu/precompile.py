@@ -94,7 +94,8 @@ def note(task: str, launches: Launches, arch: int) -> None:
             environment.step(torch.zeros(2, environment.action_size))
         environment.reset(env_ids=torch.tensor([0]))
         with as_on_a_gpu(launches, arch):
-            environment.world.engine._advance(1.0)  # pyright: ignore[reportAttributeAccessIssue]
+            engine = environment.world.engine
+            getattr(engine, "_inner", engine)._advance(1.0)  # under the engine that adds matter's wrenches, if there is any
         environment.close()
 
 
