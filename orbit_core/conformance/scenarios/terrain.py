@@ -52,6 +52,8 @@ COARSE = replace(
     form=TerrainForm.MESH,
 )
 """Few triangles, which some engines collide one by one."""
+FACETS = replace(COARSE, kinds=(Rough(platform=0.6, spacing=1.0), Slope(platform=0.6)), border=0.25)
+"""Fewer still, and wide enough for a foot."""
 
 
 def _smooth(grid: TerrainGrid, places: Array, reach: float) -> np.ndarray:
@@ -114,10 +116,10 @@ def _feet(places: Array, heights: Array) -> RobotSpec:
     return RobotSpec(name="feet", articulation=feet, fixed_base=True, home={".*": 1e-3})
 
 
-def _standing(trial: Trial) -> Mapping[str, float]:
-    places = _stand(GRID)
-    heights = np.array([_rest_height(GRID, place) for place in places])
-    world = trial.world(scene(_feet(places, heights), terrain=GRID.shapes()))
+def _standing(trial: Trial, grid: TerrainGrid) -> Mapping[str, float]:
+    places = _stand(grid)
+    heights = np.array([_rest_height(grid, place) for place in places])
+    world = trial.world(scene(_feet(places, heights), terrain=grid.shapes()))
     trial.step(world, trial.steps(1.0))
     return {"height": float(world.robots["feet"].joint_positions.abs().max())}
 
@@ -151,6 +153,13 @@ _HEIGHT = Metric(
     tolerance=1.5e-4,
     meaning="largest error of the height where a ray meets the ground",
 )
+_FOOT = "the surface grown by the foot's radius, for a ball of 1 kg on an upright rail"
+_FOOT_HEIGHT = replace(
+    _HEIGHT,
+    tolerance=1e-3,
+    meaning="largest error of a foot's height after a second",
+    looser_because="engines without compliance of their own sink by micrometres, others by tenths of a millimetre",
+)
 SCENARIOS = (
     _scenario(
         "rays_on_terrain", "Do rays measure slopes, stairs, stones, gaps and waves right?", _SURFACE,
@@ -162,10 +171,11 @@ SCENARIOS = (
         replace(_HEIGHT, tolerance=1e-5, looser_because="single precision rounds the squares of metres"),
     ),
     _scenario(
-        "feet_on_terrain", "Does a foot stand on terrain where its surface is?",
-        "the surface grown by the foot's radius, for a ball of 1 kg on an upright rail", _standing,
-        (Capability.HEIGHT_FIELDS,),
-        replace(_HEIGHT, tolerance=1e-3, meaning="largest error of a foot's height after a second", looser_because=
-                "engines without compliance of their own sink by micrometres, others by tenths of a millimetre"),
+        "feet_on_terrain", "Does a foot stand on terrain where its surface is?", _FOOT,
+        lambda trial: _standing(trial, GRID), (Capability.HEIGHT_FIELDS,), _FOOT_HEIGHT,
+    ),
+    _scenario(
+        "feet_on_terrain_mesh", "Does a foot stand where the surface is of terrain that is a mesh?", _FOOT,
+        lambda trial: _standing(trial, FACETS), (Capability.TRIANGLE_MESHES,), _FOOT_HEIGHT,
     ),
 )  # fmt: skip

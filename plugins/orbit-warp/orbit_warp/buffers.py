@@ -21,6 +21,8 @@ _MANY_PARTS, _CONTACTS_OF_PART = 8, 12
 """Shapes of a single free body beyond which each has as many contacts, as those of a nut's thread of boxes have."""
 _CONTACTS_OF_GEOM = 1
 """Contacts of a shape of an articulation: few of them touch at a time, but each may be near something."""
+_SURFACE = 64
+"""Meshes that do not move beyond which they are taken for the triangles of a surface, which lie close together."""
 _CROWDED = 2
 """Contacts in any one environment over what is likely on average: an arm that moves at random against a cabinet, and
 one that learns to lift and presses on the table, needed more rows than the likely contacts have."""
@@ -46,8 +48,9 @@ def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpCon
     _, parts = np.unique(model.geom_bodyid[moving[alone]], return_counts=True)
     of_bodies = int(np.where(parts > _MANY_PARTS, _CONTACTS_OF_PART * parts, _CONTACTS_OF_BODY).sum())
     likely = max(of_bodies + _CONTACTS_OF_GEOM * int((~alone).sum()), _LEAST_CONTACTS)
-    if model.nhfield:
-        likely *= 4  # a height field offers every cell under a shape
+    meshes = (model.geom_type[touching] == mujoco.mjtGeom.mjGEOM_MESH) & (model.geom_bodyid[touching] == 0)
+    if model.nhfield or np.count_nonzero(meshes) > _SURFACE:
+        likely *= 4  # a height field offers every cell under a shape, a surface each of its triangles
     fields = model.geom_type[pairs] == mujoco.mjtGeom.mjGEOM_SDF
     if fields.any():  # each descent of a pair may end in a contact
         likely += model.opt.sdf_initpoints * (1 + int(fields.all(axis=1).sum()))
