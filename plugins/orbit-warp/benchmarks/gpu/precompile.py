@@ -95,7 +95,8 @@ def note(task: str, launches: Launches, arch: int) -> None:
         environment.reset(env_ids=torch.tensor([0]))
         with as_on_a_gpu(launches, arch):
             engine = environment.world.engine
-            getattr(engine, "_inner", engine)._advance(1.0)  # under the engine that adds matter's wrenches, if there is any
+            # Under the engine that adds matter's wrenches, if there is any.
+            getattr(engine, "_inner", engine)._advance(1.0)
         environment.close()
 
 
