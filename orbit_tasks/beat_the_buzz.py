@@ -233,6 +233,7 @@ class BeatTheBuzz(Task):
     """(N,) bool: it did in the step before."""
 
     def scene(self) -> Scene:
+        self.bound(penalty=(0.0, 1e3))
         ring = ring_on_handle(RING, RADIUS, BAR, REACH)
         robot = held.with_tool(common.arm(self.robot, gripper=False), ring, f"{RING}_middle")
         box = robot.end_effector.workspace.placed(robot.pose)

@@ -245,6 +245,7 @@ class Dishwasher(Task):
     """Indices of the joints."""
 
     def scene(self) -> Scene:
+        self.bound(door_goal=(0.1, 1.45), tolerance=(1e-6, 0.1))
         robot = common.arm(self.robot)
         box = robot.end_effector.workspace.placed(robot.pose)
         # The door's bar as far as the hand reaches: it comes nearer by its height, and the rack's by a hand's breadth.

@@ -203,6 +203,7 @@ class InHandRepose(Task):
     """(N,) goals that were reached in the episode."""
 
     def scene(self) -> Scene:
+        self.bound(tolerance=(1e-3, torch.pi), goals=(1, 1000))
         item = self.object.build(OBJECT, Pose((0.0, 0.0, 1.0)))
         if item.fixed_base:
             raise ConfigurationError(

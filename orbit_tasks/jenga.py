@@ -246,7 +246,9 @@ class Jenga(tabletop.TabletopTask):
         return tuple(f"block_{index}" for index in range(3 * self.layers - 1))
 
     def scene(self) -> Scene:
-        self.bound(layers=(7, 16), protrusion=(0.02, 0.05), slack=(0.0, 0.003), tolerance=(1e-6, 0.05))
+        self.bound(
+            layers=(7, 16), protrusion=(0.02, 0.05), slack=(0.0, 0.003), tolerance=(1e-6, 0.05), penalty=(0.0, 1e3)
+        )
         robot = common.arm(self.robot)
         at = distance_of_tower(robot)
         middle = Pose((at, 0.0, 0.5 * PLINTH))

@@ -19,9 +19,8 @@ from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, picking, premises, tabletop
 from orbit_core.scene import PhysicsMaterial, Pose, Scene
 
-THREAD = Thread(radius=0.008, lead=0.004)
-CLEARANCE = 4e-4
-"""Metres; fields of distances resolve no finer thread or fit."""
+RADIUS, COARSE, CLEARANCE = 0.008, 0.004, 4e-4
+"""Metres: of M16, and of the finest lead and fit that fields of distances resolve."""
 LENGTH, HEIGHT, WIDTH = 0.032, 0.016, 0.04
 """Metres: of the bolt above its base, of the nut, and across the nut's flats."""
 BASE, STAND = 0.02, 0.03
@@ -47,7 +46,7 @@ def nut_pose(world: World, task: NutBolt) -> Tensor:
 @once_per_state
 def place(world: World, task: NutBolt) -> Tensor:
     """(N, 3) where the nut's underside belongs: so many turns below where the bolt's thread begins."""
-    up = torch.tensor([0.0, 0.0, BASE + LENGTH - (1.0 + task.turns) * THREAD.lead], device=world.device)
+    up = torch.tensor([0.0, 0.0, BASE + LENGTH - (1.0 + task.turns) * task.lead], device=world.device)
     return world.objects["bolt"].root_pose[:, :3] + up
 
 
@@ -124,7 +123,7 @@ def carried(height: float) -> TermFunction:
     def pose(world: World, task: NutBolt) -> Tensor:
         hand, nut = common.hand_pose(world, task), nut_pose(world, task)
         top = place(world, task) + torch.tensor(
-            [0.0, 0.0, (1.0 + task.turns) * THREAD.lead + height], device=world.device
+            [0.0, 0.0, (1.0 + task.turns) * task.lead + height], device=world.device
         )
         way = top - nut[:, :3]
         # Drives are slow to take away the last tenths of a millimetre: ask for three times as much.
@@ -234,6 +233,8 @@ class NutBolt(tabletop.TabletopTask):
     """By which the nut is to be screwed down, counted from where the bolt's thread begins: 0.25 to 3."""
     tolerance: float = 0.001
     """Metres: a quarter of a turn."""
+    lead: float = COARSE
+    """Metres by which a turn moves the nut: 0.004, or with threads of boxes down to M16's own 0.002."""
     thread: str = "field"
     """How threads collide: ``field``, by their distance fields, or ``boxes``, square ones that every engine has."""
     observations: tabletop.StateObservations = field(default_factory=tabletop.state(NutState))
@@ -247,16 +248,18 @@ class NutBolt(tabletop.TabletopTask):
         return ("nut",)
 
     def scene(self) -> Scene:
-        if not 0.25 <= self.turns <= 3.0:
-            raise ConfigurationError("field 'turns' of task Nut-Bolt must be 0.25 to 3")
+        self.bound(turns=(0.25, 3.0), tolerance=(1e-6, COARSE), lead=(0.002, COARSE))
         if self.thread not in ("field", "boxes"):
             raise ConfigurationError("field 'thread' of task Nut-Bolt must be 'field' or 'boxes'")
+        if self.thread == "field" and self.lead < COARSE:
+            raise ConfigurationError("fields of distances resolve no lead below 0.004: take thread=boxes in Nut-Bolt")
+        thread = Thread(radius=RADIUS, lead=self.lead)
         metal = ThreadOptions(material=OILED, boxes=self.thread == "boxes")
         steel, brass = (0.55, 0.57, 0.6, 1.0), (0.8, 0.6, 0.2, 1.0)
         stand = SolidOptions(fixed_base=True, color=WOOD, pose=Pose((0.5, -0.1, 0.5 * STAND)))
         return self.bench(
-            hexagonal_nut("nut", HEIGHT, WIDTH, THREAD, clearance=CLEARANCE, color=brass, **metal),
-            bolt_on_base("bolt", LENGTH, THREAD, base=BASE, color=steel, **metal),
+            hexagonal_nut("nut", HEIGHT, WIDTH, thread, clearance=CLEARANCE, color=brass, **metal),
+            bolt_on_base("bolt", LENGTH, thread, base=BASE, color=steel, **metal),
             box("stand", (0.024, 0.024, STAND), **stand),
         )
 

@@ -140,6 +140,18 @@ class Task(ABC):
     def scene(self) -> Scene:
         """What to simulate."""
 
+    def bound(self, **limits: tuple[float, float]) -> None:
+        """Hold fields to the least and the most that they may be.
+
+        Raises:
+            ConfigurationError: one is not within them.
+        """
+        for name, (least, most) in limits.items():
+            if not least <= getattr(self, name) <= most:
+                raise ConfigurationError(
+                    f"field '{name}' of task {type(self).__name__} must be {least} to {most}, not {getattr(self, name)}"
+                )
+
     def start(self, world: World) -> None:
         """Look things up in a new world and allocate what the task remembers. Extend, and call this first."""
         self.num_envs = world.num_envs

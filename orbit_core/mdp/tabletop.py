@@ -11,7 +11,7 @@ from torch import Tensor
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, PremiseTerm, TerminationTerm
 from orbit_core.envs.task import ROBOT, Task
 from orbit_core.envs.terms import once_per_state
-from orbit_core.interfaces import ConfigurationError, World
+from orbit_core.interfaces import World
 from orbit_core.mdp import common, premises, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import ObjectSpec, RobotSpec, Scene
@@ -92,18 +92,6 @@ class TabletopTask(Task):
     def pieces(self) -> tuple[str, ...]:
         """Names of the objects that are moved."""
         return ()
-
-    def bound(self, **limits: tuple[float, float]) -> None:
-        """Hold fields to the least and the most that they may be.
-
-        Raises:
-            ConfigurationError: one is not within them.
-        """
-        for name, (least, most) in limits.items():
-            if not least <= getattr(self, name) <= most:
-                raise ConfigurationError(
-                    f"field '{name}' of task {type(self).__name__} must be {least} to {most}, not {getattr(self, name)}"
-                )
 
     def bench(self, *objects: ObjectSpec, robot: RobotSpec | None = None) -> Scene:
         """The arm, or the ``robot`` in its place, with objects on the work bench."""

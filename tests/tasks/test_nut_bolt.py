@@ -17,7 +17,7 @@ def test_the_expert_screws_the_nut_half_a_turn_down() -> None:
     assert success.all()
     assert task.metrics(world)["distance_m"].item() < 1e-3
     pose = world.objects["nut"].root_pose.clone()
-    pose[:, 2] += nut_bolt.THREAD.lead
+    pose[:, 2] += task.lead
     world.objects["nut"].set_root_pose(pose)
     assert not task.success(world).any()
     torch.testing.assert_close(nut_bolt.distance(world, task), torch.full((1,), 0.004), atol=5e-4, rtol=0.0)
@@ -33,7 +33,9 @@ def test_engines_without_distance_fields_refuse_the_task() -> None:
 
 
 def test_turns_that_the_bolt_lacks_are_refused_by_name() -> None:
-    with pytest.raises(ConfigurationError, match="field 'turns' of task Nut-Bolt must be"):
+    with pytest.raises(ConfigurationError, match="field 'turns' of task NutBolt must be"):
         make("Nut-Bolt", 1, "mujoco", turns=9.0)
     with pytest.raises(ConfigurationError, match="field 'thread' of task Nut-Bolt must be 'field' or 'boxes'"):
         make("Nut-Bolt", 1, "mujoco", thread="wood")
+    with pytest.raises(ConfigurationError, match=r"no lead below 0\.004: take thread=boxes"):
+        make("Nut-Bolt", 1, "mujoco", lead=0.002)

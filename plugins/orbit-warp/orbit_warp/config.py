@@ -21,7 +21,7 @@ class WarpConfig(ModelConfig):
 
     algorithm: str = "auto"
     """How constraints are solved: ``newton``; ``cg``, conjugate gradients, whose cost grows slower with the number of
-    degrees of freedom; ``auto`` takes ``cg`` above 200 of them in an environment."""
+    degrees of freedom; ``auto`` takes ``cg`` above 300 of them in an environment."""
     iterations: int = 30
     """Most iterations of the solver per step."""
     nconmax: int = 0
