@@ -14,9 +14,10 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
 
 import orbit_core.learning.gymnasium
+from orbit_core.assets.terrain import Rough, TerrainGrid
 from orbit_core.backends import default_backend
 from orbit_core.envs import RewardTerm, task_entries
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.mdp import common
 from orbit_tasks.reach import Reach
 
@@ -38,6 +39,20 @@ def test_gymnasiums_checker_passes(task: str) -> None:
     rest = [str(w.message) for w in caught if "infinity" not in str(w.message)]
     assert not rest
     environment.close()
+
+
+def test_fields_at_any_depth_are_options_of_make() -> None:
+    grid = TerrainGrid(kinds=(Rough(),), levels=2, cell_size=4.0)
+    environment = gymnasium.make(
+        "orbit/Velocity-Rough-v0", backend=BACKEND, robot="unitree_go2", terrain=grid, **{"rewards.flight.weight": 0.1}
+    )
+    task = environment.unwrapped.environment.task
+    assert (task.robot, task.terrain, task.rewards.flight.weight) == ("unitree_go2", grid, 0.1)
+    observation, _ = environment.reset(seed=0)
+    assert observation["policy"].shape == environment.observation_space["policy"].shape == (48 + 187,)
+    environment.close()
+    with pytest.raises(UnknownNameError, match="did you mean 'terrain'"):
+        gymnasium.make("orbit/Velocity-Rough-v0", backend=BACKEND, terain=grid)
 
 
 def test_a_vector_environment_gives_tensors_and_resets_in_the_same_step() -> None:

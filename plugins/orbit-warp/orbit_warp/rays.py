@@ -13,10 +13,12 @@ from torch import Tensor
 from orbit_core.interfaces import RayHits, SceneLayout
 from orbit_mjmodel.addresses import Addresses
 from orbit_warp.native import Native
-from orbit_warp.ray_kernel import rays_past
+from orbit_warp.ray_kernel import rays_at_few, rays_past
 from orbit_warpkit.graphs import Graphs
 
 _EVERY_GROUP = (-1.0,) * 6
+_FEW = 4
+"""Geoms up to which a ray goes through them in one thread; a block of threads shares out more."""
 
 
 class RayCaster:
@@ -25,9 +27,12 @@ class RayCaster:
     def __init__(self, layout: SceneLayout, addresses: Addresses, native: Native, graphs: Graphs) -> None:
         self._model, self._data, self._graphs = native.model, native.data, graphs
         self._device = wp.device_to_torch(native.data.qpos.device)
+        self._links: list[int] = addresses.link_of_geom.tolist()
         self._link_of_geom = torch.as_tensor(addresses.link_of_geom, device=self._device)
         self._warp_link_of_geom = wp.array(addresses.link_of_geom, dtype=int, device=native.data.qpos.device)
         self._buffers: dict[int, _Buffers] = {}
+        self._others: dict[tuple[int, int], wp.array] = {}
+        """Geoms that are not of a range of links."""
 
     def cast(self, origins: Tensor, directions: Tensor, max_distance: float, env_ids: Tensor | None) -> RayHits:
         buffers = self._buffers_of(origins, directions, env_ids)
@@ -46,9 +51,15 @@ class RayCaster:
         else:
             buffers.chosen[:] = env_ids is None
             buffers.chosen[rows] = True
+        if (links.start, links.stop) not in self._others:
+            self._others[links.start, links.stop] = self._geoms_past(links)
         key = ("rays past", origins.shape[1], links.start, links.stop)
         self._graphs.run(key, lambda: self._launch_past(buffers, links))
         return self._hits(buffers, max_distance, rows)
+
+    def _geoms_past(self, links: range) -> wp.array:
+        others = [geom for geom, link in enumerate(self._links[:-1]) if link not in links]
+        return wp.array(others, dtype=int, device=self._data.qpos.device)
 
     def _buffers_of(self, origins: Tensor, directions: Tensor, env_ids: Tensor | None) -> _Buffers:
         rays = origins.shape[1]
@@ -69,23 +80,25 @@ class RayCaster:
 
     def _launch_past(self, buffers: _Buffers, links: range) -> None:
         m, d = self._model, self._data
-        wp.launch_tiled(
-            rays_past,
-            dim=buffers.distances.shape,
-            inputs=[
-                m.ngeom, m.nmeshface, m.body_weldid, m.geom_type, m.geom_bodyid, m.geom_dataid, m.geom_matid,
-                m.geom_group, m.geom_size, m.geom_rgba, m.mesh_vertadr, m.mesh_faceadr, m.mesh_vert, m.mesh_face,
-                m.hfield_size, m.hfield_nrow, m.hfield_ncol, m.hfield_adr, m.hfield_data, m.mat_rgba,
-                d.geom_xpos, d.geom_xmat,
-                wp.from_torch(buffers.origins, dtype=wp.vec3), wp.from_torch(buffers.directions, dtype=wp.vec3),
-                vec6f(*_EVERY_GROUP), self._warp_link_of_geom, links.start, links.stop, wp.from_torch(buffers.chosen),
-            ],
-            outputs=[
-                wp.from_torch(buffers.distances), wp.from_torch(buffers.geoms),
-                wp.from_torch(buffers.normals, dtype=wp.vec3),
-            ],
-            block_dim=m.block_dim.ray,
-        )  # fmt: skip
+        scene = [
+            m.nmeshface, m.body_weldid, m.geom_type, m.geom_bodyid, m.geom_dataid, m.geom_matid, m.geom_group,
+            m.geom_size, m.geom_rgba, m.mesh_vertadr, m.mesh_faceadr, m.mesh_vert, m.mesh_face, m.hfield_size,
+            m.hfield_nrow, m.hfield_ncol, m.hfield_adr, m.hfield_data, m.mat_rgba, d.geom_xpos, d.geom_xmat,
+            wp.from_torch(buffers.origins, dtype=wp.vec3), wp.from_torch(buffers.directions, dtype=wp.vec3),
+            vec6f(*_EVERY_GROUP),
+        ]  # fmt: skip
+        hits = [
+            wp.from_torch(buffers.distances), wp.from_torch(buffers.geoms),
+            wp.from_torch(buffers.normals, dtype=wp.vec3),
+        ]  # fmt: skip
+        chosen, rays = wp.from_torch(buffers.chosen), buffers.distances.shape
+        few = self._others[links.start, links.stop]
+        if few.shape[0] <= _FEW:
+            wp.launch(rays_at_few, dim=rays, inputs=[*scene, few, chosen], outputs=hits)
+            return
+        past = [self._warp_link_of_geom, links.start, links.stop, chosen]
+        inputs = [m.ngeom, *scene, *past]
+        wp.launch_tiled(rays_past, dim=rays, inputs=inputs, outputs=hits, block_dim=m.block_dim.ray)
 
     def _launch(self, buffers: _Buffers) -> None:
         mjw.rays(

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from orbit_core.assets.terrain import Rough, TerrainGrid
 from orbit_core.envs import make
 from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationError
+from orbit_core.interfaces.layout import TERRAIN
 from orbit_core.scene import Box, ObjectSpec, Pose, Scene, Shape, single_link
 from orbit_warp import WarpBackend, WarpConfig
 from orbit_warp.engine import WarpEngine
@@ -127,3 +130,23 @@ def test_settings_that_cannot_be(settings: dict[str, object]) -> None:
 def test_other_devices_are_refused() -> None:
     with pytest.raises(ConfigurationError, match="mps"):
         WarpBackend().create_engine(SceneLayout.of(cubes(1)), 1, torch.device("mps"), WarpConfig())
+
+
+def test_a_thread_for_each_ray_and_a_block_for_each_measure_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Straight down and slantwise on rough ground with a cube on it, past another cube; one environment of two asks."""
+    grid = TerrainGrid(kinds=(Rough(),), levels=1, difficulty=(1.0, 1.0), cell_size=4.0, border=1.0)
+    scene = replace(cubes(2), terrain=grid.shapes())
+    generator = torch.Generator().manual_seed(0)
+    origins = torch.rand(2, 60, 3, generator=generator) * 0.4 + torch.tensor([0.0, -0.2, 1.0])
+    directions = torch.tensor([0.0, 0.0, -1.0]).repeat(2, 60, 1)
+    directions[:, ::2, :2] = 0.3 * torch.randn(2, 30, 2, generator=generator)
+    directions = torch.nn.functional.normalize(directions, dim=2)
+    found = []
+    for few in (4, 0):
+        monkeypatch.setattr("orbit_warp.rays._FEW", few)
+        engine = engine_of(scene)
+        hits = engine.cast_rays_past(origins, directions, 3.0, range(1), torch.tensor([True, False]))
+        found.append((hits.distances[0], hits.normals[0], hits.links[0]))
+    assert set(found[0][2].tolist()) == {TERRAIN, 1}
+    for single, block in zip(*found, strict=True):
+        torch.testing.assert_close(single, block)
