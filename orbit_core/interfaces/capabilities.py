@@ -79,6 +79,7 @@ class Capability(Enum):
     RANDOMIZE_FRICTION = "friction per environment"
     RANDOMIZE_GAINS = "drive gains per environment"
     RANDOMIZE_JOINTS = "joint damping, friction, armature and springs per environment"
+    RANDOMIZE_LIMITS = "joint limits per environment"
     RANDOMIZE_GRAVITY = "gravity per environment"
     SHAPES_PER_ENVIRONMENT = "different object shapes per environment"
     SNAPSHOTS = "snapshots whose continuation repeats"

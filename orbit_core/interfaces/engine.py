@@ -210,6 +210,11 @@ class Engine(Watched, ABC):
         """
         raise self._unsupported("joint damping, friction, armature and springs per environment")
 
+    @changes("lower", "upper")
+    def set_joint_limits(self, joints: Tensor, lower: Tensor, upper: Tensor, env_ids: Tensor | None = None) -> None:
+        """Lower and upper limits (n, k), rad or m, of joints (k,) that are limited on both sides in the scene."""
+        raise self._unsupported("joint limits per environment")
+
     @changes("gravity")
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         """Gravity (n, 3) in m/s^2."""

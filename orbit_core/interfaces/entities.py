@@ -190,6 +190,12 @@ class Object(ABC):
         """Damping, Coulomb friction, armature and springs' stiffness (n, k) of some joints; None leaves it as it is."""
         raise self._unsupported("joint parameters to set")
 
+    def set_joint_limits(
+        self, lower: Tensor, upper: Tensor, joints: Sequence[int] | None = None, env_ids: Tensor | None = None
+    ) -> None:
+        """Limits (n, k) in rad or m that some joints stop at; :attr:`position_limits` stay the scene's."""
+        raise self._unsupported("joint limits to set")
+
     def set_colors(self, colors: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
         """Red, green and blue (n, k, 3) in [0, 1] of all shapes of some links, in pictures."""
         raise self._unsupported("colours to set")

@@ -147,6 +147,31 @@ def joint_parameters(
     return event
 
 
+def joint_limits(
+    entity: str, lower: Range | None = None, upper: Range | None = None, joints: Sequence[str] = (".*",)
+) -> EventFunction:
+    """Shift the lower and the upper limits of joints whose names match, each by its own draw (rad or m).
+
+    Commands keep to the scene's limits; an upper limit that would lie below the lower one lies there.
+
+    Raises, when it happens:
+        UnsupportedCapabilityError: the engine cannot; names the backends that can.
+        ConfigurationError: a joint has no limits in the scene.
+    """
+
+    def event(world: World, task: Task, env_ids: Tensor) -> None:
+        thing = _entity(world, entity)
+        chosen = thing.find_joints(*joints)
+        scenes = thing.position_limits[list(chosen)].expand(len(env_ids), -1, -1)
+        low, high = (
+            limit if shift is None else limit + shift.sample(world, task, (len(chosen),), env_ids)
+            for limit, shift in zip(scenes.unbind(-1), (lower, upper), strict=True)
+        )
+        thing.set_joint_limits(low, torch.maximum(low, high), chosen, env_ids)
+
+    return event
+
+
 def colors(
     entities: Sequence[str],
     low: Vector3 = (0.0, 0.0, 0.0),

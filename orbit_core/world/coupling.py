@@ -262,6 +262,9 @@ class CoupledEngine(Engine):
     ) -> None:
         self._inner.set_joint_parameters(joints, damping, friction, armature, stiffness, env_ids)
 
+    def set_joint_limits(self, joints: Tensor, lower: Tensor, upper: Tensor, env_ids: Tensor | None = None) -> None:
+        self._inner.set_joint_limits(joints, lower, upper, env_ids)
+
     def set_gravity(self, gravity: Tensor, env_ids: Tensor | None = None) -> None:
         self._inner.set_gravity(gravity, env_ids)
         self._matter.set_gravity(gravity, env_ids)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
@@ -22,8 +23,8 @@ from orbit_core.dynamics.arguments import (
     columns_chosen,
 )
 from orbit_core.dynamics.indexing import Masking
-from orbit_core.interfaces import Capability, Engine, EntityLayout, Object
-from orbit_core.scene import ActuatorNetwork, Entity, Texture
+from orbit_core.interfaces import Capability, ConfigurationError, Engine, EntityLayout, Object
+from orbit_core.scene import ActuatorNetwork, Entity, JointType, Texture
 from orbit_core.world.clock import Clock
 from orbit_core.world.painting import Painting
 
@@ -194,6 +195,36 @@ class ObjectParameters(Object):
             )
         ]  # fmt: skip
         self._engine.set_joint_parameters(self._all_joints[list(columns)], *values, env_ids=chosen.rows)
+
+    def set_joint_limits(
+        self, lower: Tensor, upper: Tensor, joints: Sequence[int] | None = None, env_ids: Tensor | None = None
+    ) -> None:
+        """Limits (n, k) in rad or m that some joints stop at, which are limited on both sides in the scene.
+
+        What commands keep to, :attr:`position_limits`, stays the scene's.
+
+        Raises:
+            UnsupportedCapabilityError: the engine cannot; names the backends that can.
+            ConfigurationError: a joint has no limits in the scene, or a lower one lies above the upper.
+        """
+        self.require(Capability.RANDOMIZE_LIMITS, f"joint limits of '{self.name}'")
+        columns = list(self._all_columns if joints is None else self._joint_columns(joints))
+        chosen, what = self._masking.choose(env_ids), f"limits of joints of '{self.name}'"
+        lower = chosen.values(lower, (len(columns),), what, POSITIONS)
+        upper = chosen.values(upper, (len(columns),), what, POSITIONS)
+        free = [self.joint_names[joint] for joint in columns if not self._is_limited(joint)]
+        if free:
+            raise ConfigurationError(
+                f"joints {', '.join(free)} of '{self.name}' have no limits in the scene: give some"
+            )
+        if chosen.seen and bool((lower > upper).any()):
+            raise ConfigurationError(f"lower {what} lie above the upper ones: give them in order")
+        self._engine.set_joint_limits(self._all_joints[columns], lower, upper, chosen.rows)
+
+    def _is_limited(self, joint: int) -> bool:
+        parameters, column = self._engine.layout.joint_parameters, self.layout.joints.start + joint
+        limits = parameters.lower_limit[column], parameters.upper_limit[column]
+        return self._engine.layout.joints[column].type is not JointType.CONTINUOUS and all(map(math.isfinite, limits))
 
     def set_colors(self, colors: Tensor, links: Sequence[int] | None = None, env_ids: Tensor | None = None) -> None:
         """Red, green and blue (n, k, 3) in [0, 1] of all shapes of some links, in pictures.

@@ -78,6 +78,7 @@ CALLS: dict[Capability, Callable[[Engine], object]] = {
     Capability.RANDOMIZE_JOINTS: lambda engine: engine.set_joint_parameters(
         index(0), torch.ones(1, 1), None, None, None
     ),
+    Capability.RANDOMIZE_LIMITS: lambda engine: engine.set_joint_limits(index(0), torch.zeros(1, 1), torch.ones(1, 1)),
     Capability.RANDOMIZE_GRAVITY: lambda engine: engine.set_gravity(torch.zeros(1, 3)),
     Capability.RAY_CASTS: lambda engine: engine.cast_rays(torch.zeros(1, 1, 3), torch.ones(1, 1, 3), 1.0),
     Capability.CLOTH: lambda engine: engine.particle_positions(0),

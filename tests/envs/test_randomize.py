@@ -180,3 +180,33 @@ def test_joints_rub_and_drag_otherwise_in_each_environment() -> None:
     environment.close()
     with pytest.raises(UnsupportedCapabilityError, match=r"joint parameters of 'cabinet'.*choose backend 'mujoco' or"):
         Environment(task, 1, "bullet")
+
+
+def test_joints_stop_at_limits_of_their_own_environment() -> None:
+    """The drawer, pulled out; a snapshot holds its limits; what is out of order or cannot be set is one error."""
+    task = Cabinet()
+    event = randomize.joint_limits("cabinet", upper=Range(-0.2, -0.1), joints=("drawer_joint",))
+    task.events.masses = EventTerm(event, EventTime.STARTUP)
+    environment = Environment(task, 4, "mujoco")
+    environment.reset(seed=0)
+    world, cabinet = environment.world, environment.world.objects["cabinet"]
+    (drawer,) = cabinet.find_joints("drawer_joint")
+    saved, limit = world.save_state(), cabinet.position_limits[drawer, 1].item()
+    ends = []
+    for _ in range(2):
+        cabinet.set_joint_state(velocities=torch.full((4, 1), 3.0), joints=(drawer,))
+        furthest = torch.zeros(4)
+        for _ in range(50):
+            world.step(1)
+            furthest = torch.maximum(furthest, cabinet.joint_positions[:, drawer])
+        ends.append(furthest)
+        cabinet.set_joint_limits(torch.zeros(4, 1), torch.full((4, 1), 0.05), (drawer,))
+        world.load_state(saved)
+    assert ((ends[0] > limit - 0.21) & (ends[0] < limit - 0.09)).all()
+    assert len({round(end, 4) for end in ends[0].tolist()}) == 4
+    torch.testing.assert_close(*ends)
+    with pytest.raises(ConfigurationError, match="lie above the upper ones"):
+        cabinet.set_joint_limits(torch.ones(4, 1), torch.zeros(4, 1), (drawer,))
+    environment.close()
+    with pytest.raises(UnsupportedCapabilityError, match=r"joint limits of 'cabinet'.*choose backend 'mujoco' or"):
+        Environment(task, 1, "bullet")

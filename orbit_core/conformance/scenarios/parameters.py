@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from orbit_core.conformance.bodies import WEIGHTLESS, G, ball, cube, rotor, scene
+from orbit_core.conformance.bodies import WEIGHTLESS, G, ball, cube, rotor, scene, slider
 from orbit_core.conformance.scenario import FIRST_ORDER, Metric, Scenario, Trial
 from orbit_core.interfaces import Capability, Object, World
 from orbit_core.scene import ImplicitPd, Pose
@@ -109,6 +109,23 @@ def _joints(trial: Trial) -> Mapping[str, float]:
         "armature": _relative(speeds["heavy"], effort * seconds / (inertia + armature)),
         "stiffness": _relative(world.robots["sprung"].joint_positions[:, 0], effort / stiffness),
     }
+
+
+def _limits(trial: Trial) -> Mapping[str, float]:
+    """Carriages that a force pushes up to their upper limits, and then down to their lower ones."""
+    lower, upper = torch.tensor([-0.1, -0.3, -0.2]), torch.tensor([0.3, 0.1, 0.2])
+    carriage = slider(damping=20.0, lower_limit=-0.5, upper_limit=0.5)
+    world = trial.world(scene(carriage, gravity=WEIGHTLESS, terrain=()), num_envs=3)
+    robot, ids = world.robots["slider"], _PLACES.to(world.device)
+    low, high = (values[_PLACES][:, None].to(world.device) for values in (lower, upper))
+    robot.set_joint_limits(low, high, env_ids=ids)
+    world.reset()
+    stops: list[Tensor] = []
+    for effort in (10.0, -10.0):
+        robot.set_effort_targets(torch.full((3, 1), effort, device=world.device))
+        trial.step(world, trial.steps(2.0))
+        stops.append(robot.joint_positions[:, 0].cpu().clone())
+    return {"stop": float((torch.stack(stops) - torch.stack((upper, lower))).abs().max())}
 
 
 def _gravity(trial: Trial) -> Mapping[str, float]:
@@ -254,6 +271,19 @@ SCENARIOS = (
                 meaning="largest error of a spring's angle, as a part of it",
                 looser_because=_SINGLE,
             ),
+        ),
+    ),
+    Scenario(
+        name="limits_per_environment",
+        group=_GROUP,
+        question="Does a joint stop at the limits of its own environment?",
+        truth="the position is the limit",
+        source=_NEWTON,
+        judges=(Capability.RANDOMIZE_LIMITS,),
+        run=_limits,
+        needs=(Capability.RANDOMIZE_LIMITS, Capability.JOINT_DAMPING),
+        metrics=(
+            Metric(name="stop", unit="m", tolerance=1e-3, meaning="largest way of a joint at rest from its limit"),
         ),
     ),
     Scenario(

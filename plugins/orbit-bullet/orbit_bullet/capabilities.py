@@ -61,6 +61,7 @@ CAPABILITIES = Capabilities(
         Capability.RANDOMIZE_JOINTS: unsupported(
             "damping, friction and armature of joints are wheels and motors that are built with the scene"
         ),
+        Capability.RANDOMIZE_LIMITS: unsupported("limits of joints are constraints that are built with the scene"),
         Capability.RANDOMIZE_GRAVITY: EXACT,
         Capability.SHAPES_PER_ENVIRONMENT: unsupported("this backend builds every environment alike"),
         Capability.SNAPSHOTS: EXACT,

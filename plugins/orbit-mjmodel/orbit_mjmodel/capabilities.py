@@ -68,6 +68,7 @@ def shared_support(engine: str) -> dict[Capability, Support]:
         Capability.RANDOMIZE_FRICTION: EXACT,
         Capability.RANDOMIZE_GAINS: EXACT,
         Capability.RANDOMIZE_JOINTS: EXACT,
+        Capability.RANDOMIZE_LIMITS: EXACT,
         Capability.RANDOMIZE_GRAVITY: EXACT,
         Capability.SHAPES_PER_ENVIRONMENT: EXACT,
         Capability.SNAPSHOTS: EXACT,

@@ -245,6 +245,10 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         own = _array(damping), _array(friction), _array(armature), _array(stiffness)
         self._parameters.set_joints(joints.numpy(), *own, self._rows(env_ids))
 
+    def set_joint_limits(self, joints: Tensor, lower: Tensor, upper: Tensor, env_ids: Tensor | None = None) -> None:
+        limits = torch.stack((lower, upper), dim=-1).numpy()
+        self._parameters.set_joint_limits(joints.numpy(), limits, self._rows(env_ids))
+
     def set_wrenches(self, links: Tensor, wrenches: Tensor, env_ids: Tensor | None = None) -> None:
         self._xfrc_applied[block(self._rows(env_ids), self._addresses.bodies[links.numpy()])] = wrenches.numpy()
 

@@ -104,6 +104,10 @@ class Parameters:
         if armature is not None:
             self._constants_due[rows] = True
 
+    def set_joint_limits(self, joints: Indices, limits: FloatArray, rows: HostRows) -> None:
+        """(n, k, 2) lower and upper."""
+        self.field("jnt_range")[block(rows, self._addresses.joints[joints])] = limits
+
     def set_gravity(self, gravity: FloatArray, rows: HostRows) -> None:
         self.field("opt.gravity")[rows] = gravity
 

@@ -34,6 +34,7 @@ _COMMON = {
     Capability.RANDOMIZE_FRICTION: EXACT,
     Capability.RANDOMIZE_GAINS: EXACT,
     Capability.RANDOMIZE_JOINTS: unsupported("joint parameters per environment are not connected to this backend"),
+    Capability.RANDOMIZE_LIMITS: unsupported("joint limits per environment are not connected to this backend"),
     Capability.SNAPSHOTS: EXACT,
     Capability.COPIED_STATES: approximate("contacts begin anew: what follows differs a little where things touch"),
     Capability.DETERMINISTIC: approximate(_ORDER),

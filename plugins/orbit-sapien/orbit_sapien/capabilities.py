@@ -109,6 +109,7 @@ CAPABILITIES = Capabilities(
         Capability.RANDOMIZE_FRICTION: approximate("averages of a pair's coefficients, as for friction"),
         Capability.RANDOMIZE_GAINS: EXACT,
         Capability.RANDOMIZE_JOINTS: EXACT,
+        Capability.RANDOMIZE_LIMITS: EXACT,
         Capability.RANDOMIZE_GRAVITY: EXACT,
         Capability.SHAPES_PER_ENVIRONMENT: unsupported("this backend builds every environment alike"),
         Capability.SNAPSHOTS: approximate(

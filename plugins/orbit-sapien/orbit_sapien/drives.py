@@ -47,6 +47,8 @@ class Drives:
         """(N, J)"""
         self.springs = parameters.spring_stiffness * np.ones(shape)
         """(N, J) stiffness of the joints' own springs."""
+        self.limits = np.stack((parameters.lower_limit, parameters.upper_limit), axis=-1) * np.ones((*shape, 1))
+        """(N, J, 2) lower and upper positions."""
         self.efforts = torch.zeros(shape)
         """(N, J) of drives and commands in the last step."""
         self._least = least_inertias(layout) - parameters.armature
@@ -56,7 +58,7 @@ class Drives:
         self.sent = np.full((3, *shape), np.nan, np.float32)
         """(3, N, J) drive targets, velocity targets and forces that PhysX was last told; NaN for unknown."""
         self._properties = np.full((3, *shape), np.nan)
-        self._armature = self.armature.copy()
+        self._armature, self._limits = self.armature.copy(), self.limits.copy()
         self._settle()
 
     def to(self, device: torch.device) -> Drives:
@@ -94,7 +96,7 @@ class Drives:
     ) -> None:
         """(n, k) of the joints (k,) themselves."""
         index, before = np.ix_(np.asarray(rows, np.int64), joints), self.save_joints()
-        for own, values in zip(self._own, (damping, friction, armature, stiffness), strict=True):
+        for own, values in zip(self._own, (damping, friction, armature, stiffness, None), strict=True):
             if values is not None:
                 own[index] = values.numpy()
         try:
@@ -104,8 +106,13 @@ class Drives:
             raise
         self.sent[:, rows] = np.nan
 
+    def set_limits(self, joints: npt.NDArray[np.int64], limits: FloatArray, rows: list[int]) -> None:
+        """(n, k, 2) lower and upper positions of the joints (k,)."""
+        self.limits[np.ix_(np.asarray(rows, np.int64), joints)] = limits
+        self._settle()
+
     def save_joints(self) -> tuple[FloatArray, ...]:
-        """Copies of what :meth:`set_joints` sets, of all joints."""
+        """Copies of what :meth:`set_joints` and :meth:`set_limits` set, of all joints."""
         return tuple(own.copy() for own in self._own)
 
     def load_joints(self, saved: tuple[FloatArray, ...]) -> None:
@@ -115,7 +122,7 @@ class Drives:
 
     @property
     def _own(self) -> tuple[FloatArray, ...]:
-        return self.passive, self.friction, self.armature, self.springs
+        return self.passive, self.friction, self.armature, self.springs, self.limits
 
     def forget(self, rows: list[int]) -> None:
         """Send everything anew to these environments."""
@@ -137,6 +144,9 @@ class Drives:
         for row, column in zip(*np.nonzero(self.armature != self._armature), strict=True):
             self.joints[row][column].set_armature(self.armature[row, column, None].astype(np.float32))
         self._armature = self.armature.copy()
+        for row, column in zip(*np.nonzero((self.limits != self._limits).any(-1)), strict=True):
+            self.joints[row][column].set_limits(self.limits[row, column, None].astype(np.float32))
+        self._limits = self.limits.copy()
         self._inertia = torch.from_numpy(self._least + self.armature).float()
         self._pulling = torch.from_numpy(np.where(stiff, 0.0, self.springs)).float()
         """(N, J) stiffness of springs that are generalised forces."""

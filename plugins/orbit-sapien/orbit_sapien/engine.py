@@ -198,6 +198,10 @@ class SapienEngine(PartedEngine[State, Parameters]):
         values = damping, friction, armature, stiffness
         self._drives.set_joints(joints.numpy(), *values, self._rows(env_ids))
 
+    def set_joint_limits(self, joints: Tensor, lower: Tensor, upper: Tensor, env_ids: Tensor | None = None) -> None:
+        limits = torch.stack((lower, upper), dim=-1).double().numpy()
+        self._drives.set_limits(joints.numpy(), limits, self._rows(env_ids))
+
     # Snapshots and the rest ------------------------------------------------------------------------------------------
 
     def save_state(self) -> Snapshot:

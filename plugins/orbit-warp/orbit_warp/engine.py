@@ -256,6 +256,9 @@ class WarpEngine(PartedEngine[State, Parameters]):
         self._parameters.set_joints(joints, damping, friction, armature, stiffness, self._rows(env_ids))
         self._state.mark_written()
 
+    def set_joint_limits(self, joints: Tensor, lower: Tensor, upper: Tensor, env_ids: Tensor | None = None) -> None:
+        self._parameters.set_joint_limits(joints, torch.stack((lower, upper), dim=-1), self._rows(env_ids))
+
     def set_drive_gains(
         self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
     ) -> None:

@@ -109,6 +109,10 @@ class Parameters:
                 self._field(name)
             self._constants_due = True
 
+    def set_joint_limits(self, joints: Tensor, limits: Tensor, rows: Rows) -> None:
+        """(n, k, 2) lower and upper."""
+        self._field("jnt_range")[block(rows, self._joints[joints])] = limits
+
     def set_gravity(self, gravity: Tensor, rows: Rows) -> None:
         self._field("opt.gravity")[rows] = gravity
 
