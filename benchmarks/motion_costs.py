@@ -18,6 +18,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
+import sys
 import time
 import traceback
 from multiprocessing import get_context
@@ -31,7 +33,7 @@ from orbit_core.capture.fusion import Fused
 from orbit_core.envs import Environment, make
 
 BASELINE = "joint_position"
-ACTIONS = ("osc", "impedance", "hybrid", "joint_impedance", "rmpflow", "differential_ik", "qp_ik")
+ACTIONS = ("rmpflow", "osc", "impedance", "hybrid", "joint_impedance", "differential_ik", "qp_ik", "full_ik")
 
 
 def prepared(arguments: argparse.Namespace, action: str) -> tuple[Environment, torch.Tensor]:
@@ -104,31 +106,52 @@ def work(arguments: argparse.Namespace, action: str, line: Connection) -> None:
         line.send({"error": traceback.format_exc()})
 
 
+def told(line: Connection) -> Any:
+    """What a process sends, or the error that it ended with."""
+    try:
+        return line.recv()
+    except (EOFError, OSError):
+        return {"error": "the process ended by itself"}
+
+
 def measured(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Results of each action space, by name."""
-    names, context = [BASELINE, *arguments.actions], get_context("spawn")
+    """Results of each action space, by name, written after each turn; one that fails stops no other."""
+    names, context = list(dict.fromkeys((BASELINE, *arguments.actions))), get_context("spawn")
     lines: dict[str, Any] = {}
     workers = []
     for name in names:
         lines[name], other = context.Pipe()
         workers.append(context.Process(target=work, args=(arguments, name, other), daemon=True))
         workers[-1].start()
+        other.close()
         if arguments.one_at_a_time:
             lines[name].poll(None)
-    results = {name: {**lines[name].recv(), "times": []} for name in names}
-    for _ in range(arguments.turns):
+    results: dict[str, dict[str, Any]] = {name: {"times": []} for name in names}
+    for name in names:
+        results[name].update(told(lines[name]))
+        print(f"{name}: {results[name].get('error') or results[name]}", file=sys.stderr, flush=True)
+    for asked in [True] * arguments.turns + [False]:
         for name in names:
             if "error" in results[name]:
                 continue
-            lines[name].send(True)
-            results[name]["times"].append(lines[name].recv())
-    for name in names:
-        if "error" not in results[name]:
-            lines[name].send(False)
-            results[name]["busiest"] = lines[name].recv()
+            lines[name].send(asked)
+            answer = told(lines[name])
+            if isinstance(answer, float):
+                results[name]["times"].append(answer)
+            else:
+                results[name].update(answer if "error" in answer else {"busiest": answer})
+        write(arguments, results)
     for worker in workers:
         worker.join(10.0)
     return results
+
+
+def write(arguments: argparse.Namespace, results: dict[str, dict[str, Any]]) -> None:
+    """All numbers so far into the file that was asked for."""
+    if arguments.json is not None:
+        cuda = torch.cuda.get_device_name() if arguments.device != "cpu" else ""
+        settings = {key: str(value) for key, value in vars(arguments).items()}
+        arguments.json.write_text(json.dumps({"device": cuda, **settings, "results": results}, indent=1))
 
 
 def main() -> None:
@@ -148,24 +171,21 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for all numbers")
     arguments = parser.parse_args()
     results = measured(arguments)
-    baseline = results[BASELINE]["times"]
+    baseline = results[BASELINE]["times"] or [math.nan] * arguments.turns
     print("| action space | ms a step | turns | over joint positions | the law's kernel |\n|---|---|---|---|---|")
     for name, result in results.items():
         if "error" in result:
             print(f"| `{name}` | - | - | - | {result['error'].strip().splitlines()[-1]} |")
             continue
         result["ms"] = sorted(result["times"])[len(result["times"]) // 2]
-        shares = [a / b - 1.0 for a, b in zip(result["times"], baseline, strict=True)]
-        result["share"] = sorted(shares)[len(shares) // 2]
+        shares = sorted(a / b - 1.0 for a, b in zip(result["times"], baseline, strict=False))
+        result["share"] = shares[len(shares) // 2]
         turns = f"{min(result['times']):.2f} to {max(result['times']):.2f}"
         print(f"| `{name}` | {result['ms']:.2f} | {turns} | {100 * result['share']:.0f} % | {result['kernels']} |")
     for name, result in results.items():
         for kernel, (ms, launches) in result.get("busiest", {}).items():
             print(f"{name}: {ms:.4f} ms in {launches:g} launches a step: {kernel[:120]}")
-    if arguments.json is not None:
-        cuda = torch.cuda.get_device_name() if arguments.device != "cpu" else ""
-        settings = {key: str(value) for key, value in vars(arguments).items()}
-        arguments.json.write_text(json.dumps({"device": cuda, **settings, "results": results}, indent=1))
+    write(arguments, results)
 
 
 if __name__ == "__main__":

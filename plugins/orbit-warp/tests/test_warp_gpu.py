@@ -8,20 +8,24 @@ import warnings
 import pytest
 import torch
 
+from orbit_core.capture.fusion import Fused
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.episode import StepInfo
 
 TASKS = ["Lift", "Reach", "Cabinet", "Velocity-Flat", "Handover"]
+LAWS = ["rmpflow", "osc", "impedance", "hybrid", "joint_impedance"]
 WARM = 6
 """Steps: as it is, traced, run, recorded, and two replays."""
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs the capability of a GPU")
 
 
-def environment_of(task: str, compile: bool = False) -> Environment:
+def environment_of(task: str, compile: bool = False, **fields: str) -> Environment:
     settings = {"deterministic": True}
-    return make(task, 64, "warp", device="cuda", seed=3, episode_length=0.4, settings=settings, compile=compile)
+    return make(
+        task, 64, "warp", device="cuda", seed=3, episode_length=0.4, settings=settings, compile=compile, **fields
+    )
 
 
 def actions_of(environment: Environment, steps: int) -> list[torch.Tensor]:
@@ -72,6 +76,20 @@ def test_nothing_in_a_step_waits(task: str, compile: bool) -> None:
     assert all(isinstance(info, StepInfo) for info in infos)
     assert sum(len(info["final"].env_ids) for info in infos if "final" in info) >= 64
     environment.close()
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_laws_are_kernels_that_give_what_operations_give(law: str) -> None:
+    pytest.importorskip("triton")
+    plain, fused = (environment_of("Lift", compile, action=law) for compile in (False, True))
+    for action in actions_of(plain, WARM + 6):
+        mine, its = (environment.step(0.2 * action)[0]["policy"] for environment in (plain, fused))
+        torch.testing.assert_close(its, mine, rtol=2e-3, atol=2e-3)
+    kernels = [part for node in fused.task.generators for part in vars(node).values() if isinstance(part, Fused)]
+    assert kernels
+    for part in kernels:
+        assert part.operations, part.refusal
+    plain.close(), fused.close()
 
 
 def test_what_cannot_be_recorded_is_run_each_time() -> None:
