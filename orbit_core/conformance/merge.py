@@ -85,11 +85,9 @@ def _recordings(task: str, result: Result, folder: Path) -> dict[str, Path]:
 def _partings(result: Result, tracks: dict[str, dict[str, Path]]) -> Iterator[Parting]:
     """Those of pairs that no run had both of."""
     known = {(each.task, frozenset((each.backend, each.reference))) for each in result.partings}
-    episodes = {(r.job.name, r.job.backend): r.task.num_envs for r in result.of(Kind.TASK) if r.task}
     for task, paths in tracks.items():
         for reference, backend in itertools.combinations(paths, 2):
-            alike = episodes[task, reference] == episodes[task, backend]
-            if alike and (task, frozenset((backend, reference))) not in known:
+            if (task, frozenset((backend, reference))) not in known:
                 yield Parting(task, backend, reference, compare_recordings(paths[backend], paths[reference]))
 
 

@@ -121,8 +121,9 @@ SCENARIOS = (
             Metric(
                 name="creep",
                 unit="m/s",
-                tolerance=1e-3,
+                tolerance=1e-4,
                 meaning="largest mean speed of a block, in 2 s, of the tower that is a quarter wider than it need be",
+                looser_because="a tenth of a millimetre in a second is rest for every purpose",
             ),
         ),
     ),
