@@ -78,7 +78,7 @@ def write_hdf5(
     Raises:
         StorageError: the disk is full, or the folder cannot be written.
     """
-    h5py = _h5py()
+    h5py = hdf5_module()
     successes: list[int] = []
     count = total = 0
     with _room(path, size), written_whole(path) as written, h5py.File(written, "w", libver="latest") as file:
@@ -106,7 +106,7 @@ class Hdf5Dataset(Dataset):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._h5py = _h5py()
+        self._h5py = hdf5_module()
         if not path.is_file():
             raise ConfigurationError(f"there is no file {path}")
         with self._read_faults("the file"):
@@ -264,7 +264,12 @@ def _env_args(manifest: Manifest | None) -> dict[str, Any]:
     }
 
 
-def _h5py() -> Any:
+def hdf5_module() -> Any:
+    """h5py.
+
+    Raises:
+        ConfigurationError: it is not installed.
+    """
     try:
         import h5py
     except ImportError as error:

@@ -13,7 +13,7 @@ from torch import Tensor
 from orbit_core.data.card import write_card
 from orbit_core.data.compare import Kind, differences
 from orbit_core.data.episodes import Episode, EpisodeInfo
-from orbit_core.data.hdf5 import Hdf5Dataset, write_hdf5
+from orbit_core.data.hdf5 import Hdf5Dataset, hdf5_module, write_hdf5
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.parts import PartFolder
 from orbit_core.data.recorder import DemonstrationRecorder
@@ -42,11 +42,13 @@ class RecordingFile:
         return self.path.exists() or self.parts.path.exists()
 
     def check_begun(self, resume: bool, overwrite: bool) -> None:
-        """Refuse a recording that was cut off, if neither is asked for, to do both, and one that still runs.
+        """Refuse a recording that was cut off, if neither is asked for, to do both, one that still runs, and any where
+        h5py is missing, which would be found out once all episodes are over.
 
         Raises:
-            ConfigurationError: tells of both, or of the process that records.
+            ConfigurationError: tells of both, of the process that records, or of what to install.
         """
+        hdf5_module()
         if resume and overwrite:
             raise ConfigurationError("--resume goes on with a recording, --overwrite begins it anew: give one of them")
         if not self.parts.path.exists():

@@ -7,6 +7,7 @@ import os
 import random
 import resource
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -172,6 +173,12 @@ def test_another_environment_does_not_go_on_with_it(dataset: Hdf5Dataset) -> Non
     with pytest.raises(ConfigurationError, match="seed was 3 and is 4"):
         RecordingFile(dataset.path).take_up(Manifest.of(make("Lift", 4, BACKEND, episode_length=SHORT), "Lift", 4))
     other.close()
+
+
+def test_a_missing_h5py_is_told_before_anything_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(ConfigurationError, match=r"pip install 'orbit-core\[data\]'"):
+        RecordingFile(tmp_path / "lift.hdf5").check_begun(resume=False, overwrite=False)
 
 
 def test_an_unknown_group_is_named(environment: Environment, tmp_path: Path) -> None:
