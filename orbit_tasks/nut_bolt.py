@@ -81,8 +81,8 @@ def aligned(world: World, task: NutBolt) -> Tensor:
 
 
 def dropped(world: World, task: NutBolt) -> Tensor:
-    """(N,) the nut fell off its stand onto the table."""
-    return nut_pose(world, task)[:, 2] < 0.5 * BASE
+    """(N,) the nut fell off its stand onto the table, whichever side up it lies."""
+    return nut_pose(world, task)[:, 2] + 0.5 * HEIGHT * upright(world, task) < BASE + 0.25 * HEIGHT
 
 
 def place_things(world: World, task: NutBolt, env_ids: Tensor) -> None:

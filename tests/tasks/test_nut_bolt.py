@@ -28,7 +28,12 @@ def test_engines_without_distance_fields_refuse_the_task() -> None:
     with pytest.raises(UnsupportedCapabilityError, match=rf"{Capability.SIGNED_DISTANCE_FIELDS.value}.*mujoco"):
         make("Nut-Bolt", 1, "bullet")
     environment = make("Nut-Bolt", 1, "bullet", thread="boxes")  # which looks whether the nut lies still
-    assert not nut_bolt.dropped(environment.world, environment.task).any()
+    world, task = environment.world, environment.task
+    assert not nut_bolt.dropped(world, task).any()
+    for height, turn in ((0.0, (1.0, 0.0)), (nut_bolt.HEIGHT, (0.0, 1.0)), (0.5 * nut_bolt.WIDTH, (0.7071, 0.7071))):
+        lying = torch.tensor([[0.4, 0.3, height, *turn, 0.0, 0.0]])
+        world.objects["nut"].set_root_pose(lying)
+        assert nut_bolt.dropped(world, task).all()
     environment.close()
 
 
