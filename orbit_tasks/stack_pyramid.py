@@ -225,13 +225,9 @@ class StackPyramid(tabletop.TabletopTask):
 
     def scene(self) -> Scene:
         self.bound(pyramids=(1, 2), blocks=(2, 3), tolerance=(1e-6, 0.5 * SIZE))
-        colors = {name: color for pyramid in COLORS for name, color in pyramid.items()}
-        size = (SIZE, SIZE, SIZE)
-        blocks = [
-            box(name, size, mass=0.1, color=colors[name], pose=Pose((0.5, 0.1 * index - 0.25, 0.5 * SIZE)))
-            for index, name in enumerate(self.pieces)
-        ]
-        return self.bench(*blocks)
+        colors = COLORS[0] | COLORS[1]
+        parts = [(name, Pose((0.5, 0.1 * index - 0.25, 0.5 * SIZE))) for index, name in enumerate(self.pieces)]
+        return self.bench(*(box(name, (SIZE,) * 3, mass=0.1, color=colors[name], pose=pose) for name, pose in parts))
 
     def start(self, world: World) -> None:
         super().start(world)
@@ -264,8 +260,10 @@ def _block(index: int) -> TermFunction:
 
 
 def _grasp(index: int) -> TermFunction:
-    """Term: (N, 7) the hand around it."""
-    return lambda world, task: picking.grasp_square(_block(index)(world, task))
+    """Term: (N, 7) the hand around it, its palm beside the pyramid that was built before."""
+    return lambda world, task: picking.beside(
+        picking.grasp_square(_block(index)(world, task)), places(world, task)[:, max(index - 1, 0)]
+    )
 
 
 def _place(index: int) -> TermFunction:

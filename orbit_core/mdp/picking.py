@@ -15,6 +15,9 @@ from orbit_core.interfaces import World
 from orbit_core.mdp import common
 
 _QUARTER = 0.5 * math.pi
+_PALM = (0.135, 0.07, 0.04)
+"""Metres from a hand's middle, along its fingers' way, across it and up, within which its palm meets another thing of a
+few centimetres: a Franka hand's is 0.2 wide."""
 
 
 def quarter_yaw(orientation: Tensor) -> Tensor:
@@ -31,6 +34,16 @@ def over_square(position: Tensor, orientation: Tensor) -> Tensor:
 def grasp_square(pose: Tensor) -> Tensor:
     """(N, 7) the hand around a square thing (N, 7) from above, along the faces that need the least turn."""
     return over_square(pose[:, :3], pose[:, 3:])
+
+
+def beside(hand: Tensor, other: Tensor) -> Tensor:
+    """(N, 7) a hand (N, 7) that points down, turned by a quarter where its palm would meet a thing at (N, 3)."""
+    yaw, way = common.wrapped(common.turn_facing_down(hand[:, 3:])), other - hand[:, :3]
+    along = (way[:, 1] * yaw.cos() - way[:, 0] * yaw.sin()).abs()
+    across = (way[:, 0] * yaw.cos() + way[:, 1] * yaw.sin()).abs()
+    meets = (along < _PALM[0]) & (across < _PALM[1]) & (way[:, 2] > _PALM[2])
+    yaw = torch.where(meets, yaw - _QUARTER * torch.where(yaw > 0.0, 1.0, -1.0), yaw)
+    return torch.cat((hand[:, :3], common.facing_down(yaw)), dim=1)
 
 
 def least_turn(before: Tensor, after: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ import torch
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.mdp import common, tabletop
+from orbit_core.mdp import common, picking, tabletop
 from orbit_core.sensors import CameraSensor
 from orbit_tasks import stack_pyramid as tasks
 from tests.tasks.experts import episode
@@ -103,3 +103,11 @@ def test_a_semantic_camera_tells_the_blocks_by_their_colours(backend: str) -> No
         assert len(colors & seen) >= 4  # the arm may hide a block or two
     assert set(observation) == {"policy", "critic", "teacher"}
     environment.close()
+
+
+def test_the_palm_keeps_off_what_stands_higher_along_the_fingers() -> None:
+    """Where it would meet that, the hand is turned by a quarter; not for what is farther, lower, or beside it."""
+    hand = torch.cat((torch.zeros(4, 3), common.facing_down(torch.full((4,), 0.1))), dim=1)
+    others = torch.tensor([[0.03, 0.115, 0.05], [0.03, 0.2, 0.05], [0.03, 0.115, 0.0], [0.115, 0.03, 0.05]])
+    turned = common.turn_facing_down(picking.beside(hand, others)[:, 3:])
+    torch.testing.assert_close(common.wrapped(turned), torch.tensor([0.1 - 0.5 * torch.pi, 0.1, 0.1, 0.1]))
