@@ -12,12 +12,13 @@ from torch import Tensor
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces import ConfigurationError, Robot, World
-from orbit_core.motion.base import JointTarget, MotionGenerator
+from orbit_core.motion.base import JointTarget
 from orbit_core.motion.differential_ik import PoseTermConfig, bounded_targets
 from orbit_core.motion.force_reading import ForceReading
 from orbit_core.motion.ik import damped_least_squares
 from orbit_core.motion.modes import CommandMode
 from orbit_core.motion.pose_command import displaced
+from orbit_core.motion.reach import PoseFollower
 
 _SAG_RATE = 4.0
 """1/s: at which targets go beyond where the joints shall be, until the drives hold them there."""
@@ -58,7 +59,7 @@ class AdmittanceConfig(PoseTermConfig):
         return Admittance(name, robot, self)
 
 
-class Admittance(MotionGenerator):
+class Admittance(PoseFollower):
     """Six commands, :class:`AdmittanceConfig`. Targets are clipped to the joints' limits."""
 
     def __init__(self, name: str, robot: Robot, config: AdmittanceConfig) -> None:

@@ -30,6 +30,7 @@ from orbit_core.motion.differential_ik import PoseTermConfig
 from orbit_core.motion.gains import CommandedGains, GainCommand, GainRange
 from orbit_core.motion.modes import CommandMode, LastTargets
 from orbit_core.motion.pose_command import COMPONENTS
+from orbit_core.motion.reach import PoseFollower
 from orbit_core.motion.servo import Servo, check_rate
 from orbit_core.scene import RobotSpec
 
@@ -89,7 +90,7 @@ class HandState:
         return torch.bmm(self.response, wrench.unsqueeze(-1)).squeeze(-1)
 
 
-class Compliant(Servo):
+class Compliant(PoseFollower, Servo):
     """Six commands, or more for gains, :class:`CompliantConfig`."""
 
     def __init__(self, name: str, robot: Robot, config: CompliantConfig) -> None:

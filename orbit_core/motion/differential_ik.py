@@ -13,9 +13,10 @@ from torch import Tensor
 from orbit_core.interfaces import ConfigurationError, Robot
 from orbit_core.motion.base import JointTarget, MotionGenerator
 from orbit_core.motion.embodiment import arm_joints_of, end_effector_of, joints_above
-from orbit_core.motion.ik import IkMethod, joint_delta
+from orbit_core.motion.ik import IkMethod, damped_least_squares, joint_delta, steadying
 from orbit_core.motion.modes import CommandMode
 from orbit_core.motion.pose_command import COMPONENTS, PoseCommand
+from orbit_core.motion.reach import PoseFollower
 from orbit_core.motion.term import ActionTerm
 from orbit_core.scene import RobotSpec
 
@@ -105,7 +106,7 @@ class DifferentialIkConfig(PoseTermConfig):
         return DifferentialIk(name, robot, self)
 
 
-class DifferentialIk(MotionGenerator):
+class DifferentialIk(PoseFollower):
     """Six commands, :class:`DifferentialIkConfig`. Targets are clipped to the joints' limits."""
 
     def __init__(self, name: str, robot: Robot, config: DifferentialIkConfig) -> None:
@@ -113,11 +114,16 @@ class DifferentialIk(MotionGenerator):
         self.config = config
         self.frame = config.frame_of(robot)
         self._pose = config.pose_command(robot)
+        damped = config.method is IkMethod.DAMPED_LEAST_SQUARES
+        self._settles = damped and config.mode is not CommandMode.RELATIVE
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         displacement = self._pose.displacement(inputs["command"])
         jacobian = self.robot.jacobian(self.frame, self.joints)
-        delta = joint_delta(self.config.method, jacobian, displacement, self.config.damping)
+        if self._settles:
+            delta = damped_least_squares(jacobian, displacement, self.config.damping, steadying(displacement))
+        else:
+            delta = joint_delta(self.config.method, jacobian, displacement, self.config.damping)
         return {JointTarget.POSITION.value: bounded_targets(self, delta, self.config.max_joint_step)}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:

@@ -12,10 +12,11 @@ from torch import Tensor
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import pose_inverse, pose_multiply
 from orbit_core.interfaces import Robot
-from orbit_core.motion.base import JointTarget, MotionGenerator, speed_limited_lead
+from orbit_core.motion.base import JointTarget, speed_limited_lead
 from orbit_core.motion.differential_ik import PoseTermConfig
 from orbit_core.motion.full_ik import FullIk, FullIkConfig
 from orbit_core.motion.modes import CommandMode
+from orbit_core.motion.reach import PoseFollower
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +43,7 @@ class FullIkTermConfig(PoseTermConfig):
         return FullIkTerm(name, robot, self)
 
 
-class FullIkTerm(MotionGenerator):
+class FullIkTerm(PoseFollower):
     """Six commands, :class:`FullIkTermConfig`. Targets are within the joints' limits."""
 
     def __init__(self, name: str, robot: Robot, config: FullIkTermConfig) -> None:

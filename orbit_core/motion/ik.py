@@ -50,12 +50,28 @@ def joint_delta(
     return _METHODS[method](jacobian, error, damping, singular_threshold)
 
 
-def damped_least_squares(jacobian: Tensor, error: Tensor, damping: float) -> Tensor:
-    """``J^T (J J^T + lambda^2 I)^-1 e`` (N, k), by Cholesky's factors of the 6 x 6 matrices."""
+def damped_least_squares(jacobian: Tensor, error: Tensor, damping: float, more: Tensor | None = None) -> Tensor:
+    """``J^T (J J^T + lambda^2 I)^-1 e`` (N, k), by Cholesky's factors of the 6 x 6 matrices.
+
+    ``more`` (N,) is added to lambda^2, such as :func:`steadying`.
+    """
     transposed = jacobian.transpose(1, 2)
     regular = _scaled_identity(jacobian.shape[1], damping**2, jacobian.device)
+    if more is not None:
+        regular = regular + more[:, None, None] * _scaled_identity(jacobian.shape[1], 1.0, jacobian.device)
     square = torch.baddbmm(regular, jacobian, transposed)
     return torch.bmm(transposed, solve_spd(square, error.unsqueeze(-1))).squeeze(-1)
+
+
+def steadying(error: Tensor) -> Tensor:
+    """(N,) m^2 of damping with which steps towards a goal that stays where it is settle, be it out of reach.
+
+    Where the hand cannot go, what is left of the error e (N, 6) bends ``|e|^2 / 2`` by up to |e| L along the joints, L
+    their distance from the hand, of which the Jacobian knows nothing: steps with a lambda^2 of less than half of that
+    throw a stretched arm to and fro. It is the error's length times a metre, and goes with the error (as the damping of
+    Chan and Lawrence, General Inverse Kinematics with the Error Damped Pseudoinverse, ICRA 1988, does).
+    """
+    return torch.linalg.vector_norm(error[:, :3], dim=1)
 
 
 @functools.lru_cache(maxsize=64)

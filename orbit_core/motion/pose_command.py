@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import (
     pose_error,
@@ -45,6 +46,8 @@ class PoseCommand:
         self._leads = torch.tensor(leads, device=device).view(2, 1)
         self._home = _pose_at_home(robot, frame)
         self._last = LastTargets(robot.joint_positions.shape[0], (7,), device)
+        self._offset = torch.zeros(robot.joint_positions.shape[0], 6, device=device)
+        """(N, 6) m and rad of the last relative command."""
 
     def displacement(self, command: Tensor, kept: Tensor | None = None) -> Tensor:
         """(N, 6) m and rad, world axes, from the measured pose to the one that a command (N, 6) asks for.
@@ -54,11 +57,14 @@ class PoseCommand:
         """
         offset = command * self._scale
         if self._mode is CommandMode.RELATIVE:
+            self._offset.copy_(offset)
             return offset
         measured = self._robot.frame_pose(self._frame)
         if self._mode is CommandMode.ABSOLUTE:
             wanted = pose_multiply(self._robot.root_pose, displaced(self._home, offset))
-            return self._led(_projected(kept, pose_error(measured, wanted)))
+            error = _projected(kept, pose_error(measured, wanted))
+            self._last.keep(wanted if kept is None else displaced(measured, error))
+            return self._led(error)
         led = self._led(_projected(kept, pose_error(measured, displaced(self._last.read(measured), offset))))
         self._last.keep(displaced(measured, led))
         return led
@@ -66,6 +72,13 @@ class PoseCommand:
     def target(self, command: Tensor, kept: Tensor | None = None) -> Tensor:
         """(N, 7) the pose that a command asks for, :meth:`displacement`."""
         return displaced(self._robot.frame_pose(self._frame), self.displacement(command, kept))
+
+    def asked(self) -> Tensor:
+        """(N, 7) the pose that the last command asks for, of relative ones from where the frame is now."""
+        measured = self._robot.frame_pose(self._frame)
+        if self._mode is CommandMode.RELATIVE:
+            return displaced(measured, self._offset)
+        return self._last.read(measured)
 
     def encode(self, pose: Tensor) -> Tensor:
         """(N, 6) the command that comes nearest to a pose (N, 7)."""
@@ -81,10 +94,11 @@ class PoseCommand:
     def reset(self, env_ids: Tensor | None) -> None:
         """Forget what some environments were asked for."""
         self._last.reset(env_ids)
+        write_rows(self._offset, 0.0, env_ids)
 
     def memory(self) -> Mapping[str, Tensor]:
         """For :meth:`orbit_core.interfaces.Node.memory`."""
-        return self._last.memory() if self._mode is CommandMode.INTEGRATED else {}
+        return {"command": self._offset} if self._mode is CommandMode.RELATIVE else self._last.memory()
 
     def _led(self, displacement: Tensor) -> Tensor:
         parts = displacement.unflatten(-1, (2, 3))

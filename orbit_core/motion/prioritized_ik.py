@@ -13,9 +13,12 @@ from torch import Tensor
 from orbit_core.dynamics.qp import solve_qp
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
-from orbit_core.motion.base import JointTarget, MotionGenerator, speed_limited_lead
+from orbit_core.motion.base import JointTarget, speed_limited_lead
 from orbit_core.motion.differential_ik import PoseTermConfig, bounded_targets
+from orbit_core.motion.ik import steadying
 from orbit_core.motion.manipulability import manipulability_gradient
+from orbit_core.motion.modes import CommandMode
+from orbit_core.motion.reach import PoseFollower
 
 _LIMIT_SHARE = 0.5
 """Of the distance to a limit that a joint may cover in one step (Faverjon and Tournassoud's velocity damper, 1987)."""
@@ -64,7 +67,7 @@ class PrioritizedIkConfig(PoseTermConfig):
         return PrioritizedIk(name, robot, self)
 
 
-class PrioritizedIk(MotionGenerator):
+class PrioritizedIk(PoseFollower):
     """Six commands, :class:`PrioritizedIkConfig`."""
 
     def __init__(self, name: str, robot: Robot, config: PrioritizedIkConfig) -> None:
@@ -103,6 +106,8 @@ class PrioritizedIk(MotionGenerator):
         low, high = self.bounds()
         identity = torch.eye(jacobian.shape[2], device=self.device).expand(self.num_envs, -1, -1)
         damping = self.config.damping**2 * torch.diag_embed(self._costs).expand_as(identity)
+        if self.config.mode is not CommandMode.RELATIVE:
+            damping = damping + steadying(self._weights**2 * error)[:, None, None] * torch.diag_embed(self._costs)
         rows, lower, upper = identity, low, high
         delta = torch.zeros_like(low)
         for level in self._levels:

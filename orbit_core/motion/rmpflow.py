@@ -26,11 +26,12 @@ from orbit_core.dynamics.transforms import pose_error, quat_rotate
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.motion.barrier import Barrier
-from orbit_core.motion.base import JointTarget, MotionGenerator
+from orbit_core.motion.base import JointTarget
 from orbit_core.motion.clearance import Clearance
 from orbit_core.motion.differential_ik import PoseTermConfig
 from orbit_core.motion.modes import CommandMode, LastTargets
 from orbit_core.motion.obstacles import Obstacles
+from orbit_core.motion.reach import PoseFollower
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +96,7 @@ class RmpFlowConfig(PoseTermConfig):
         return RmpFlow(name, robot, self)
 
 
-class RmpFlow(MotionGenerator):
+class RmpFlow(PoseFollower):
     """Six commands, :class:`RmpFlowConfig`. Targets keep to the joints' limits of position and velocity."""
 
     def __init__(self, name: str, robot: Robot, config: RmpFlowConfig) -> None:
