@@ -25,6 +25,7 @@ def test_every_engine_is_in_the_report_and_its_videos_are_there() -> None:
     videos = [f"{record.job.key}/{name}" for record in result.records for name in record.files if name.endswith("mp4")]
     assert videos
     assert all(name in page and (FOLDER / name).exists() for name in videos)
+    assert all(f"{origin.started} to {origin.finished}" in page for origin in result.header.origins)
     assert not result.objections
 
 
