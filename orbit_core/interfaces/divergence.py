@@ -36,9 +36,10 @@ def diverged(positions: Tensor, velocities: Tensor) -> Tensor:
 
 
 def divergence_error(environments: Sequence[int]) -> SimulationError:
-    """The error that an engine's ``step`` raises for environments, by index."""
+    """The error that an engine's ``step`` raises for environments, by index; none if they have begun anew since."""
+    which = f"environments {first_few(environments)}" if environments else "environments that have begun anew since"
     return SimulationError(
-        f"environments {first_few(environments)} diverged: something moved faster than {MAX_SPEED:g} m/s or rad/s, "
+        f"{which} diverged: something moved faster than {MAX_SPEED:g} m/s or rad/s, "
         f"went further than {MAX_DISTANCE:g} m or rad, or is not a number; reset them, and use a smaller physics_dt or "
         "softer drives"
     )

@@ -50,6 +50,7 @@ def measure(arguments: argparse.Namespace, num_envs: int) -> dict[str, object]:
         device=arguments.device,
         settings=settings,
         compile=arguments.compile,
+        reset_diverged=True,
         **fields,
     )
     made = time.perf_counter() - begun
@@ -100,6 +101,7 @@ def measure(arguments: argparse.Namespace, num_envs: int) -> dict[str, object]:
         "device_memory_free_MiB": free,
         "buffers": str(engine.buffer_sizes),  # pyright: ignore[reportAttributeAccessIssue]
         "peaks": str(engine.buffer_peaks),  # pyright: ignore[reportAttributeAccessIssue]
+        "diverged": environment.lost.count,  # pyright: ignore[reportOptionalMemberAccess]
         "overflows": engine.overflows,  # pyright: ignore[reportAttributeAccessIssue]
         "finite": bool(engine.link_poses.isfinite().all()),
     }
