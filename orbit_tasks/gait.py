@@ -4,6 +4,10 @@ Diagonal feet step together. A swinging foot is put down where the trunk will be
 how much faster it goes than it should (Raibert, Legged Robots That Balance, 1986); a foot on the ground is drawn back
 under the trunk at the commanded velocity. The legs' drives are soft: their targets lie beyond the wanted positions by
 what the forces that the feet shall exert deflect them, and by what their damping takes from a joint that moves.
+
+The trunk turns to and fro once a stride, by whichever pair stands. What takes that back is learned in the first
+strides: a moment of the stride's period, whose sine and cosine grow with the error of the yaw rate that is in step with
+them (Bodson, Sacks and Khosla, Harmonic Generation in Adaptive Feedforward Cancellation Schemes, 1994).
 """
 
 from __future__ import annotations
@@ -60,6 +64,10 @@ class Gait:
     """Seconds over which the measured velocity is averaged."""
     ramp: float = 1.5
     """m/s^2 and rad/s^2 at which the wanted velocity goes to the commanded one."""
+    sway_gain: float = 30.0
+    """1/s^2: how fast the moment against the trunk's sway grows with the sway."""
+    sway_limit: float = 20.0
+    """rad/s^2: most of that moment, over the inertia."""
     height_gain: float = 40.0
     """1/s^2: vertical acceleration over the error of the trunk's height."""
 
@@ -120,6 +128,8 @@ class FootholdGait(Node):
         self._velocities = torch.zeros(3, count, 3, device=world.device)
         self._integral, self._smooth, self._asked = self._velocities.unbind()
         """(N, 3) each: integrated error, what was measured, smoothed, and what is wanted on the way to the command."""
+        self._against_sway = torch.zeros(2, count, device=world.device)
+        """(N,) each: rad/s^2 of the stride's cosine and sine."""
         # Feet on opposite corners of the trunk step together.
         self._offset = 0.5 * (self._neutral[0, :, 0] * self._neutral[0, :, 1] > 0).float()
         gains = robot.nominal_gains
@@ -133,13 +143,16 @@ class FootholdGait(Node):
 
     def memory(self) -> Mapping[str, Tensor]:
         velocities = {"integral": self._integral, "smooth": self._smooth, "asked": self._asked}
-        return {"positions": self._positions, "planted": self._planted, **velocities}
+        return {
+            "positions": self._positions, "planted": self._planted, "against_sway": self._against_sway, **velocities
+        }  # fmt: skip
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         rows = slice(None) if env_ids is None else env_ids
         self._positions[rows] = self._robot.home_positions
         self._planted[rows] = self._neutral
         self._velocities[:, rows] = 0.0
+        self._against_sway[:, rows] = 0.0
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         self._begin(self._task.episode_step == 0)
@@ -171,6 +184,7 @@ class FootholdGait(Node):
         self._positions.copy_(torch.where(new[:, None], self._robot.home_positions, self._positions))
         self._planted.copy_(torch.where(new[:, None, None], self._neutral, self._planted))
         self._velocities.masked_fill_(new[None, :, None], 0.0)
+        self._against_sway.masked_fill_(new, 0.0)
 
     def _phase(self, step: Tensor) -> tuple[Tensor, Tensor]:
         """(N, 4) part of its period that each foot has had at steps (N,), and whether it is then on the ground."""
@@ -213,10 +227,21 @@ class FootholdGait(Node):
         along = share[..., None] * (self._mass * gait.velocity_gain * error[:, None, :2])
         arms = torch.stack((-self._planted[..., 1], self._planted[..., 0]), 2) * standing[..., None]
         leverage = arms.square().sum((1, 2)).clamp_min(1e-3)
-        moment = self._inertia * gait.turning_gain * error[:, 2]
+        moment = self._inertia * (gait.turning_gain * error[:, 2] + self._unswaying())
         along = along + arms * (moment / leverage)[:, None, None]
         most = gait.grip * vertical / along.norm(dim=2).clamp_min(1e-6)
         return torch.cat((along * most.clamp_max(1.0)[..., None], vertical[..., None]), 2)
+
+    def _unswaying(self) -> Tensor:
+        """(N,) rad/s^2 about the vertical against the trunk's sway; learns from how it sways now."""
+        gait = self._gait
+        error = self._asked[:, 2] - walking.angular_velocity(self._robot)[:, 2]
+        stride = (2.0 * torch.pi / gait.period) * self._dt * self._task.episode_step
+        cosine, sine = torch.cos(stride), torch.sin(stride)
+        # A yaw rate lags a quarter behind its moment.
+        learned = torch.stack((sine, -cosine)) * (gait.sway_gain * self._dt * error)
+        self._against_sway.add_(learned).clamp_(-gait.sway_limit, gait.sway_limit)
+        return self._against_sway[0] * cosine + self._against_sway[1] * sine
 
     def _solve(self, feet: Tensor) -> Tensor:
         """Move the wanted positions so that feet are where they are wanted; gives the legs' Jacobians (N, 4, 3, 3)."""

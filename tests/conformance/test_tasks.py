@@ -59,7 +59,7 @@ def test_the_gait_follows_its_commands(backend: str, device: torch.device) -> No
     assert len(metrics["falls"]) == 12, "none has fallen before"
     assert not metrics["falls"].any()
     assert metrics["linear_error_m_s"].mean() < 0.15
-    assert metrics["yaw_rate_error_rad_s"].mean() < 0.25
+    assert metrics["yaw_rate_error_rad_s"].mean() < 0.15, "its sway is taken back"
 
 
 @pytest.mark.parametrize("backend", backend_names())
