@@ -170,7 +170,7 @@ class Origin:
     """Where and when some of the jobs of a merged result were done."""
 
     jobs: dict[str, int]
-    """Numbers of jobs by their kind and backend, as in ``"task on mujoco"``."""
+    """Numbers of jobs by their kind and backend, as in ``"task on <backend>"``."""
     hardware: Hardware
     versions: dict[str, str]
     core: str
