@@ -110,9 +110,11 @@ def let_go(world: World, task: Task) -> Tensor:
     return vector_norm(world.deformables[CLOTH].positions - hand, dim=2).amin(1) > 0.03
 
 
-def at_height(position: Tensor, height: float) -> Tensor:
-    """(N, 7) the hand pointing down, over or at positions (N, 3), its frame at a height in the environment."""
-    return common.pointing_down(torch.cat((position[:, :2], torch.full_like(position[:, :1], height)), dim=1))
+def at_height(position: Tensor, height: float | Tensor) -> Tensor:
+    """(N, 7) the hand pointing down, over or at positions (N, 3), its frame at a height, or heights (N,)."""
+    lifted = position.clone()
+    lifted[:, 2] = height
+    return common.pointing_down(lifted)
 
 
 def over(point: TermFunction, height: float) -> TermFunction:
@@ -149,8 +151,8 @@ def pressed(world: World) -> float:
     return max(0.0, PRESSED - max(0.0, finger_reach(world, True) - finger_reach(world, False)))
 
 
-def pressing(world: World) -> TermFunction:
-    """Term: (N, 7) the hand where it is, so high that its fingers press on the tray however far they have closed."""
+def following(world: World, base: float) -> TermFunction:
+    """Term: (N,) metres of the hand's frame so high that its fingers reach down to ``base`` however far they closed."""
     robot = world.robots[ROBOT]
     gripper = robot.spec.end_effector.gripper
     assert gripper is not None
@@ -158,14 +160,21 @@ def pressing(world: World) -> TermFunction:
     joint = next(iter(first))
     way = last[joint] - first[joint]
     reaches = torch.tensor([finger_reach(world, n / STEPS) for n in range(STEPS + 1)], device=world.device)
-    depth = pressed(world)
 
-    def pose(world: World, task: Task) -> Tensor:
+    def height(world: World, task: Task) -> Tensor:
         share = STEPS * ((robot.joint_positions[:, joint] - first[joint]) / way + SOON).clamp(0.0, 1.0)
         below = share.long().clamp(max=STEPS - 1)
-        reach = torch.lerp(reaches[below], reaches[below + 1], share - below)
-        hand = common.hand_pose(world, task)
-        return common.pointing_down(torch.cat((hand[:, :2], TRAY - depth + reach[:, None]), dim=1))
+        return base + torch.lerp(reaches[below], reaches[below + 1], share - below)
+
+    return height
+
+
+def pressing(world: World) -> TermFunction:
+    """Term: (N, 7) the hand where it is, so high that its fingers press on the tray however far they have closed."""
+    height = following(world, TRAY - pressed(world))
+
+    def pose(world: World, task: Task) -> Tensor:
+        return at_height(common.hand_pose(world, task)[:, :3], height(world, task))
 
     return pose
 

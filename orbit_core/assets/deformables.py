@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from numbers import Integral
+
 import numpy as np
 
+from orbit_core.interfaces.errors import ArgumentError
 from orbit_core.scene import Articulation, Box, KeyPoint, Link, Mesh, ObjectSpec, PhysicsMaterial, Pose, Shape
 from orbit_core.scene.pose import Vector3
 
@@ -13,7 +18,11 @@ def sheet(size: tuple[float, float], counts: tuple[int, int]) -> Mesh:
 
     Particle ``row * counts[0] + column`` is at the given column (along x) and row (along y). Diagonals alternate, so
     that the mesh is alike in all four directions.
+
+    Raises:
+        ArgumentError: a length is not above 0 m, or a count not a whole number of two or more.
     """
+    _check("a sheet", size, counts)
     columns, rows = counts
     x, y = (np.linspace(-0.5 * extent, 0.5 * extent, count) for extent, count in zip(size, counts, strict=True))
     vertices = np.stack((*np.meshgrid(x, y), np.zeros((rows, columns))), axis=-1).reshape(-1, 3)
@@ -38,10 +47,24 @@ def corners(counts: tuple[int, int]) -> tuple[KeyPoint, ...]:
 
 
 def line(length: float, count: int) -> np.ndarray:
-    """(count, 3) points along x, around the origin, for a rope of that length in metres."""
+    """(count, 3) points along x, around the origin, for a rope of that length in metres.
+
+    Raises:
+        ArgumentError: the length is not above 0 m, or the count not a whole number of two or more.
+    """
+    _check("a line", (length,), (count,))
     points = np.zeros((count, 3))
     points[:, 0] = np.linspace(-0.5 * length, 0.5 * length, count)
     return points
+
+
+def _check(what: str, lengths: Sequence[float], counts: Sequence[int]) -> None:
+    for length in lengths:
+        if not 0.0 < length < math.inf:
+            raise ArgumentError(f"{what} is {length} m long or wide: give more than 0")
+    for count in counts:
+        if not isinstance(count, Integral) or count < 2:
+            raise ArgumentError(f"{what} has {count} particles along a side: give a whole number of two or more")
 
 
 def open_box(

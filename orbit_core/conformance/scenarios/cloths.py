@@ -79,8 +79,9 @@ def _free(trial: Trial) -> Mapping[str, float]:
     cloth = Cloth("cloth", sheet((0.2, 0.2), (9, 9)), 0.2, damping=0.0)
     world = trial.world(Scene(deformables=(cloth,), terrain=(), gravity=WEIGHTLESS), 2)
     body, masses = world.deformables["cloth"], vertex_masses(cloth)
-    turn = torch.tensor([3.0, 0.0, 4.0]).expand(2, 81, 3)
-    velocities = torch.linalg.cross(turn, body.positions) + torch.tensor([1.0, 0.0, 0.5])
+    turn = torch.tensor([3.0, 0.0, 4.0], device=world.device).expand(2, 81, 3)
+    onward = torch.tensor([1.0, 0.0, 0.5], device=world.device)
+    velocities = torch.linalg.cross(turn, body.positions) + onward
     noise = 0.3 * torch.randn(81, 3, generator=torch.Generator().manual_seed(0))
     velocities[1] += noise.to(velocities.device)
     body.set_state(body.positions.clone(), velocities)

@@ -168,7 +168,7 @@ def _pinched(trial: Trial, strip: Cloth | Rope) -> Mapping[str, float]:
     """Two fingers close with 2 N each on what hangs between them by its upper end, which is then let go."""
     hand = gripper(PhysicsMaterial(1.0, 1.0))
     world = trial.world(Scene(robots=(hand,), deformables=(strip,), terrain=()))
-    world.robots["gripper"].set_effort_targets(torch.full((1, 2), 2.0), [1, 2])
+    world.robots["gripper"].set_effort_targets(torch.full((1, 2), 2.0, device=world.device), [1, 2])
     trial.step(world, trial.steps(1.0))
     body = world.deformables["strip"]
     before = float(body.positions[0, :, 2].mean())

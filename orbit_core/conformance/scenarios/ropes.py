@@ -85,7 +85,7 @@ def _catenary(trial: Trial) -> Mapping[str, float]:
     rope = Rope("rope", points, 0.1, Pose((0.0, 0.0, 1.0)), 0.005, axial, bending, still, attachments=held)
     world = trial.world(Scene(deformables=(rope,), terrain=()))
     trial.step(world, trial.steps(4.0))
-    x, _, z = (world.deformables["rope"].positions[0] - torch.tensor([0.0, 0.0, 1.0])).double().numpy().T
+    x, _, z = (world.deformables["rope"].positions[0].cpu() - torch.tensor([0.0, 0.0, 1.0])).double().numpy().T
     a = catenary(length, span)
     truth = a * (np.cosh(x / a) - math.cosh(span / (2 * a)))
     return {"shape": float(np.abs(z - truth).max())}
@@ -97,7 +97,7 @@ def _swing(trial: Trial) -> Mapping[str, float]:
     rope = world.deformables["rope"]
     depths = torch.linspace(1.0, 0.0, count, dtype=torch.float64)
     start = rope.positions.clone()
-    start[0, :, 1] += SMALL * torch.special.bessel_j0(BESSEL_ZERO * depths.sqrt()).float()
+    start[0, :, 1] += SMALL * torch.special.bessel_j0(BESSEL_ZERO * depths.sqrt()).float().to(start.device)
     rope.set_state(start)
     times, tips = _watched(trial, world, 3.0, lambda: rope.positions[0, -1, 1])
     truth = chain_period(length, G)
@@ -127,7 +127,7 @@ def _loaded(trial: Trial) -> Mapping[str, float]:
     world = trial.world(Scene(objects=(weight,), deformables=(rope,), terrain=()))
     truth = loaded_chain_period(length, rope.mass, load, G)
     speed = SMALL * 2 * math.pi / truth
-    world.objects["bob"].set_root_velocity(torch.tensor([[0.0, speed, 0.0, 0.0, 0.0, 0.0]]))
+    world.objects["bob"].set_root_velocity(torch.tensor([[0.0, speed, 0.0, 0.0, 0.0, 0.0]], device=world.device))
     times, places = _watched(trial, world, 4.0, lambda: world.objects["bob"].root_pose[0, 1])
     trial.trace("load", "m", times, places, [SMALL * math.sin(2 * math.pi * time / truth) for time in times])
     third = len(places) // 3
@@ -145,13 +145,13 @@ def weight_error(trial: Trial, world: World, name: str, links: Sequence[tuple[st
     """By what part of the matter's weight the force on what bears it differs from that, over half a second."""
     matter = world.deformables[name]
     trial.step(world, trial.steps(1.0))
-    felt = torch.zeros(3)
+    felt = torch.zeros(3, device=world.device)
     count = trial.steps(0.5)
     for _ in range(count):
         trial.step(world)
         felt += sum(matter.contact_force(*link)[0] for link in links) / count
     weight = torch.tensor([0.0, 0.0, -G * matter.spec.mass])  # pyright: ignore[reportAttributeAccessIssue]
-    return float((felt - weight).norm() / weight.norm())
+    return float((felt.cpu() - weight).norm() / weight.norm())
 
 
 def _towed(trial: Trial) -> Mapping[str, float]:
@@ -161,8 +161,8 @@ def _towed(trial: Trial) -> Mapping[str, float]:
     world = trial.world(
         Scene(objects=(bob(mass, (0.0, 0.0, 0.0)),), deformables=(rope,), terrain=(), gravity=WEIGHTLESS)
     )
-    world.objects["bob"].set_root_velocity(torch.tensor([[kick, 0.0, 0.0, 0.0, 0.0, 0.0]]))
-    weights = particle_masses(rope)
+    world.objects["bob"].set_root_velocity(torch.tensor([[kick, 0.0, 0.0, 0.0, 0.0, 0.0]], device=world.device))
+    weights = particle_masses(rope).to(world.device)
 
     def momentum() -> float:
         carried = weights @ world.deformables["rope"].velocities[0, :, 0]

@@ -7,7 +7,7 @@ import torch
 
 from orbit_core.assets.deformables import line, sheet
 from orbit_core.assets.objects import box
-from orbit_core.interfaces import SimulationError, World
+from orbit_core.interfaces import World
 from orbit_core.scene import Attachment, Cloth, Pose, Rope, Scene
 from orbit_core.world import simulate
 
@@ -65,15 +65,17 @@ def test_a_box_feels_the_weight_of_its_cloth() -> None:
     world.close()
 
 
-def test_divergence_names_environment_and_deformable_and_the_others_go_on() -> None:
+def test_where_one_environment_diverges_the_others_go_on() -> None:
+    """Nothing looks whether one does, which would wait for the GPU."""
     world = world_on("cuda")
     body = world.deformables["cloth"]
     fast = torch.zeros(1, 169, 3, device="cuda")
     fast[..., 0] = 9.9e3
     body.set_state(body.positions[1:2].clone() + 9.9999e5, fast, torch.tensor([1], device="cuda"))
-    with pytest.raises(SimulationError, match="environments 1 diverged in 'cloth'"):
-        world.step(10)
-    assert body.positions[0].abs().max() < 1.0
+    world.step(10)
+    assert not body.positions[1].abs().max() < 1e6
+    assert body.positions[[0, 2]].abs().max() < 1.0
     world.reset(torch.tensor([1], device="cuda"))
     world.step(1)
+    assert body.positions.abs().max() < 1.0
     world.close()

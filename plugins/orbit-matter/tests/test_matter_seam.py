@@ -353,3 +353,19 @@ def test_divergence_names_environment_and_deformable_and_the_others_go_on(solver
     own.reset(torch.tensor([1]))
     own.step(1)
     own.close()
+
+
+@pytest.mark.parametrize(
+    ("size", "counts", "what"),
+    [
+        ((0.0, 0.2), (5, 5), "0.0 m"),
+        ((0.2, float("nan")), (5, 5), "nan m"),
+        ((0.2, 0.2), (1, 5), "1 particles"),
+        ((0.2, 0.2), (2.5, 5), "2.5 particles"),
+    ],
+)
+def test_a_sheet_or_line_that_is_none_is_refused(size: tuple, counts: tuple, what: str) -> None:
+    with pytest.raises(ArgumentError, match=what):
+        sheet(size, counts)
+    with pytest.raises(ArgumentError, match=what):
+        line(min(size, key=lambda length: length > 0.0), min(counts))
