@@ -40,8 +40,8 @@ PICTURES = [name for name in pretrained_policies() if load_policy(policy_path(na
 
 @pytest.mark.parametrize("name", sorted({*pretrained_policies()} - {*PICTURES}))
 def test_a_kept_policy_does_its_task(name: str) -> None:
-    """Learned on one engine, played on another by its name: at least 6 of 8 episodes, or what a weaker one declares, with
-    the assets of then."""
+    """Learned on one engine, played on another by its name, with the assets of then: at least 6 of 8 episodes, or what
+    a weaker one declares."""
     least = min(0.75, pretrained_policies()[name].least_success)
     settings = PlaySettings(policy=Path(name), backend=default_backend(), num_envs=8, episodes=8)
     with warnings.catch_warnings():
