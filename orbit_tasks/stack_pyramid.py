@@ -225,9 +225,9 @@ class StackPyramid(tabletop.TabletopTask):
 
     def scene(self) -> Scene:
         self.bound(pyramids=(1, 2), blocks=(2, 3), tolerance=(1e-6, 0.5 * SIZE))
-        colors = COLORS[0] | COLORS[1]
+        colors, cube = COLORS[0] | COLORS[1], (SIZE, SIZE, SIZE)
         parts = [(name, Pose((0.5, 0.1 * index - 0.25, 0.5 * SIZE))) for index, name in enumerate(self.pieces)]
-        return self.bench(*(box(name, (SIZE,) * 3, mass=0.1, color=colors[name], pose=pose) for name, pose in parts))
+        return self.bench(*(box(name, cube, mass=0.1, color=colors[name], pose=pose) for name, pose in parts))
 
     def start(self, world: World) -> None:
         super().start(world)
