@@ -111,8 +111,8 @@ def let_go(world: World, task: Task) -> Tensor:
 
 
 def at_height(position: Tensor, height: float | Tensor) -> Tensor:
-    """(N, 7) the hand pointing down, over or at positions (N, 3), its frame at a height, or heights (N,)."""
-    lifted = position.clone()
+    """(N, 7) the hand pointing down, at positions or poses (N, 3 or 7), its frame at a height, or heights (N,)."""
+    lifted = position[:, :3].clone()
     lifted[:, 2] = height
     return common.pointing_down(lifted)
 

@@ -97,14 +97,15 @@ def test_a_gap_of_a_scenario_that_does_not_run_is_an_error() -> None:
 def test_the_page_of_backends_tells_measures_and_what_is_no_longer_declared(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside each declared gap stands what the committed report has; without the gap, that measure is told apart."""
     result = load(REPORT)
-    name, gap = next(
-        (info.name, gap)
+    name, gap, record = next(
+        (info.name, gap, record)
         for info in result.header.backends
         for gap in backends.backend(info.name).gaps()
         if {(old.scenario, old.metric) for old in info.gaps} >= {(gap.scenario, gap.metric)}
+        for record in result.scenario_records(gap.scenario, info.name)
+        if record.status is Status.GAP
     )
     plugin = backends.backend(name)
-    record = next(r for r in result.scenario_records(gap.scenario, name) if r.status is Status.GAP)
     assert record.scenario is not None
     measured = f"{record.scenario.errors[gap.metric]:.2g}"
     page = declarations_of([name], REPORT)
