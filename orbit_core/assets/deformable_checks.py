@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from orbit_core.assets.surface_checks import extents
+from orbit_core.interfaces.divergence import MAX_DISTANCE
 from orbit_core.interfaces.errors import ArgumentError
 from orbit_core.interfaces.typed import wrong
 from orbit_core.scene import Cloth, DeformableSpec, Fluid, Rope, Scene, SoftBody
@@ -36,6 +38,8 @@ def check_deformable(spec: DeformableSpec, where: str) -> None:
     Raises:
         ArgumentError: names the field, its value and what is wanted.
     """
+    if not spec.name.strip():
+        raise ArgumentError(f"{where} has no name: give it one, by which the world is asked for it")
     for names, least in ((_POSITIVE, 1e-12), (_NOT_NEGATIVE, 0.0)):
         for name in names[type(spec)]:
             if not least <= getattr(spec, name) <= _LARGEST:
@@ -54,16 +58,33 @@ def check_deformable(spec: DeformableSpec, where: str) -> None:
     count = len(spec.rest_positions)
     if count > _MOST_PARTICLES:
         raise ArgumentError(f"{where} has {count} particles: give {_MOST_PARTICLES} at most")
-    if not np.isfinite(spec.rest_positions).all():
-        raise ArgumentError(f"{where} has particles that are not finite")
+    if not (np.abs(spec.rest_positions) <= MAX_DISTANCE).all():
+        raise ArgumentError(f"{where} has particles that are not finite, or beyond {MAX_DISTANCE:g} m: mend them")
     if isinstance(spec, Cloth | Rope):
         _check_size(spec, where)
-    if isinstance(spec, Cloth):
+    if isinstance(spec, Cloth | SoftBody):
         _check_triangles(spec, where)
+    if isinstance(spec, SoftBody) and extents(spec.mesh.vertices) < 3:
+        raise ArgumentError(
+            f"{where}.mesh lies in a plane and has no volume: give it a closed surface, or make it a Cloth"
+        )
+    _check_particles(spec, count)
+
+
+def _check_particles(spec: DeformableSpec, count: int) -> None:
+    """Refuse key points that have no name, or another's, and what is of particles that are not there."""
     names = [point.name for point in spec.key_points]
     if twice := [name for name in names if names.count(name) > 1]:
         raise ArgumentError(f"two key points of '{spec.name}' are named '{twice[0]}': give each its own name")
-    for point in spec.key_points:
+    for number, point in enumerate(spec.key_points):
+        if not point.name.strip():
+            raise ArgumentError(
+                f"key point {number} of '{spec.name}' has no name: give it one, by which it is asked for"
+            )
+        if len(set(point.particles)) < len(point.particles):
+            raise ArgumentError(
+                f"key point '{point.name}' of '{spec.name}' names a particle twice: give it more weight"
+            )
         if point.weights and abs(sum(point.weights) - 1.0) > 1e-3:
             raise ArgumentError(
                 f"the weights of key point '{point.name}' of '{spec.name}' sum up to {sum(point.weights):g}: make it 1"
@@ -78,8 +99,10 @@ def check_deformable(spec: DeformableSpec, where: str) -> None:
 def _check_box(fluid: Fluid, where: str) -> None:
     """Refuse a box that is none, or holds more particles than any solver takes."""
     for half in fluid.half_extents:
-        if not 0.0 < half <= _LARGEST:
-            raise wrong(f"{where}.half_extents", fluid.half_extents, "three lengths above 0")
+        if not 0.0 < half <= MAX_DISTANCE:
+            raise wrong(
+                f"{where}.half_extents", fluid.half_extents, f"three lengths above 0, {MAX_DISTANCE:g} m at most"
+            )
     count = math.prod(max(1.0, 2.0 * half / fluid.spacing) for half in fluid.half_extents)
     if count > _MOST_PARTICLES:
         raise ArgumentError(
@@ -87,9 +110,9 @@ def _check_box(fluid: Fluid, where: str) -> None:
         )
 
 
-def _check_triangles(cloth: Cloth, where: str) -> None:
+def _check_triangles(thing: Cloth | SoftBody, where: str) -> None:
     """Refuse triangles that have no area or are there twice, and particles that nothing holds."""
-    points, faces = cloth.rest_positions, np.asarray(cloth.mesh.faces)
+    points, faces = thing.rest_positions, np.asarray(thing.mesh.faces)
     a, b, c = (points[faces[:, corner]] for corner in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     if flat := np.flatnonzero(areas < _LEAST_AREA * areas.mean()).tolist():

@@ -212,9 +212,17 @@ def test_contact_sensors_feel_matter(solver: str) -> None:
         (replace(ROPE, points=np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0, 0]])), "particles 1 and 2"),
         (Fluid("water", (0.1, 0.1, -0.1)), "three lengths above 0"),
         (Fluid("water", (0.1, 0.1, 0.1), spacing=1e-5), "8e.12 particles"),
+        (Fluid("water", (1e7, 0.1, 0.1), spacing=1.0), r"1e\+06 m at most"),
+        (replace(CLOTH, name=""), r"deformables\[.*\] has no name"),
+        (replace(ROPE, name=" "), r"deformables\[.*\] has no name"),
+        (replace(CLOTH, key_points=(KeyPoint("", (0,)),)), "key point 0 of 'cloth' has no name"),
+        (replace(CLOTH, key_points=(KeyPoint("a", (1, 1)),)), "'a' of 'cloth' names a particle twice"),
+        (replace(ROPE, points=1e9 * ROPE.points), r"beyond 1e\+06 m"),
+        (replace(ROPE, points=1e200 * ROPE.points), r"beyond 1e\+06 m"),
+        (SoftBody("block of foam", CLOTH.mesh, 100.0), "no volume"),
     ],
 )
-def test_what_cannot_be_is_refused_by_name(thing: Cloth | Rope | Fluid, what: str) -> None:
+def test_what_cannot_be_is_refused_by_name(thing: Cloth | Rope | SoftBody | Fluid, what: str) -> None:
     with pytest.raises(ArgumentError, match=what):
         simulate(Scene(objects=(BLOCK,), deformables=(thing,)), 1, "mujoco")
 
