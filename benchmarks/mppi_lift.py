@@ -13,7 +13,7 @@ import time
 
 import torch
 
-from orbit_core.envs import make
+from orbit_core.envs import Environment, make
 from orbit_core.envs.mppi import Mppi, MppiConfig
 
 
@@ -37,15 +37,18 @@ def main() -> None:
     steps = round(real.task.episode_length / real.step_dt) - 1
     begin = time.perf_counter()
     with torch.inference_mode():
-        for _ in range(steps):
+        for step in range(1, steps + 1):
             real.step(policy.compute({})["action"])
-    heights = real.world.objects["cube"].root_pose[:, 2]
-    succeeded = int(real.task.success(real.world).sum())
-    seconds = (time.perf_counter() - begin) / steps
-    print(
-        f"{arguments.samples} samples of {arguments.horizon} steps: {succeeded} of {count} at the goal, "
-        f"{int((heights > 0.06).sum())} off the table, {seconds:.2f} s a control step of all"
-    )
+            if step % 25 == 0 or step == steps:
+                seconds = (time.perf_counter() - begin) / step
+                print(f"step {step} of {steps}: {_reached(real)}, {seconds:.2f} s a control step of all", flush=True)
+    print(f"{arguments.samples} samples of {arguments.horizon} steps: {_reached(real)}")
+
+
+def _reached(environment: Environment) -> str:
+    heights = environment.world.objects["cube"].root_pose[:, 2]
+    succeeded = int(environment.task.success(environment.world).sum())
+    return f"{succeeded} of {environment.num_envs} at the goal, {int((heights > 0.06).sum())} off the table"
 
 
 if __name__ == "__main__":

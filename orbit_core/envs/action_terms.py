@@ -9,7 +9,6 @@ from dataclasses import replace
 from orbit_core.envs.task import COMPOSED, Task
 from orbit_core.envs.terms import terms_of
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.interfaces.typed import Typed
 from orbit_core.motion import ActionTerm, with_drives_for
 from orbit_core.scene import RobotSpec, Scene
 
@@ -25,15 +24,12 @@ def action_terms(task: Task, scene: Scene) -> dict[str, ActionTerm]:
         scene: of the task.
 
     Raises:
-        ArgumentError: a field of a term is not what its annotation says, or NaN.
         UnknownNameError: the scene lacks a robot, the robot a joint, or there is no such action space.
         ConfigurationError: a joint belongs to two terms; an agent has no term, or a term's robot is no agent; a robot
             lacks what a term moves; or both ``action`` and ``actions`` say what is to be.
     """
     specs = _specs_of_agents(task, scene)
     terms = _preset(task, specs) if task.actions is None else _composed(task, scene)
-    for name, term in terms.items():
-        Typed().check(term, f"action term '{name}'")
     _check_disjoint(terms, specs)
     return terms
 

@@ -35,7 +35,11 @@ class AdmittanceConfig(PoseTermConfig):
     """
 
     name: ClassVar[str] = "admittance"
-    above_zero: ClassVar[tuple[str, ...]] = (*PoseTermConfig.above_zero, "max_joint_step")
+    above_zero: ClassVar[tuple[str, ...]] = (
+        *PoseTermConfig.above_zero, "mass", "inertia", "damping", "max_joint_step",
+    )  # fmt: skip
+    none_below_zero: ClassVar[tuple[str, ...]] = ("stiffness", "rotational_stiffness", "inverse_damping")
+    unbounded: ClassVar[tuple[str, ...]] = (*PoseTermConfig.unbounded, "max_joint_step")
 
     sensor: str | None = None
     """A contact or force-torque sensor of the scene; it must be named."""
@@ -76,10 +80,9 @@ class Admittance(PoseFollower):
         self._stiffness = self._six(config.stiffness, config.rotational_stiffness)
         critical = 2.0 * (self._stiffness * self._mass).sqrt()
         self._damping = critical if config.damping is None else self._six(*config.damping)
-        if not bool((self._mass > 0.0).all()) or not bool(((self._damping > 0.0) & (self._stiffness >= 0.0)).all()):
+        if not bool((self._damping > 0.0).all()):
             raise ConfigurationError(
-                f"action term '{name}': masses and damping must be above zero and stiffness not below; give damping "
-                "where there is no stiffness"
+                f"action term '{name}': nothing damps a motion without stiffness: give damping, or stiffness above zero"
             )
         self._offset, self._rate = torch.zeros(2, self.num_envs, 6, device=self.device).unbind()
         self._sag = torch.zeros(self.num_envs, len(self.joints), device=self.device)

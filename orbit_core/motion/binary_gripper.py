@@ -70,7 +70,10 @@ class BinaryGripper(MotionGenerator):
         self._open, self._closed = torch.tensor(ends, device=self.device).unbind()
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        return {JointTarget.POSITION.value: torch.where(inputs["command"] < 0.0, self._closed, self._open)}
+        command = inputs["command"]
+        targets = torch.where(command < 0.0, self._closed, self._open)
+        # Where a command is not a number the targets are none either, and refused by the robot.
+        return {JointTarget.POSITION.value: torch.where(command.isnan(), command, targets)}
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return (2.0 * gripper_open.to(torch.float32) - 1.0).unsqueeze(-1)

@@ -24,7 +24,7 @@ from orbit_core.dynamics.kinematics import PointJacobian
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.dynamics.workspace import workspace_positions
-from orbit_core.interfaces import ConfigurationError, Robot
+from orbit_core.interfaces import Robot
 from orbit_core.motion.arm_dynamics import ArmState
 from orbit_core.motion.differential_ik import PoseTermConfig
 from orbit_core.motion.gains import CommandedGains, GainCommand, GainRange
@@ -43,6 +43,9 @@ class CompliantConfig(PoseTermConfig):
     """A command is a pose of the hand, or its change, and, if asked for, six stiffnesses and six damping ratios."""
 
     unwanted_gains: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
+    none_below_zero: ClassVar[tuple[str, ...]] = (
+        "stiffness", "rotational_stiffness", "damping_ratio", "posture_stiffness",
+    )  # fmt: skip
 
     mode: CommandMode = CommandMode.INTEGRATED
     position_lead: float = 0.1
@@ -96,11 +99,9 @@ class Compliant(PoseFollower, Servo):
     def __init__(self, name: str, robot: Robot, config: CompliantConfig) -> None:
         joints = config.joint_indices(robot.spec, name)
         super().__init__(name, robot, joints, len(config.components(robot.spec, name)))
-        if not config.posture_stiffness >= 0.0:
-            raise ConfigurationError(f"action term '{name}': posture_stiffness is {config.posture_stiffness:g}")
         self.frame = config.frame_of(robot)
         self.gains = CommandedGains(
-            name, config.gains, [config.stiffness] * 3 + [config.rotational_stiffness] * 3, config.damping_ratio,
+            config.gains, [config.stiffness] * 3 + [config.rotational_stiffness] * 3, config.damping_ratio,
             config.stiffness_factor, config.ratio_range, self.num_envs, self.device,
         )  # fmt: skip
         self._pose = config.pose_command(robot)

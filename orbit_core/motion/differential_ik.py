@@ -40,6 +40,7 @@ class PoseTermConfig(ActionTerm):
     """
 
     above_zero: ClassVar[tuple[str, ...]] = ("position_scale", "rotation_scale", "position_lead", "rotation_lead")
+    unbounded: ClassVar[tuple[str, ...]] = ("position_lead", "rotation_lead")
 
     frame: str | None = None
     """The frame that moves; None takes the first end effector's. ``joints`` are by default the arm of the end effector
@@ -95,6 +96,7 @@ class DifferentialIkConfig(PoseTermConfig):
     name: ClassVar[str] = "differential_ik"
     above_zero: ClassVar[tuple[str, ...]] = (*PoseTermConfig.above_zero, "max_joint_step")
     none_below_zero: ClassVar[tuple[str, ...]] = ("damping",)
+    unbounded: ClassVar[tuple[str, ...]] = (*PoseTermConfig.unbounded, "max_joint_step")
 
     method: IkMethod = IkMethod.DAMPED_LEAST_SQUARES
     damping: float = 0.05

@@ -35,12 +35,18 @@ class GainRange:
     low: float
     high: float
 
+    def __post_init__(self) -> None:
+        if not 0.0 < self.low <= self.high < math.inf:
+            raise ConfigurationError(
+                f"GainRange: from {self.low} to {self.high} is no range above zero: give finite numbers, low not above "
+                "high"
+            )
+
 
 class CommandedGains:
     """Stiffness and damping ratio (N, n) that commands may set.
 
     Args:
-        term: name of the action term, for messages.
         command: which gains commands hold.
         stiffness: (n,) where commands hold none.
         damping_ratio: where commands hold none.
@@ -48,14 +54,10 @@ class CommandedGains:
         ratio_range: of the damping ratio.
         num_envs: N.
         device: where tensors live.
-
-    Raises:
-        ConfigurationError: a gain is negative or not finite, or a range empty.
     """
 
     def __init__(
         self,
-        term: str,
         command: GainCommand,
         stiffness: Sequence[float],
         damping_ratio: float,
@@ -64,14 +66,6 @@ class CommandedGains:
         num_envs: int,
         device: torch.device,
     ) -> None:
-        for value in (*stiffness, damping_ratio):
-            if not 0.0 <= value < math.inf:
-                raise ConfigurationError(f"action term '{term}': a gain is {value:g}, give none below zero")
-        for what, ends in (("stiffness factors", stiffness_factor), ("damping ratios", ratio_range)):
-            if not 0.0 < ends.low <= ends.high < math.inf:
-                raise ConfigurationError(
-                    f"action term '{term}': {what} from {ends.low:g} to {ends.high:g} are no range above zero"
-                )
         self._command, self._size = command, len(stiffness)
         self._nominal = torch.tensor(stiffness, device=device)
         self._factor, self._ratio = stiffness_factor, ratio_range

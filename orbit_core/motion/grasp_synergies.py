@@ -65,6 +65,7 @@ class GraspSynergiesConfig(ActionTerm):
     """
 
     name: ClassVar[str] = "grasp_synergies"
+    above_zero: ClassVar[tuple[str, ...]] = ("count",)
 
     frame: str | None = None
     """Frame of the end effector that is the hand; None takes the first one."""

@@ -38,7 +38,9 @@ class HybridForceMotionConfig(OperationalSpaceConfig):
 
     name: ClassVar[str] = "hybrid"
     above_zero: ClassVar[tuple[str, ...]] = (*OperationalSpaceConfig.above_zero, "force_scale", "torque_scale")
-    none_below_zero: ClassVar[tuple[str, ...]] = ("force_damping", "torque_damping")
+    none_below_zero: ClassVar[tuple[str, ...]] = (
+        *OperationalSpaceConfig.none_below_zero, "force_gain", "force_integral", "force_damping", "torque_damping",
+    )  # fmt: skip
 
     force: tuple[bool, ...] = (False, False, True, False, False, False)
     """Which axes push: x, y, z, about x, about y, about z."""
@@ -77,10 +79,9 @@ class HybridForceMotion(OperationalSpace):
     def __init__(self, name: str, robot: Robot, config: HybridForceMotionConfig) -> None:
         super().__init__(name, robot, config)
         self.config = config
-        if not 0.0 <= config.force_gain < 1.0 or config.force_integral < 0.0:
+        if config.force_gain >= 1.0:
             raise ConfigurationError(
-                f"action term '{name}': a force_gain of {config.force_gain:g} or a force_integral of "
-                f"{config.force_integral:g} is unstable: take 0 to below 1, and none below zero"
+                f"action term '{name}': a force_gain of {config.force_gain:g} is unstable: take less than 1"
             )
         if config.axes is not None:
             robot.frame_pose(config.axes)  # which refuses an unknown one

@@ -33,6 +33,7 @@ class JointImpedanceConfig(ActionTerm):
 
     name: ClassVar[str] = "joint_impedance"
     above_zero: ClassVar[tuple[str, ...]] = ("scale",)
+    none_below_zero: ClassVar[tuple[str, ...]] = ("stiffness", "damping_ratio")
     unwanted_gains: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
 
     scale: float = 2.0
@@ -66,7 +67,7 @@ class JointImpedance(Servo):
         super().__init__(name, robot, joints, len(config.components(robot.spec, name)))
         self.config = config
         self.gains = CommandedGains(
-            name, config.gains, [config.stiffness] * count, config.damping_ratio, config.stiffness_factor,
+            config.gains, [config.stiffness] * count, config.damping_ratio, config.stiffness_factor,
             config.ratio_range, self.num_envs, self.device,
         )  # fmt: skip
         self._home = robot.home_positions[joints]

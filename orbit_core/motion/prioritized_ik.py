@@ -46,8 +46,9 @@ class PrioritizedIkConfig(PoseTermConfig):
     """
 
     name: ClassVar[str] = "qp_ik"
-    above_zero: ClassVar[tuple[str, ...]] = (*PoseTermConfig.above_zero, "damping", "max_joint_step")
-    none_below_zero: ClassVar[tuple[str, ...]] = ("posture_gain", "manipulability_gain")
+    above_zero: ClassVar[tuple[str, ...]] = (*PoseTermConfig.above_zero, "damping", "max_joint_step", "speed")
+    none_below_zero: ClassVar[tuple[str, ...]] = ("posture_gain", "manipulability_gain", "weights")
+    unbounded: ClassVar[tuple[str, ...]] = (*PoseTermConfig.unbounded, "max_joint_step")
 
     weights: tuple[float, ...] = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)
     """Of x, y, z (1/m) and of the rotation vector's components (1/rad)."""
@@ -72,11 +73,10 @@ class PrioritizedIk(PoseFollower):
 
     def __init__(self, name: str, robot: Robot, config: PrioritizedIkConfig) -> None:
         super().__init__(name, robot, config.joint_indices(robot.spec, name), 6, (JointTarget.POSITION,))
-        if len(config.weights) != 6 or min(config.weights) < 0.0 or not 0.0 < config.speed <= 1.0:
-            raise ConfigurationError(
-                f"action term '{name}': weights {config.weights} are six numbers, none below zero, and speed "
-                f"{config.speed:g} is above 0 and at most 1"
-            )
+        if len(config.weights) != 6:
+            raise ConfigurationError(f"action term '{name}': weights are {config.weights}: give six numbers")
+        if config.speed > 1.0:
+            raise ConfigurationError(f"action term '{name}': speed is {config.speed:g}: give a share of at most 1")
         self.config = config
         self.frame = config.frame_of(robot)
         self._pose = config.pose_command(robot)

@@ -58,6 +58,7 @@ class RmpFlowConfig(PoseTermConfig):
         "max_lead",
     )
     none_below_zero: ClassVar[tuple[str, ...]] = ("obstacle_weight", "obstacle_push", "posture_gain", "limit_weight")
+    unbounded: ClassVar[tuple[str, ...]] = (*PoseTermConfig.unbounded, "goal_reach", "goal_turn", "max_lead")
 
     mode: CommandMode = CommandMode.ABSOLUTE
     position_scale: float = 0.5
@@ -104,7 +105,8 @@ class RmpFlow(PoseFollower):
         super().__init__(name, robot, joints, 6, (JointTarget.POSITION, JointTarget.VELOCITY))
         if config.range <= config.margin:
             raise ConfigurationError(
-                f"action term '{name}': the range, {config.range:g} m, is more than the margin, {config.margin:g} m"
+                f"action term '{name}': range is {config.range:g} m and margin {config.margin:g} m: give a range above "
+                "the margin"
             )
         self.config = config
         self.frame = config.frame_of(robot)

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import numbers
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from orbit_core.interfaces import ConfigurationError, Robot, match_names
+from orbit_core.interfaces.typed import Typed
 from orbit_core.motion.base import MotionGenerator
 from orbit_core.motion.embodiment import driven_joints, joint_commands
 from orbit_core.scene import RobotSpec
 
+_TYPED = Typed()
+
 
 @dataclass(frozen=True, kw_only=True)
 class ActionTerm(ABC):
-    """Which joints of which robot a motion generator moves, and how: a subclass is that generator's configuration."""
+    """Which joints of which robot a motion generator moves, and how: a subclass is that generator's configuration.
+
+    Raises:
+        ArgumentError: a field is not what its annotation says, or NaN.
+        ConfigurationError: a number means nothing: it is below what its field takes, or infinite.
+    """
 
     name: ClassVar[str]
     """The motion generator's name in the registry."""
@@ -27,6 +36,8 @@ class ActionTerm(ABC):
     """Fields that are refused where they are zero or less."""
     none_below_zero: ClassVar[tuple[str, ...]] = ()
     """Fields that are refused where they are less than zero."""
+    unbounded: ClassVar[tuple[str, ...]] = ()
+    """Fields that infinity means something in: no limit. Everywhere else it is refused."""
 
     robot: str = "robot"
     """Name of a robot of the scene that acts in the task."""
@@ -34,16 +45,23 @@ class ActionTerm(ABC):
     """Regular expressions over joint names (full match); None takes the generator's own choice."""
 
     def __post_init__(self) -> None:
-        for field in (*self.above_zero, *self.none_below_zero):
-            value = getattr(self, field)
-            # What is no number, or NaN, is told where the task's terms are checked.
-            if not isinstance(value, int | float):
-                continue
-            if field.endswith("scale") and math.isinf(value):
-                raise ConfigurationError(f"{type(self).__name__}: {field} is {value:g}: give a finite number")
-            if value < 0.0 or (field in self.above_zero and value == 0.0):
-                allowed = "above zero" if field in self.above_zero else "not below zero"
-                raise ConfigurationError(f"{type(self).__name__}: {field} is {value:g}: give a number {allowed}")
+        _TYPED.check(self, type(self).__name__)
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            for number in value if isinstance(value, tuple) else (value,):
+                if isinstance(number, numbers.Real):
+                    self._check_number(field.name, float(number))
+
+    def _check_number(self, field: str, value: float) -> None:
+        wanted = ""
+        if field in self.above_zero and value <= 0.0:
+            wanted = "a number above zero"
+        elif field in self.none_below_zero and value < 0.0:
+            wanted = "a number not below zero"
+        elif math.isinf(value) and field not in self.unbounded:
+            wanted = "a finite number"
+        if wanted:
+            raise ConfigurationError(f"{type(self).__name__}: {field} is {value:g}: give {wanted}")
 
     @abstractmethod
     def build(self, name: str, robot: Robot) -> MotionGenerator:

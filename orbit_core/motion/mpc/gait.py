@@ -26,10 +26,10 @@ class Gait:
             ConfigurationError: a phase has no length, or names a foot that the robot has not, or no foot would stand.
         """
         if not self.phases:
-            raise ConfigurationError(f"action term '{term}': its gait has no phases")
+            raise ConfigurationError(f"action term '{term}': its gait has no phases: give one")
         for length, lifted in self.phases:
             if not length > 0.0:
-                raise ConfigurationError(f"action term '{term}': a phase of its gait takes {length:g} s")
+                raise ConfigurationError(f"action term '{term}': a phase of its gait takes {length:g} s: give more")
             if any(not 0 <= foot < feet for foot in lifted) or len(set(lifted)) >= feet:
                 raise ConfigurationError(
                     f"action term '{term}': its gait lifts feet {list(lifted)} of {feet}, numbered from 0: name feet "

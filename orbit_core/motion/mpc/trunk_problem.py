@@ -27,6 +27,7 @@ class TrunkSettings(PredictiveConfig):
     """What a trunk's plans are made with."""
 
     above_zero: ClassVar[tuple[str, ...]] = (*PredictiveConfig.above_zero, "friction", "speed", "turn_speed")
+    none_below_zero: ClassVar[tuple[str, ...]] = (*PredictiveConfig.none_below_zero, "sway_weight")
 
     mode: CommandMode = CommandMode.ABSOLUTE
     position_scale: float = 0.1
