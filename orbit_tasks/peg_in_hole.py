@@ -13,14 +13,7 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.assets.pegs import BOARD_HEIGHT, COLORS, GRIP_HEIGHT, block, board, section
-from orbit_core.dynamics.transforms import (
-    pose_inverse,
-    pose_multiply,
-    quat_multiply,
-    quat_to_rotation_vector,
-    rotation_angle,
-    yaw_angle,
-)
+from orbit_core.dynamics import transforms
 from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, Retry, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import POSE, once_per_state
@@ -30,7 +23,7 @@ from orbit_core.scene import PhysicsMaterial, Scene
 
 SMOOTH = PhysicsMaterial(static_friction=0.3, dynamic_friction=0.3)
 GENTLE = 0.0015
-"""Metres below itself to which a block is led while it is near its hole's rim: a stronger push turns it in the hand."""
+"""Metres below itself to which a block is led near its hole's rim: a stronger push turns it in the hand."""
 HASTE = 6.0
 """How many times what a block lacks sideways is asked for: drives are slow, and a push on the rim moves them."""
 IN = 0.0005
@@ -42,22 +35,22 @@ ARM = 0.03
 @once_per_state
 def seats(world: World, task: PegInHole) -> Tensor:
     """(N, B, 7) of each block all the way in its hole, in the turn that is nearest to how it is turned now."""
-    return turned_seats(world, task, yaw_angle(tabletop.piece_poses(world, task)[..., 3:]))
+    return turned_seats(world, task, transforms.yaw_angle(tabletop.piece_poses(world, task)[..., 3:]))
 
 
 def turned_seats(world: World, task: PegInHole, wanted: Tensor) -> Tensor:
     """(N, B, 7) of blocks in their holes, in the turn that is nearest to ``wanted`` (N, B) rad about the vertical."""
     holes = torch.stack([world.objects["board"].frame_pose(f"hole_{k}") for k in range(len(task.pieces))], dim=1)
-    way = wanted - yaw_angle(holes[..., 3:])
+    way = wanted - transforms.yaw_angle(holes[..., 3:])
     turn = torch.where(task.turn > 0.0, task.turn * torch.round(way / task.turn.clamp_min(1e-6)), way)
     turned = common.turned(turn.flatten()).view(*turn.shape, 4)
-    return torch.cat((holes[..., :3], quat_multiply(holes[..., 3:], turned)), dim=-1)
+    return torch.cat((holes[..., :3], transforms.quat_multiply(holes[..., 3:], turned)), dim=-1)
 
 
 @once_per_state
 def offsets(world: World, task: PegInHole) -> Tensor:
     """(N, B, 7) each block's pose as its seat sees it."""
-    return pose_multiply(pose_inverse(seats(world, task)), tabletop.piece_poses(world, task))
+    return transforms.pose_multiply(transforms.pose_inverse(seats(world, task)), tabletop.piece_poses(world, task))
 
 
 @once_per_state
@@ -70,13 +63,13 @@ def distances(world: World, task: PegInHole) -> Tensor:
 def errors(world: World, task: PegInHole) -> Tensor:
     """(N, B) metres from each block to its place, with its turn and tilt counted as well."""
     off = offsets(world, task)
-    return torch.hypot(vector_norm(off[..., :3], dim=-1), ARM * rotation_angle(off[..., 3:]))
+    return torch.hypot(vector_norm(off[..., :3], dim=-1), ARM * transforms.rotation_angle(off[..., 3:]))
 
 
 def fine_offsets(world: World, task: PegInHole) -> Tensor:
-    """(N, B, 6) in [-1, 1] each block's position and turn as its seat sees them; 0.76 is a centimetre, or 0.33 rad."""
-    off = offsets(world, task)
-    return torch.tanh(torch.cat((off[..., :3], ARM * quat_to_rotation_vector(off[..., 3:])), dim=-1) / 0.01)
+    """(N, B, 6) in [-1, 1] way from each block's seat, and its turn there; 0.76 is a centimetre, or 0.33 rad."""
+    way, turn = tabletop.piece_poses(world, task) - seats(world, task), offsets(world, task)[..., 3:]
+    return torch.tanh(torch.cat((way[..., :3], ARM * transforms.quat_to_rotation_vector(turn)), dim=-1) / 0.01)
 
 
 @once_per_state
@@ -94,14 +87,15 @@ def lifted(world: World, task: PegInHole) -> Tensor:
 @once_per_state
 def hand_to_knobs(world: World, task: PegInHole) -> Tensor:
     """(N, B, 3) from the hand to the middle of each block's knob."""
-    knobs = pose_multiply(tabletop.piece_poses(world, task), task.grip.expand(task.num_envs, len(task.pieces), 7))
+    knobs = transforms.pose_multiply(
+        tabletop.piece_poses(world, task), task.grip.expand(task.num_envs, len(task.pieces), 7)
+    )
     return knobs[..., :3] - common.hand_pose(world, task)[:, None, :3]
 
 
 def reaching(world: World, task: PegInHole) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the nearest block that is not in its hole; 1 once all are."""
-    near = common.nearness(vector_norm(hand_to_knobs(world, task), dim=-1), 0.1)
-    done = inserted(world, task)
+    near, done = common.nearness(vector_norm(hand_to_knobs(world, task), dim=-1), 0.1), inserted(world, task)
     return torch.maximum((near * (1.0 - done)).amax(1), done.amin(1))
 
 
@@ -113,7 +107,7 @@ def tracking(world: World, task: PegInHole, scale: float) -> Tensor:
 def aligned(world: World, task: PegInHole) -> Tensor:
     """(N,) in [0, 1]: how well lifted blocks stand above or in their holes, at whatever height, on average."""
     off = offsets(world, task)
-    error = torch.hypot(vector_norm(off[..., :2], dim=-1), ARM * rotation_angle(off[..., 3:]))
+    error = torch.hypot(vector_norm(off[..., :2], dim=-1), ARM * transforms.rotation_angle(off[..., 3:]))
     return (lifted(world, task) * common.nearness(error, 0.01)).mean(1)
 
 
@@ -129,8 +123,8 @@ def place_board(world: World, task: PegInHole, env_ids: Tensor) -> None:
     low, high = common.workspace(world)
     spread = 1.0 / len(task.pieces)
     far, middle = high[0] - 0.06, 0.5 * (low[1] + high[1])
-    least = (far - 0.03, middle - 0.08 * spread, 0.0, -0.3 * spread)
-    place = world.random.uniform((4,), least, (far, middle + 0.08 * spread, 0.0, 0.3 * spread), env_ids)
+    bounds = (far - 0.03, middle - 0.08 * spread, 0.0, -0.3 * spread), (far, middle + 0.08 * spread, 0.0, 0.3 * spread)
+    place = world.random.uniform((4,), *bounds, env_ids)
     world.objects["board"].set_root_pose(common.standing(place), env_ids)
 
 
@@ -149,13 +143,13 @@ def place_blocks(world: World, task: PegInHole, env_ids: Tensor) -> None:
 
 def grasp(world: World, task: PegInHole, index: int, height: float = 0.0) -> Tensor:
     """(N, 7) the hand around a block's knob, or above it, in the quarter turn that turns the hand least in all."""
-    knob = pose_multiply(tabletop.piece_poses(world, task)[:, index], task.grip.expand(task.num_envs, 7))
+    knob = transforms.pose_multiply(tabletop.piece_poses(world, task)[:, index], task.grip.expand(task.num_envs, 7))
     quarters = 0.5 * math.pi * torch.tensor([-1.0, 0.0, 1.0, 2.0], device=world.device)
-    before = yaw_angle(knob[:, 3:])[:, None] + quarters
-    after = [yaw_angle(turned_seats(world, task, (-turn).expand(task.num_envs, len(task.pieces)))[:, index, 3:]) + turn
-             for turn in quarters]  # fmt: skip
+    before = transforms.yaw_angle(knob[:, 3:])[:, None] + quarters
+    ahead = [turned_seats(world, task, (-turn).expand(task.num_envs, len(task.pieces)))[:, index] for turn in quarters]
+    after = transforms.yaw_angle(torch.stack(ahead, dim=1)[..., 3:]) + quarters
     position = knob[:, :3] + torch.tensor([0.0, 0.0, height], device=world.device)
-    return torch.cat((position, common.facing_down(picking.least_turn(before, torch.stack(after, dim=1)))), dim=1)
+    return torch.cat((position, common.facing_down(picking.least_turn(before, after))), dim=1)
 
 
 def carried(world: World, task: PegInHole, index: int, height: float, push: float = 1.0, haste: float = 1.0) -> Tensor:
@@ -164,12 +158,12 @@ def carried(world: World, task: PegInHole, index: int, height: float, push: floa
     It goes down by at most ``push`` (m), near the rim by :data:`GENTLE`, and until it is in the hole asks for ``haste``
     times what it lacks sideways."""  # fmt: skip
     held, hand = tabletop.piece_poses(world, task)[:, index], common.hand_pose(world, task)
-    wanted = yaw_angle(held[:, 3:]) - common.turn_facing_down(hand[:, 3:])
+    wanted = transforms.yaw_angle(held[:, 3:]) - common.turn_facing_down(hand[:, 3:])
     seat = turned_seats(world, task, wanted[:, None].expand(-1, len(task.pieces)))[:, index]
     above = held[:, 2] - seat[:, 2]
     up = (above - torch.where((above - BOARD_HEIGHT).abs() < 0.003, min(push, GENTLE), push)).clamp_min(height)
     target = torch.cat((seat[:, :2], (seat[:, 2] + up)[:, None], seat[:, 3:]), dim=1)
-    pose = pose_multiply(target, pose_multiply(pose_inverse(held), hand))
+    pose = transforms.pose_multiply(target, transforms.pose_multiply(transforms.pose_inverse(held), hand))
     more = torch.where(above > BOARD_HEIGHT - IN, haste - 1.0, 0.0)[:, None]
     pose[:, :2] += more * (pose[:, :2] - hand[:, :2])
     return pose
@@ -177,9 +171,13 @@ def carried(world: World, task: PegInHole, index: int, height: float, push: floa
 
 @dataclass
 class PegState(tabletop.ArmState):
-    """The arm's joints, the hand, the blocks as the hand and as their places see them, and the last action."""
+    """The arm's joints, the hand, the blocks, as hand and seats see them as well, the seats, and the last action."""
 
+    block_poses: ObservationTerm | None = ObservationTerm(tabletop.piece_poses, unit=POSE)
+    block_turns: ObservationTerm | None = ObservationTerm(tabletop.piece_turns, unit="rad")
+    fine_hand_to_knobs: ObservationTerm | None = tabletop.fine(hand_to_knobs)
     hand_to_knobs: ObservationTerm | None = ObservationTerm(hand_to_knobs, unit="m")
+    seats: ObservationTerm | None = ObservationTerm(seats, unit=POSE)
     offsets: ObservationTerm | None = ObservationTerm(offsets, unit=POSE)
     fine_offsets: ObservationTerm | None = ObservationTerm(fine_offsets, unit="1")
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
@@ -263,7 +261,9 @@ class PegInHole(tabletop.TabletopTask):
 
     def randomize(self) -> None:
         """The blocks' friction, the board's and the fingers', the arm's gains, and noise on joints and blocks."""
-        self.vary((*self.pieces, "board"), (0.2, 0.5), hand_to_knobs=0.0005, offsets=0.0005, fine_offsets=0.05)
+        ways = dict.fromkeys(("block_poses", "hand_to_knobs", "seats", "offsets"), 0.0005)
+        fine = {"block_turns": 0.005, "fine_hand_to_knobs": 0.05, "fine_offsets": 0.05}
+        self.vary((*self.pieces, "board"), (0.2, 0.5), **ways, **fine)
 
     def success(self, world: World) -> Tensor:
         return inserted(world, self).amin(1) > 0.0

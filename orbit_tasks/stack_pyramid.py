@@ -13,7 +13,7 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import box
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, PremiseTerm, RewardTerm
+from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, PremiseTerm, Retry, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
@@ -55,17 +55,12 @@ def distances(world: World, task: StackPyramid) -> Tensor:
 
 
 @once_per_state
-def hand_distances(world: World, task: StackPyramid) -> Tensor:
-    """(N, M) metres between the hand and the blocks that are to be moved."""
-    return vector_norm(hand_to_blocks(world, task), dim=2)
+def put_down(world: World, task: StackPyramid) -> Tensor:
+    """(N, M) bool: the block is at its place and the hand away from it."""
+    return (distances(world, task) < task.tolerance) & (vector_norm(hand_to_blocks(world, task), dim=2) > SIZE)
 
 
 @once_per_state
-def put_down(world: World, task: StackPyramid) -> Tensor:
-    """(N, M) bool: the block is at its place and the hand away from it."""
-    return (distances(world, task) < task.tolerance) & (hand_distances(world, task) > SIZE)
-
-
 def hand_to_blocks(world: World, task: StackPyramid) -> Tensor:
     """(N, M, 3) from the hand to the blocks that are to be moved."""
     return moved_positions(world, task) - common.hand_pose(world, task)[:, None, :3]
@@ -91,7 +86,7 @@ def staged(world: World, task: StackPyramid, values: Tensor) -> Tensor:
 
 def reaching(world: World, task: StackPyramid) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the next block."""
-    return staged(world, task, common.nearness(hand_distances(world, task), 0.1))
+    return staged(world, task, common.nearness(vector_norm(hand_to_blocks(world, task), dim=2), 0.1))
 
 
 @once_per_state
@@ -108,7 +103,7 @@ def tracking(world: World, task: StackPyramid, scale: float) -> Tensor:
 
 def letting_go(world: World, task: StackPyramid) -> Tensor:
     """(N,) in [0, 1]: how far the gripper is open, and the hand has left, where a block is at its place."""
-    away = (hand_distances(world, task) / SIZE).clamp(max=1.0)
+    away = (vector_norm(hand_to_blocks(world, task), dim=2) / SIZE).clamp(max=1.0)
     wider = (4.0 * task.opening() - 3.0).clamp_min(0.0)  # than any gripper that still holds a block
     return staged(world, task, 0.5 * (wider[:, None] + away) * (distances(world, task) < task.tolerance))
 
@@ -133,9 +128,12 @@ def place_blocks(world: World, task: StackPyramid, env_ids: Tensor) -> None:
 
 @dataclass
 class StackState(tabletop.ArmState):
-    """The arm's joints and hand, all blocks, the ways to the blocks and on to their places, and the last action."""
+    """The arm's joints and hand, blocks, their turns against the hand, ways to them and their places, last action."""
 
     block_poses: ObservationTerm | None = ObservationTerm(tabletop.piece_poses, unit=POSE)
+    block_turns: ObservationTerm | None = ObservationTerm(tabletop.piece_turns, unit="rad")
+    fine_hand_to_blocks: ObservationTerm | None = tabletop.fine(hand_to_blocks)
+    fine_blocks_to_places: ObservationTerm | None = tabletop.fine(blocks_to_places)
     hand_to_blocks: ObservationTerm | None = ObservationTerm(hand_to_blocks, unit="m")
     blocks_to_places: ObservationTerm | None = ObservationTerm(blocks_to_places, unit="m")
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
@@ -238,7 +236,9 @@ class StackPyramid(tabletop.TabletopTask):
 
     def randomize(self) -> None:
         """The friction of blocks and fingers, the arm's gains, and noise on joints and blocks."""
-        self.vary((common.ROBOT, *self.pieces, "table"), (0.5, 1.2), block_poses=0.002)
+        ways = {"block_poses": 0.002, "hand_to_blocks": 0.002, "blocks_to_places": 0.002, "block_turns": 0.02}
+        fine = {"fine_hand_to_blocks": 0.2, "fine_blocks_to_places": 0.2}
+        self.vary((common.ROBOT, *self.pieces, "table"), (0.5, 1.2), **ways, **fine)
 
     def success(self, world: World) -> Tensor:
         return put_down(world, self).all(1)
@@ -274,9 +274,11 @@ def _place(index: int) -> TermFunction:
 
 
 def _moving(world: World, index: int) -> tuple[Phase, ...]:
-    """Pick a block up and put it to its place, 3 mm too high, so that it does not press."""
-    put = picking.hand_for(picking.raised(_place(index), 0.003), _block(index))
-    return picking.pick(world, _grasp(index), clearance=0.12) + picking.put(put, height=0.22, over=1.25 * GAP)
+    """Pick a block up and put it to its place, 3 mm too high, so that it does not press; again where it was lost."""
+    place = picking.hand_for(picking.raised(_place(index), 0.003), _block(index))
+    came = Retry(4, lambda world, task: moved_positions(world, task)[:, index, 2] > SIZE)
+    put = picking.put(place, height=0.22, over=1.25 * GAP, came=came)
+    return picking.pick(world, _grasp(index), clearance=0.12) + put
 
 
 def _parts(index: int) -> tuple[Subtask, Subtask]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_rotate, quat_rotate_inverse
-from orbit_core.envs.expert import Phase
+from orbit_core.envs.expert import Phase, Retry
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import TermFunction
 from orbit_core.interfaces import World
@@ -22,7 +23,11 @@ few centimetres: a Franka hand's is 0.2 wide."""
 
 def quarter_yaw(orientation: Tensor) -> Tensor:
     """(...,) rad, at most an eighth of a turn: by how much a square thing is turned about the vertical."""
-    yaw = 2.0 * torch.atan2(orientation[..., 3], orientation[..., 0])
+    return quarter(2.0 * torch.atan2(orientation[..., 3], orientation[..., 0]))
+
+
+def quarter(yaw: Tensor) -> Tensor:
+    """The same turns (...,) of a square thing, rad, at most an eighth of a turn."""
     return yaw - _QUARTER * torch.round(yaw / _QUARTER)
 
 
@@ -115,7 +120,13 @@ def pick(world: World, grasp: TermFunction, clearance: float = 0.1, free: bool =
     )
 
 
-def put(place: TermFunction, height: float, clearance: float = 0.1, over: float = 0.015) -> tuple[Phase, ...]:
+def put(
+    place: TermFunction,
+    height: float,
+    clearance: float = 0.1,
+    over: float = 0.015,
+    came: Retry | None = None,
+) -> tuple[Phase, ...]:
     """Carry what is held, ``height`` metres above the origin, to its place, let go, and leave straight up.
 
     Args:
@@ -123,11 +134,13 @@ def put(place: TermFunction, height: float, clearance: float = 0.1, over: float 
         height: of the hand on the way, in metres in the environment's frame.
         clearance: metres above the place at which the hand arrives.
         over: metres within which it is there before it goes down: less than what is free beside the place.
+        came: what to do where the thing did not come along on the way up.
     """
+    up = Phase(straight_up(height), position_tolerance=0.03, rotation_tolerance=math.inf, timeout=2.0)
     return (
-        Phase(straight_up(height), False, position_tolerance=0.03, rotation_tolerance=math.inf, timeout=2.0),
+        replace(up, gripper_open=False, retry=came),
         Phase(raised(place, clearance), False, position_tolerance=over, rotation_tolerance=0.05, timeout=4.0),
         Phase(place, False, position_tolerance=0.003, rotation_tolerance=0.05, timeout=2.0),
         Phase(place, dwell=0.3, timeout=0.4),
-        Phase(straight_up(height), position_tolerance=0.03, rotation_tolerance=math.inf, timeout=2.0),
+        up,
     )

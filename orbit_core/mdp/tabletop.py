@@ -10,9 +10,9 @@ from torch import Tensor
 
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, PremiseTerm, TerminationTerm
 from orbit_core.envs.task import ROBOT, Task
-from orbit_core.envs.terms import once_per_state
+from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, premises, randomize
+from orbit_core.mdp import common, picking, premises, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import ObjectSpec, RobotSpec, Scene
 
@@ -23,9 +23,20 @@ def piece_poses(world: World, task: TabletopTask) -> Tensor:
     return torch.stack([world.objects[name].root_pose for name in task.pieces], dim=1)
 
 
+def piece_turns(world: World, task: TabletopTask) -> Tensor:
+    """(N, B) rad, at most an eighth of a turn: by how much pieces that are square are turned against the hand."""
+    hand = common.turn_facing_down(common.hand_pose(world, task)[:, 3:])
+    return picking.quarter(picking.quarter_yaw(piece_poses(world, task)[..., 3:]) - hand[:, None])
+
+
 def dropped(world: World, task: TabletopTask) -> Tensor:
     """(N,) bool: one of the task's pieces fell off the table."""
     return (piece_poses(world, task)[..., 2] < -0.05).any(1)
+
+
+def fine(term: TermFunction, scale: float = 0.01) -> ObservationTerm:
+    """The term in [-1, 1]: its hyperbolic tangent in units of ``scale``, for what is to be told apart near zero."""
+    return ObservationTerm(lambda world, task: torch.tanh(term(world, task) / scale), unit="1")
 
 
 def put(world: World, names: Sequence[str], poses: Tensor, env_ids: Tensor) -> None:

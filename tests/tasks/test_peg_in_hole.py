@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from orbit_core.assets import pegs
+from orbit_core.dynamics import transforms
 from orbit_core.envs import make
 from orbit_core.interfaces import AssetError, ConfigurationError, UnknownNameError
 from orbit_core.scene import Box, Mesh, Shape
@@ -66,9 +67,9 @@ def test_a_quarter_turn_of_a_square_block_fits_as_well_and_an_eighth_does_not() 
     assert isinstance(task, PegInHole)
     pose = task_file.seats(world, task)[:, 0].clone()
     turns = torch.tensor([0.5 * torch.pi, 0.24 * torch.pi])
-    pose[:, 3:] = task_file.quat_multiply(pose[:, 3:], task_file.common.turned(turns))
+    pose[:, 3:] = transforms.quat_multiply(pose[:, 3:], task_file.common.turned(turns))
     world.objects["block_0"].set_root_pose(pose)
-    off = task_file.rotation_angle(task_file.offsets(world, task)[:, 0, 3:])
+    off = transforms.rotation_angle(task_file.offsets(world, task)[:, 0, 3:])
     assert off.tolist() == pytest.approx([0.0, 0.24 * torch.pi], abs=1e-4)
     environment.close()
 

@@ -71,6 +71,19 @@ def test_a_block_in_the_hand_is_not_put_down(stack: Environment) -> None:
     assert (tasks.reaching(stack.world, stack.task) > 0.99).all()
 
 
+def test_blocks_are_seen_as_they_are_turned_against_the_hand_by_less_than_a_quarter(stack: Environment) -> None:
+    stack.reset(seed=0)
+    task, world = stack.task, stack.world
+    assert isinstance(task, tasks.Stack)
+    turns = torch.tensor([0.2, 0.2 + 0.5 * torch.pi, -0.3, torch.pi - 0.3])
+    pose = world.objects["orange"].root_pose.clone()
+    pose[:, 3:] = common.turned(common.turn_facing_down(common.hand_pose(world, task)[:, 3:]) + turns)
+    world.objects["orange"].set_root_pose(pose)
+    torch.testing.assert_close(
+        tabletop.piece_turns(world, task)[:, 1], torch.tensor([0.2, 0.2, -0.3, -0.3]), atol=1e-4, rtol=0.0
+    )
+
+
 def test_a_block_off_the_table_ends_the_episode(stack: Environment) -> None:
     stack.reset(seed=0)
     _put(stack, torch.tensor([[0.0, 0.0, -0.2]]).expand(N, 3))
