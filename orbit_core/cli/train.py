@@ -39,7 +39,8 @@ class TrainSettings(EnvironmentSettings):
     library: Annotated[str, arg(metavar="NAME")] = "rsl-rl"
     """Learning library ('orbit list libraries'); distill imitates a teacher."""
     teacher: Annotated[str | None, arg(metavar="POLICY")] = None
-    """Teacher, for distill: a kept policy's name ('orbit list policies'), a policy's file, or a training's folder."""
+    """Teacher, for distill: a kept policy's name ('orbit list policies'), a policy's file, a training's folder, or
+    expert, the task's own."""
     iterations: Annotated[int | None, arg(metavar="INT")] = None
     """Iterations of collecting and learning in all; the task's own number if left out."""
     ppo: KeyValues = ()

@@ -47,6 +47,9 @@ class PpoSettings:
     start: str = ""
     """A kept policy's name, a policy's file or a training's folder that the actor begins with; it may have seen less.
     Its hidden layers are those of ``hidden_sizes``; needs RSL-RL."""
+    critic_first: int = 0
+    """Iterations at first in which the critic alone learns, for a beginner's judgement leads astray an actor that is
+    good already (Ramrakhya et al., PIRLNav, 2023); needs RSL-RL."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -62,6 +65,7 @@ class PpoSettings:
             self._check(name, 0.0, 1.0)
         self._check("entropy_weight", 0.0, math.inf)
         self._check("imitation_steps", 0, math.inf)
+        self._check("critic_first", 0, math.inf)
         if not all(1 <= units <= _MOST_UNITS for units in self.hidden_sizes):
             raise ArgumentError(f"hidden_sizes are {self.hidden_sizes}: give each layer 1 to {_MOST_UNITS} units")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from orbit_core.envs.environment import Environment
+from orbit_core.envs.environment import Environment, Observation
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.distill_settings import DistillSettings
 from orbit_core.learning.loop import LoopTrainer
@@ -21,6 +21,8 @@ from orbit_core.learning.replay_buffer import ReplayBuffer
 from orbit_core.learning.student import RunningMoments, build_actor, copied_actor, network_for
 from orbit_core.pretrained import policy_path
 
+EXPERT = "expert"
+"""Name of the teacher that is the task's own expert."""
 _MOST_GRADIENT = 0.1
 _OUTLIER = 0.5
 """Errors of an action beyond which the loss grows no longer as their square: Huber, Robust Estimation of a Location
@@ -45,12 +47,10 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         super().__init__(environment, settings, folder, seed)
         if not settings.teacher:
             raise ConfigurationError(
-                "a distillation needs a teacher: name a kept policy ('orbit list policies') or a policy's file"
+                "a distillation needs a teacher: name a kept policy ('orbit list policies'), a policy's file, or expert"
             )
         device, layout = environment.device, environment.observation["policy"]
-        teacher = load_policy(policy_path(settings.teacher), device)
-        self._teacher_group = teacher.description.find_group(environment)
-        self._teacher = teacher.module
+        self._wanted = _teacher_of(environment, settings.teacher)
         self._network = network_for(layout, settings.hidden_sizes)
         self._student = build_actor(self._network, layout, environment.action_size)
         self._student.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
@@ -102,7 +102,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
     def _collect(self, iteration: int) -> None:
         """One step of all environments."""
         environment, seen = self.environment, self._seen["policy"]
-        wanted = self._teacher(self._seen[self._teacher_group])
+        wanted = self._wanted(self._seen)
         done = self._student(seen)
         self._buffer.add(seen, wanted)
         self._moments.add(self._student.vectors(seen))  # pyright: ignore[reportArgumentType] - as its group gives it
@@ -132,6 +132,16 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
         torch.nn.utils.clip_grad_norm_(self._student.parameters(), _MOST_GRADIENT)
         self._optimizer.step()
         self._loss += loss.detach()
+
+
+def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], Tensor]:
+    """From what is shown to the actions (N, A) of the task's expert, or of the policy of that name."""
+    if name == EXPERT:
+        expert = environment.task.expert(environment.world)
+        return lambda seen: expert.compute({})["action"]
+    teacher = load_policy(policy_path(name), environment.device)
+    group = teacher.description.find_group(environment)
+    return lambda seen: teacher.module(seen[group])
 
 
 def _shifted(observation: Mapping[str, Tensor], most: int) -> dict[str, Tensor]:

@@ -16,7 +16,7 @@ class DistillSettings:
     """
 
     teacher: str = ""
-    """A kept policy's name, a policy's file, or a training's folder."""
+    """A kept policy's name, a policy's file, a training's folder, or ``expert``, the task's own."""
     iterations: int = 1000
     """Number of iterations, each of collecting steps and learning from them."""
     steps_per_iteration: int = 16

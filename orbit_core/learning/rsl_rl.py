@@ -104,6 +104,7 @@ class RslRlTrainer(Trainer[PpoSettings]):
             if self._runner.current_learning_iteration == 0:
                 imitate_expert(self.environment, policy.mlp, policy.obs_normalizer, self.settings)
             policy.obs_normalizer.until = 0  # what was imitated holds for these statistics
+        self._let_actor_learn(self._runner.current_learning_iteration)
         with self._reporting(report), contextlib.redirect_stdout(io.StringIO()):
             self._runner.learn(iterations, init_at_random_ep_len=True)
 
@@ -140,7 +141,15 @@ class RslRlTrainer(Trainer[PpoSettings]):
             seen._mean.copy_(module.mean)
             seen._std.copy_((module.std - seen.eps).clamp_min(0.0))
             seen._var.copy_(seen._std.square())
+        if len(module.mean) == policy.description.observation_size:
+            seen.until = 0  # nothing is new, and what was learned holds for these statistics
         seen.count.fill_(_START_WEIGHT * self.settings.steps_per_iteration * self.environment.num_envs)
+
+    def _let_actor_learn(self, iteration: int) -> None:
+        """Or not, in the iterations in which the critic learns alone; an actor that stays would drive up the rate."""
+        learns, algorithm = iteration >= self.settings.critic_first, self._runner.alg
+        cast(Any, algorithm.get_policy()).requires_grad_(learns)
+        algorithm.schedule = "adaptive" if learns else "fixed"
 
     def _bound_exploration(self) -> None:
         """Actions are clipped to [-1, 1]: a wider deviation does the same and only earns more entropy, without end."""
@@ -160,6 +169,7 @@ class RslRlTrainer(Trainer[PpoSettings]):
             successes = [entry["success"] for entry in ends]
             log(*args, **keywords)
             self._bound_exploration()
+            self._let_actor_learn(keywords["it"] + 1)
             report(
                 Progress(
                     iteration=keywords["it"],

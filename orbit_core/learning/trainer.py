@@ -78,7 +78,7 @@ class Trainer(ABC, Generic[Settings]):
     imitates: ClassVar[bool] = False
     """Whether it imitates the task's expert first, :attr:`PpoSettings.imitation_steps`."""
     begins_with_policies: ClassVar[bool] = False
-    """Whether its actor can begin with a policy, :attr:`PpoSettings.start`."""
+    """Whether its actor can begin with a policy, :attr:`PpoSettings.start`, and its critic learn alone at first."""
     settings_type: ClassVar[type[Any]] = PpoSettings
     """Class of its algorithm's settings."""
 
@@ -91,6 +91,10 @@ class Trainer(ABC, Generic[Settings]):
         if getattr(settings, "start", "") and not self.begins_with_policies:
             raise ConfigurationError(
                 f"library '{self.name}' begins with no policy: use --library rsl-rl, or leave --ppo start out"
+            )
+        if getattr(settings, "critic_first", 0) and not self.begins_with_policies:
+            raise ConfigurationError(
+                f"library '{self.name}' lets no critic learn alone: use --library rsl-rl, or --ppo critic_first=0"
             )
         self.environment = environment
         self.settings = settings

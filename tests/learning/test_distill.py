@@ -117,6 +117,15 @@ def test_a_student_may_see_terms_side_by_side(tmp_path: Path) -> None:
     environment.close()
 
 
+def test_the_expert_of_the_task_may_teach(tmp_path: Path) -> None:
+    """What it would do from where the student has led: its phases go on with the student's episode."""
+    environment = Environment(Reach(action="ik_relative", episode_length=0.4), 8, BACKEND)
+    settings = replace(SETTINGS, teacher="expert", teacher_led=0.0)
+    curve = train(DistillTrainer(environment, settings, tmp_path, 0), 4)
+    assert curve[-1].loss < 0.7 * curve[0].loss
+    environment.close()
+
+
 def test_what_the_teacher_was_learned_with_must_be_there(tmp_path: Path) -> None:
     environment = reach(2)
     with pytest.raises(ConfigurationError, match=r"no observation group .* Reach was learned with.*'policy'"):

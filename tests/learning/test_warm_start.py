@@ -12,6 +12,7 @@ from orbit_core.envs import Environment, PpoSettings, make
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.learners import library_names, trainer_type
 from orbit_core.learning.policy import load_policy
+from orbit_core.learning.trainer import Progress
 from orbit_core.learning.warm_start import started_from
 from orbit_core.pretrained import policy_path
 
@@ -51,6 +52,27 @@ def test_a_walker_of_the_plane_walks_on_terrain_as_it_did_until_it_learns(tmp_pa
     env.close()
 
 
+def test_the_critic_learns_first_and_what_is_seen_no_more_shifts_the_actor(tmp_path: Path) -> None:
+    """Reach shows what its policy saw, nothing else: the actor does the same until its turn to learn has come."""
+    env = make("Reach", 4, "mujoco", seed=0)
+    first = PpoSettings(steps_per_iteration=4, start="reach", initial_std=0.1, critic_first=2)
+    trainer = trainer_type("rsl-rl")(env, first, tmp_path, 0)
+    env.reset()
+    seen = env.observe()["policy"].clone()
+    begun, done, rates = trainer.actor().module(seen), list[torch.Tensor](), list[float]()
+
+    def told(progress: Progress) -> None:
+        done.append(trainer.actor().module(seen))
+        rates.append(trainer._runner.alg.learning_rate)  # pyright: ignore[reportAttributeAccessIssue]
+
+    trainer.learn(3, told)
+    assert torch.equal(done[0], begun)
+    assert torch.equal(done[1], begun)
+    assert rates[:2] == [first.learning_rate] * 2
+    assert not torch.equal(done[2], begun)
+    env.close()
+
+
 def test_layers_of_other_sizes_robots_and_libraries_are_refused(tmp_path: Path) -> None:
     env = rough()
     with pytest.raises(ConfigurationError, match=r"give --ppo hidden_sizes=\[256,128,64\]"):
@@ -58,6 +80,8 @@ def test_layers_of_other_sizes_robots_and_libraries_are_refused(tmp_path: Path) 
     for library in set(library_names()) - {"rsl-rl", "distill"}:
         with pytest.raises(ConfigurationError, match="begins with no policy"):
             trainer_type(library)(env, settings(256, 128, 64), tmp_path, 0)
+        with pytest.raises(ConfigurationError, match="lets no critic learn alone"):
+            trainer_type(library)(env, PpoSettings(critic_first=1), tmp_path, 0)
     env.close()
     other = rough("unitree_a1")
     with pytest.raises(ConfigurationError, match="learned with robot 'unitree_go2', not with 'unitree_a1'"):
