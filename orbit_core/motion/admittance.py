@@ -12,6 +12,7 @@ from torch import Tensor
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces import ConfigurationError, Robot, World
+from orbit_core.interfaces.layout import joint_limits
 from orbit_core.motion.base import JointTarget
 from orbit_core.motion.differential_ik import PoseTermConfig, bounded_targets
 from orbit_core.motion.force_reading import ForceReading
@@ -67,7 +68,9 @@ class Admittance(PoseFollower):
     """Six commands, :class:`AdmittanceConfig`. Targets are clipped to the joints' limits."""
 
     def __init__(self, name: str, robot: Robot, config: AdmittanceConfig) -> None:
-        super().__init__(name, robot, config.joint_indices(robot.spec, name), 6, (JointTarget.POSITION,))
+        super().__init__(
+            name, robot, config.joint_indices(robot.spec, name), 6, (JointTarget.POSITION, JointTarget.VELOCITY)
+        )
         self.config = config
         self.frame = config.frame_of(robot)
         self._pose = config.pose_command(robot)
@@ -84,6 +87,8 @@ class Admittance(PoseFollower):
             raise ConfigurationError(
                 f"action term '{name}': nothing damps a motion without stiffness: give damping, or stiffness above zero"
             )
+        speeds = joint_limits(robot.spec, "velocity_limit")[self.joints]
+        self._fastest = torch.as_tensor(speeds, dtype=torch.float32, device=self.device)
         self._offset, self._rate = torch.zeros(2, self.num_envs, 6, device=self.device).unbind()
         self._sag = torch.zeros(self.num_envs, len(self.joints), device=self.device)
 
@@ -108,10 +113,17 @@ class Admittance(PoseFollower):
         self._rate.copy_(rate / (1.0 + self._dt * self._damping / self._mass))
         self._offset.add_(self._dt * self._rate)
         error = pose_error(self.robot.frame_pose(self.frame), displaced(reference, self._offset))
-        delta = damped_least_squares(self.robot.jacobian(self.frame, self.joints), error, self.config.inverse_damping)
+        jacobian = self.robot.jacobian(self.frame, self.joints)
+        delta = damped_least_squares(jacobian, error, self.config.inverse_damping)
+        # Else the drives' dampers hold the joints back from moving as the displacement does.
+        velocities = damped_least_squares(jacobian, self._rate, self.config.inverse_damping)
         most = self.config.max_joint_step
         self._sag.copy_(torch.clamp(self._sag + _SAG_RATE * self._dt * delta, -most, most))
-        return {JointTarget.POSITION.value: bounded_targets(self, delta + self._sag, most)}
+        targets = bounded_targets(self, delta + self._sag, most)
+        return {
+            JointTarget.POSITION.value: targets,
+            JointTarget.VELOCITY.value: torch.clamp(velocities, -self._fastest, self._fastest),
+        }
 
     def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
         return self._pose.encode(pose)

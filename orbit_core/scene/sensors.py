@@ -72,7 +72,8 @@ class ForceTorqueSpec(SensorSpec):
     """The wrench that a link receives from its parent through the joint between them.
 
     Force (N) and torque (N m) about the link frame's origin, in the link's axes. For a root link with a fixed base the
-    parent is the world.
+    parent is the world. What holds an entity up whose gravity is compensated acts on each of its links, so that its
+    joints do not bear its weight.
     """
 
     entity: str

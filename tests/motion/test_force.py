@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.motion import AdmittanceConfig, CommandMode, HybridForceMotionConfig
+from orbit_core.motion import AdmittanceConfig, CommandMode, HybridForceMotionConfig, JointPositionConfig
 from orbit_core.motion.full_ik import FullIk
 from orbit_core.motion.term import ActionTerm
 from orbit_core.scene import (
@@ -27,7 +28,7 @@ from orbit_core.scene import (
     Shape,
     single_link,
 )
-from orbit_core.sensors import ContactSensor
+from orbit_core.sensors import ContactSensor, ForceTorqueSensor
 from tests.motion.servo_world import BACKENDS, ENGINES, Held, held, wrench_on_hand
 
 TOUCH = ContactSensorSpec(name="touch", entity="robot", links=("panda_link7", ".*finger"), rate=500.0)
@@ -111,12 +112,40 @@ def test_a_position_driven_arm_yields_by_force_over_stiffness(backend: str, engi
     wrist = ForceTorqueSpec(name="wrist", entity="robot", link="panda_link7")
     config = AdmittanceConfig(sensor="wrist", stiffness=400.0, rotational_stiffness=1e3, inertia=10.0)
     arm = held(config, backend, sensors=(wrist,), physics_dt=0.004, gravity_compensation=engine_compensates)
+    start = arm.hand()
     arm.run(torch.zeros(6), 600)  # the drives sag under the arm's weight, which is no force on the hand
     home = arm.hand()
+    assert (home - start)[:, :3].norm(dim=1).max() < 1e-3
     wrench_on_hand(arm, (6.0, 0.0, -8.0))
-    arm.run(torch.zeros(6), 1200)
+    expected, begin = torch.tensor([[0.015, 0.0, -0.02]] * 2), arm.world.clock.steps
+    for steps in (20, 20, 40, 40):
+        arm.run(torch.zeros(6), steps)
+        turned = math.sqrt(400.0 / config.mass) * 0.004 * (arm.world.clock.steps - begin)
+        share = 1.0 - (1.0 + turned) * math.exp(-turned)
+        offset = arm.generator.memory()["offset"][:, :3]
+        # The sensor feels as well what the load's acceleration takes: a mass of 1.5 kg beside the 4 asked for.
+        torch.testing.assert_close(offset, share * expected, rtol=0.0, atol=3e-3)
+        assert ((arm.hand() - home)[:, :3] - share * expected).norm(dim=1).max() < 8e-3
+    arm.run(torch.zeros(6), 1080)
     yielded = (arm.hand() - home)[:, :3]
-    torch.testing.assert_close(yielded, torch.tensor([[0.015, 0.0, -0.02]] * 2), rtol=0.0, atol=5e-4)
+    torch.testing.assert_close(yielded, expected, rtol=0.0, atol=5e-4)
+    arm.world.close()
+
+
+@pytest.mark.parametrize("backend", ENGINES)
+def test_a_wrist_feels_what_pushes_the_hand_and_not_the_weight_that_is_held_up(backend: str) -> None:
+    wrist = ForceTorqueSpec(name="wrist", entity="robot", link="panda_link7", rate=250.0)
+    arm = held(JointPositionConfig(), backend, sensors=(wrist,), physics_dt=0.004, gravity_compensation=True)
+    link = arm.robot.link_names.index("panda_link7")
+    sensor = arm.world.sensors["wrist"]
+    assert isinstance(sensor, ForceTorqueSensor)
+    for force in ((0.0, 0.0, 0.0), (3.0, -2.0, 5.0)):
+        wrench_on_hand(arm, force)
+        arm.run(torch.zeros(7), 160)
+        felt = quat_rotate(arm.robot.link_poses[:, link, 3:], sensor.force)
+        torch.testing.assert_close(felt, -torch.tensor([force] * 2), rtol=0.0, atol=0.1)
+        if not any(force):
+            assert sensor.torque.abs().max() < 0.02
     arm.world.close()
 
 

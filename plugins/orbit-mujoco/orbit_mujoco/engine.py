@@ -81,7 +81,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         self._matter = NativeMatter(self._batch, built.addresses, built.matter, self._parameters, self._state)
         self._sensordata = self._batch.bind("sensordata")
         self._contacts = ContactMeter(layout, self._sensordata)
-        self._wrenches = WrenchMeter(layout, self._sensordata)
+        self._wrenches = WrenchMeter(layout, self._batch, built.addresses, self._parameters)
         self._matter_forces = MatterMeter(layout, self._batch, built.addresses, built.matter)
         self._actuator_force = self._batch.bind("actuator_force")
         self._joint_efforts = torch.zeros(self._actuator_force.shape)

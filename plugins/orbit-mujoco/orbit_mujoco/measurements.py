@@ -17,6 +17,8 @@ from orbit_core.interfaces import TERRAIN, ContactQuery, SceneLayout
 from orbit_core.scene import Rope
 from orbit_mjmodel.addresses import Addresses, body_name
 from orbit_mjmodel.matter import MatterAddresses, matter_name
+from orbit_mjmodel.wrenches import held_up_beyond
+from orbit_mujoco.parameters import Parameters
 
 _NET_FORCE = (2, 3, 1)
 """Data (bit 1: force), reduction (3: net force, world axes), slots."""
@@ -118,11 +120,18 @@ class ContactMeter:
 
 
 class WrenchMeter:
-    """Holds the joint wrenches of the last physics step."""
+    """Holds the joint wrenches of the last physics step, without the weight of bodies that are held up."""
 
-    def __init__(self, layout: SceneLayout, sensordata: npt.NDArray[np.float64]) -> None:
+    def __init__(self, layout: SceneLayout, batch: Batch, addresses: Addresses, parameters: Parameters) -> None:
         links = len(layout.wrench_links)
+        sensordata = batch.bind("sensordata")
         self._sensordata = sensordata[:, sensordata.shape[1] - 6 * links :]
+        self._parameters = parameters
+        self._bodies = addresses.bodies[list(layout.wrench_links)]
+        self._beyond = held_up_beyond(batch.model, self._bodies)
+        self._bears = bool(self._beyond.any())
+        if self._bears:
+            self._centers, self._origins, self._axes = (batch.bind(name) for name in ("xipos", "xpos", "xmat"))
         self.wrenches = torch.zeros(len(sensordata), links, 6)
         """(N, W, 6) force and torque from the parent, in the link's axes."""
         self._flat = self.wrenches.numpy().reshape(len(sensordata), 6 * links)
@@ -130,6 +139,19 @@ class WrenchMeter:
     def read(self) -> None:
         if self._flat.shape[1]:
             np.copyto(self._flat, self._sensordata, casting="same_kind")
+        if self._bears:
+            self._take_off_weights()
+
+    def _take_off_weights(self) -> None:
+        count, links = self.wrenches.shape[:2]
+        weights = self._parameters.masses[..., None] * self._parameters.gravity[..., None, :]
+        weights = np.broadcast_to(weights, (count, *weights.shape[-2:]))
+        force = self._beyond @ weights
+        torque = self._beyond @ np.cross(self._centers.reshape(count, -1, 3), weights)
+        torque -= np.cross(self._origins.reshape(count, -1, 3)[:, self._bodies], force)
+        axes = self._axes.reshape(count, -1, 3, 3)[:, self._bodies]
+        local = [np.einsum("nwij,nwi->nwj", axes, part) for part in (force, torque)]
+        self._flat += np.concatenate(local, -1).reshape(count, 6 * links).astype(np.float32)
 
 
 class MatterMeter:

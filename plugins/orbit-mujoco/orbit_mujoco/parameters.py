@@ -117,6 +117,12 @@ class Parameters:
         varied = self._fields.get("body_mass")
         return self._model.body_mass if varied is None else varied
 
+    @property
+    def gravity(self) -> FloatArray:
+        """(3,) or (N, 3) m/s^2."""
+        varied = self._fields.get("opt.gravity")
+        return self._model.opt.gravity if varied is None else varied
+
     def scale_masses(self, bodies: slice, scales: FloatArray, rows: HostRows) -> None:
         """Give bodies the scene's masses and inertias times (n,)."""
         for name in ("body_mass", "body_inertia"):

@@ -26,6 +26,7 @@ from orbit_warp.native import Native
 from orbit_warp.parameters import Parameters
 from orbit_warp.rays import RayCaster
 from orbit_warp.state import State
+from orbit_warp.wrenches import WrenchMeter
 from orbit_warpkit.graphs import Graphs
 from orbit_warpkit.kernels import reset_tensors
 from orbit_warpkit.start import start
@@ -66,6 +67,7 @@ class WarpEngine(PartedEngine[State, Parameters]):
             self._state = State(layout, addresses, self._native, self._graphs)
             self.capture = WarpCapture(self._graphs, self._state, self.prepare, config.capture)
             self._contacts = ContactMeter(layout, addresses, self._model, self._data)
+            self._wrench_meter = WrenchMeter(layout, addresses, self._native)
             self._faults = Faults(self._data, sizes, config)
             self._home_qpos = wp.array(built.model.key_qpos[0], dtype=float)
             self._home_mocap_pos = wp.array(built.model.key_mpos[0].reshape(-1, 3), dtype=wp.vec3)
@@ -137,6 +139,7 @@ class WarpEngine(PartedEngine[State, Parameters]):
         self._contacts.add(share)
 
     def _finish(self) -> None:
+        self._wrench_meter.settle()
         self._faults.note()
         self._state.derive()
 
