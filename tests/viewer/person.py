@@ -22,20 +22,19 @@ ARGUMENTS = [
 
 
 @contextmanager
-def opened_page(touched: bool = False) -> Iterator[Page]:
-    """An empty page of a headless Chromium; ``touched`` as a phone's, held sideways."""
+def opened_page(touched: bool = False, width: int = 640, height: int = 480) -> Iterator[Page]:
+    """An empty page of a headless Chromium; ``touched`` as a phone's."""
     if CHROMIUM is None:
         pytest.skip("no Chromium is installed")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
-        width, height = (844, 390) if touched else (640, 480)
         opened = browser.new_page(viewport={"width": width, "height": height}, has_touch=touched, is_mobile=touched)
-        opened.set_default_timeout(60_000.0)
+        opened.set_default_timeout(120_000.0)  # a software renderer draws the scene, on whatever cores are free
         yield opened
         browser.close()
 
 
-def until(condition: Callable[[], bool], page: Page, seconds: float = 60.0) -> None:
+def until(condition: Callable[[], bool], page: Page, seconds: float = 120.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "it did not come about in time"

@@ -128,7 +128,7 @@ def test_a_phone_drives_by_the_sticks_and_by_the_gizmo(person: ModuleType, runni
     viewer, session, device, driver = running
     hand = driver.hand
     assert hand is not None
-    with person.opened_page(touched=True) as phone:
+    with person.opened_page(touched=True, width=844, height=390) as phone:
         phone.goto(viewer.page_urls[0])
         phone.get_by_role("button", name="Record").tap()
         person.until(lambda: session.recording, phone)

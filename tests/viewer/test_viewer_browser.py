@@ -3,39 +3,25 @@
 from __future__ import annotations
 
 import io
-import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
 
 import imageio.v3 as imageio
 import numpy as np
 import pytest
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page
 
 from orbit_core.viewer.scene_view import Frame, SceneView
 from orbit_core.viewer.viewer import Viewer
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-ARGUMENTS = [
-    "--headless", "--no-sandbox", "--disable-gpu-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync",
-]  # fmt: skip
-
 
 @pytest.fixture(scope="module")
-def page() -> Iterator[Page]:
-    if CHROMIUM is None:
-        pytest.skip("no Chromium is installed")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
-        opened = browser.new_page(viewport={"width": 720, "height": 620})
-        opened.set_default_timeout(120_000.0)  # a software renderer draws the scene, on whatever cores are free
+def page(person: ModuleType) -> Iterator[Page]:
+    with person.opened_page(width=720, height=620) as opened:
         yield opened
-        browser.close()
 
 
 @pytest.fixture
@@ -49,13 +35,6 @@ def running(fakes: ModuleType) -> Iterator[tuple[Viewer, Any]]:
         viewer.controls.stop()
         thread.join(10.0)
         assert not thread.is_alive()
-
-
-def _until(condition: Callable[[], bool], page: Page, seconds: float = 120.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not come about in time"
-        page.wait_for_timeout(100)
 
 
 def _picture(page: Page) -> np.ndarray:
@@ -76,11 +55,11 @@ def _pixels_like(picture: np.ndarray, name: str) -> int:
     return int(mask.sum())
 
 
-def test_a_person_sees_the_scene_and_drives_it(page: Page, running: tuple[Viewer, Any]) -> None:
+def test_a_person_sees_the_scene_and_drives_it(page: Page, person: ModuleType, running: tuple[Viewer, Any]) -> None:
     viewer, environment = running
     page.goto(viewer.url)
     things = ("box", "ball", "can", "pill")
-    _until(lambda: all(_pixels_like(_picture(page), thing) > 300 for thing in things), page)
+    person.until(lambda: all(_pixels_like(_picture(page), thing) > 300 for thing in things), page)
 
     page.get_by_role("button", name="Pause").click()
     page.get_by_role("button", name="Play").wait_for()
@@ -89,30 +68,32 @@ def test_a_person_sees_the_scene_and_drives_it(page: Page, running: tuple[Viewer
     assert environment.steps == held
 
     page.get_by_role("button", name="Step").click()
-    _until(lambda: environment.steps == held + 1, page)
+    person.until(lambda: environment.steps == held + 1, page)
     page.wait_for_timeout(200)
     assert environment.steps == held + 1
     page.get_by_text(str(held + 1), exact=True).wait_for()
 
     resets = environment.resets
     page.get_by_role("button", name="Reset").click()
-    _until(lambda: environment.resets == resets + 1, page)
+    person.until(lambda: environment.resets == resets + 1, page)
     assert environment.steps == 0
 
     before = _picture(page)
     viewer.controls.select(first=3)
-    _until(lambda: bool(np.abs(_picture(page) - before).max(axis=-1).mean() > 2.0), page)
+    person.until(lambda: bool(np.abs(_picture(page) - before).max(axis=-1).mean() > 2.0), page)
 
     page.get_by_role("button", name="Play").click()
-    _until(lambda: environment.steps > 5, page)
+    person.until(lambda: environment.steps > 5, page)
 
 
-def test_several_environments_are_drawn_side_by_side(page: Page, running: tuple[Viewer, Any]) -> None:
+def test_several_environments_are_drawn_side_by_side(
+    page: Page, person: ModuleType, running: tuple[Viewer, Any]
+) -> None:
     viewer, _ = running
     viewer.controls.pause()
     viewer.controls.select(count=4, markers=False)
     page.goto(viewer.url)
-    _until(lambda: _pixels_like(_picture(page), "ball") > 300, page)
+    person.until(lambda: _pixels_like(_picture(page), "ball") > 300, page)
     page.wait_for_timeout(500)
     picture = _picture(page)
     columns = np.flatnonzero(((picture[..., 2] > 120) & (picture[..., 2] > 1.8 * picture[..., 0])).any(axis=0))
