@@ -37,7 +37,8 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
     of one episode.
 
     Raises:
-        ConfigurationError: there is no teacher, or no observation group shows what it was learned with.
+        ConfigurationError: there is no teacher, no observation group shows what it was learned with, or episodes begin
+            on the way of the expert that teaches.
     """
 
     name: ClassVar[str] = "distill"
@@ -137,6 +138,11 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
 def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], Tensor]:
     """From what is shown to the actions (N, A) of the task's expert, or of the policy of that name."""
     if name == EXPERT:
+        if environment.starts is not None:
+            raise ConfigurationError(
+                "an expert begins each episode with its first phase, also one that begins on its way: to let it teach, "
+                "set expert_starts=0"
+            )
         expert = environment.task.expert(environment.world)
         return lambda seen: expert.compute({})["action"]
     teacher = load_policy(policy_path(name), environment.device)

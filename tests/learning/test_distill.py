@@ -124,6 +124,10 @@ def test_the_expert_of_the_task_may_teach(tmp_path: Path) -> None:
     curve = train(DistillTrainer(environment, settings, tmp_path, 0), 4)
     assert curve[-1].loss < 0.7 * curve[0].loss
     environment.close()
+    midway = Environment(Reach(action="ik_relative", episode_length=2.0, expert_starts=0.5), 2, BACKEND)
+    with pytest.raises(ConfigurationError, match="set expert_starts=0"):
+        DistillTrainer(midway, settings, tmp_path, 0)
+    midway.close()
 
 
 def test_what_the_teacher_was_learned_with_must_be_there(tmp_path: Path) -> None:
