@@ -73,10 +73,11 @@ class Gait:
 
 
 SLOW_JOINTS = Gait(
-    swing_height=0.04, ease=0.3, rise=-0.1, foothold_gain=0.1, velocity_gain=20.0, turning_gain=20.0, grip=0.5
-)
+    swing_height=0.04, ease=0.3, rise=-0.1, foothold_gain=0.1, velocity_gain=20.0, turning_gain=20.0, grip=0.5,
+    sway_gain=10.0,
+)  # fmt: skip
 """For legs whose joints turn too slowly for the usual steps: bent knees lift a foot by less of a turn, and what swings
-lack, forces along the ground make up for."""
+lack, forces along the ground make up for. The more of these the sway takes, the less is left for the velocity."""
 _BRISK = 1.0
 """m/s: speed at which a gait's swings are held against the joints' velocity limits."""
 
