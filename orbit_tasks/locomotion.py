@@ -9,6 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from orbit_core.assets.catalogue import robot, robot_names
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import pose_error, quat_rotate_inverse
 from orbit_core.interfaces import ConfigurationError, Robot, World
@@ -85,6 +86,7 @@ class Locomotion(MotionGenerator):
         self._velocity = torch.zeros(self.num_envs, 3, device=self.device)
         self._legs_command = torch.zeros(self.num_envs, self._lower.command_size, device=self.device)
         self._check_sizes(self._policy, config.policy)
+        self._check_joints(self._policy.description.robot, config.policy)
         self._waited = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
         self._every, self._each, self._since = 1, 0, 0
 
@@ -176,6 +178,17 @@ class Locomotion(MotionGenerator):
                     f"action term '{self.name}': policy '{source}' of task {policy.description.task} sees "
                     f"'{part.name}', which a robot alone does not show: choose a policy of Velocity-Flat"
                 )
+
+    def _check_joints(self, learned: str, source: str) -> None:
+        """Refuse the policy of a robot that has none of these joints; nothing is known of one that is not installed."""
+        if learned not in robot_names():
+            return
+        known, own = robot(learned).articulation.joint_names, [self.robot.joint_names[joint] for joint in self.joints]
+        if not set(own) & set(known):
+            raise ConfigurationError(
+                f"action term '{self.name}': policy '{source}' was learned with robot '{learned}', which has no joint "
+                f"'{own[0]}' as '{self.robot.spec.articulation.name}' has: choose a policy of this robot's legs"
+            )
 
     def _check_sizes(self, policy: Policy, source: str) -> None:
         sizes = {COMMAND: 3, LAST_ACTION: self._lower.command_size}

@@ -136,11 +136,13 @@ class VelocityObservations:
 class VelocityRewards:
     """Rewards of velocities as commanded, less bouncing, rolling, tilt, effort, abrupt actions and joints too fast.
 
+    ``offset`` is for a walker that learns on: of ``linear_tracking`` an error of 0.05 m/s takes but a hundredth.
     Robots on two feet have other weights and the last five terms, which others lack (:func:`orbit_tasks.biped.suited`).
     """
 
     linear_tracking: RewardTerm | None = RewardTerm(linear_tracking, 1.0)
     yaw_tracking: RewardTerm | None = RewardTerm(yaw_tracking, 0.5)
+    offset: RewardTerm | None = RewardTerm(linear_error, 0.0)
     bouncing: RewardTerm | None = RewardTerm(bouncing, -2.0)
     rolling: RewardTerm | None = RewardTerm(rolling, -0.05)
     tilt: RewardTerm | None = RewardTerm(tilt, -5.0)

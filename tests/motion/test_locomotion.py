@@ -50,3 +50,5 @@ def test_a_policy_that_does_not_fit_is_refused() -> None:
         held(LocomotionConfig(policy="reach"), BACKENDS[0], name="anymal_c")
     with pytest.raises(ConfigurationError, match="learned with robot 'anymal_c', of which 'joint_positions' has 12"):
         held(LocomotionConfig(), BACKENDS[0])
+    with pytest.raises(ConfigurationError, match="learned with robot 'unitree_go2', which has no joint 'LF_HAA'"):
+        held(LocomotionConfig(policy="velocity_flat_go2"), BACKENDS[0], name="anymal_c")
