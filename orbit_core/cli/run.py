@@ -12,6 +12,9 @@ from orbit_core.cli.runner import RunResult, run
 from orbit_core.cli.settings import RunSettings
 from orbit_core.rollout.estimates import Statistic
 
+_TOLD_SHARE = 0.01
+"""Of looks at what hands are asked for, how many must find it out of reach for the table to tell."""
+
 
 def main(words: Sequence[str]) -> None:
     """Run what the words of the command line say."""
@@ -44,6 +47,9 @@ def _table(result: RunResult) -> Table:
         if check.failed:
             told = f"fails in {check.failed} of {check.starts} sampled starts: {check.reason}"
             table.add_row(f"premise '{check.name}'", told)
+    if result.out_of_reach >= _TOLD_SHARE:
+        told = f"in {100.0 * result.out_of_reach:.0f} % of looks, by up to {result.farthest_out_of_reach:.2f} m"
+        table.add_row("poses asked for out of reach", told)
     table.add_row("return", _words(result.episode_return))
     table.add_row("episode steps", _words(result.episode_steps))
     table.add_row("environment steps per second", f"{result.env_steps_per_second:,.0f}")

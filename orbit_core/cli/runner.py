@@ -15,6 +15,7 @@ from orbit_core.cli.making import make_environment
 from orbit_core.cli.settings import RunSettings
 from orbit_core.rollout.counter import EpisodeCounter, Episodes
 from orbit_core.rollout.estimates import Estimate, Statistic, statistic
+from orbit_core.rollout.reach_watch import ReachWatch
 from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
 
 if TYPE_CHECKING:
@@ -47,6 +48,10 @@ class RunResult:
     episode_steps: Statistic
     premises: tuple[PremiseCheck, ...]
     """What the task takes for granted of an episode's start, and in how many sampled starts it did not hold."""
+    out_of_reach: float
+    """In [0, 1]: of looks at what hands were asked for, those that found it out of reach."""
+    farthest_out_of_reach: float
+    """m by which the nearest pose missed it, at most."""
     env_steps_per_second: float
     """Steps of single environments over the time spent acting and stepping; building and filming left out."""
     wall_seconds: float
@@ -82,7 +87,7 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
     start = time.perf_counter()
     environment = make_environment(settings, settings.num_envs)
     try:
-        episodes, pace = _episodes(environment, settings, progress)
+        episodes, pace, reach = _episodes(environment, settings, progress)
     finally:
         environment.close()
     return RunResult(
@@ -100,6 +105,8 @@ def run(settings: RunSettings, progress: Progress = lambda episodes, filmed: Non
         episode_return=statistic(episodes.returns.tolist()),
         episode_steps=statistic(episodes.steps.tolist()),
         premises=environment.premises.checks,
+        out_of_reach=reach.share,
+        farthest_out_of_reach=reach.farthest,
         env_steps_per_second=pace.env_steps_per_second,
         wall_seconds=time.perf_counter() - start,
     )
@@ -117,16 +124,17 @@ class _Teller(StepObserver):
         self._progress(self._counter.counted, 0.0 if self._recorder is None else self._recorder.filmed)
 
 
-def _episodes(environment: Environment, settings: RunSettings, progress: Progress) -> tuple[Episodes, Pace]:
+def _episodes(environment: Environment, settings: RunSettings, progress: Progress) -> tuple[Episodes, Pace, ReachWatch]:
     """Step until every environment's share of the episodes is in."""
     counter = EpisodeCounter(settings.episodes, settings.num_envs, environment.device)
     actor = make_actor(settings.agent, environment, settings.seed)
+    reach = ReachWatch(environment)
     environment.reset(settings.seed)
     with _video(environment, settings) as recorder:
         filming = () if recorder is None else (recorder,)
-        observers = (*filming, counter, _Teller(counter, recorder, progress))
+        observers = (*filming, counter, reach, _Teller(counter, recorder, progress))
         pace = roll_out(environment, actor, observers, lambda: counter.complete)
-    return counter.episodes(), pace
+    return counter.episodes(), pace, reach
 
 
 def _video(environment: Environment, settings: RunSettings) -> AbstractContextManager[VideoRecorder | None]:

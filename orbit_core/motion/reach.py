@@ -8,10 +8,13 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.kinematics import KinematicTree
-from orbit_core.dynamics.transforms import pose_inverse, pose_multiply
+from orbit_core.dynamics.transforms import pose_error, pose_inverse, pose_multiply
 from orbit_core.motion.base import MotionGenerator
 from orbit_core.motion.full_ik import FullIk
 from orbit_core.motion.pose_command import PoseCommand
+
+_RESTING = 0.05
+"""rad/s or m/s"""
 
 
 class PoseFollower(MotionGenerator):
@@ -36,6 +39,13 @@ class PoseFollower(MotionGenerator):
             found = self._search.solve(local, self.robot.joint_positions)
             missing = torch.stack((found.position_error, found.rotation_error), 1)
             return torch.where(found.converged.unsqueeze(1), 0.0, missing)
+
+    def resting_off(self) -> Tensor:
+        """(N,) bool: whether the frame rests by a centimetre or 0.1 rad and more away from :meth:`asked`."""
+        with torch.inference_mode():
+            off = pose_error(self.robot.frame_pose(self.frame), self.asked())
+            far = (off[:, :3].norm(dim=1) > 0.01) | (off[:, 3:].norm(dim=1) > 0.1)
+            return far & (self.velocities.abs().amax(1) < _RESTING)
 
     def reach_problem(self, env: int = 0) -> str:
         """What :meth:`out_of_reach` says of one environment in a sentence; empty where the pose can be reached."""

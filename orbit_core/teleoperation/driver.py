@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.interfaces import ConfigurationError, Robot
+from orbit_core.motion.reach import PoseFollower
 from orbit_core.teleoperation.body import Body, Hand
 from orbit_core.teleoperation.device import Event, Reading
 
@@ -112,6 +113,14 @@ class Driver:
         elif reading.joints is not None:
             raise ConfigurationError(f"robot '{self.active}' has no arm that joint values could move")
         return torch.cat([self._command(part, reading) for part in self._parts], 1).clamp(-1.0, 1.0)
+
+    def reach_problem(self) -> str:
+        """Which hands rest away from what is asked of them, for it is out of reach, and by how much; empty for none.
+
+        A hand that rests so is looked at by a search, which takes as long as several steps.
+        """
+        followers = [part.generator for part in self._parts if isinstance(part.generator, PoseFollower)]
+        return "; ".join(filter(None, (each.reach_problem() for each in followers if bool(each.resting_off()[0]))))
 
     def _command(self, part: _Part, reading: Reading) -> Tensor:
         if part.base is not None:

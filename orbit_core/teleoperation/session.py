@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 _TOLD = 0.2
 """s from one telling of how things stand to the next."""
+_LOOKED = 1.0
+"""s from one look whether what is asked for is out of reach to the next."""
 
 
 class Session:
@@ -68,6 +70,7 @@ class Session:
         """s from a person's last moves to the end of the step that did what they asked for."""
         self._stepped: deque[float] = deque(maxlen=50)
         self._told_at = -_TOLD
+        self._looked_at, self._reach = 0.0, ""
 
     @property
     def recording(self) -> bool:
@@ -118,6 +121,8 @@ class Session:
             self.message = self._told("its time was over" if bool(result[3].any()) else "the task ended it")
             self._recorder = None
             self._driver.restart()
+        if now - self._looked_at >= _LOOKED:
+            self._looked_at, self._reach = now, self._driver.reach_problem()
         if now - self._told_at >= _TOLD:
             self._told_at = now
             self._device.tell(self.information())
@@ -134,6 +139,8 @@ class Session:
         if self.latencies:
             mean = sum(self.latencies) / len(self.latencies)
             rows["latency"] = f"{1e3 * mean:.0f} ms, at most {1e3 * max(self.latencies):.0f} ms"
+        if self._reach:
+            rows["out of reach"] = self._reach
         return rows | ({"last": self.message} if self.message else {})
 
     def close(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -24,6 +25,7 @@ from orbit_core.motion import (
 from orbit_core.motion.compliant import Compliant
 from orbit_core.motion.differential_ik import PoseTermConfig
 from orbit_core.motion.reach import PoseFollower
+from orbit_core.rollout.reach_watch import ReachWatch
 from tests.motion.conftest import KinematicRobot
 
 MakeRobot = Callable[..., KinematicRobot]
@@ -73,3 +75,16 @@ def test_joints_come_to_rest_where_the_pose_is_out_of_reach(kinematic_robot: Mak
     assert (robot.q - before).abs().max() < 2e-3
     left = (robot.frame_pose(generator.frame) - generator.asked())[:, :3].norm(dim=1)
     torch.testing.assert_close(left, generator.out_of_reach()[:, 0], atol=0.02, rtol=0.0)
+
+
+def test_a_run_tells_how_often_what_is_asked_is_out_of_reach_and_by_how_much(kinematic_robot: MakeRobot) -> None:
+    robot = kinematic_robot(num_envs=3)
+    generator, command = far(TERMS[0], robot)
+    watch = ReachWatch(SimpleNamespace(actions=SimpleNamespace(generators=[generator])))  # pyright: ignore
+    for _ in range(100):
+        robot.q[:, generator.joints] = generator.compute({"command": command})["position_targets"]
+        watch.after_step(command, {})
+    assert watch.share == pytest.approx(2.0 / 3.0)  # of three hands one is asked for what it can reach
+    assert 0.7 < watch.farthest < 0.8
+    robot.v[:] = 1.0
+    assert not generator.resting_off().any()
