@@ -113,9 +113,9 @@ def _sweep(job: Job, described: Scenario) -> Iterable[Job]:
 
 def _tasks(settings: Settings, backend: str) -> Iterable[Job]:
     if Part.TASKS in settings.parts:
-        for kind in (Kind.TASK, Kind.VIDEO):
-            for task in settings.scripted_tasks:
-                yield Job(kind, task, backend)
+        tasks = settings.scripted_tasks
+        yield from (Job(Kind.TASK, task, backend) for task in tasks)
+        yield from (Job(Kind.VIDEO, task, backend) for task in (tasks[:1] if settings.quick else tasks))
 
 
 def _transfers(settings: Settings, backend: str) -> Iterable[Job]:

@@ -105,7 +105,8 @@ class Settings:
     matters: tuple[str, ...] = (NATIVE,)
     """Who simulates what bends or flows in scenarios that have some: matter solvers, and the engines themselves."""
     quick: bool = False
-    """The nominal time steps of the quick scenarios and of those that are named; few episodes, few environments."""
+    """The nominal time steps of the quick scenarios and of those that are named; few episodes, few environments, and of
+    the first task alone a video."""
     episodes: int | None = None
     """The most episodes of a task or a policy, if these are to be fewer than ``quick`` or the full run has."""
     device: str = "cpu"

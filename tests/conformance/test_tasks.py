@@ -10,10 +10,10 @@ from orbit_core.envs import make
 
 # Task, robot, action space, how many environments run an episode, and the least success rate over them.
 EXPERTS = [
-    ("Reach", "franka_panda", "ik_relative", 16, 0.93),
-    ("Lift", "franka_panda", "ik_relative", 16, 0.93),
-    ("Cabinet", "franka_panda", "ik_relative", 16, 0.93),
-    ("Handover", "franka_panda", "ik_relative", 12, 0.91),
+    ("Reach", "franka_panda", "ik_relative", 8, 0.87),
+    ("Lift", "franka_panda", "ik_relative", 8, 0.87),
+    ("Cabinet", "franka_panda", "ik_relative", 8, 0.87),
+    ("Handover", "franka_panda", "ik_relative", 8, 0.87),
 ]
 # Other robots and actions, in which engines are all the same to the core: each on the default engine and on another.
 VARIANTS = [
