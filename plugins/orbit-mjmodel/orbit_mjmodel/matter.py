@@ -12,7 +12,7 @@ Young's modulus Y, ratio p and thickness h has, as stretched strips and cantilev
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -31,6 +31,10 @@ _BENDING = 1.75
 then do so as elasticas within 7 % at 10 pieces, and 1 % at 20."""
 _STIFF = (0.99, 0.9999, 0.001, 0.5, 2.0)
 """Impedance of contacts and of what is held: a particle is so light that a softer contact gives way by centimetres."""
+_FIRMER = 4.0
+"""How many times as stiff contacts of cloth are as MuJoCo would have them, which are as soft as a particle is light: a
+finger's corner came through triangles of 7 mg, which are 2 mm thick, as it pinched, and the cloth hung on it, 1.9 mm
+deep, when the fingers had opened. Six times as stiff, cloth that slides on a slope is 3 % too fast."""
 _FASTEST = 0.004
 """Time constant of contacts in seconds, where two steps are not longer."""
 _SELF_CONTACT = int(mujoco.mjtFlexSelf.mjFLEXSELF_AUTO)
@@ -303,6 +307,23 @@ def spare_holders(model: mujoco.MjModel, layout: SceneLayout) -> None:
             solid = (model.body_geomnum > 0) & ~np.isin(np.arange(model.nbody), links)
             model.body_conaffinity[solid] |= bit
         flex += 1
+
+
+def firm_contacts(
+    of_bodies: npt.NDArray[np.float64], of_freedoms: npt.NDArray[np.float64], matter: Iterable[MatterAddresses]
+) -> None:
+    """Have contacts of cloth give way less; its impedance, of which MuJoCo takes no more than 0.9999, does not do it.
+
+    Args:
+        of_bodies: (..., bodies, 2) ``body_invweight0`` as MuJoCo computes it, changed in place: from it follows how far
+            contacts give way, and nothing else.
+        of_freedoms: (..., nv) ``dof_invweight0``, likewise.
+        matter: all deformables.
+    """
+    for one in matter:
+        if isinstance(one.spec, Cloth):
+            of_bodies[..., one.bodies, :] /= _FIRMER
+            of_freedoms[..., one.velocities] /= _FIRMER
 
 
 def matter_addresses(model: mujoco.MjModel, layout: SceneLayout) -> tuple[MatterAddresses, ...]:

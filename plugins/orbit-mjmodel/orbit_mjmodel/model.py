@@ -26,7 +26,14 @@ from orbit_mjmodel.config import ModelConfig
 from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, hold_drives, hold_springs
 from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
 from orbit_mjmodel.materials import contact_parameters, material_approximations
-from orbit_mjmodel.matter import MatterAddresses, add_matter, matter_addresses, set_matter_home, spare_holders
+from orbit_mjmodel.matter import (
+    MatterAddresses,
+    add_matter,
+    firm_contacts,
+    matter_addresses,
+    set_matter_home,
+    spare_holders,
+)
 from orbit_mjmodel.variants import ABSENT, Slot, slots
 from orbit_mjmodel.wrenches import add_wrench_sensors
 
@@ -101,6 +108,7 @@ def _compiled(builder: _Builder) -> BuiltModel:
     _set_home(builder.layout, model, addresses)
     set_matter_home(model, matter)
     spare_holders(model, builder.layout)
+    firm_contacts(model.body_invweight0, model.dof_invweight0, matter)
     report = (*builder.report, *hold_drives(model, addresses, builder.layout))
     report = (*report, *hold_springs(model, addresses, builder.layout))
     absent = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(ABSENT)]

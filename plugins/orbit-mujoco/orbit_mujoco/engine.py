@@ -77,7 +77,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         self._batch = mujoco.batch.Batch(built.model, num_envs, config.threads, persistent=True)
         self._state = State(self._batch, built.addresses)
         self.capture = MujocoCapture(self._batch, built.addresses, self._state)
-        self._parameters = Parameters(self._batch, built.addresses, [kind.model for kind in kinds])
+        self._parameters = Parameters(self._batch, built.addresses, [kind.model for kind in kinds], built.matter)
         self._matter = NativeMatter(self._batch, built.addresses, built.matter, self._parameters, self._state)
         self._sensordata = self._batch.bind("sensordata")
         self._contacts = ContactMeter(layout, self._sensordata)

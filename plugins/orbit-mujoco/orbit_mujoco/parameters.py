@@ -19,6 +19,7 @@ from mujoco.batch import MODEL_FIELDS, Batch
 from orbit_core.plugin_kit.rows import HostRows, block
 from orbit_mjmodel.addresses import Addresses
 from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, VELOCITY_IMPLICIT, damping_bias, least_damping
+from orbit_mjmodel.matter import MatterAddresses, firm_contacts
 from orbit_mujoco.state import FloatArray
 
 Indices = npt.NDArray[np.int64]
@@ -27,9 +28,15 @@ Indices = npt.NDArray[np.int64]
 class Parameters:
     """Sets and remembers the per-environment fields of the model."""
 
-    def __init__(self, batch: Batch, addresses: Addresses, kinds: Sequence[mujoco.MjModel]) -> None:
+    def __init__(
+        self,
+        batch: Batch,
+        addresses: Addresses,
+        kinds: Sequence[mujoco.MjModel],
+        matter: Sequence[MatterAddresses] = (),
+    ) -> None:
         """Give environment i the values of the kind of index i modulo their number."""
-        self._batch = batch
+        self._batch, self._matter = batch, matter
         self._model: mujoco.MjModel = batch.model
         self._addresses = addresses
         self._fields: dict[str, npt.NDArray] = {}
@@ -47,9 +54,19 @@ class Parameters:
         """Compute what follows from the masses that were set."""
         if self._constants_due.any():
             self._batch.set_const(self._constants_due)
+            if self._matter:
+                self._firm_contacts()
             self._constants_due.fill(False)
             if self._model.nu:
                 self._hold_drives()
+
+    def _firm_contacts(self) -> None:
+        """Make firm what MuJoCo has just computed anew."""
+        weights = [self._batch.expand(name) for name in ("body_invweight0", "dof_invweight0")]
+        own = [weight[self._constants_due] for weight in weights]
+        firm_contacts(own[0], own[1], self._matter)
+        for weight, changed in zip(weights, own, strict=True):
+            weight[self._constants_due] = changed
 
     def set_masses(self, links: Indices, masses: FloatArray, rows: HostRows) -> None:
         bodies = self._addresses.bodies[links]

@@ -78,6 +78,23 @@ def test_parameters_of_rope_differ_between_environments_and_stretch_is_none(fres
     rope.set_parameter("bending", torch.ones(2))
 
 
+def test_contacts_of_cloth_stay_firm_where_densities_differ(fresh: World) -> None:
+    """MuJoCo computes them anew from masses, in the environments that have new ones."""
+    batch = fresh.engine.native[1]
+
+    def softness() -> torch.Tensor:
+        """(N,) 1/kg of the cloth's first particle: what MuJoCo makes of it for contacts."""
+        return torch.from_numpy(batch.expand("body_invweight0")[:, batch.model.body("matter1_0").id, 0].copy())
+
+    particle = batch.model.body("matter1_0").mass.item()
+    torch.testing.assert_close(softness(), torch.full((2,), 0.25 / particle, dtype=torch.float64))
+    fresh.deformables["cloth"].set_parameter("density", torch.tensor([1.0, 2.0]))
+    fresh.step(1)
+    torch.testing.assert_close(softness(), torch.tensor([0.25, 0.125], dtype=torch.float64) / particle)
+    fresh.deformables["cloth"].set_parameter("density", torch.ones(2))
+    fresh.step(1)
+
+
 def test_the_report_says_what_differs() -> None:
     block = box("block", size=(0.05, 0.05, 0.05), mass=0.5, pose=Pose((-0.12, 0.0, 1.0)), fixed_base=True)
     held = replace(ROPE, attachments=(Attachment((0,), "block", "block"),))
