@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from orbit_core.dynamics.kinematics import KinematicTree
-from orbit_core.dynamics.transforms import quat_rotate
+from orbit_core.dynamics.transforms import quat_multiply, quat_rotate
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.motion import AdmittanceConfig, CommandMode, HybridForceMotionConfig, JointPositionConfig
 from orbit_core.motion.full_ik import FullIk
@@ -62,18 +62,23 @@ def compliant() -> ObjectSpec:
     return ObjectSpec(name="compliant", articulation=body, fixed_base=True, pose=Pose((0.45, SIDE, TABLE - 0.05)))
 
 
-def above_the_tops(term: ActionTerm, backend: str, height: float) -> Held:
-    """The hand points straight down, its finger tips that high above a rigid top, then above a compliant one."""
-    arm = held(term, backend, objects=(rigid(), compliant()), sensors=(TOUCH,))
-    robot, frame = arm.robot, arm.robot.spec.end_effector.frame
+def put_hand(arm: Held, pose: torch.Tensor) -> None:
+    """Put the hand at poses (N, 7), and make it as slippery as what it touches, for a pair's larger friction holds."""
+    robot = arm.robot
     solver = FullIk(
-        KinematicTree(robot.spec.articulation), frame, arm.generator.joints, robot.position_limits, robot.home_positions
-    )
-    pose = torch.tensor([[0.45, side, TABLE + height, 0.0, 1.0, 0.0, 0.0] for side in (-SIDE, SIDE)])
+        KinematicTree(robot.spec.articulation), robot.spec.end_effector.frame, arm.generator.joints,
+        robot.position_limits, robot.home_positions,
+    )  # fmt: skip
     positions = robot.joint_positions.clone()
     positions[:, arm.generator.joints] = solver.solve(pose, positions).positions
     robot.set_joint_state(positions)
-    robot.set_friction(torch.zeros(2, len(robot.link_names)))  # else the larger of a pair's would hold
+    robot.set_friction(torch.zeros(len(pose), len(robot.link_names)))
+
+
+def above_the_tops(term: ActionTerm, backend: str, height: float) -> Held:
+    """The hand points straight down, its finger tips that high above a rigid top, then above a compliant one."""
+    arm = held(term, backend, objects=(rigid(), compliant()), sensors=(TOUCH,))
+    put_hand(arm, torch.tensor([[0.45, side, TABLE + height, 0.0, 1.0, 0.0, 0.0] for side in (-SIDE, SIDE)]))
     return arm
 
 
@@ -104,6 +109,35 @@ def test_the_hand_pushes_with_20_n_on_rigid_and_compliant_tops_while_it_draws_a_
     assert torch.stack(misses).abs().max() < 2e-3
     pressed = arm.world.objects["compliant"].joint_positions[:, 0]
     torch.testing.assert_close(pressed, torch.tensor([0.0, -20.0 / STIFFNESS]), rtol=0.0, atol=1.0 / STIFFNESS)
+    arm.world.close()
+
+
+@pytest.mark.parametrize("backend", BACKENDS[-1:])
+def test_on_a_slope_the_hand_pushes_along_its_own_axis_and_slides_across(backend: str) -> None:
+    angle = math.radians(25.0)
+    turn = torch.tensor([[math.cos(0.5 * angle), 0.0, math.sin(0.5 * angle), 0.0]])  # about y
+    down, normal = (quat_rotate(turn, torch.tensor([axis]))[0] for axis in ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]))
+    top = torch.tensor([0.45, 0.0, TABLE])
+    place = Pose(tuple((top - 0.05 * normal).tolist()), tuple(turn[0].tolist()))
+    body = single_link("slope", TOP, 10.0, np.eye(3))
+    slope = ObjectSpec(name="slope", articulation=body, fixed_base=True, pose=place)
+    config = HybridForceMotionConfig(
+        sensor="touch", axes="panda_hand_tcp", position_scale=0.01, stiffness=400.0, rotational_stiffness=400.0
+    )
+    arm = held(config, backend, num_envs=1, objects=(slope,), sensors=(TOUCH,))
+    facing = quat_multiply(turn, torch.tensor([[0.0, 1.0, 0.0, 0.0]]))
+    put_hand(arm, torch.cat(((top + 0.015 * normal)[None], facing), 1))
+    arm.run(torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 360)
+    start, touch = arm.hand()[:, :3], arm.world.sensors["touch"]
+    assert isinstance(touch, ContactSensor)
+    for step in range(60):
+        arm.run(torch.tensor([0.06, 0.0, 1.0, 0.0, 0.0, 0.0]), 4)
+        if step > 20:
+            assert float(touch.forces.sum(1)[0] @ normal) == pytest.approx(20.0, abs=1.0)
+    moved = (arm.hand()[:, :3] - start)[0]
+    assert 0.025 < float(moved @ down) < 0.036  # it lags behind the 36 mm that were asked for
+    assert abs(float(moved @ normal)) < 1e-3
+    assert abs(float(moved[1])) < 1e-3
     arm.world.close()
 
 
