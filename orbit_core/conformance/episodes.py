@@ -38,6 +38,15 @@ class TaskResult:
     """Time until the goal is reached for good, over the episodes that succeed; None if none does."""
     premises: tuple[PremiseCheck, ...] = ()
     """What the task takes for granted of an episode's start, and in how many sampled starts it does not hold here."""
+    expert_success: float = 0.0
+    """Success rate that the task's expert is held to."""
+
+    @property
+    def shortfall(self) -> str:
+        """Why an expert has failed: the whole interval of its success lies below what it is held to; empty if not."""
+        if self.success.high >= self.expert_success:
+            return ""
+        return f"success is {self.success.percent()}, below {self.expert_success:g}"
 
 
 class _SuccessTimes(StepObserver):
@@ -107,6 +116,7 @@ class FirstEpisodes:
             episode_return=mean(episodes.returns.tolist()),
             seconds_to_success=mean(seconds.tolist()) if len(seconds) else None,
             premises=environment.premises.checks,
+            expert_success=environment.task.expert_success,
         )
 
     def recording(self) -> Recording:

@@ -103,7 +103,7 @@ class Record:
         """Status of the backend; a job that broke counts as failed."""
         if self.ending is Ending.UNSUPPORTED:
             return Status.UNSUPPORTED
-        if not self.ending.acceptable:
+        if not self.ending.acceptable or (self.task and self.task.shortfall):
             return Status.FAIL
         judged = self.scenario or self.robot or self.transfer
         return (judged.status if judged else None) or Status.PASS
@@ -112,7 +112,7 @@ class Record:
     def why(self) -> str:
         """The reason for anything but a pass."""
         judged = self.scenario or self.robot or self.transfer
-        return self.reason or (judged.reason if judged else "")
+        return self.reason or (judged.reason if judged else "") or (self.task.shortfall if self.task else "")
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,9 @@ class Task(ABC):
     """Other observations, by the word that takes the place of ``observations``; ``"state"`` stands for the default."""
     training: ClassVar[Mapping[str, Any]] = {}
     """Fields by name that ``orbit train`` sets unless it is told otherwise."""
+    expert_success: ClassVar[float] = 0.8
+    """Success rate that the expert, where there is one, is held to on every engine: conformance fails those where it is
+    beyond chance below."""
     robot: str
     """Name of a robot in the catalogue."""
     action: str

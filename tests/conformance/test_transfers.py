@@ -184,3 +184,12 @@ def test_the_page_shows_who_learned_where_and_why_it_does_worse(tmp_path: Path) 
     matrix = page[: page.index('<section id="transfers">')]
     assert "Learned policies" in matrix
     assert "76.0 % [66.8, 83.3]" in matrix
+
+
+@pytest.mark.parametrize(("successes", "status"), [(70, Status.FAIL), (74, Status.PASS), (95, Status.PASS)])
+def test_an_expert_is_held_to_the_rate_of_its_task(successes: int, status: Status) -> None:
+    played = (proportion(successes, 100), {}, mean([1.0, 2.0]), None)
+    task = TaskResult("Lift", "dry", 0, {}, 100, *played, expert_success=0.8)
+    record = Record(Job(Kind.TASK, "Lift", "dry"), Ending.DONE, task=task)
+    assert record.status is status
+    assert record.why == ("success is 70.0 % [60.4, 78.1], below 0.8" if status is Status.FAIL else "")
