@@ -31,7 +31,7 @@ Running = tuple[Viewer, Session, Browser, Driver]
 
 @pytest.fixture
 def running(tmp_path: Path) -> Iterator[Running]:
-    environment = make("Lift", num_envs=1, backend=default_backend(), seed=3, episode_length=120.0)
+    environment = make("Lift", num_envs=1, backend=default_backend(), seed=3, episode_length=1200.0)
     driver = Driver(environment)
     device = Browser(Speeds(), driver)
     session = Session(environment, driver, device, "browser", RecordingFile(tmp_path / "own.hdf5"), "Lift", 3)
@@ -92,6 +92,14 @@ def point_down(page: Page, driver: Driver) -> None:
     assert quat_to_matrix(hand.measured[0, 3:])[2, 2] < -0.98
 
 
+def rest(page: Page, person: ModuleType, session: Session, opening: float = 1.0) -> None:
+    """Wait until the robot rests with its fingers no further apart than ``opening``, as long as that takes."""
+    robot = session.world.robots["robot"]
+    fingers = robot.find_joints("panda_finger_joint.*")
+    person.until(lambda: float(robot.joint_positions[0, fingers].sum()) < opening, page)
+    person.until(lambda: float(robot.joint_velocities.abs().max()) < 0.01, page)
+
+
 def test_a_person_lifts_the_cube_by_the_gizmo(page: Page, person: ModuleType, running: Running, tmp_path: Path) -> None:
     viewer, session, _, driver = running
     page.set_viewport_size({"width": 1000, "height": 640})
@@ -106,8 +114,9 @@ def test_a_person_lifts_the_cube_by_the_gizmo(page: Page, person: ModuleType, ru
     at = cube.root_pose[0, :3].numpy().copy()
     drag_to(page, person, running, at + np.float32((0.0, 0.0, 0.12)), 0.01)
     drag_to(page, person, running, at, 0.008)
+    rest(page, person, session)
     page.keyboard.press("g")
-    page.wait_for_timeout(1000)
+    rest(page, person, session, opening=0.06)
     drag_to(page, person, running, at + np.float32((0.0, 0.0, 0.15)), 0.02)
     page.screenshot(path=tmp_path / "teleop.png")
     assert cube.root_pose[0, 2] > at[2] + 0.1
