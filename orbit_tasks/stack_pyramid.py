@@ -51,7 +51,7 @@ def places(world: World, task: StackPyramid) -> Tensor:
 @once_per_state
 def distances(world: World, task: StackPyramid) -> Tensor:
     """(N, M) metres between blocks and their places."""
-    return vector_norm(places(world, task) - moved_positions(world, task), dim=2)
+    return vector_norm(blocks_to_places(world, task), dim=2)
 
 
 @once_per_state
