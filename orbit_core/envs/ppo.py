@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from orbit_core.interfaces import ArgumentError
 
 _MOST_UNITS = 2**16
+_CRITIC_FIRST = 10
 
 
 @dataclass(frozen=True)
@@ -47,9 +48,9 @@ class PpoSettings:
     start: str = ""
     """A kept policy's name, a policy's file or a training's folder that the actor begins with; it may have seen less.
     Its hidden layers are those of ``hidden_sizes``; needs RSL-RL."""
-    critic_first: int = 0
+    critic_first: int | None = None
     """Iterations at first in which the critic alone learns, for a beginner's judgement leads astray an actor that is
-    good already (Ramrakhya et al., PIRLNav, 2023); needs RSL-RL."""
+    good already (Ramrakhya et al., PIRLNav, 2023); needs RSL-RL. None: 10 where ``start`` is given, else none."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -65,9 +66,17 @@ class PpoSettings:
             self._check(name, 0.0, 1.0)
         self._check("entropy_weight", 0.0, math.inf)
         self._check("imitation_steps", 0, math.inf)
-        self._check("critic_first", 0, math.inf)
+        if self.critic_first is not None:
+            self._check("critic_first", 0, math.inf)
         if not all(1 <= units <= _MOST_UNITS for units in self.hidden_sizes):
             raise ArgumentError(f"hidden_sizes are {self.hidden_sizes}: give each layer 1 to {_MOST_UNITS} units")
+
+    @property
+    def iterations_of_critic(self) -> int:
+        """Iterations at first in which the critic alone learns."""
+        if self.critic_first is None:
+            return _CRITIC_FIRST if self.start else 0
+        return self.critic_first
 
     def _check(self, name: str, least: float, most: float) -> None:
         value = getattr(self, name)

@@ -28,16 +28,17 @@ from orbit_core.learning.groups import ACTOR, check_groups, critic_group, tensor
 from orbit_core.learning.imitation import imitate_expert
 from orbit_core.learning.networks import ActorNetwork, NormalizedActor, Perceptron, perceptron_actor
 from orbit_core.learning.policy import Policy, load_policy
-from orbit_core.learning.rsl_rl_models import PictureModel
+from orbit_core.learning.rsl_rl_models import PartlyKnown, PictureModel
 from orbit_core.learning.trainer import Progress, Trainer
-from orbit_core.learning.warm_start import started_from
+from orbit_core.learning.warm_start import columns_seen, started_from
 from orbit_core.pretrained import policy_path
 
 MOST_STD = 1.0
 """Most that the deviation of actions grows to, where it does not begin wider."""
 
-_START_WEIGHT = 20
-"""Iterations that what a policy to begin with had seen counts for in the statistics of observations."""
+_START_WEIGHT = 5
+"""Iterations that what the environment showed at first counts for in the statistics of what a policy to begin with had
+not seen."""
 
 
 class RslRlEnvironment(VecEnv):
@@ -134,22 +135,22 @@ class RslRlTrainer(Trainer[PpoSettings]):
                 f"the policy to begin with has layers of {list(sizes)} and normalises what it sees: give "
                 f"--ppo hidden_sizes={str(list(sizes)).replace(' ', '')} --ppo normalize_observations=true"
             )
-        module, seen = cast(NormalizedActor, started.module), actor.obs_normalizer
-        with torch.no_grad():
-            for layer, given in zip(_linear(actor.mlp), _linear(module.layers), strict=True):
-                layer.load_state_dict(given.state_dict())
-            seen._mean.copy_(module.mean)
-            seen._std.copy_((module.std - seen.eps).clamp_min(0.0))
-            seen._var.copy_(seen._std.square())
-        if len(module.mean) == policy.description.observation_size:
-            seen.until = 0  # nothing is new, and what was learned holds for these statistics
-        seen.count.fill_(_START_WEIGHT * self.settings.steps_per_iteration * self.environment.num_envs)
+        module = cast(NormalizedActor, started.module)
+        for layer, given in zip(_linear(actor.mlp), _linear(module.layers), strict=True):
+            layer.load_state_dict(given.state_dict())
+        known = columns_seen(policy, self.environment.observation[ACTOR])
+        weight = _START_WEIGHT * self.settings.steps_per_iteration * self.environment.num_envs
+        actor.obs_normalizer = PartlyKnown(module.mean, module.std, known, weight).to(self.environment.device)
 
     def _let_actor_learn(self, iteration: int) -> None:
         """Or not, in the iterations in which the critic learns alone; an actor that stays would drive up the rate."""
-        learns, algorithm = iteration >= self.settings.critic_first, self._runner.alg
-        cast(Any, algorithm.get_policy()).requires_grad_(learns)
-        algorithm.schedule = "adaptive" if learns else "fixed"
+        settings, algorithm = self.settings, self._runner.alg
+        alone = settings.iterations_of_critic
+        cast(Any, algorithm.get_policy()).requires_grad_(iteration >= alone)
+        algorithm.schedule = "adaptive" if iteration >= alone else "fixed"
+        if settings.start and iteration == alone:
+            # The divergence of a step grows as it is over the deviation: the rate starts low, and adapts from there.
+            algorithm.learning_rate = settings.learning_rate * min(settings.initial_std, 1.0)
 
     def _bound_exploration(self) -> None:
         """Actions are clipped to [-1, 1]: a wider deviation does the same and only earns more entropy, without end."""

@@ -1,11 +1,15 @@
-"""A model of RSL-RL that sees a dictionary of terms, pictures among them, as ORBIT's own network does."""
+"""Parts of RSL-RL's models: one that sees a dictionary of terms, pictures among them, as ORBIT's own network does, and
+statistics of observations that go on from those of a policy.
+"""  # fmt: skip
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel
+from rsl_rl.modules import EmpiricalNormalization
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -64,3 +68,34 @@ class PictureModel(MLPModel):
 
     def _get_latent_dim(self) -> int:
         return self.obs_dim + self.network.features
+
+
+class PartlyKnown(EmpiricalNormalization):
+    """Statistics of observations of which some stay, for a policy's layers were learned with them.
+
+    Others, of what the policy did not see, follow from what is shown from now on.
+
+    Args:
+        mean: (size,) at first.
+        std: (size,) at first, with ``eps`` in it.
+        known: components that stay as they are.
+        weight: how many observations those at first count for.
+    """
+
+    count: Tensor
+    _mean: Tensor
+    _var: Tensor
+    _std: Tensor
+
+    def __init__(self, mean: Tensor, std: Tensor, known: Sequence[int], weight: int) -> None:
+        super().__init__(len(mean))
+        self.count.fill_(weight)
+        self._known = list(known)
+        self._mean.copy_(mean)
+        self._std.copy_((std - self.eps).clamp_min(0.0))
+        self._var.copy_(self._std.square())
+
+    def update(self, x: Tensor) -> None:
+        known = self._mean[:, self._known], self._var[:, self._known], self._std[:, self._known]
+        super().update(x)
+        self._mean[:, self._known], self._var[:, self._known], self._std[:, self._known] = known

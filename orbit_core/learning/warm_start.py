@@ -15,15 +15,16 @@ from orbit_core.learning.networks import ActorNetwork, NormalizedActor, Perceptr
 from orbit_core.learning.policy import Policy
 
 LAST_ACTION = "last_action"
-_LEAST_STD = 0.05
-"""Of what the environment shows now and the policy did not see; where it is the same everywhere, say."""
+_LEAST_STD = 0.2
+"""At first, of what the environment shows now and the policy did not see: robots that begin on level ground see the
+same everywhere, and will see more than that."""
 
 
 def started_from(policy: Policy, environment: Environment) -> ActorNetwork:
     """A network that acts in the environment as the policy acts, whatever is shown there beside what the policy saw.
 
     Terms of the observation are matched by their names. What is new weighs nothing, and is normalised by what the
-    environment shows now. Where joints' targets are ``offset + scale * command``, commands are of the environment's own
+    environment shows now, on which a training that goes on improves. Where joints' targets are ``offset + scale * command``, commands are of the environment's own
     scale, and so is the last action among what is seen.
 
     Raises:
@@ -34,7 +35,7 @@ def started_from(policy: Policy, environment: Environment) -> ActorNetwork:
     if not isinstance(policy.network, Perceptron) or not isinstance(module, NormalizedActor) or not layout.concatenated:
         raise ConfigurationError("a training begins with a policy whose network is a perceptron that sees one tensor")
     description.check_action(environment)
-    columns = _columns(policy, layout)
+    columns = columns_seen(policy, layout)
     shown = one_tensor(environment.observe(), POLICY)
     mean, std = shown.mean(0).cpu(), shown.std(0, unbiased=False).clamp_min(_LEAST_STD).cpu()
     mean[columns], std[columns] = module.mean.cpu(), module.std.cpu()
@@ -53,8 +54,12 @@ def started_from(policy: Policy, environment: Environment) -> ActorNetwork:
     return ActorNetwork(policy.network, started.requires_grad_(False).eval())
 
 
-def _columns(policy: Policy, layout: GroupLayout) -> list[int]:
-    """Where the environment shows the components that the policy saw, in their order."""
+def columns_seen(policy: Policy, layout: GroupLayout) -> list[int]:
+    """Where the environment shows the components that the policy saw, in their order.
+
+    Raises:
+        ConfigurationError: the policy saw what the environment does not show.
+    """
     columns: list[int] = []
     for part in policy.description.observation_parts:
         found = layout.columns.get(part.name)

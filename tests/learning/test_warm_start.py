@@ -68,8 +68,26 @@ def test_the_critic_learns_first_and_what_is_seen_no_more_shifts_the_actor(tmp_p
     trainer.learn(3, told)
     assert torch.equal(done[0], begun)
     assert torch.equal(done[1], begun)
-    assert rates[:2] == [first.learning_rate] * 2
+    # An actor that explores by a tenth begins to learn at a tenth of the rate.
+    assert rates[:2] == [first.learning_rate, 0.1 * first.learning_rate]
     assert not torch.equal(done[2], begun)
+    env.close()
+
+
+def test_what_the_policy_knew_keeps_its_statistics_and_what_is_new_finds_its_own(tmp_path: Path) -> None:
+    """An untrained critic has a few iterations alone unless told otherwise; the walker acts then as it did at first."""
+    env = rough()
+    trainer = trainer_type("rsl-rl")(env, settings(256, 128, 64), tmp_path, 0)
+    before = trainer.actor().module
+    seen = env.observe()["policy"].clone()
+    trainer.learn(2, lambda progress: None)
+    after = trainer.actor().module
+    assert torch.equal(after.mean[:48], before.mean[:48])
+    assert torch.equal(after.std[:48], before.std[:48])
+    assert not torch.isclose(after.std[48:], before.std[48:], rtol=1e-3).any()
+    assert torch.equal(after(seen), before(seen))
+    assert settings().iterations_of_critic > 1
+    assert PpoSettings().iterations_of_critic == 0
     env.close()
 
 
