@@ -24,8 +24,9 @@ def started_from(policy: Policy, environment: Environment) -> ActorNetwork:
     """A network that acts in the environment as the policy acts, whatever is shown there beside what the policy saw.
 
     Terms of the observation are matched by their names. What is new weighs nothing, and is normalised by what the
-    environment shows now, on which a training that goes on improves. Where joints' targets are ``offset + scale * command``, commands are of the environment's own
-    scale, and so is the last action among what is seen.
+    environment shows now, on which a training that goes on improves. Where joints' targets are
+    ``offset + scale * command``, commands are of the environment's own scale, and so is the last action among what is
+    seen.
 
     Raises:
         ConfigurationError: the policy was learned for another robot, action or rate; it saw what the environment does
