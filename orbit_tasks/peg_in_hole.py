@@ -18,7 +18,7 @@ from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTe
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import POSE, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common, picking, tabletop
+from orbit_core.mdp import common, picking, stages, tabletop
 from orbit_core.scene import PhysicsMaterial, Scene
 
 SMOOTH = PhysicsMaterial(static_friction=0.3, dynamic_friction=0.3)
@@ -87,9 +87,8 @@ def lifted(world: World, task: PegInHole) -> Tensor:
 @once_per_state
 def hand_to_knobs(world: World, task: PegInHole) -> Tensor:
     """(N, B, 3) from the hand to the middle of each block's knob."""
-    knobs = transforms.pose_multiply(
-        tabletop.piece_poses(world, task), task.grip.expand(task.num_envs, len(task.pieces), 7)
-    )
+    blocks = tabletop.piece_poses(world, task)
+    knobs = transforms.pose_multiply(blocks, task.grip.expand_as(blocks))
     return knobs[..., :3] - common.hand_pose(world, task)[:, None, :3]
 
 
@@ -114,18 +113,15 @@ def aligned(world: World, task: PegInHole) -> Tensor:
 def depth(world: World, task: PegInHole) -> Tensor:
     """(N,) in [0, 1]: how deep blocks are in their holes, on average."""
     off = offsets(world, task)
-    over = vector_norm(off[..., :2], dim=-1) < 0.01
-    return (over * (1.0 - off[..., 2] / BOARD_HEIGHT).clamp(0.0, 1.0)).mean(1)
+    return ((vector_norm(off[..., :2], dim=-1) < 0.01) * (1.0 - off[..., 2] / BOARD_HEIGHT).clamp(0.0, 1.0)).mean(1)
 
 
 def place_board(world: World, task: PegInHole, env_ids: Tensor) -> None:
     """Place the board at the far side of the workspace; a short one is placed and turned more than a long one."""
     low, high = common.workspace(world)
-    spread = 1.0 / len(task.pieces)
-    far, middle = high[0] - 0.06, 0.5 * (low[1] + high[1])
+    spread, far, middle = 1.0 / len(task.pieces), high[0] - 0.06, 0.5 * (low[1] + high[1])
     bounds = (far - 0.03, middle - 0.08 * spread, 0.0, -0.3 * spread), (far, middle + 0.08 * spread, 0.0, 0.3 * spread)
-    place = world.random.uniform((4,), *bounds, env_ids)
-    world.objects["board"].set_root_pose(common.standing(place), env_ids)
+    world.objects["board"].set_root_pose(common.standing(world.random.uniform((4,), *bounds, env_ids)), env_ids)
 
 
 def place_blocks(world: World, task: PegInHole, env_ids: Tensor) -> None:
@@ -210,9 +206,7 @@ class PegPremises:
     """Blocks stand free on the table."""
 
     standing: PremiseTerm | None = tabletop.pieces_stand(0.0)
-    outside: PremiseTerm | None = PremiseTerm(
-        lambda world, task: ~inserted(world, task).any(1), "a block is in its hole"
-    )
+    outside: PremiseTerm | None = PremiseTerm(lambda world, task: ~inserted(world, task).any(1), "a block is in a hole")
 
 
 @dataclass(kw_only=True)
@@ -274,13 +268,19 @@ class PegInHole(tabletop.TabletopTask):
     def expert(self, world: World) -> Expert:
         closing = max(0.4, common.closing_time(world))
         insertions = [phase for index in range(len(self.shapes)) for phase in _insertion(index, closing)]
-        return Expert(world, self, insertions, position_lead=0.06)
+        return Expert(world, self, insertions, 0.06, stage=partial(_stage, opening=common.GripperOpening(world)))
+
+
+def _stage(world: World, task: PegInHole, opening: common.GripperOpening) -> Tensor:
+    """(N,) int64: the expert's phase, by the state alone."""
+    hand, off, fit = common.hand_pose(world, task), enumerate(offsets(world, task).unbind(1)), 0.4 * task.clearance
+    own = [stages.inserting(hand, grasp(world, task, k), each, BOARD_HEIGHT, fit, opening) for k, each in off]
+    return stages.following(own, inserted(world, task) * (vector_norm(hand_to_knobs(world, task), dim=-1) > ARM), 10)
 
 
 def _insertion(index: int, closing: float) -> tuple[Phase, ...]:
     """Grasp a block, bring it above its hole, lower it until it is in, else lift it and do so again; push it down."""
-    at, over = partial(grasp, index=index), partial(grasp, index=index, height=0.1)
-    held = partial(carried, index=index)
+    at, over, held = partial(grasp, index=index), partial(grasp, index=index, height=0.1), partial(carried, index=index)
     above, down = partial(held, height=BOARD_HEIGHT + 0.02), partial(held, height=-0.003, push=0.006)
     close = partial(held, height=BOARD_HEIGHT + 0.002, push=0.02, haste=HASTE)
     lower = partial(held, height=BOARD_HEIGHT - 0.006, push=0.002, haste=HASTE)

@@ -13,12 +13,12 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import box
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, PremiseTerm, Retry, RewardTerm
+from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, Retry, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, picking, tabletop
+from orbit_core.mdp import common, picking, stages, tabletop
 from orbit_core.scene import Color, Pose, Scene
 from orbit_tasks.pixels import ArmLabels
 
@@ -140,15 +140,6 @@ class StackState(tabletop.ArmState):
 
 
 @dataclass
-class StackSemanticObservations(tabletop.StateObservations):
-    """The policy tells the blocks' colours by a camera's labels; critic and teacher see the state."""
-
-    policy: ObservationGroup = field(default_factory=ArmLabels)
-    critic: ObservationGroup | None = field(default_factory=StackState)
-    teacher: ObservationGroup | None = field(default_factory=StackState)
-
-
-@dataclass
 class StackRewards:
     """Rewards of the hand at the next block, the block lifted, at its place and let go, less what is abrupt.
 
@@ -189,7 +180,9 @@ class StackPyramid(tabletop.TabletopTask):
     ``tolerance`` of its place and the hand has let go. Metric: the sum of the distances between blocks and places.
     """
 
-    observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {"semantic": StackSemanticObservations}
+    observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {
+        "semantic": tabletop.sensed(ArmLabels, StackState)  # whose labels tell the blocks' colours
+    }
     episode_length: float = 27.0
     ppo: PpoSettings = PpoSettings(iterations=3000, initial_std=0.3, entropy_weight=0.005)
     pyramids: int = 2
@@ -251,7 +244,7 @@ class StackPyramid(tabletop.TabletopTask):
 
     def expert(self, world: World) -> Expert:
         phases = [phase for index in range(len(self.moved)) for phase in _moving(world, index)]
-        return Expert(world, self, phases)
+        return Expert(world, self, phases, stage=_stage)
 
 
 def _block(index: int) -> TermFunction:
@@ -279,6 +272,13 @@ def _moving(world: World, index: int) -> tuple[Phase, ...]:
     came = Retry(4, lambda world, task: moved_positions(world, task)[:, index, 2] > SIZE)
     put = picking.put(place, height=0.22, over=1.25 * GAP, came=came)
     return picking.pick(world, _grasp(index), clearance=0.12) + put
+
+
+def _stage(world: World, task: StackPyramid) -> Tensor:
+    """(N,) int64: the expert's phase, by the state alone."""
+    hand, ways = common.hand_pose(world, task), enumerate(blocks_to_places(world, task).unbind(1))
+    own = [stages.moving(hand, _grasp(k)(world, task), _place(k)(world, task), way, task.opening) for k, way in ways]
+    return stages.following(own, put_down(world, task), 8)
 
 
 def _parts(index: int) -> tuple[Subtask, Subtask]:

@@ -87,6 +87,9 @@ class Expert(Node):
     Drives whose arm's weight nothing cancels hold it only by what they lack to their targets. With a ``sag_rate`` (1/s)
     what the hand lacks near its target is summed up at that rate, and asked for on top.
 
+    While it :attr:`teaches`, the phase is what ``stage``, if given, says of the state alone: where another leads, who
+    may be slow, phases that end by time would answer one state in several ways.
+
     Raises:
         ConfigurationError: an agent has no phases, or another number than the others; a phase is to be retried that
             never ends, or from before the first; a base is to drive that takes no velocities over the floor; or only
@@ -103,6 +106,7 @@ class Expert(Node):
         planner: BasePlannerConfig | None = None,
         sag_rate: float = 0.0,
         straight: bool = False,
+        stage: TermFunction | None = None,
     ) -> None:
         self.name = "policy"
         self.outputs = (Port("action", (sum(generator.command_size for generator in task.generators),)),)
@@ -126,6 +130,9 @@ class Expert(Node):
         lead = torch.tensor([position_lead, rotation_lead], device=world.device)
         self._arms = [_Arm(agent, by_agent[agent], lead, world, task, planner, straight) for agent in task.agents]
         self._sag_share = sag_rate * self._dt
+        self._stage = stage
+        self.teaches = False
+        """Whether it only says what it would do, and another leads."""
         self.phase = torch.zeros(world.num_envs, dtype=torch.int64, device=world.device)
         self._elapsed = torch.zeros(world.num_envs, device=world.device)
         self._tries = torch.zeros(world.num_envs, len(self._retries), dtype=torch.int64, device=world.device)
@@ -148,9 +155,13 @@ class Expert(Node):
 
     def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         self.reset((self._task.episode_step == 0).nonzero().squeeze(-1))
+        stage = self._stage(self._world, self._task) if self.teaches and self._stage is not None else None
+        if stage is not None:
+            self._elapsed.masked_fill_(stage != self.phase, 0.0)
+            self.phase.copy_(stage)
         elapsed = self._elapsed + self._dt
         commands: list[Tensor] = []
-        over = self.phase < self._last
+        over = self.phase < (self._last if stage is None else 0)
         for arm in self._arms:
             command, finished = arm.compute(self.phase, elapsed, self._elapsed == 0.0, self._sag_share)
             commands.append(command)

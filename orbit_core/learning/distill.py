@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from orbit_core.envs.environment import Environment, Observation
+from orbit_core.envs.expert import Expert
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.distill_settings import DistillSettings
 from orbit_core.learning.loop import LoopTrainer
@@ -144,6 +145,8 @@ def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], 
                 "set expert_starts=0"
             )
         expert = environment.task.expert(environment.world)
+        if isinstance(expert, Expert):
+            expert.teaches = True
         return lambda seen: expert.compute({})["action"]
     teacher = load_policy(policy_path(name), environment.device)
     group = teacher.description.find_group(environment)

@@ -64,15 +64,23 @@ class ArmState(ObservationGroup):
 
 @dataclass
 class StateObservations:
-    """Policy and critic see the state."""
+    """Policy and critic see the state, unless the policy sees less."""
 
     policy: ObservationGroup
     critic: ObservationGroup | None = None
+    teacher: ObservationGroup | None = None
 
 
 def state(group: Callable[[], ObservationGroup]) -> Callable[[], StateObservations]:
     """Makes a task's observations: the state in that group of terms."""
     return lambda: StateObservations(group())
+
+
+def sensed(
+    sensors: Callable[[], ObservationGroup], group: Callable[[], ObservationGroup]
+) -> Callable[[], StateObservations]:
+    """Makes a task's observations: the policy sees what sensors show, critic and teacher the state in that group."""
+    return lambda: StateObservations(sensors(), group(), group())
 
 
 @dataclass

@@ -49,3 +49,19 @@ def test_a_retry_that_could_not_be_is_refused(environment: Environment, number: 
     script = [Phase(here, retry=Retry(phases, in_the_first) if i == number else None) for i in range(3)]
     with pytest.raises(ConfigurationError, match=f"phase {number} of 0 to 2 cannot go back {phases} phases"):
         Expert(environment.world, environment.task, script)
+
+
+def test_who_teaches_is_in_the_phase_that_the_state_tells(environment: Environment) -> None:
+    """However much time passes, and back to an earlier one as well; who leads goes by time."""
+    stage = torch.tensor([1, 0, 2])
+    phases = (Phase(here, timeout=0.1), Phase(here, gripper_open=False, timeout=0.1), Phase(here))
+    expert = Expert(environment.world, environment.task, phases, stage=lambda world, task: stage)
+    environment.reset(seed=0)
+    environment.task.episode_step += 1
+    for _ in range(30):
+        expert.compute({})
+    assert expert.phase.tolist() == [2, 2, 2]
+    expert.teaches = True
+    for _ in range(30):
+        expert.compute({})
+    assert expert.phase.tolist() == [1, 0, 2]

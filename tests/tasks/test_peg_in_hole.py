@@ -48,6 +48,12 @@ def test_the_expert_puts_a_block_into_its_hole(backend: str, num_envs: int, clea
     assert (depths < 0.005).all()
 
 
+def test_what_the_expert_teaches_by_the_state_alone_puts_a_block_into_its_hole() -> None:
+    environment, success = episode("Peg-In-Hole", "mujoco", 2, teaches=True, action="ik_relative", episode_length=6.0)
+    environment.close()
+    assert success.all()
+
+
 def test_a_block_on_the_board_is_not_inserted() -> None:
     environment = make("Peg-In-Hole", 2, "mujoco", seed=0)
     task, world = environment.task, environment.world

@@ -27,6 +27,12 @@ def test_the_expert_puts_a_block_on_another(backend: str, num_envs: int) -> None
     torch.testing.assert_close(heights, torch.full_like(heights, 1.5 * tasks.SIZE), atol=2e-3, rtol=0.0)
 
 
+def test_what_the_expert_teaches_by_the_state_alone_puts_a_block_on_another() -> None:
+    environment, success = episode("Stack", "mujoco", 3, teaches=True, action="ik_relative", episode_length=6.0)
+    environment.close()
+    assert success.all()
+
+
 def test_the_expert_builds_two_pyramids() -> None:
     environment, success = episode("Stack-Pyramid", "mujoco", N, action="ik_relative")
     tops = [environment.world.objects[name].root_pose[:, 2] for name in ("yellow", "green")]
