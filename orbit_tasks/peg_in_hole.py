@@ -126,8 +126,7 @@ def place_board(world: World, task: PegInHole, env_ids: Tensor) -> None:
 
 def place_blocks(world: World, task: PegInHole, env_ids: Tensor) -> None:
     """Stand the blocks in a row before the board, 11 cm apart, in any order, each turned by any angle."""
-    low, high = common.workspace(world)
-    count = len(task.pieces)
+    count, (low, high) = len(task.pieces), common.workspace(world)
     draw = world.random.uniform((4 * count,), -1.0, 1.0, env_ids).view(-1, count, 4)
     slots = draw[..., 0].argsort(dim=1).float() - 0.5 * (count - 1)
     poses = torch.zeros(len(env_ids), count, 7, device=world.device)
@@ -166,7 +165,7 @@ def carried(world: World, task: PegInHole, index: int, height: float, push: floa
 
 
 @dataclass
-class PegState(tabletop.ArmState):
+class PegState(tabletop.GraspState):
     """The arm's joints, the hand, the blocks, as hand and seats see them as well, the seats, and the last action."""
 
     block_poses: ObservationTerm | None = ObservationTerm(tabletop.piece_poses, unit=POSE)
@@ -273,8 +272,9 @@ class PegInHole(tabletop.TabletopTask):
 
 def _stage(world: World, task: PegInHole, opening: common.GripperOpening) -> Tensor:
     """(N,) int64: the expert's phase, by the state alone."""
-    hand, off, fit = common.hand_pose(world, task), enumerate(offsets(world, task).unbind(1)), 0.4 * task.clearance
-    own = [stages.inserting(hand, grasp(world, task, k), each, BOARD_HEIGHT, fit, opening) for k, each in off]
+    hand, rim, closed = common.hand_pose(world, task), (BOARD_HEIGHT, 0.4 * task.clearance), opening() < 0.45
+    pairs = enumerate(offsets(world, task).unbind(1))
+    own = [stages.inserting(hand, grasp(world, task, k), offset, *rim, closed) for k, offset in pairs]
     return stages.following(own, inserted(world, task) * (vector_norm(hand_to_knobs(world, task), dim=-1) > ARM), 10)
 
 

@@ -44,8 +44,7 @@ def places(world: World, task: StackPyramid) -> Tensor:
     """(N, M, 3) where those belong: beside the first block of their pyramid along its x axis, or on top."""
     first = tabletop.piece_poses(world, task)[:, : task.pyramids]
     position, turn = first[..., :3], common.turned(picking.quarter_yaw(first[..., 3:].flatten(0, 1)))
-    offsets = [position + quat_rotate(turn, way).view_as(position) for way in task.ways]
-    return torch.cat(offsets, dim=1)
+    return torch.cat([position + quat_rotate(turn, way).view_as(position) for way in task.ways], dim=1)
 
 
 @once_per_state
@@ -127,7 +126,7 @@ def place_blocks(world: World, task: StackPyramid, env_ids: Tensor) -> None:
 
 
 @dataclass
-class StackState(tabletop.ArmState):
+class StackState(tabletop.GraspState):
     """The arm's joints and hand, blocks, their turns against the hand, ways to them and their places, last action."""
 
     block_poses: ObservationTerm | None = ObservationTerm(tabletop.piece_poses, unit=POSE)
@@ -276,8 +275,9 @@ def _moving(world: World, index: int) -> tuple[Phase, ...]:
 
 def _stage(world: World, task: StackPyramid) -> Tensor:
     """(N,) int64: the expert's phase, by the state alone."""
-    hand, ways = common.hand_pose(world, task), enumerate(blocks_to_places(world, task).unbind(1))
-    own = [stages.moving(hand, _grasp(k)(world, task), _place(k)(world, task), way, task.opening) for k, way in ways]
+    hand, closed = common.hand_pose(world, task), task.opening() < 0.7  # of which a block needs 0.6
+    ways = enumerate(blocks_to_places(world, task).unbind(1))
+    own = [stages.moving(hand, _grasp(k)(world, task), _place(k)(world, task), way, closed) for k, way in ways]
     return stages.following(own, put_down(world, task), 8)
 
 

@@ -12,18 +12,13 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import pose_error, rotation_angle, rotation_error
-from orbit_core.mdp.common import GripperOpening
 
-HELD = 0.75
-"""Share of a gripper's opening that is wider than any that holds a thing."""
-_STILL = 0.1
-"""Shares of its opening per second below which a gripper has closed."""
 _REACH = 0.02
-"""Metres between the hand and its grasp within which a gripper that has closed holds the thing."""
+"""Metres between the hand and its grasp within which a gripper that is closed holds the thing."""
 _ABOVE, _DOWN, _CLOSE = range(3)
 
 
-def moving(hand: Tensor, grasp: Tensor, place: Tensor, way: Tensor, opening: GripperOpening) -> Tensor:
+def moving(hand: Tensor, grasp: Tensor, place: Tensor, way: Tensor, closed: Tensor) -> Tensor:
     """(N,) int64 of the eight phases of :func:`~orbit_core.mdp.picking.pick` and :func:`~orbit_core.mdp.picking.put`.
 
     Args:
@@ -31,17 +26,17 @@ def moving(hand: Tensor, grasp: Tensor, place: Tensor, way: Tensor, opening: Gri
         grasp: (N, 7) its pose around the thing as that lies now.
         place: (N, 7) how it is turned at the thing's place.
         way: (N, 3) from the thing to its place.
-        opening: of the gripper.
+        closed: (N,) bool, whether the gripper is as narrow as where it holds the thing.
     """
     aside, height = way[:, :2].norm(dim=1), -way[:, 2]
     turn = rotation_error(hand[:, 3:], place[:, 3:]).norm(dim=1)
     over = (aside < torch.where(height < 0.03, 0.015, 0.008)) & (turn < 0.1)
     carried = torch.where(over, 5, torch.where((height < 0.06) & (aside > 0.03), 3, 4))
     carried = torch.where((aside < 0.006) & (height < 0.006), 6, carried)
-    return _with_carried(hand, grasp, opening, carried, way.norm(dim=1) < 0.01, 7)
+    return _with_carried(hand, grasp, closed, carried, way.norm(dim=1) < 0.01, 7)
 
 
-def inserting(hand: Tensor, grasp: Tensor, offset: Tensor, rim: float, fit: float, opening: GripperOpening) -> Tensor:
+def inserting(hand: Tensor, grasp: Tensor, offset: Tensor, rim: float, fit: float, closed: Tensor) -> Tensor:
     """(N,) int64 of ten phases: above a block, down, close; up, above its hole, nearer, lower, push it in; open, leave.
 
     Args:
@@ -50,7 +45,7 @@ def inserting(hand: Tensor, grasp: Tensor, offset: Tensor, rim: float, fit: floa
         offset: (N, 7) the block's pose, as it sees itself at the bottom of its hole.
         rim: metres from there up to the rim.
         fit: metres aside up to which the block may be lowered.
-        opening: of the gripper.
+        closed: (N,) bool, whether the gripper is as narrow as where it holds the thing.
     """
     aside, height, turn = offset[:, :2].norm(dim=1), offset[:, 2], rotation_angle(offset[:, 3:])
     low = height < rim + 0.006
@@ -59,7 +54,7 @@ def inserting(hand: Tensor, grasp: Tensor, offset: Tensor, rim: float, fit: floa
     carried = torch.where(low & (aside < fit) & (turn < 0.03), 6, carried)
     carried = torch.where((height < rim - 0.001) & (aside < 0.005), 7, carried)
     seated = offset[:, :3].norm(dim=1) < 0.004
-    return _with_carried(hand, grasp, opening, torch.where(seated, 8, carried), seated, 9)
+    return _with_carried(hand, grasp, closed, torch.where(seated, 8, carried), seated, 9)
 
 
 def following(phases: Sequence[Tensor], done: Tensor, count: int) -> Tensor:
@@ -74,13 +69,11 @@ def following(phases: Sequence[Tensor], done: Tensor, count: int) -> Tensor:
     return torch.stack(tuple(phases), dim=1).gather(1, number[:, None])[:, 0] + count * number
 
 
-def _with_carried(
-    hand: Tensor, grasp: Tensor, opening: GripperOpening, carried: Tensor, there: Tensor, leave: int
-) -> Tensor:
+def _with_carried(hand: Tensor, grasp: Tensor, closed: Tensor, carried: Tensor, there: Tensor, leave: int) -> Tensor:
     """(N,) int64: what is held is ``carried`` (N,); of what is not, the hand leaves what is ``there`` (N,)."""
-    error, opened = pose_error(hand, grasp), opening()
+    error = pose_error(hand, grasp)
     aside, turn, way = error[:, :2].norm(dim=1), error[:, 3:].norm(dim=1), error[:, :3].norm(dim=1)
     over = (aside < 0.008 - 0.15 * error[:, 2].clamp_max(0.0)) & (turn < 0.15)
-    closed = (way < _REACH) & (opened < HELD)
-    stage = torch.where((way < 0.008) & (turn < 0.15) | closed, _CLOSE, torch.where(over, _DOWN, _ABOVE))
-    return torch.where(closed & (opening.speed() < _STILL), carried, torch.where(there, leave, stage))
+    closed = closed & (way < _REACH)
+    stage = torch.where((way < 0.008) & (turn < 0.15), _CLOSE, torch.where(over, _DOWN, _ABOVE))
+    return torch.where(closed, carried, torch.where(there, leave, stage))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, PremiseTerm, TerminationTerm
 from orbit_core.envs.task import ROBOT, Task
-from orbit_core.envs.terms import TermFunction, once_per_state
+from orbit_core.envs.terms import TermFunction, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, picking, premises, randomize
 from orbit_core.mdp.randomize import Range
@@ -62,6 +62,19 @@ class ArmState(ObservationGroup):
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
 
 
+@measured_in("rad/s or m/s")
+def arm_velocities(world: World, task: TabletopTask) -> Tensor:
+    """(N, A) of the joints that move the hand, without its fingers."""
+    return world.robots[ROBOT].joint_velocities.index_select(1, task.arm_joints)
+
+
+@dataclass
+class GraspState(ArmState):
+    """Without the fingers' velocities: of fingers that rest on what they hold engines tell none, or 0.13 m/s."""
+
+    joint_velocities: ObservationTerm | None = ObservationTerm(arm_velocities)
+
+
 @dataclass
 class StateObservations:
     """Policy and critic see the state, unless the policy sees less."""
@@ -106,6 +119,13 @@ class TabletopTask(Task):
 
     robot: str = "franka_panda"
     action: str = "joint_position"
+    arm_joints: Tensor = field(init=False)
+    """(A,) indices of the joints that move the hand."""
+
+    def start(self, world: World) -> None:
+        super().start(world)
+        robot = world.robots[ROBOT]
+        self.arm_joints = torch.tensor(robot.find_joints(*robot.spec.end_effector.arm_joints), device=world.device)
 
     @property
     def pieces(self) -> tuple[str, ...]:
