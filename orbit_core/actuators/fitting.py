@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from orbit_core.actuators.networks import ActuatorModule, NetworkDescription
 from orbit_core.actuators.recordings import Recording, common_rate
+from orbit_core.interfaces import ConfigurationError
 
 _HELD_OUT = 0.2
 """Part of each recording, its end, that is not learned from."""
@@ -38,6 +40,17 @@ class FitSettings:
     """At first; it falls to a hundredth along half a cosine."""
     seed: int = 0
     """Of the weights at first, and of the order of what is learned from."""
+
+    def __post_init__(self) -> None:
+        """Check what a fit would not learn with.
+
+        Raises:
+            ConfigurationError: the learning rate is not a number above zero, or there is no pass.
+        """
+        if not 0.0 < self.learning_rate < math.inf:
+            raise ConfigurationError(f"learning_rate is {self.learning_rate}: give a number above zero")
+        if self.passes < 1:
+            raise ConfigurationError(f"passes are {self.passes}: give at least one")
 
 
 @dataclass(frozen=True)

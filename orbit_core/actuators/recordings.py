@@ -80,6 +80,8 @@ def _checked(path: Path, data: Mapping[str, Any]) -> Recording:
     if missing:
         raise ConfigurationError(f"recording {path} lacks {', '.join(missing)}")
     joints = tuple(str(name) for name in data["joints"])
+    if not joints:
+        raise ConfigurationError(f"recording {path} names no joint")
     time = np.asarray(data["time"], dtype=np.float64)
     arrays = {name: np.asarray(data[name], dtype=np.float64) for name in QUANTITIES}
     for name, array in arrays.items():
@@ -118,7 +120,14 @@ def _tensors(arrays: Mapping[str, npt.NDArray[np.float64]]) -> tuple[Tensor, Ten
 def _read_csv(path: Path) -> dict[str, Any]:
     with path.open(newline="") as file:
         rows = list(csv.reader(file))
-    header, body = rows[0], np.array(rows[1:], dtype=np.float64)
+    rows = [row for row in rows if row]
+    if not rows:
+        raise ValueError("it is empty")
+    header = rows[0]
+    ragged = next((number for number, row in enumerate(rows[1:], 1) if len(row) != len(header)), None)
+    if ragged is not None:
+        raise ValueError(f"row {ragged} has {len(rows[ragged])} values, and the header names {len(header)} columns")
+    body = np.array(rows[1:], dtype=np.float64).reshape(-1, len(header))
     names = {name.strip(): column for column, name in enumerate(header)}
     joints = list(dict.fromkeys(name.rpartition(".")[0] for name in names if "." in name))
     found: dict[str, Any] = {"joints": joints}

@@ -48,8 +48,9 @@ def main(words: Sequence[str]) -> None:
 
     settings = parse_words(TrainActuatorSettings, words, "orbit train-actuator")
     check_positive("passes", settings.passes)
-    check_output(settings.output, ".safetensors", settings.overwrite)
     recordings = [read_recording(path) for path in settings.recordings]
+    make_folder(settings.output)
+    check_output(settings.output, ".safetensors", settings.overwrite)
     chosen = FitSettings(
         kind=settings.kind,
         hidden_sizes=settings.hidden_sizes,
@@ -62,7 +63,6 @@ def main(words: Sequence[str]) -> None:
     with progress_bar() as bar:
         line = bar.add_task("fitting", total=settings.passes)
         found = fit(recordings, chosen, lambda done, loss: bar.update(line, completed=done + 1))
-    make_folder(settings.output)
     write_network(settings.output, found.network)
     unit = "N m" if settings.unit == "rad" else "N"
     table = new_table("over what was held out", "", title=f"{settings.kind} in {settings.output}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import runpy
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -194,6 +195,29 @@ def test_a_recording_that_cannot_be_is_refused(
     np.savez(tmp_path / "bad.npz", **changed)
     with pytest.raises(kind, match=message):
         read_recording(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "it is empty"),
+        ("garbage", "lacks time"),
+        ("time,position,velocity,effort\n0,1,2,3\n", "names no joint"),
+        ("time,a.position\n0,1\n0.005\n", "row 2 has 1 values, and the header names 2 columns"),
+        ("time,a.position\n0,none\n", "could not convert string to float: 'none'"),
+    ],
+)
+def test_a_table_that_is_broken_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "broken.csv"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match=message):
+        read_recording(path)
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, math.nan])
+def test_a_fit_that_would_not_learn_is_refused(rate: float) -> None:
+    with pytest.raises(ConfigurationError, match="learning_rate"):
+        FitSettings(learning_rate=rate)
 
 
 def test_the_command_writes_a_file_that_a_world_takes(
