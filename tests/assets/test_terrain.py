@@ -78,12 +78,20 @@ def test_a_mesh_has_the_corners_of_the_height_field() -> None:
     ("fields", "message"),
     [
         ({"kinds": ()}, "has no kinds"),
-        ({"levels": 0}, "of 0 levels has no cells"),
+        ({"kinds": Flat()}, r"give a tuple of kinds"),
+        ({"kinds": ("Flat",)}, r"give a tuple of kinds"),
+        ({"levels": 0}, "levels of a terrain grid is 0: give a whole number, 1 or more"),
+        ({"levels": 1.5}, "levels of a terrain grid is 1.5: give a whole number"),
+        ({"seed": -1}, "seed of a terrain grid is -1: give a whole number, 0 or more"),
+        ({"form": "mesh"}, "form of a terrain grid is 'mesh': give a TerrainForm"),
+        ({"difficulty": 0.5}, "difficulty is 0.5: give two numbers"),
+        ({"difficulty": (0.0, float("nan"))}, "give two numbers"),
+        ({"resolution": 1e-4}, "more than 33,554,432 points"),
         ({"difficulty": (0.2, 1.5)}, "0 <= first <= last <= 1"),
         ({"difficulty": (0.7, 0.1)}, "0 <= first <= last <= 1"),
         ({"resolution": 0.07}, "does not divide cell_size 8 m: 0.0701754 m does"),
         ({"resolution": 0.0}, "at least three points"),
-        ({"cell_size": float("nan")}, "at least three points"),
+        ({"cell_size": float("nan")}, "cell_size of a terrain grid is nan: give a finite number"),
         ({"border": -1.0}, "border is -1.0 m"),
         ({"cell_size": 1.0}, "platform is 2 m in a cell of 1 m"),
     ],
@@ -96,6 +104,14 @@ def test_a_grid_that_cannot_be_is_refused(fields: dict[str, Any], message: str) 
 def test_a_kind_that_cannot_be_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="Stairs: rise is Span"):
         Stairs(rise=Span(0.1, float("inf")))
+    with pytest.raises(ConfigurationError, match=r"Stairs: rise is 0\.1: give Span"):
+        Stairs(rise=0.1)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ConfigurationError, match=r"Waves: count is 1\.25: give a whole number"):
+        Waves(count=1.25)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ConfigurationError, match="Boxes: side is 'wide': give finite numbers"):
+        Boxes(side="wide")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ConfigurationError, match=r"in a cell of 8 m give 0\.008 m or more"):
+        _ = TerrainGrid(kinds=(SteppingStones(side=Span(0.0, 0.0), apart=Span(0.0, 0.0)),)).heights
     with pytest.raises(ConfigurationError, match="run is 0"):
         _ = TerrainGrid(kinds=(Stairs(run=0.0),)).heights
 

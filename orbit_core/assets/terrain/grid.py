@@ -17,6 +17,7 @@ from orbit_core.assets.terrain.kinds import (
     Surface,
     TerrainKind,
     Waves,
+    is_number,
 )
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.plugin_kit.meshes import height_field_mesh
@@ -25,6 +26,8 @@ from orbit_core.scene.materials import Color
 
 _BORDER_DEPTH = 1.0
 """Metres: thickness of the level ground around the grid."""
+_MOST_POINTS = 2**25
+"""At which heights are sampled; they are held as numbers of 8 bytes, and again by each engine."""
 _START = 0.5
 """Metres: a robot starts above the highest point within this distance, in x and in y, of its cell's middle."""
 
@@ -70,14 +73,27 @@ class TerrainGrid:
         Raises:
             ConfigurationError: it cannot; names the field and what would do.
         """
+        if not (isinstance(self.kinds, tuple) and all(isinstance(kind, TerrainKind) for kind in self.kinds)):
+            raise ConfigurationError(f"kinds of a terrain grid are {self.kinds!r}: give a tuple of kinds, as (Flat(),)")
         if not self.kinds:
             raise ConfigurationError("a terrain grid has no kinds: give at least one, such as Flat()")
-        if self.levels < 1:
-            raise ConfigurationError(f"a terrain grid of {self.levels} levels has no cells: give levels of 1 or more")
+        if not isinstance(self.form, TerrainForm):
+            raise ConfigurationError(f"form of a terrain grid is {self.form!r}: give a TerrainForm")
+        for name, least in (("levels", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if type(value) is not int or value < least:
+                raise ConfigurationError(f"{name} of a terrain grid is {value!r}: give a whole number, {least} or more")
+        if not (isinstance(self.difficulty, tuple) and [*map(is_number, self.difficulty)] == [True, True]):
+            raise ConfigurationError(
+                f"difficulty is {self.difficulty!r}: give two numbers, of first and last level"
+            )
         low, high = self.difficulty
         if not 0.0 <= low <= high <= 1.0:
             raise ConfigurationError(f"difficulty is {self.difficulty}: give 0 <= first <= last <= 1")
-        if not (np.isfinite(self.cell_size) and 0.0 < self.resolution <= self.cell_size / 2):
+        for name in ("cell_size", "resolution", "border"):
+            if not is_number(getattr(self, name)):
+                raise ConfigurationError(f"{name} of a terrain grid is {getattr(self, name)!r}: give a finite number")
+        if not 0.0 < self.resolution <= self.cell_size / 2:
             raise ConfigurationError(
                 f"cell_size is {self.cell_size:g} m and resolution {self.resolution:g} m: a cell must hold at least "
                 "three points a side"
@@ -87,7 +103,12 @@ class TerrainGrid:
                 f"resolution {self.resolution:g} m does not divide cell_size {self.cell_size:g} m: "
                 f"{self.cell_size / self._points:g} m does"
             )
-        if not (np.isfinite(self.border) and self.border >= 0.0):
+        if len(self.kinds) * self.levels * (self.cell_size / self.resolution) ** 2 > _MOST_POINTS:
+            raise ConfigurationError(
+                f"a terrain grid of {len(self.kinds)} times {self.levels} cells of {self.cell_size:g} m has more than "
+                f"{_MOST_POINTS:,} points at resolution {self.resolution:g} m: give fewer cells, or a coarser one"
+            )
+        if self.border < 0.0:
             raise ConfigurationError(f"border is {self.border} m: give a width of zero or more")
         for kind in self.kinds:
             if kind.platform >= self.cell_size:

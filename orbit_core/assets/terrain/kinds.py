@@ -22,6 +22,8 @@ Surface = Callable[[Array, Array], Array]
 """Height in metres at x and y in metres from the middle of a cell; arrays of one shape."""
 _EDGE = 1e-9
 """Metres: a place on an edge belongs to the side that is nearer to the middle."""
+_MOST_STONES = 1000
+"""In a row across a cell."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,11 @@ class Span:
         return self.easy + difficulty * (self.hard - self.easy)
 
 
+def is_number(value: object) -> bool:
+    """Whether it is a finite number."""
+    return isinstance(value, int | float) and bool(np.isfinite(value))
+
+
 @dataclass(frozen=True, kw_only=True)
 class TerrainKind(ABC):
     """One kind of ground."""
@@ -47,15 +54,18 @@ class TerrainKind(ABC):
         """Check what every kind must hold.
 
         Raises:
-            ConfigurationError: a number is not finite, or a length is below zero.
+            ConfigurationError: a number is not finite, or a length is below zero; or a field is of another type.
         """
         for field in fields(self):
-            value = getattr(self, field.name)
+            value, usual = getattr(self, field.name), field.default
+            what = f"terrain {type(self).__name__}: {field.name} is {value!r}"
+            if isinstance(usual, Span) and not isinstance(value, Span):
+                raise ConfigurationError(f"{what}: give Span(easy, hard)")
+            if type(usual) is int and type(value) is not int:
+                raise ConfigurationError(f"{what}: give a whole number")
             ends = (value.easy, value.hard) if isinstance(value, Span) else (value,)
-            if not all(np.isfinite(end) and end >= 0.0 for end in ends):
-                raise ConfigurationError(
-                    f"terrain {type(self).__name__}: {field.name} is {value}: give finite numbers, zero or above"
-                )
+            if not all(is_number(end) and end >= 0.0 for end in ends):
+                raise ConfigurationError(f"{what}: give finite numbers, zero or above")
 
     @abstractmethod
     def surface(self, size: float, difficulty: float, random: np.random.Generator) -> Surface:
@@ -164,7 +174,12 @@ class SteppingStones(TerrainKind):
     def surface(self, size: float, difficulty: float, random: np.random.Generator) -> Surface:
         apart = self.apart.at(difficulty)
         pitch = self.side.at(difficulty) + apart
-        count = int(np.ceil(size / max(pitch, _EDGE))) + 1
+        if pitch < size / _MOST_STONES:
+            raise ConfigurationError(
+                f"terrain SteppingStones: side and apart come to {pitch:g} m together: in a cell of {size:g} m give "
+                f"{size / _MOST_STONES:g} m or more"
+            )
+        count = int(np.ceil(size / pitch)) + 1
         tops = random.uniform(-1.0, 1.0, (count, count)) * self.unevenness.at(difficulty)
 
         def height(x: Array, y: Array) -> Array:
