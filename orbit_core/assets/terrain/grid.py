@@ -73,26 +73,7 @@ class TerrainGrid:
         Raises:
             ConfigurationError: it cannot; names the field and what would do.
         """
-        if not (isinstance(self.kinds, tuple) and all(isinstance(kind, TerrainKind) for kind in self.kinds)):
-            raise ConfigurationError(f"kinds of a terrain grid are {self.kinds!r}: give a tuple of kinds, as (Flat(),)")
-        if not self.kinds:
-            raise ConfigurationError("a terrain grid has no kinds: give at least one, such as Flat()")
-        if not isinstance(self.form, TerrainForm):
-            raise ConfigurationError(f"form of a terrain grid is {self.form!r}: give a TerrainForm")
-        for name, least in (("levels", 1), ("seed", 0)):
-            value = getattr(self, name)
-            if type(value) is not int or value < least:
-                raise ConfigurationError(f"{name} of a terrain grid is {value!r}: give a whole number, {least} or more")
-        if not (isinstance(self.difficulty, tuple) and [*map(is_number, self.difficulty)] == [True, True]):
-            raise ConfigurationError(
-                f"difficulty is {self.difficulty!r}: give two numbers, of first and last level"
-            )
-        low, high = self.difficulty
-        if not 0.0 <= low <= high <= 1.0:
-            raise ConfigurationError(f"difficulty is {self.difficulty}: give 0 <= first <= last <= 1")
-        for name in ("cell_size", "resolution", "border"):
-            if not is_number(getattr(self, name)):
-                raise ConfigurationError(f"{name} of a terrain grid is {getattr(self, name)!r}: give a finite number")
+        self._check_types()
         if not 0.0 < self.resolution <= self.cell_size / 2:
             raise ConfigurationError(
                 f"cell_size is {self.cell_size:g} m and resolution {self.resolution:g} m: a cell must hold at least "
@@ -116,6 +97,26 @@ class TerrainGrid:
                     f"terrain {type(kind).__name__}: platform is {kind.platform:g} m in a cell of {self.cell_size:g} "
                     "m: make the cell larger than its platform"
                 )
+
+    def _check_types(self) -> None:
+        if not (isinstance(self.kinds, tuple) and all(isinstance(kind, TerrainKind) for kind in self.kinds)):
+            raise ConfigurationError(f"kinds of a terrain grid are {self.kinds!r}: give a tuple of kinds, as (Flat(),)")
+        if not self.kinds:
+            raise ConfigurationError("a terrain grid has no kinds: give at least one, such as Flat()")
+        if not isinstance(self.form, TerrainForm):
+            raise ConfigurationError(f"form of a terrain grid is {self.form!r}: give a TerrainForm")
+        for name, least in (("levels", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if type(value) is not int or value < least:
+                raise ConfigurationError(f"{name} of a terrain grid is {value!r}: give a whole number, {least} or more")
+        if not (isinstance(self.difficulty, tuple) and [*map(is_number, self.difficulty)] == [True, True]):
+            raise ConfigurationError(f"difficulty is {self.difficulty!r}: give two numbers, of first and last level")
+        low, high = self.difficulty
+        if not 0.0 <= low <= high <= 1.0:
+            raise ConfigurationError(f"difficulty is {self.difficulty}: give 0 <= first <= last <= 1")
+        for name in ("cell_size", "resolution", "border"):
+            if not is_number(getattr(self, name)):
+                raise ConfigurationError(f"{name} of a terrain grid is {getattr(self, name)!r}: give a finite number")
 
     @property
     def _points(self) -> int:
