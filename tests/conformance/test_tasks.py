@@ -1,21 +1,17 @@
-"""Every task with its expert on every backend."""
+"""Experts on what the quick run of the suite, which has every task on two backends, leaves out."""
 
 from __future__ import annotations
 
 import pytest
 import torch
 
-from orbit_core.backends import backend_names, default_backend
+from orbit_core.backends import backend_names
 from orbit_core.envs import make
 
-# Task, robot, action space, how many environments run an episode, and the least success rate over them.
-EXPERTS = [
-    ("Reach", "franka_panda", "ik_relative", 8, 0.87),
-    ("Lift", "franka_panda", "ik_relative", 8, 0.87),
-    ("Cabinet", "franka_panda", "ik_relative", 8, 0.87),
-    ("Handover", "franka_panda", "ik_relative", 8, 0.87),
-]
-# Other robots and actions, in which engines are all the same to the core: each on the default engine and on another.
+QUICK = ("mujoco", "sapien")
+"""The backends of ``make conformance``."""
+EXPERTS = [("Lift", "franka_panda", "ik_relative"), ("Cabinet", "franka_panda", "ik_relative")]
+"""Task, robot and action space, on every other backend: something is grasped, something moves on joints."""
 VARIANTS = [
     ("Reach", "franka_panda", "ik_absolute"),
     ("Lift", "ur10_robotiq_2f85", "ik_relative"),
@@ -24,18 +20,14 @@ VARIANTS = [
     ("Reach", "ur10_robotiq_2f85", "ik_relative"),
     ("Lift", "franka_panda", "joint_position"),
 ]
-OTHERS = [name for name in backend_names() if name != default_backend()]
-TRIED = [(name, *expert) for name in backend_names() for expert in EXPERTS]
-for number, variant in enumerate(VARIANTS):
-    for name in (default_backend(), *OTHERS[number % max(1, len(OTHERS)) :][:1]):
-        TRIED.append((name, *variant, 8, 0.87))
+"""Other robots and actions, in which engines are all the same to the core: each on one, all engines in turn."""
+TRIED = [(name, *expert) for name in backend_names() if name not in QUICK for expert in EXPERTS]
+TRIED += [(backend_names()[n % len(backend_names())], *variant) for n, variant in enumerate(VARIANTS)]
 
 
-@pytest.mark.parametrize(("backend", "task", "robot", "action", "num_envs", "least"), TRIED)
-def test_the_expert_succeeds(
-    backend: str, device: torch.device, task: str, robot: str, action: str, num_envs: int, least: float
-) -> None:
-    environment = make(task, num_envs, backend, device, seed=0, robot=robot, action=action)
+@pytest.mark.parametrize(("backend", "task", "robot", "action"), TRIED)
+def test_the_expert_succeeds(backend: str, device: torch.device, task: str, robot: str, action: str) -> None:
+    environment = make(task, 4, backend, device, seed=0, robot=robot, action=action)
     expert = environment.expert()
     environment.reset(seed=0)
     ends = []
@@ -44,19 +36,19 @@ def test_the_expert_succeeds(
         ends += [info["final"]] if "final" in info else []
     success = torch.cat([end.success for end in ends]).float().mean()
     environment.close()
-    assert success >= least
+    assert success >= 0.75
 
 
 @pytest.mark.parametrize("backend", backend_names())
 def test_the_gait_follows_its_commands(backend: str, device: torch.device) -> None:
-    environment = make("Velocity-Flat", 12, backend, device, seed=0, episode_length=5.0, robot="unitree_go1")
+    environment = make("Velocity-Flat", 6, backend, device, seed=0, episode_length=5.0, robot="unitree_go1")
     gait = environment.expert()
     environment.reset(seed=0)
     for _ in range(environment.max_episode_steps):
         *_, info = environment.step(gait.compute({})["action"])
     metrics = info["final"].metrics
     environment.close()
-    assert len(metrics["falls"]) == 12, "none has fallen before"
+    assert len(metrics["falls"]) == 6, "none has fallen before"
     assert not metrics["falls"].any()
     assert metrics["linear_error_m_s"].mean() < 0.15
     assert metrics["yaw_rate_error_rad_s"].mean() < 0.15, "its sway is taken back"

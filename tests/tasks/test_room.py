@@ -1,4 +1,4 @@
-"""Room-Reorganization: the expert tidies up, the room is drawn anew, and what the paths must not touch is told."""
+"""Room-Reorganization: the room is drawn anew, what counts, and what the paths must not touch is told."""
 
 from __future__ import annotations
 
@@ -13,23 +13,6 @@ from orbit_core.interfaces import PlanningError
 from orbit_tasks import room
 from orbit_tasks import room_reorganization as tasks
 from orbit_tasks.mobile import stand_at
-
-NEXT = 11
-"""Number of the phase in which the second thing is gone for."""
-
-
-@pytest.mark.parametrize("backend", ["mujoco", "sapien"])
-def test_the_expert_brings_the_first_thing_to_its_place(backend: str) -> None:
-    environment = make("Room-Reorganization", 2, backend, seed=0)
-    expert = environment.expert()
-    environment.reset(seed=0)
-    for _ in range(round(22.0 / environment.step_dt)):
-        environment.step(expert.compute({})["action"])
-        if (expert.phase >= NEXT).all():
-            break
-    done = tasks.in_place(environment.world, environment.task)
-    environment.close()
-    assert done.tolist() == [[True, False, False]] * 2
 
 
 @pytest.fixture(scope="module")

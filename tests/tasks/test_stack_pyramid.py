@@ -1,4 +1,4 @@
-"""Stack and Stack-Pyramid: the expert on two engines, rewards along its way, settings."""
+"""Stack and Stack-Pyramid: a block on another, rewards along the way, settings."""
 
 from __future__ import annotations
 
@@ -18,9 +18,8 @@ from tests.tasks.experts import episode
 N = 4
 
 
-@pytest.mark.parametrize(("backend", "num_envs"), [("mujoco", N), ("bullet", 2)])
-def test_the_expert_puts_a_block_on_another(backend: str, num_envs: int) -> None:
-    environment, success = episode("Stack", backend, num_envs)
+def test_the_expert_puts_a_block_on_another() -> None:
+    environment, success = episode("Stack", "mujoco", 2)
     heights = environment.world.objects["orange"].root_pose[:, 2]
     environment.close()
     assert success.all()
@@ -31,16 +30,6 @@ def test_what_the_expert_teaches_by_the_state_alone_puts_a_block_on_another() ->
     environment, success = episode("Stack", "mujoco", 3, teaches=True, action="ik_relative", episode_length=6.0)
     environment.close()
     assert success.all()
-
-
-def test_the_expert_builds_two_pyramids() -> None:
-    environment, success = episode("Stack-Pyramid", "mujoco", N, action="ik_relative")
-    tops = [environment.world.objects[name].root_pose[:, 2] for name in ("yellow", "green")]
-    distance = environment.task.metrics(environment.world)["distance_m"]
-    environment.close()
-    assert success.sum() >= N - 1
-    assert (torch.stack(tops)[:, success] > 1.4 * tasks.SIZE).all()
-    assert (distance[success] < 4 * 0.015).all()
 
 
 @pytest.fixture(scope="module")
