@@ -16,6 +16,7 @@ import math
 import numpy as np
 
 from orbit_core.interfaces import Approximation
+from orbit_core.plugin_kit.ropes import hanging_weight
 from orbit_core.scene import Cloth, Rope, Scene
 
 LONGEST, SHORTEST = 1.25e-3, 0.25e-3
@@ -89,15 +90,9 @@ def _taut(spec: object, scene: Scene) -> float:
     """Seconds that waves across a rope allow under the weight of the free bodies that are attached to it."""
     if not isinstance(spec, Rope):
         return math.inf
-    held = {attachment.entity for attachment in spec.attachments}
-    loads = [
-        sum(link.mass for link in entity.articulation.links)
-        for entity in scene.entities
-        if entity.name in held and not entity.fixed_base
-    ]
-    if not loads:
+    tension = hanging_weight(spec, scene)
+    if not tension:
         return math.inf
-    tension = _GRAVITY * (sum(loads) + spec.mass)
     return _TAUT * edge_length(spec) * math.sqrt(spec.linear_density / tension)
 
 

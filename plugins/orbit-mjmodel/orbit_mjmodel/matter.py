@@ -21,7 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
-from orbit_core.scene import Attachment, Cloth, Rope
+from orbit_core.plugin_kit.ropes import hanging_weight
+from orbit_core.scene import Attachment, Cloth, Rope, Scene
 from orbit_mjmodel.addresses import MATTER_BODY, body_name
 from orbit_mjmodel.chains import chain_positions
 from orbit_mjmodel.materials import OVERRIDING
@@ -49,6 +50,17 @@ _STIFFEST_BEND = 100.0
 """Of ``D h^2 / (rho l^4)`` with edges l: MuJoCo ends its solution at a residual of 1e-8 of the largest forces, so that
 cloth as stiff as this falls as it should on meshes of 9 to 33 rows, and at two to seven times that more slowly."""
 
+_SOFTER = 1.5
+"""How many times as long as cloth's the time constant of a rope's contacts is: on the limit of two steps its pieces
+rattle on what they lie on, and creep by 4 mm/s where friction should hold them."""
+_SPIN = 300.0
+"""Inertia of a rope's pieces about their own axes, over that of their mass at their radius. A rope that rolled would
+turn by more than a radian in a step, and so could not be bent: its pieces' spin, which nothing else hangs on, is
+stopped in each step, and friction then gains so little on it that they roll by 0.1 mm/s at 5 ms."""
+_TAUT = 4.0
+"""Inertia of a rope's joints over its tension, a piece's length and the square of a step. The pull of pieces across the
+rope is explicit, which a step allows to four times that of a piece's own mass: ropes that were lighter against what
+hung on them sank through bars in growing waves. With half of this 1 kg on a rope of 5 g/m still did."""
 _INNER_DAMPING = 0.1
 """Of a rope's joints, over a piece's mass times its length squared and a step: what the shortest waves lose in a step,
 without which a whipping chain gains energy. The slowest wave of 50 pieces loses a millionth of that."""
@@ -99,7 +111,7 @@ def add_matter(spec: mujoco.MjSpec, layout: SceneLayout) -> list[Approximation]:
         if isinstance(thing, Cloth):
             _add_cloth(spec, index, thing, solref)
         else:
-            report += _add_rope(spec, index, thing, solref, layout.scene.physics_dt)
+            report += _add_rope(spec, index, thing, (_SOFTER * solref[0], solref[1]), layout.scene)
             for _, link in _attached_links(thing, layout):
                 _exclude_held(spec, index, thing, link)
         report += _report_held(thing)
@@ -177,10 +189,11 @@ def piece_lengths(rope: Rope) -> npt.NDArray[np.float64]:
 
 
 def _add_rope(
-    spec: mujoco.MjSpec, index: int, rope: Rope, solref: tuple[float, float], dt: float
+    spec: mujoco.MjSpec, index: int, rope: Rope, solref: tuple[float, float], scene: Scene
 ) -> list[Approximation]:
     """A straight chain along x; the initial state bends it."""
     lengths = piece_lengths(rope)
+    dt, pull = scene.physics_dt, hanging_weight(rope, scene)
     body = spec.worldbody
     for number, length in enumerate(lengths):
         root = number == 0
@@ -193,7 +206,10 @@ def _add_rope(
             # The first part takes as much as the end of a step would of the spring: rope at rest is then quiet.
             damping = dt * stiffness + _INNER_DAMPING * rope.linear_density * length**3 / dt
             body.add_joint(
-                type=mujoco.mjtJoint.mjJNT_BALL, stiffness=[stiffness, 0.0, 0.0], damping=[damping, 0.0, 0.0]
+                type=mujoco.mjtJoint.mjJNT_BALL,
+                stiffness=[stiffness, 0.0, 0.0],
+                damping=[damping, 0.0, 0.0],
+                armature=_TAUT * pull * length * dt**2,
             )
         mass, radius = rope.linear_density * length, rope.radius
         across = mass * (length**2 / 12.0 + radius**2 / 4.0)
@@ -214,7 +230,26 @@ def _add_rope(
     why = "a chain of stiff pieces on ball joints, whose springs turn about every axis alike"
     axial = Approximation(f"'{rope.name}'", f"axial stiffness {rope.axial_stiffness:g} N", "no stretch", why)
     twist = Approximation(f"'{rope.name}'", "no resistance to twist", "that of bending", why)
-    return [axial, twist] if rope.bending_stiffness > 0.0 else [axial]
+    spins = "it would turn by more than a radian in a step, and its joints could not follow"
+    report = [axial, Approximation(f"'{rope.name}'", "that it may roll", "no spin about its own axis", spins)]
+    if rope.bending_stiffness > 0.0:
+        report.append(twist)
+    if pull > 0.0:
+        got, why = f"that of joints under {pull:.3g} N as well", "lighter joints would not bear it at this physics_dt"
+        report.append(Approximation(f"'{rope.name}'", "the inertia of its mass alone", got, why))
+    return report
+
+
+def slow_spins(model: mujoco.MjModel, matter: Iterable[MatterAddresses]) -> None:
+    """Give a rope's pieces the inertia about their own axes that :data:`_SPIN` asks for, more than solids can have."""
+    for one in matter:
+        if isinstance(one.spec, Rope):
+            model.body_inertia[one.bodies, 0] = axial_inertia(one.spec, model.body_mass[one.bodies])
+
+
+def axial_inertia(rope: Rope, masses: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """(...) kg m^2 of a rope's pieces of these masses, each about its own axis."""
+    return _SPIN * rope.radius**2 * masses
 
 
 def _exclude_neighbours(spec: mujoco.MjSpec, index: int, rope: Rope, lengths: npt.NDArray[np.float64]) -> None:

@@ -32,6 +32,7 @@ from orbit_mjmodel.matter import (
     firm_contacts,
     matter_addresses,
     set_matter_home,
+    slow_spins,
     spare_holders,
 )
 from orbit_mjmodel.variants import ABSENT, Slot, slots
@@ -108,6 +109,7 @@ def _compiled(builder: _Builder) -> BuiltModel:
     _set_home(builder.layout, model, addresses)
     set_matter_home(model, matter)
     spare_holders(model, builder.layout)
+    slow_spins(model, matter)
     firm_contacts(model.body_invweight0, model.dof_invweight0, matter)
     report = (*builder.report, *hold_drives(model, addresses, builder.layout))
     report = (*report, *hold_springs(model, addresses, builder.layout))

@@ -15,12 +15,12 @@ from mujoco.batch import Batch
 from torch import Tensor
 
 from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, UnsupportedCapabilityError
-from orbit_core.plugin_kit.rotations import cross, rotate_inverse
+from orbit_core.plugin_kit.rotations import cross, rotate, rotate_inverse
 from orbit_core.plugin_kit.rows import HostRows, block
 from orbit_core.scene import Cloth, Rope
 from orbit_mjmodel.addresses import Addresses
 from orbit_mjmodel.chains import chain_positions, chain_velocities, tips
-from orbit_mjmodel.matter import MatterAddresses, piece_lengths
+from orbit_mjmodel.matter import MatterAddresses, axial_inertia, piece_lengths
 from orbit_mujoco.measurements import MatterMeter
 from orbit_mujoco.parameters import Parameters
 from orbit_mujoco.state import FloatArray, State
@@ -41,7 +41,7 @@ class NativeMatter:
         self._model: mujoco.MjModel = batch.model
         self._parameters, self._state = parameters, state
         self._step: float = batch.model.opt.timestep
-        self.damped = any(one.spec.damping > 0.0 for one in matter)
+        self.damped = any(one.spec.damping > 0.0 or isinstance(one.spec, Rope) for one in matter)
         """Whether :meth:`damp` has anything to do before each physics step."""
         self.bends = any(isinstance(one.spec, Cloth) for one in matter)
         """Whether MuJoCo warns, at the rounding of its solver, of cloth that is stiff to bend."""
@@ -113,7 +113,10 @@ class NativeMatter:
     # Still air -------------------------------------------------------------------------------------------------------
 
     def damp(self) -> None:
-        """Before a physics step: the drag that slows everything by its deformable's rate, as exactly as a force can."""
+        """Before a physics step: the drag that slows everything by its deformable's rate, as exactly as a force can.
+
+        What stops the spin of a rope's pieces about their own axes goes with it: round pieces would roll.
+        """
         self._state.derive()
         for one in self._matter:
             rate = -np.expm1(-one.spec.damping * self._step) / self._step
@@ -123,6 +126,10 @@ class NativeMatter:
             else:
                 speeds = self._velocities_at(one, self._xipos[:, one.bodies])
                 self._xfrc[:, one.bodies, :3] = -rate * masses[..., None] * speeds
+                axes = rotate(self._xquat[:, one.bodies], np.array((1.0, 0.0, 0.0)))
+                spins = (axes * self._cvel[:, one.bodies, :3]).sum(-1)
+                stopping = -axial_inertia(one.spec, masses) * spins / self._step
+                self._xfrc[:, one.bodies, 3:] = stopping[..., None] * axes
 
     # What is held ----------------------------------------------------------------------------------------------------
 

@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from orbit_core.assets.deformables import line, sheet
 from orbit_core.assets.objects import box
+from orbit_core.conformance.bodies import on_slope, slope
 from orbit_core.interfaces import ConfigurationError, UnsupportedCapabilityError, World
-from orbit_core.scene import Attachment, Cloth, Pose, RayCasterSpec, Rope, Scene
+from orbit_core.scene import (
+    Articulation,
+    Attachment,
+    Cloth,
+    Cylinder,
+    Link,
+    ObjectSpec,
+    PhysicsMaterial,
+    Pose,
+    RayCasterSpec,
+    Rope,
+    Scene,
+    Shape,
+)
 from orbit_core.world import simulate
 
 COUNT = 13
@@ -103,6 +119,50 @@ def test_the_report_says_what_differs() -> None:
     assert report["implicitfast"] == "discrete"
     assert report["axial stiffness 2000 N"] == "no stretch"
     assert report["contact with link 'block', which holds it"] == "none"
+    own.close()
+
+
+def test_ropes_that_friction_holds_on_a_slope_neither_creep_nor_roll() -> None:
+    """At 95 % of what it holds; along the slope pieces rattled, and across it they rolled until the solver gave up."""
+    angle, radius = math.atan(0.38), 0.002
+    ropes = [
+        Rope(
+            name, line(0.2, 21), 0.05, on_slope(angle, radius) @ Pose.from_euler(0.0, 0.0, yaw, (0.0, aside, 0.0)),
+            radius=radius, friction=0.4, damping=0.0, bending_stiffness=1e-5,
+        )
+        for name, yaw, aside in (("along", 0.0, 0.0), ("across", 0.5 * math.pi, 0.3))
+    ]  # fmt: skip
+    ground = slope(angle, PhysicsMaterial(0.4, 0.4))
+    own = simulate(Scene(deformables=tuple(ropes), terrain=(ground,)), 1, "mujoco", matter="native")
+    own.step(10)
+    before = {name: body.positions.mean(1) for name, body in own.deformables.items()}
+    own.step(60)
+    for name, body in own.deformables.items():
+        assert (body.positions.mean(1) - before[name]).norm().item() < 2e-4, name
+    own.close()
+
+
+def test_a_light_rope_bears_loads_of_a_thousand_times_its_pieces() -> None:
+    """50 g at either end of a rope of 5 g/m over a bar; waves across it grew with each step, and it fell through."""
+    material, bar, radius = PhysicsMaterial(0.2, 0.2), 0.02, 0.002
+    shape = Shape(Cylinder(bar, 0.1), Pose.from_euler(0.5 * math.pi, 0.0, 0.0, (0.0, 0.0, 1.0)), material)
+    link = Link("bar", 1.0, (0.0, 0.0, 0.0), 0.01 * np.eye(3), (shape,), (shape,))
+    fixed = ObjectSpec(name="bar", articulation=Articulation("bar", (link,)), fixed_base=True)
+    around, down = (bar + radius) * np.linspace(-0.5, 0.5, 8)[:, None] * math.pi, 0.01 * np.arange(1, 9)[:, None]
+    turn = around / (bar + radius)
+    arc = (bar + radius) * np.hstack((np.sin(turn), 0.0 * turn, np.cos(turn)))
+    right = np.hstack((np.full_like(down, bar + radius), 0.0 * down, -down))
+    left = right[::-1] * (-1.0, 1.0, 1.0)
+    points = np.vstack((left, arc, right)) + np.array((0.0, 0.0, 1.0))
+    loads = [
+        box(name, size=(0.02, 0.02, 0.02), mass=0.05, pose=Pose(tuple(points[end] - (0.0, 0.0, 0.01))))
+        for name, end in (("left", 0), ("right", -1))
+    ]
+    ends = (Attachment((0,), "left", "left"), Attachment((len(points) - 1,), "right", "right"))
+    rope = Rope("rope", points, 0.005, radius=radius, friction=0.2, bending_stiffness=1e-7, attachments=ends)
+    own = simulate(Scene(objects=(fixed, *loads), deformables=(rope,), terrain=()), 1, "mujoco", matter="native")
+    own.step(80)
+    assert own.deformables["rope"].positions[0, :, 2].max().item() == pytest.approx(1.0 + bar + radius, abs=5e-4)
     own.close()
 
 
