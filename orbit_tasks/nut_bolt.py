@@ -9,9 +9,8 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.objects import WOOD, SolidOptions, box
+from orbit_core.assets.objects import WOOD, box
 from orbit_core.assets.threads import Thread, ThreadOptions, bolt_on_base, hexagonal_nut
-from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, RewardTerm, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
@@ -30,8 +29,10 @@ GRIP = 0.6 * HEIGHT
 """Metres above the nut's underside at which a hand holds it."""
 PUSH = 1e-3
 """Metres below itself to which the hand is led while it turns the nut."""
-FROM, TO = math.radians(80.0), math.radians(-80.0)
-"""Hand's turns, about, from which and to which it turns the nut: within the range of every arm's wrist."""
+FROM, TO = math.radians(165.0), math.radians(-80.0)
+"""Hand's turns, about, from which and to which it turns the nut: within the range of a Panda's wrist."""
+MIDDLE, REACH = 0.5 * (FROM + TO), 0.5 * (FROM - TO) - math.radians(10.0)
+"""rad between them, and how far from there a hand takes the nut off its stand."""
 SIXTH = math.pi / 3.0
 STRIDE = 0.4
 """rad by which the hand's turn is asked to go ahead; back, with open fingers, twice as far."""
@@ -65,8 +66,7 @@ def distance(world: World, task: NutBolt) -> Tensor:
 @once_per_state
 def upright(world: World, task: NutBolt) -> Tensor:
     """(N,) cosine of the nut's tilt."""
-    axis = torch.tensor([0.0, 0.0, 1.0], device=world.device).expand(world.num_envs, 3)
-    return quat_rotate(nut_pose(world, task)[:, 3:], axis)[:, 2]
+    return 1.0 - 2.0 * nut_pose(world, task)[:, 4:6].square().sum(dim=1)
 
 
 def hand_to_nut(world: World, task: NutBolt) -> Tensor:
@@ -89,22 +89,35 @@ def place_things(world: World, task: NutBolt, env_ids: Tensor) -> None:
     """Bolt on the left, nut on its stand on the right, each up to 2 cm off its place; the nut turned by any angle."""
     low, high = common.workspace(world)
     x, y = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])
-    spread = world.random.uniform(
-        (5,), (-0.02, -0.02, -0.02, -0.02, -math.pi), (0.02, 0.02, 0.02, 0.02, math.pi), env_ids
-    )
+    most = torch.tensor([0.02, 0.02, 0.02, 0.02, math.pi], device=world.device)
+    spread = most * world.random.uniform((5,), -1.0, 1.0, env_ids)
     middle = torch.tensor([x, y + 0.08, 0.0, 0.0], device=world.device).repeat(len(env_ids), 1)
     middle[:, :2] += spread[:, :2]
     world.objects["bolt"].set_root_pose(common.standing(middle), env_ids)
-    middle[:, 0], middle[:, 1] = x + spread[:, 2], y - 0.08 + spread[:, 3]
-    middle[:, 2] = 0.5 * STAND
+    middle[:, 0], middle[:, 1], middle[:, 2] = x + spread[:, 2], y - 0.08 + spread[:, 3], 0.5 * STAND
     world.objects["stand"].set_root_pose(common.standing(middle), env_ids)
     middle[:, 2], middle[:, 3] = STAND, spread[:, 4]
     world.objects["nut"].set_root_pose(common.standing(middle), env_ids)
 
 
+def wound(yaw: Tensor) -> Tensor:
+    """The same turns (N,), rad, at most half a turn from :data:`MIDDLE`."""
+    return MIDDLE + common.wrapped(yaw - MIDDLE)
+
+
 def hand_yaw(world: World, task: NutBolt) -> Tensor:
-    """(N,) rad in [-pi, pi], by which the hand is turned as :func:`common.facing_down` counts."""
-    return common.wrapped(common.turn_facing_down(common.hand_pose(world, task)[:, 3:]))
+    """(N,) rad, by which the hand is turned as :func:`common.facing_down` counts, :func:`wound`."""
+    return wound(common.turn_facing_down(common.hand_pose(world, task)[:, 3:]))
+
+
+def first_grasp(world: World, task: NutBolt) -> Tensor:
+    """(N, 7) the hand around the nut at those flats with which, turned from ``FROM`` on, its thread soonest meets the
+    bolt's: those a sixth of a turn before its x axis, or the next ones that the wrist reaches."""  # fmt: skip
+    target, nut = grasp(world, task), nut_pose(world, task)
+    yaw = wound(2.0 * torch.atan2(nut[:, 6], nut[:, 3]) + SIXTH)
+    for _ in range(2):
+        yaw = torch.where((yaw - MIDDLE).abs() > REACH, wound(yaw - SIXTH), yaw)
+    return torch.cat((target[:, :3], common.facing_down(yaw)), dim=1)
 
 
 def grasp(world: World, task: NutBolt) -> Tensor:
@@ -122,14 +135,13 @@ def carried(height: float) -> TermFunction:
 
     def pose(world: World, task: NutBolt) -> Tensor:
         hand, nut = common.hand_pose(world, task), nut_pose(world, task)
-        top = place(world, task) + torch.tensor(
-            [0.0, 0.0, (1.0 + task.turns) * task.lead + height], device=world.device
-        )
-        way = top - nut[:, :3]
+        way = world.objects["bolt"].root_pose[:, :3] - nut[:, :3]
+        way[:, 2] += BASE + LENGTH + height
         # Drives are slow to take away the last tenths of a millimetre: ask for three times as much.
         near = (vector_norm(way[:, :2], dim=1) < 0.01)[:, None]
         way[:, :2] = torch.where(near, 3.0 * way[:, :2], way[:, :2])
-        return torch.cat((hand[:, :3] + way, common.facing_down(hand_yaw(world, task))), dim=1)
+        yaw = (hand_yaw(world, task) + 2.0 * STRIDE).clamp_max(FROM)
+        return torch.cat((hand[:, :3] + way, common.facing_down(yaw)), dim=1)
 
     return pose
 
@@ -147,18 +159,12 @@ def held(world: World, task: NutBolt) -> Tensor:
     """(N, 7) the hand at the nut, its fingers along those flats that need the least turn."""
     hand, target = hand_yaw(world, task), grasp(world, task)
     yaw = common.turn_facing_down(target[:, 3:])
-    yaw = yaw + SIXTH * torch.round((hand - yaw) / SIXTH)
-    return torch.cat((target[:, :3], common.facing_down(yaw)), dim=1)
-
-
-def let_go(world: World, task: NutBolt) -> Tensor:
-    """(N, 7) the hand as it is."""
-    return common.hand_pose(world, task)
+    return torch.cat((target[:, :3], common.facing_down(yaw + SIXTH * torch.round((hand - yaw) / SIXTH))), dim=1)
 
 
 def around(world: World, task: NutBolt) -> Tensor:
     """(N, 7) the hand to where its fingers meet the nut's flats at once; else one would push it off its axis."""
-    target, hand = grasp(world, task), common.hand_pose(world, task)
+    target, hand = held(world, task), common.hand_pose(world, task)
     way = target[:, :2] - hand[:, :2]
     near = (vector_norm(way, dim=1) < 0.01)[:, None]
     return torch.cat((torch.where(near, hand[:, :2] + 3.0 * way, target[:, :2]), target[:, 2:]), dim=1)
@@ -167,7 +173,7 @@ def around(world: World, task: NutBolt) -> Tensor:
 def turning_back(world: World, task: NutBolt) -> Tensor:
     """(N, 7) the open hand around the nut, turned on towards its next grasp."""
     target, yaw = grasp(world, task), hand_yaw(world, task)
-    goal = common.wrapped(common.turn_facing_down(target[:, 3:]))
+    goal = wound(common.turn_facing_down(target[:, 3:]))
     wanted = torch.where(goal > yaw, torch.minimum(yaw + 2.0 * STRIDE, goal), goal)
     return torch.cat((target[:, :3], common.facing_down(wanted)), dim=1)
 
@@ -227,7 +233,7 @@ class NutBolt(tabletop.TabletopTask):
     Succeeds when at the episode's end the nut is upright and within ``tolerance`` of its place. Metric: that distance.
     """
 
-    episode_length: float = 32.0
+    episode_length: float = 36.0
     ppo: PpoSettings = PpoSettings(iterations=3000, initial_std=0.3, entropy_weight=0.005)
     turns: float = 2.0
     """By which the nut is to be screwed down, counted from where the bolt's thread begins: 0.25 to 3."""
@@ -256,11 +262,10 @@ class NutBolt(tabletop.TabletopTask):
         thread = Thread(radius=RADIUS, lead=self.lead)
         metal = ThreadOptions(material=OILED, boxes=self.thread == "boxes")
         steel, brass = (0.55, 0.57, 0.6, 1.0), (0.8, 0.6, 0.2, 1.0)
-        stand = SolidOptions(fixed_base=True, color=WOOD, pose=Pose((0.5, -0.1, 0.5 * STAND)))
         return self.bench(
             hexagonal_nut("nut", HEIGHT, WIDTH, thread, clearance=CLEARANCE, color=brass, **metal),
             bolt_on_base("bolt", LENGTH, thread, base=BASE, color=steel, **metal),
-            box("stand", (0.024, 0.024, STAND), **stand),
+            box("stand", (0.024, 0.024, STAND), fixed_base=True, color=WOOD, pose=Pose((0.5, -0.1, 0.5 * STAND))),
         )
 
     def randomize(self) -> None:
@@ -275,25 +280,21 @@ class NutBolt(tabletop.TabletopTask):
 
     def expert(self, world: World) -> Expert:
         closing = max(0.4, common.closing_time(world))
+        let_go = Phase(common.hand_pose, dwell=0.3, timeout=0.4)
+        turn = Phase(turning, False, position_tolerance=math.inf, rotation_tolerance=0.03, timeout=5.0)
         settle = Phase(around, position_tolerance=0.0006, rotation_tolerance=0.02, timeout=1.5)
         grip = Phase(held, False, dwell=closing, timeout=closing + 0.1)
         phases = [
-            Phase(picking.raised(grasp, 0.1), position_tolerance=0.02, timeout=4.0, free=True),
-            Phase(grasp, position_tolerance=0.0015, rotation_tolerance=0.03, timeout=2.5),
+            Phase(picking.raised(first_grasp, 0.1), position_tolerance=0.02, timeout=4.0, free=True),
+            Phase(first_grasp, position_tolerance=0.0015, rotation_tolerance=0.03, timeout=2.5),
             settle,
             grip,
             Phase(picking.straight_up(0.15), False, position_tolerance=0.03, rotation_tolerance=math.inf, timeout=2.0),
-            Phase(carried(0.02), False, position_tolerance=0.002, rotation_tolerance=0.03, timeout=3.0),
+            Phase(carried(0.02), False, position_tolerance=0.002, rotation_tolerance=0.03, timeout=5.0),
             Phase(carried(0.003), False, position_tolerance=0.0008, rotation_tolerance=0.02, timeout=2.5),
-            Phase(turning, False, position_tolerance=math.inf, rotation_tolerance=0.03, timeout=3.0),
+            Phase(carried(-COARSE), False, position_tolerance=0.0005, timeout=1.5),
+            turn,
         ]
-        for _ in range(math.ceil(self.turns / 0.45) + 1):
-            phases += [
-                Phase(let_go, dwell=0.3, timeout=0.4),
-                Phase(turning_back, position_tolerance=0.003, rotation_tolerance=0.03, timeout=3.0),
-                settle,
-                grip,
-                Phase(turning, False, position_tolerance=math.inf, rotation_tolerance=0.03, timeout=3.0),
-            ]
-        phases += [Phase(let_go, dwell=0.3, timeout=0.4), Phase(picking.straight_up(0.2))]
-        return Expert(world, self, phases, position_lead=0.06)
+        next_flats = Phase(turning_back, position_tolerance=0.003, rotation_tolerance=0.03, timeout=4.0)
+        phases += [let_go, next_flats, settle, grip, turn] * (math.ceil(self.turns / 0.6) + 1)
+        return Expert(world, self, [*phases, let_go, Phase(picking.straight_up(0.2))], position_lead=0.06)
