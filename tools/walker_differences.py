@@ -35,9 +35,9 @@ def main() -> None:
     parser.add_argument("--friction", type=float, default=1.0, help="of feet and ground")
     parser.add_argument("--stiffness", type=float, default=1.0, help="of the drives, over their own")
     parser.add_argument("--damping", type=float, default=1.0, help="of the drives, over their own")
-    parser.add_argument("--impratio", type=float, help="of MuJoCo and Warp")
+    parser.add_argument("--setting", action="append", default=[], help="of the backend, as name=JSON")
     arguments = parser.parse_args()
-    settings = {} if arguments.impratio is None else {"impratio": arguments.impratio}
+    settings = {name: json.loads(value) for name, _, value in (item.partition("=") for item in arguments.setting)}
     environment = make(
         "Velocity-Flat", arguments.num_envs, arguments.backend, robot="unitree_go2", settings=settings, seed=0
     )
