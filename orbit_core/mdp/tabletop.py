@@ -64,8 +64,8 @@ class ArmState(ObservationGroup):
 
 @measured_in("rad/s or m/s")
 def arm_velocities(world: World, task: TabletopTask) -> Tensor:
-    """(N, A) of the joints that move the hand, without its fingers."""
-    return world.robots[ROBOT].joint_velocities.index_select(1, task.arm_joints)
+    """(N, A) of the joints that move the first arm's hand, without its fingers."""
+    return world.robots[task.agents[0]].joint_velocities.index_select(1, task.arm_joints)
 
 
 @dataclass
@@ -120,11 +120,11 @@ class TabletopTask(Task):
     robot: str = "franka_panda"
     action: str = "joint_position"
     arm_joints: Tensor = field(init=False)
-    """(A,) indices of the joints that move the hand."""
+    """(A,) indices of the joints that move the first arm's hand."""
 
     def start(self, world: World) -> None:
         super().start(world)
-        robot = world.robots[ROBOT]
+        robot = world.robots[self.agents[0]]
         self.arm_joints = torch.tensor(robot.find_joints(*robot.spec.end_effector.arm_joints), device=world.device)
 
     @property
