@@ -54,6 +54,8 @@ class Phase:
 
     The phase is over once the hand is within both tolerances and ``dwell`` seconds have passed since it began; or, if
     ``timeout`` is given, after that many seconds. Then ``retry`` may lead back. The last phase goes on for ever.
+
+    An expert that teaches asks for ``least`` metres until the hand is there: whoever learns asks for less, or for none.
     """
 
     target: TermFunction | None = None
@@ -65,6 +67,7 @@ class Phase:
     free: bool = False
     retry: Retry | None = None
     base: TermFunction | None = None
+    least: float = 0.0
 
     def __post_init__(self) -> None:
         if (self.target is None) == (self.base is None):
@@ -163,6 +166,7 @@ class Expert(Node):
         commands: list[Tensor] = []
         over = self.phase < (self._last if stage is None else 0)
         for arm in self._arms:
+            arm.teaches = self.teaches
             command, finished = arm.compute(self.phase, elapsed, self._elapsed == 0.0, self._sag_share)
             commands.append(command)
             over = over & finished
@@ -207,6 +211,8 @@ class _Arm:
         self._dwell = torch.tensor([phase.dwell for phase in phases], device=world.device)
         timeouts = [torch.inf if phase.timeout is None else phase.timeout for phase in phases]
         self._timeouts = torch.tensor(timeouts, device=world.device)
+        self._least = torch.tensor([(phase.least, 0.0) for phase in phases], device=world.device)
+        self.teaches = False
         self._open = torch.tensor([phase.gripper_open for phase in phases], device=world.device)
         self._free = torch.tensor([phase.free for phase in phases], device=world.device)
         self._drives = torch.tensor([phase.base is not None for phase in phases], device=world.device)
@@ -237,7 +243,10 @@ class _Arm:
         target = torch.stack(targets)[phase, self._rows]
         error = pose_error(hand, target)
         distances = torch.stack((error[:, :3].norm(dim=1), error[:, 3:].norm(dim=1)), dim=1)
-        step = error.view(-1, 2, 3) * (self._lead / distances.clamp_min(1e-9)).clamp(max=1.0)[..., None]
+        asked = torch.minimum(distances, self._lead)
+        if self.teaches:
+            asked = torch.where(distances > self._tolerances[phase], asked.maximum(self._least[phase]), asked)
+        step = error.view(-1, 2, 3) * (asked / distances.clamp_min(1e-9))[..., None]
         if sag_share:
             most = 0.5 * self._lead[:, None]
             self.sag += sag_share * error * (distances < self._lead).all(1, keepdim=True)

@@ -115,7 +115,7 @@ def pick(world: World, grasp: TermFunction, clearance: float = 0.1, free: bool =
     closing = max(0.4, common.closing_time(world))
     return (
         Phase(raised(grasp, clearance), position_tolerance=0.02, timeout=4.0, free=free),
-        Phase(grasp, position_tolerance=0.006, timeout=1.5),
+        Phase(grasp, position_tolerance=0.006, timeout=1.5, least=0.02),
         Phase(grasp, gripper_open=False, dwell=closing, timeout=closing + 0.1),
     )
 
@@ -140,7 +140,7 @@ def put(
     return (
         replace(up, gripper_open=False, retry=came),
         Phase(raised(place, clearance), False, position_tolerance=over, rotation_tolerance=0.05, timeout=4.0),
-        Phase(place, False, position_tolerance=0.003, rotation_tolerance=0.05, timeout=2.0),
+        Phase(place, False, position_tolerance=0.003, rotation_tolerance=0.05, timeout=2.0, least=0.02),
         Phase(place, dwell=0.3, timeout=0.4),
         up,
     )

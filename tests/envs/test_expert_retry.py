@@ -10,7 +10,7 @@ from torch import Tensor
 
 from orbit_core.envs import Environment, Expert, Phase, Retry, Task, make
 from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common
+from orbit_core.mdp import common, picking
 
 
 @pytest.fixture(scope="module")
@@ -65,3 +65,19 @@ def test_who_teaches_is_in_the_phase_that_the_state_tells(environment: Environme
     for _ in range(30):
         expert.compute({})
     assert expert.phase.tolist() == [1, 0, 2]
+
+
+def test_who_teaches_asks_for_more_until_the_hand_is_there(environment: Environment) -> None:
+    """As if the goal were further in the same direction; within the tolerance, or where it leads, for what is left."""
+    environment.reset(seed=0)
+
+    def asked(height: float, teaches: bool = False, tolerance: float = 0.01, least: float = 0.0) -> Tensor:
+        phase = Phase(picking.raised(here, height), position_tolerance=tolerance, least=least)
+        expert = Expert(environment.world, environment.task, (phase, Phase(here)))
+        expert.teaches = teaches
+        return expert.compute({})["action"]
+
+    assert (asked(0.015) - asked(0.05)).abs().max() > 1e-3
+    torch.testing.assert_close(asked(0.015, teaches=True, least=0.05), asked(0.05))
+    torch.testing.assert_close(asked(0.015, teaches=True, tolerance=0.02, least=0.05), asked(0.015))
+    torch.testing.assert_close(asked(0.015, least=0.05), asked(0.015))
