@@ -50,7 +50,7 @@ _STIFFEST_BEND = 100.0
 """Of ``D h^2 / (rho l^4)`` with edges l: MuJoCo ends its solution at a residual of 1e-8 of the largest forces, so that
 cloth as stiff as this falls as it should on meshes of 9 to 33 rows, and at two to seven times that more slowly."""
 
-_SOFTER = 1.5
+_SOFTER = 2.0
 """How many times as long as cloth's the time constant of a rope's contacts is: on the limit of two steps its pieces
 rattle on what they lie on, and creep by 4 mm/s where friction should hold them."""
 _SPIN = 300.0

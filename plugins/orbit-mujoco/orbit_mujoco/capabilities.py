@@ -23,7 +23,7 @@ CAPABILITIES = Capabilities(
         ),
         Capability.ROPES: approximate(
             "a chain of stiff capsules on ball joints, which does not stretch, resists twist as it resists bending, "
-            "and does not meet the links that it is attached to in the scene; its friction creeps"
+            "does not roll, and does not meet the links that it is attached to in the scene; its friction creeps"
         ),
         Capability.GPU: unsupported("this backend simulates on the CPU"),
     }

@@ -134,7 +134,7 @@ def test_ropes_that_friction_holds_on_a_slope_neither_creep_nor_roll() -> None:
     ]  # fmt: skip
     ground = slope(angle, PhysicsMaterial(0.4, 0.4))
     own = simulate(Scene(deformables=tuple(ropes), terrain=(ground,)), 1, "mujoco", matter="native")
-    own.step(10)
+    own.step(40)
     before = {name: body.positions.mean(1) for name, body in own.deformables.items()}
     own.step(60)
     for name, body in own.deformables.items():
@@ -162,7 +162,7 @@ def test_a_light_rope_bears_loads_of_a_thousand_times_its_pieces() -> None:
     rope = Rope("rope", points, 0.005, radius=radius, friction=0.2, bending_stiffness=1e-7, attachments=ends)
     own = simulate(Scene(objects=(fixed, *loads), deformables=(rope,), terrain=()), 1, "mujoco", matter="native")
     own.step(80)
-    assert own.deformables["rope"].positions[0, :, 2].max().item() == pytest.approx(1.0 + bar + radius, abs=5e-4)
+    assert own.deformables["rope"].positions[0, :, 2].max().item() == pytest.approx(1.0 + bar + radius, abs=1e-3)
     own.close()
 
 
