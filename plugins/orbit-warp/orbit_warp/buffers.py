@@ -21,6 +21,8 @@ _MANY_PARTS, _CONTACTS_OF_PART = 8, 12
 """Shapes of a single free body beyond which each has as many contacts, as those of a nut's thread of boxes have."""
 _CONTACTS_OF_GEOM = 1
 """Contacts of a shape of an articulation: few of them touch at a time, but each may be near something."""
+_HOLDING = 4
+"""Shapes of two fingers that touch at a time what they hold: a nut as it is screwed down needed more than one."""
 _SURFACE = 64
 """Meshes that do not move beyond which they are taken for the triangles of a surface, which lie close together."""
 _CROWDED = 2
@@ -53,7 +55,7 @@ def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpCon
         likely *= 4  # a height field offers every cell under a shape, a surface each of its triangles
     fields = model.geom_type[pairs] == mujoco.mjtGeom.mjGEOM_SDF
     if fields.any():  # each descent of a pair may end in a contact
-        likely += model.opt.sdf_initpoints * (1 + int(fields.all(axis=1).sum()))
+        likely += model.opt.sdf_initpoints * (_HOLDING + int(fields.all(axis=1).sum()))
     nconmax = config.nconmax or max(min(possible, likely), 1)
     condim = int(model.geom_condim[touching].max(initial=1))
     rows = condim if config.cone == "elliptic" else max(2 * (condim - 1), 1)
