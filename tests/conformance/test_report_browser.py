@@ -27,7 +27,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("plugin")
     output = tmp_path_factory.mktemp("conformance")
     words = ["--quick", "--backend", BACKEND, "dying", "--output", str(output), "--part", "scenarios", "tasks"]
-    words += ["--jobs", "1"]  # each worker loads torch and the engine anew
+    words += ["--episodes", "2", "--jobs", "1"]  # each worker loads torch and the engine anew
     words += ["--scenario", "free_fall", "--task", "Reach"]
     variables = {"OMP_NUM_THREADS": "1", **broken_plugin.install(folder)}
     done = subprocess.run(

@@ -38,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     parts = [part.value for part in Part]
     one = {"scenarios": ["free_fall"], "robots": ["cartpole"], "tasks": ["Reach"]}
-    run(choose(backends=PAIR, parts=parts, quick=True, **one), folder, Here())
+    run(choose(backends=PAIR, parts=parts, quick=True, episodes=2, **one), folder, Here())
     return folder
 
 
@@ -73,7 +73,7 @@ def test_a_policy_acts_on_backends_that_it_was_not_learned_on(result: Result) ->
     (info,) = result.header.policies
     for record in result.of(Kind.TRANSFER):
         assert record.played is not None
-        assert (record.job.name, record.played.task, record.played.num_envs) == (info.name, "Reach", 8)
+        assert (record.job.name, record.played.task, record.played.num_envs) == (info.name, "Reach", 2)
         assert record.played.success.high >= info.least_success
         assert record.played.metrics["position_error_m"].value < 0.05, "it goes to the goal"
 

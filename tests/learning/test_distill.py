@@ -68,7 +68,7 @@ class PicturesAndState:
     teacher: ReachState | None = field(default_factory=ReachState)
 
 
-def reach(num_envs: int = 8, teacher: ReachState | None = None, length: float = 0.2) -> Environment:
+def reach(num_envs: int = 4, teacher: ReachState | None = None, length: float = 0.2) -> Environment:
     observations = PicturesAndState(teacher=teacher)
     return Environment(Reach(observations=observations, episode_length=length), num_envs, BACKEND, renderer=RENDERER)
 

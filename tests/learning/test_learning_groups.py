@@ -33,7 +33,7 @@ from orbit_tasks.reach import Reach, ReachState
 BACKEND = default_backend()
 RENDERER = "warp" if "warp" in renderer_names() else None
 """Draws fastest on a CPU; any would do."""
-SHORT = PpoSettings(iterations=2, steps_per_iteration=6, hidden_sizes=(16,), epochs=2, minibatches=2)
+SHORT = PpoSettings(iterations=2, steps_per_iteration=3, hidden_sizes=(16,), epochs=2, minibatches=2)
 CAMERA = CameraSpec(
     name="front",
     width=9,
