@@ -72,18 +72,20 @@ mutants: $(VENV)/.ready-dev
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
+# Python compiles what it loads and no more, and packages of the system come while pip works.
+PIP := $(BIN)/pip install --quiet --no-compile --constraint constraints.txt
+
 $(VENV)/.ready: $(VENV)/bin/python $(SOURCES)
-	sh tools/system_packages.sh graphics
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[mujoco,robots,usd,mjcf,viewer,video]"
+	sh tools/system_packages.sh graphics & $(PIP) --editable ".[mujoco,robots,usd,mjcf,viewer,video]" && wait $$!
 	touch $@
 
-$(VENV)/.ready-dev: $(VENV)/.ready
-	sh tools/system_packages.sh graphics vulkan browser
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable \
-		".[mujoco,bullet,sapien,warp,robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,$(LEARNING),dev]"
-	$(BIN)/pip install --quiet --no-deps --constraint constraints.txt crocoddyl libcrocoddyl
-	$(BIN)/pip install --quiet --no-deps $(PLUGINS:%=--editable plugins/orbit-%)
-	touch $@
+$(VENV)/.ready-dev: $(VENV)/bin/python $(SOURCES)
+	sh tools/system_packages.sh graphics vulkan browser & $(PIP) --editable \
+		".[mujoco,bullet,sapien,warp,robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,$(LEARNING),dev]" \
+		&& wait $$!
+	$(PIP) --no-deps crocoddyl libcrocoddyl
+	$(PIP) --no-deps $(PLUGINS:%=--editable plugins/orbit-%)
+	touch $(VENV)/.ready $@
 
 clean:
 	rm -rf $(VENV) out
