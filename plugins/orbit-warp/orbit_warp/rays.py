@@ -17,8 +17,9 @@ from orbit_warp.ray_kernel import rays_at_few, rays_past
 from orbit_warpkit.graphs import Graphs
 
 _EVERY_GROUP = (-1.0,) * 6
-_FEW = 4
-"""Geoms up to which a ray goes through them in one thread; a block of threads shares out more."""
+_FEW = 16
+"""Geoms up to which a ray goes through them in one thread; a block of threads shares out more. A grid of terrain with its
+border is five, for which most threads of a block would wait."""
 
 
 class RayCaster:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import warp as wp
 
 from orbit_core.assets.terrain import Rough, TerrainGrid
 from orbit_core.envs import make
@@ -141,12 +142,16 @@ def test_a_thread_for_each_ray_and_a_block_for_each_measure_the_same(monkeypatch
     directions = torch.tensor([0.0, 0.0, -1.0]).repeat(2, 60, 1)
     directions[:, ::2, :2] = 0.3 * torch.randn(2, 30, 2, generator=generator)
     directions = torch.nn.functional.normalize(directions, dim=2)
-    found = []
-    for few in (4, 0):
-        monkeypatch.setattr("orbit_warp.rays._FEW", few)
+    found, blocks, launch_tiled = [], [], wp.launch_tiled
+    monkeypatch.setattr(wp, "launch_tiled", lambda *args, **words: blocks.append(1) or launch_tiled(*args, **words))
+    for few in (None, 0):  # as it is, and never
+        if few is not None:
+            monkeypatch.setattr("orbit_warp.rays._FEW", few)
         engine = engine_of(scene)
+        assert not blocks, "a grid of terrain with its border and a few things on it are few"
         hits = engine.cast_rays_past(origins, directions, 3.0, range(1), torch.tensor([True, False]))
         found.append((hits.distances[0], hits.normals[0], hits.links[0]))
+    assert blocks
     assert set(found[0][2].tolist()) == {TERRAIN, 1}
     for single, block in zip(*found, strict=True):
         torch.testing.assert_close(single, block)
