@@ -18,7 +18,7 @@ from orbit_warpkit.graphs import Graphs
 
 _EVERY_GROUP = (-1.0,) * 6
 _FEW = 16
-"""Geoms up to which a ray goes through them in one thread; a block of threads shares out more. A grid of terrain with its
+"""Geoms up to which a ray goes through them in one thread; a block of threads shares out more. Terrain with its
 border is five, for which most threads of a block would wait."""
 
 
