@@ -49,20 +49,22 @@ coverage: $(VENV)/.ready-dev
 	$(BIN)/pytest -n auto --dist worksteal --ignore tests/conformance/test_scenarios.py --cov --cov-report=term:skip-covered --cov-fail-under=90
 
 # Every scenario (what tests/conformance/test_scenarios.py collects for those who write them) on every backend, quickly;
-# every task, every kept policy and every robot of the catalogue on two. `orbit conformance` is the whole matrix; throughput
-# is for idle machines: the committed report and benchmarks/ have it.
+# every task, every kept policy and every robot of the catalogue on two; robots beside the others, whose workers now and
+# then wait for the last of their jobs. `orbit conformance` is the whole matrix; throughput is for idle machines: the
+# committed report and benchmarks/ have it.
 conformance: $(VENV)/.ready-dev
-	$(BIN)/orbit conformance --quick --part scenarios --output out/conformance
-	$(BIN)/orbit conformance --quick --part tasks transfers --backend mujoco sapien --output out/conformance-tasks
-	$(BIN)/orbit conformance --part robots --backend mujoco sapien --output out/conformance-robots
+	$(BIN)/orbit conformance --part robots --backend mujoco sapien --jobs 1 --output out/conformance-robots & \
+	$(BIN)/orbit conformance --quick --part scenarios --output out/conformance && \
+	$(BIN)/orbit conformance --quick --part tasks transfers --backend mujoco sapien --output out/conformance-tasks && wait $$!
 
 # The backend that docs/write-a-backend.md builds, installed beside the environment so that nothing else sees it, and a
 # tenth of its mutants.
 example: $(VENV)/.ready-dev
 	$(BIN)/pip install --quiet --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
-	PYTHONPATH=out/orbit-torch $(BIN)/pytest -n auto -k torch tests/conformance/test_conformance_*.py
-	PYTHONPATH=out/orbit-torch $(BIN)/orbit conformance --quick --backend torch --scenario $(EXAMPLE_SCENARIOS) --matter native --output out/conformance-torch
-	PYTHONPATH=out/orbit-torch:. $(BIN)/python -m tests.mutants --tenth
+	PYTHONPATH=out/orbit-torch:. $(BIN)/python -m tests.mutants --tenth & \
+	export PYTHONPATH=out/orbit-torch && $(BIN)/pytest -n auto -k torch tests/conformance/test_conformance_*.py && \
+	$(BIN)/orbit conformance --quick --backend torch --scenario $(EXAMPLE_SCENARIOS) --matter native --output out/conformance-torch \
+	&& wait $$!
 
 # The example backend broken in every named way; each mutant must be caught by the tests that it names. Takes minutes.
 mutants: $(VENV)/.ready-dev
