@@ -283,7 +283,13 @@ SCENARIOS = (
         run=_limits,
         needs=(Capability.RANDOMIZE_LIMITS, Capability.JOINT_DAMPING),
         metrics=(
-            Metric(name="stop", unit="m", tolerance=1e-3, meaning="largest way of a joint at rest from its limit"),
+            Metric(
+                name="stop",
+                unit="m",
+                tolerance=5e-4,
+                meaning="largest way of a joint at rest from its limit",
+                looser_because="a soft stop gives way by 0.2 mm",
+            ),
         ),
     ),
     Scenario(
