@@ -17,7 +17,7 @@ FIELDS = '[fields]\nobservations = "pixels"\n'
 GAP = '[[gaps]]\nbackend = "slippery"\nleast_success = 0.5\nreason = "it slips"\n'
 
 
-def install(folder: Path, about: str, name: str = "stack") -> None:
+def install(folder: Path, about: str, name: str = "pile") -> None:
     """A distribution as a third party might install it, with one policy."""
     package = folder / "their_policies" / name
     package.mkdir(parents=True)
@@ -46,26 +46,26 @@ def test_another_package_brings_policies_of_its_own(tmp_path: Path) -> None:
     install(tmp_path, ABOUT + FIELDS + GAP)
     told = ask(
         tmp_path,
-        "from orbit_core.pretrained import *; stack = pretrained_policy('stack');"
-        "print(stack.least_success, stack.gap_on('slippery').reason, stack.gap_on('other'),"
-        "len(pretrained_policies()), policy_fields('stack'))",
+        "from orbit_core.pretrained import *; pile = pretrained_policy('pile');"
+        "print(pile.least_success, pile.gap_on('slippery').reason, pile.gap_on('other'),"
+        "len(pretrained_policies()), policy_fields('pile'))",
     )
     numbers = f"0.8 it slips None {len(pretrained_policies()) + 1}"
     assert told.stdout.split("\n")[0] == f"{numbers} {{'observations': 'pixels'}}", told.stderr
     listed = ask(tmp_path, "from orbit_core.cli import main; main(['list', 'policies'])").stdout
-    assert "stack" in listed
+    assert "pile" in listed
     assert "Stacks cubes" in listed
 
 
 @pytest.mark.parametrize(
     ("about", "name", "complaint"),
     [
-        (ABOUT.replace("0.8", "80"), "stack", "least_success is a rate in [0, 1], not 80"),
-        (ABOUT + "speed = 3\n", "stack", "unexpected keyword argument 'speed'"),
-        (ABOUT + 'fields = "pixels"\n', "stack", "fields is a table of the task's fields, not 'pixels'"),
-        (ABOUT + GAP.replace('backend = "slippery"', ""), "stack", "a gap names a backend, a renderer or both"),
-        (ABOUT + GAP.replace("reason", "cause"), "stack", "unexpected keyword argument 'cause'"),
-        ("description = \n", "stack", "describes no policy"),
+        (ABOUT.replace("0.8", "80"), "pile", "least_success is a rate in [0, 1], not 80"),
+        (ABOUT + "speed = 3\n", "pile", "unexpected keyword argument 'speed'"),
+        (ABOUT + 'fields = "pixels"\n', "pile", "fields is a table of the task's fields, not 'pixels'"),
+        (ABOUT + GAP.replace('backend = "slippery"', ""), "pile", "a gap names a backend, a renderer or both"),
+        (ABOUT + GAP.replace("reason", "cause"), "pile", "unexpected keyword argument 'cause'"),
+        ("description = \n", "pile", "describes no policy"),
         (ABOUT, "reach", "policy 'reach' is registered twice"),
     ],
 )
