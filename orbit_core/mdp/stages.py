@@ -54,7 +54,7 @@ def inserting(hand: Tensor, grasp: Tensor, offset: Tensor, rim: float, fit: floa
     carried = torch.where(low & (aside < fit) & (turn < 0.03), 6, carried)
     carried = torch.where((height < rim - 0.001) & (aside < 0.005), 7, carried)
     seated = offset[:, :3].norm(dim=1) < 0.004
-    return _with_carried(hand, grasp, closed, torch.where(seated, 8, carried), seated, 9, near=0.006)
+    return _with_carried(hand, grasp, closed, torch.where(seated, 8, carried), seated, 9)
 
 
 def following(phases: Sequence[Tensor], done: Tensor, count: int) -> Tensor:
@@ -69,13 +69,11 @@ def following(phases: Sequence[Tensor], done: Tensor, count: int) -> Tensor:
     return torch.stack(tuple(phases), dim=1).gather(1, number[:, None])[:, 0] + count * number
 
 
-def _with_carried(
-    hand: Tensor, grasp: Tensor, closed: Tensor, carried: Tensor, there: Tensor, leave: int, near: float = _NEAR
-) -> Tensor:
+def _with_carried(hand: Tensor, grasp: Tensor, closed: Tensor, carried: Tensor, there: Tensor, leave: int) -> Tensor:
     """(N,) int64: what is held is ``carried`` (N,); of what is not, the hand leaves what is ``there`` (N,)."""
     error = pose_error(hand, grasp)
     aside, turn, way = error[:, :2].norm(dim=1), error[:, 3:].norm(dim=1), error[:, :3].norm(dim=1)
     over = (aside < 0.008 - 0.15 * error[:, 2].clamp_max(0.0)) & (turn < 0.15)
-    closed = closed & (way < 2.0 * near)
-    stage = torch.where((way < near) & (turn < 0.15), _CLOSE, torch.where(over, _DOWN, _ABOVE))
+    closed = closed & (way < 2.0 * _NEAR)
+    stage = torch.where((way < _NEAR) & (turn < 0.15), _CLOSE, torch.where(over, _DOWN, _ABOVE))
     return torch.where(closed, carried, torch.where(there, leave, stage))
