@@ -249,8 +249,7 @@ class Jenga(tabletop.TabletopTask):
         self.bound(
             layers=(7, 16), protrusion=(0.02, 0.05), slack=(0.0, 0.003), tolerance=(1e-6, 0.05), penalty=(0.0, 1e3)
         )
-        robot = common.arm(self.robot)
-        at = distance_of_tower(robot)
+        at = distance_of_tower(robot := common.arm(self.robot))
         middle = Pose((at, 0.0, 0.5 * PLINTH))
         plinth = box("plinth", (0.2, 0.2, PLINTH), fixed_base=True, material=SMOOTH, pose=middle)
         looser = (*SIZE[:2], SIZE[2] - self.slack)
@@ -286,8 +285,7 @@ class Jenga(tabletop.TabletopTask):
         return Subtask(grasp, lambda world, task: out(world, task) > 0.9 * SIZE[0]), Subtask(place, put_down)
 
     def expert(self, world: World) -> Expert:
-        closing = max(0.4, common.closing_time(world))
-        held = picking.hand_for
+        closing, held = max(0.4, common.closing_time(world)), picking.hand_for
         phases = (
             Phase(picking.back(grasp, 0.1), position_tolerance=0.02, timeout=4.0, free=True),
             Phase(grasp, position_tolerance=0.003, rotation_tolerance=0.03, timeout=2.0),
