@@ -19,7 +19,8 @@ CAPABILITIES = Capabilities(
         Capability.CLOTH: approximate(
             "a flex that stretches and bends as the scene says, within 5 %; edges of solids poke through between its "
             "particles; its elasticity is integrated implicitly, which takes 9 % of a turning cloth's energy in a "
-            "second; its friction creeps, and joint wrenches do not feel what touches it"
+            "second; its friction creeps, a finger that opens may keep hold of it, and joint wrenches do not feel what "
+            "touches it"
         ),
         Capability.ROPES: approximate(
             "a chain of stiff capsules on ball joints, which does not stretch, resists twist as it resists bending, "
