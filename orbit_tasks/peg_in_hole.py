@@ -288,7 +288,7 @@ def _insertion(index: int, closing: float) -> tuple[Phase, ...]:
     is_in = Retry(3, lambda world, task: inserted(world, task)[:, index] > 0.0, most=1)
     return (
         Phase(over, position_tolerance=0.02, free=True),
-        Phase(at, position_tolerance=0.004, timeout=1.5, least=0.02),
+        Phase(at, position_tolerance=0.004, timeout=1.5),
         Phase(at, gripper_open=False, dwell=closing, timeout=closing + 0.1),
         Phase(picking.straight_up(0.12 + GRIP_HEIGHT), False, position_tolerance=0.03, timeout=1.5),
         Phase(above, gripper_open=False, position_tolerance=0.004, rotation_tolerance=0.03, timeout=2.0),
