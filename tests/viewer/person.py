@@ -19,6 +19,14 @@ ARGUMENTS = [
     "--ignore-gpu-blocklist", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
+SLOW_SCREEN = """
+    const next = window.requestAnimationFrame.bind(window);
+    window.requestAnimationFrame = (draw) => window.setTimeout(() => next(draw), 80);
+    window.cancelAnimationFrame = window.clearTimeout.bind(window);
+"""
+"""A screen of about ten pictures a second: a software renderer, left alone, draws on every core that there is."""
+COARSE = 0.4
+"""Pixels that are drawn across one of the page."""
 
 
 @contextmanager
@@ -29,9 +37,16 @@ def opened_page(touched: bool = False, width: int = 640, height: int = 480) -> I
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
         opened = browser.new_page(viewport={"width": width, "height": height}, has_touch=touched, is_mobile=touched)
+        if not touched:
+            opened.add_init_script(SLOW_SCREEN)
         opened.set_default_timeout(120_000.0)  # a software renderer draws the scene, on whatever cores are free
         yield opened
         browser.close()
+
+
+def address(viewer: Viewer) -> str:
+    """Of a viewer's page, drawn coarsely."""
+    return f"{viewer.url}{'&' if '?' in viewer.url else '?'}fixedDpr={COARSE}"
 
 
 def until(condition: Callable[[], bool], page: Page, seconds: float = 120.0) -> None:
@@ -50,14 +65,15 @@ def touch(page: Page, *way: tuple[float, float]) -> Callable[[], None]:
     return lambda: session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
 
-def pixel(viewer: Viewer, point: np.ndarray) -> tuple[float, float]:
-    """Where a point of the world is on the page."""
+def pixel(viewer: Viewer, point: np.ndarray, drawn: float = COARSE) -> tuple[float, float]:
+    """Where a point of the world is on the page of :func:`address`, or of any with so many pixels ``drawn`` for one."""
     camera = next(iter(viewer._server.get_clients().values())).camera
     forward = camera.look_at - camera.position
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, camera.up_direction)
     right = right / np.linalg.norm(right)
-    arm, scale = point - camera.position, 0.5 * camera.image_height / np.tan(0.5 * camera.fov)
+    width, height = camera.image_width / drawn, camera.image_height / drawn
+    arm, scale = point - camera.position, 0.5 * height / np.tan(0.5 * camera.fov)
     depth = arm @ forward
     x, y = arm @ right / depth, arm @ np.cross(right, forward) / depth
-    return 0.5 * camera.image_width + scale * x, 0.5 * camera.image_height - scale * y
+    return 0.5 * width + scale * x, 0.5 * height - scale * y

@@ -35,7 +35,7 @@ def test_a_person_chooses_refuses_accepts_and_lets_go(
     page: Page, person: ModuleType, running: tuple[Viewer, GraspWorkflow]
 ) -> None:
     viewer, work = running
-    page.goto(viewer.url)
+    page.goto(person.address(viewer))
     person.until(lambda: len(viewer._server.get_clients()) == 1, page)
     page.get_by_text("choose an object").wait_for()
     page.wait_for_timeout(2000)

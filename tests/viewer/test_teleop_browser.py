@@ -103,7 +103,7 @@ def rest(page: Page, person: ModuleType, session: Session, opening: float = 1.0)
 def test_a_person_lifts_the_cube_by_the_gizmo(page: Page, person: ModuleType, running: Running, tmp_path: Path) -> None:
     viewer, session, _, driver = running
     page.set_viewport_size({"width": 1000, "height": 640})
-    page.goto(viewer.url)
+    page.goto(person.address(viewer))
     person.until(lambda: len(viewer._server.get_clients()) == 1, page)
     page.get_by_role("button", name="Record").wait_for()
     page.wait_for_timeout(2000)
@@ -161,7 +161,9 @@ def test_a_phone_drives_by_the_sticks_and_by_the_gizmo(person: ModuleType, runni
         person.until(lambda: len(viewer._server.get_clients()) == 1, phone)
         phone.wait_for_timeout(4000)
         place, axis = np.array(device._gizmo.position), quat_to_matrix(hand.target[0, 3:]).numpy()[:, 1]
-        person.touch(phone, *(person.pixel(viewer, place + reach * axis) for reach in (0.1, 0.13, 0.16, 0.2)))()
+        person.touch(
+            phone, *(person.pixel(viewer, place + reach * axis, drawn=1.0) for reach in (0.1, 0.13, 0.16, 0.2))
+        )()
         person.until(lambda: float((hand.measured[0, :3].numpy() - place) @ axis) > 0.07, phone)
         phone.screenshot(path=tmp_path / "phone.png")
 
