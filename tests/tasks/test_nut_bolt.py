@@ -41,3 +41,20 @@ def test_turns_that_the_bolt_lacks_are_refused_by_name() -> None:
         make("Nut-Bolt", 1, "mujoco", thread="wood")
     with pytest.raises(ConfigurationError, match=r"no lead below 0\.004: take thread=boxes"):
         make("Nut-Bolt", 1, "mujoco", lead=0.002)
+
+
+@pytest.mark.parametrize("backend", ["mujoco", "warp"])
+def test_a_nut_falls_freely_onto_the_thread_of_the_bolt_below_it(backend: str) -> None:
+    environment = make("Nut-Bolt", 1, backend, seed=0)
+    world, task = environment.world, environment.task
+    above = torch.cat((nut_bolt.place(world, task), torch.tensor([[1.0, 0.0, 0.0, 0.0]])), dim=1)
+    above[:, 2] += 0.013  # the tip of the bolt is in the nut, whose convex pieces lie around it
+    world.objects["nut"].set_root_pose(above)
+    world.objects["nut"].set_root_velocity(torch.zeros(1, 6))
+    steps = round(0.03 / task.physics_dt)
+    for _ in range(steps):
+        world.step()
+    fallen = above[0, :3] - world.objects["nut"].root_pose[0, :3]
+    expected = 0.5 * 9.81 * task.physics_dt**2 * steps * (steps + 1)
+    torch.testing.assert_close(fallen, torch.tensor([0.0, 0.0, expected]), atol=2e-4, rtol=0.0)
+    environment.close()

@@ -56,6 +56,18 @@ def until(condition: Callable[[], bool], page: Page, seconds: float = 120.0) -> 
         page.wait_for_timeout(100)
 
 
+def again(act: Callable[[], None], condition: Callable[[], bool], page: Page, tries: int = 4) -> None:
+    """What a person does, who does it again where nothing came of it: a slow page misses a touch now and then."""
+    for _ in range(tries):
+        act()
+        end = time.monotonic() + 30.0
+        while time.monotonic() < end:
+            if condition():
+                return
+            page.wait_for_timeout(100)
+    raise AssertionError("it did not come about")
+
+
 def touch(page: Page, *way: tuple[float, float]) -> Callable[[], None]:
     """Put a finger down and draw it along points of the page; what is returned lifts it."""
     session = page.context.new_cdp_session(page)

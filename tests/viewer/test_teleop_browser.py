@@ -160,11 +160,13 @@ def test_a_phone_drives_by_the_sticks_and_by_the_gizmo(person: ModuleType, runni
         phone.goto(viewer.url)
         person.until(lambda: len(viewer._server.get_clients()) == 1, phone)
         phone.wait_for_timeout(4000)
-        place, axis = np.array(device._gizmo.position), quat_to_matrix(hand.target[0, 3:]).numpy()[:, 1]
-        person.touch(
-            phone, *(person.pixel(viewer, place + reach * axis, drawn=1.0) for reach in (0.1, 0.13, 0.16, 0.2))
-        )()
-        person.until(lambda: float((hand.measured[0, :3].numpy() - place) @ axis) > 0.07, phone)
+        begun, axis = np.array(device._gizmo.position), quat_to_matrix(hand.target[0, 3:]).numpy()[:, 1]
+
+        def drag() -> None:
+            points = (np.array(device._gizmo.position) + reach * axis for reach in (0.1, 0.13, 0.16, 0.2))
+            person.touch(phone, *(person.pixel(viewer, point, drawn=1.0) for point in points))()
+
+        person.again(drag, lambda: float((hand.measured[0, :3].numpy() - begun) @ axis) > 0.07, phone)
         phone.screenshot(path=tmp_path / "phone.png")
 
 

@@ -15,7 +15,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from orbit_core.interfaces import AssetError, BuiltModel, SceneLayout
+from orbit_core.interfaces import Approximation, AssetError, BuiltModel, SceneLayout
 from orbit_mjmodel import model
 from orbit_mjmodel.addresses import Addresses
 from orbit_mjmodel.readback import ALIKE, VARYING, Fields, read_back
@@ -23,6 +23,8 @@ from orbit_warp.config import WarpConfig
 
 LEAST_FRICTION = 1e-5
 """Least value of any coefficient of friction: friction cones of no width are degenerate in single precision."""
+_OTHERS, _MESHES, _FIELDS = 1, 2, 4
+"""Bits of the kinds of geometry that collide where meshes and fields must not meet."""
 _MOST_FOR_NEWTON = 300
 """Degrees of freedom: a tower of 48 blocks beside an arm has 297, which conjugate gradients do not hold; 216 balls in a
 bin take 0.007 s a step on a CPU with ``cg``, and more than a second with ``newton``."""
@@ -36,9 +38,30 @@ def build_models(layout: SceneLayout, config: WarpConfig) -> tuple[model.BuiltMo
     """
     # Two boxes meet by MuJoCo's own analytic test: the general one misses boxes that overlap symmetrically.
     no_general_box_test = int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
-    return model.build_models(
+    built = model.build_models(
         layout, config, solver=_solver(layout, config), disabled=no_general_box_test, least_friction=LEAST_FRICTION
     )
+    return tuple(_part_meshes_from_fields(one) for one in built)
+
+
+def _part_meshes_from_fields(built: model.BuiltModel) -> model.BuiltModel:
+    """Let convex meshes and fields of distances of different bodies pass through each other, and say so.
+
+    MuJoCo-Warp 3.17 takes a point in the mesh's own frame for one in the world's as it looks how deep it is in the
+    mesh, and so finds contacts all over a field that a mesh's bounding box reaches into.
+    """
+    geoms = built.model
+    collide = geoms.geom_contype > 0
+    fields = collide & (geoms.geom_type == mujoco.mjtGeom.mjGEOM_SDF)
+    meshes = collide & (geoms.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
+    if not (geoms.geom_bodyid[fields][:, None] != geoms.geom_bodyid[meshes]).any():
+        return built
+    geoms.geom_conaffinity[collide] = _OTHERS | _MESHES | _FIELDS
+    geoms.geom_contype[meshes], geoms.geom_conaffinity[meshes] = _MESHES, _OTHERS | _MESHES
+    geoms.geom_contype[fields], geoms.geom_conaffinity[fields] = _FIELDS, _OTHERS | _FIELDS
+    why = "MuJoCo-Warp finds contacts between the two where nothing touches"
+    line = Approximation("contacts", "of convex meshes with fields of distances", "none between these two", why)
+    return dataclasses.replace(built, report=(*built.report, line))
 
 
 def _solver(layout: SceneLayout, config: WarpConfig) -> str:
