@@ -166,8 +166,8 @@ class Expert(Node):
         commands: list[Tensor] = []
         over = self.phase < (self._last if stage is None else 0)
         for arm in self._arms:
-            arm.teaches = self.teaches
-            command, finished = arm.compute(self.phase, elapsed, self._elapsed == 0.0, self._sag_share)
+            begun = self._elapsed == 0.0
+            command, finished = arm.compute(self.phase, elapsed, begun, self._sag_share, self.teaches)
             commands.append(command)
             over = over & finished
         self.phase += torch.where(over, 1 - self._back(over), 0)
@@ -212,7 +212,6 @@ class _Arm:
         timeouts = [torch.inf if phase.timeout is None else phase.timeout for phase in phases]
         self._timeouts = torch.tensor(timeouts, device=world.device)
         self._least = torch.tensor([(phase.least, 0.0) for phase in phases], device=world.device)
-        self.teaches = False
         self._open = torch.tensor([phase.gripper_open for phase in phases], device=world.device)
         self._free = torch.tensor([phase.free for phase in phases], device=world.device)
         self._drives = torch.tensor([phase.base is not None for phase in phases], device=world.device)
@@ -233,10 +232,13 @@ class _Arm:
         if self.base is not None:
             self.base.reset(env_ids)
 
-    def compute(self, phase: Tensor, elapsed: Tensor, begun: Tensor, sag_share: float) -> tuple[Tensor, Tensor]:
+    def compute(
+        self, phase: Tensor, elapsed: Tensor, begun: Tensor, sag_share: float, teaches: bool
+    ) -> tuple[Tensor, Tensor]:
         """The command (N, A) in those phases (N,), and whether (N,) they are over after ``elapsed`` seconds (N,).
 
         ``begun`` (N,) says which of them begin now; ``sag_share`` of what the hand lacks is added to :attr:`sag`.
+        Where it ``teaches`` it asks for what phases ask at least.
         """
         hand = self._robot.frame_pose(self._frame)
         targets = [hand if own.target is None else own.target(self._world, self._task) for own in self._phases]
@@ -244,7 +246,7 @@ class _Arm:
         error = pose_error(hand, target)
         distances = torch.stack((error[:, :3].norm(dim=1), error[:, 3:].norm(dim=1)), dim=1)
         asked = torch.minimum(distances, self._lead)
-        if self.teaches:
+        if teaches:
             asked = torch.where(distances > self._tolerances[phase], asked.maximum(self._least[phase]), asked)
         step = error.view(-1, 2, 3) * (asked / distances.clamp_min(1e-9))[..., None]
         if sag_share:

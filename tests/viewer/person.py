@@ -50,22 +50,23 @@ def address(viewer: Viewer) -> str:
 
 
 def until(condition: Callable[[], bool], page: Page, seconds: float = 120.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not come about in time"
-        page.wait_for_timeout(100)
+    assert _comes_about(condition, page, seconds), "it did not come about in time"
 
 
 def again(act: Callable[[], None], condition: Callable[[], bool], page: Page, tries: int = 4) -> None:
     """What a person does, who does it again where nothing came of it: a slow page misses a touch now and then."""
     for _ in range(tries):
         act()
-        end = time.monotonic() + 30.0
-        while time.monotonic() < end:
-            if condition():
-                return
-            page.wait_for_timeout(100)
+        if _comes_about(condition, page, 30.0):
+            return
     raise AssertionError("it did not come about")
+
+
+def _comes_about(condition: Callable[[], bool], page: Page, seconds: float) -> bool:
+    end = time.monotonic() + seconds
+    while not (come := condition()) and time.monotonic() < end:
+        page.wait_for_timeout(100)
+    return come
 
 
 def touch(page: Page, *way: tuple[float, float]) -> Callable[[], None]:
