@@ -27,6 +27,7 @@ from orbit_core.interfaces import (
 )
 from orbit_core.plugin_kit.parts import PartedEngine
 from orbit_core.plugin_kit.rows import HostRows, block, host_rows
+from orbit_mjmodel.addresses import MATTER_BODY
 from orbit_mjmodel.readback import read_back
 from orbit_mujoco.capture import MujocoCapture
 from orbit_mujoco.config import MujocoConfig
@@ -158,11 +159,27 @@ class MujocoEngine(PartedEngine[State, Parameters]):
             return
         warning = int(np.flatnonzero(counts.any(axis=0))[0])
         environments = np.flatnonzero(counts[:, warning])
-        text = mujoco.mju_warningText(warning, int(self._batch.warning[environments[0], warning, 0]))
+        place = int(self._batch.warning[environments[0], warning, 0])
+        text = mujoco.mju_warningText(warning, place).strip().rstrip(".")
         raise SimulationError(
-            f"environments {first_few(environments)} diverged: {text.strip()}; reset them, and use a smaller "
-            "physics_dt, softer drives or larger masses"
+            f"environments {first_few(environments)} diverged{self._named(warning, place)}: {text}; reset them, and use "
+            "a smaller physics_dt, softer drives or larger masses"
         )
+
+    def _named(self, warning: int, place: int) -> str:
+        """Whose coordinate ``place`` of a warning is, for a message; empty where the warning is of something else."""
+        model = self._model
+        if warning == mujoco.mjtWarning.mjWARN_BADQPOS.value:
+            body = model.jnt_bodyid[np.searchsorted(model.jnt_qposadr, place, side="right") - 1]
+        elif warning in (mujoco.mjtWarning.mjWARN_BADQVEL.value, mujoco.mjtWarning.mjWARN_BADQACC.value):
+            body = model.dof_bodyid[place]
+        else:
+            return ""
+        link = self._addresses.link_of_body[body]
+        if link >= 0:
+            return f" in '{self.layout.links_by_name[link][0]}'"
+        number = model.body(model.body_rootid[body]).name.removeprefix(MATTER_BODY)
+        return f" in '{self.layout.scene.deformables[int(number)].name}'"
 
     # State -----------------------------------------------------------------------------------------------------------
 

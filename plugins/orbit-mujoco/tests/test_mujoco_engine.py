@@ -203,9 +203,9 @@ def test_contacts_have_no_more_directions_than_matter(shape: Box | Sphere, rolls
     assert contact_parameters(sticky, 1.0, rolls, 0.005, config).condim == 6
 
 
-@pytest.mark.parametrize("speed", [2e4, 1e12])
+@pytest.mark.parametrize(("speed", "whose"), [(2e4, ""), (1e12, " in 'cube'")])
 def test_divergence_is_an_error_and_leaves_no_log(
-    speed: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    speed: float, whose: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At the bound that all engines have, and where MuJoCo itself gives up."""
     monkeypatch.chdir(tmp_path)
@@ -213,7 +213,7 @@ def test_divergence_is_an_error_and_leaves_no_log(
     velocity = torch.zeros(1, 6)
     velocity[0, 2] = speed
     engine.write_root_state(0, None, velocity, torch.tensor([1]))
-    with pytest.raises(SimulationError, match="environments 1 diverged"):
+    with pytest.raises(SimulationError, match=f"environments 1 diverged{whose}:"):
         engine.step(2)
     assert not list(tmp_path.iterdir())
     engine.reset(torch.tensor([1]))
