@@ -162,8 +162,8 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         place = int(self._batch.warning[environments[0], warning, 0])
         text = mujoco.mju_warningText(warning, place).strip().rstrip(".")
         raise SimulationError(
-            f"environments {first_few(environments)} diverged{self._named(warning, place)}: {text}; reset them, and use "
-            "a smaller physics_dt, softer drives or larger masses"
+            f"environments {first_few(environments)} diverged{self._named(warning, place)}: {text}; "
+            "reset them, and use a smaller physics_dt, softer drives or larger masses"
         )
 
     def _named(self, warning: int, place: int) -> str:
