@@ -20,6 +20,7 @@ from orbit_warp.capture import WarpCapture
 from orbit_warp.config import WarpConfig
 from orbit_warp.contacts import ContactMeter
 from orbit_warp.faults import Faults
+from orbit_warp.field_contacts import FieldContacts
 from orbit_warp.kernels import reset_state, write_commands
 from orbit_warp.model import build_models, on_device, read_back_kinds
 from orbit_warp.native import Native
@@ -63,6 +64,7 @@ class WarpEngine(PartedEngine[State, Parameters]):
             self._model = on_device(kinds, config)
             self.buffer_sizes = sizes = buffer_sizes(built.model, self._model, config)
             self._data = mjw.make_data(built.model, nworld=num_envs, nconmax=sizes.nconmax, njmax=sizes.njmax)
+            FieldContacts.replace(self._model, self._data)
             self._native = Native(built.model, self._model, self._data)
             self._state = State(layout, addresses, self._native, self._graphs)
             self.capture = WarpCapture(self._graphs, self._state, self.prepare, config.capture)

@@ -12,6 +12,7 @@ import warp as wp
 from torch import Tensor
 
 from orbit_warp.engine import WarpEngine
+from orbit_warp.field_contacts import plain_model
 from orbit_warpkit.graphs import Graphs
 
 Command = Tensor
@@ -24,7 +25,7 @@ class RawStepper:
 
     def __init__(self, engine: WarpEngine) -> None:
         native, sizes = engine.native, engine.buffer_sizes
-        self._model, self._source = native.model, native.data
+        self._model, self._source = plain_model(native.model), native.data
         self._graphs = Graphs(engine.device, capture=True)
         with self._graphs.stream():
             self._data = mjw.make_data(

@@ -1,0 +1,151 @@
+"""Contacts with height fields against MuJoCo's own, on fields of random heights."""
+
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportPrivateUsage=false
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import numpy.typing as npt
+import pytest
+import warp as wp
+
+from orbit_warp.field_contacts import FieldContacts, plain_model
+
+_POSES = 200
+
+
+@dataclass
+class Contact:
+    distance: float
+    position: npt.NDArray[np.float64]
+    normal: npt.NDArray[np.float64]
+    material: tuple[tuple[float, ...], ...]
+
+
+def _model(shape: str, height: float) -> mujoco.MjModel:
+    """A free shape over a field that is turned, whose heights are random up to that height (m)."""
+    model = mujoco.MjModel.from_xml_string(f"""
+        <mujoco><asset><hfield name="field" nrow="21" ncol="25" size="1.2 1.0 {height or 1.0} 0.3"/></asset><worldbody>
+        <body><freejoint/><geom {shape} friction="0.7 0.02 0.001" condim="4"/></body>
+        <geom type="hfield" hfield="field" pos="0.1 -0.2 0.3" euler="0 0 30" solref="0.05 1" friction="0.4"/>
+        </worldbody></mujoco>""")
+    model.hfield_data[:] = np.random.default_rng(0).random(model.nhfielddata) if height else 0.25
+    return model
+
+
+def _poses(model: mujoco.MjModel, lowest: float, highest: float) -> npt.NDArray[np.float32]:
+    """Random poses whose origins are so high above the surface."""
+    rng, data = np.random.default_rng(1), mujoco.MjData(model)
+    data.qpos[2] = 9.0
+    mujoco.mj_forward(model, data)
+    poses = np.zeros((_POSES, 7), dtype=np.float32)
+    for pose in poses:
+        x, y = rng.uniform(-0.5, 0.5, 2)
+        down = mujoco.mj_ray(model, data, [x, y, 4.0], [0.0, 0.0, -1.0], None, 1, 1, np.zeros(1, dtype=np.int32))
+        turn = rng.normal(size=4)
+        pose[:] = [x, y, 4.0 - down + rng.uniform(lowest, highest), *(turn / np.linalg.norm(turn))]
+    return poses
+
+
+def _found(model: mjw.Model, host: mujoco.MjModel, poses: npt.NDArray[np.float32], ours: bool) -> list[list[Contact]]:
+    data = mjw.make_data(host, nworld=len(poses), nconmax=30, njmax=10)
+    data.qpos = wp.array(poses, dtype=float)
+    if ours:
+        FieldContacts.replace(model, data)
+    mjw.kinematics(model, data)
+    mjw.collision(model, data)
+    contact, count = data.contact, int(data.nacon.numpy()[0])
+    columns = (contact.dist, contact.pos, contact.frame, contact.friction, contact.solref, contact.dim, contact.geom)
+    of_poses: list[list[Contact]] = [[] for _ in poses]
+    for env, distance, position, frame, *rest in zip(
+        contact.worldid.numpy()[:count], *(column.numpy()[:count] for column in columns), strict=True
+    ):
+        of_poses[env].append(Contact(distance, position, frame[0], _rounded(*rest)))
+    return of_poses
+
+
+def _rounded(*values: npt.ArrayLike) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(round(float(number), 5) for number in np.atleast_1d(value)) for value in values)
+
+
+def _on_device(host: mujoco.MjModel) -> mjw.Model:
+    model = mjw.put_model(host)
+    model.opt.warn_overflow = 0
+    return model
+
+
+def _of_mujoco(model: mujoco.MjModel, poses: npt.NDArray[np.float32]) -> list[list[Contact]]:
+    data, of_poses = mujoco.MjData(model), list[list[Contact]]()
+    for pose in poses:
+        data.qpos[:] = pose
+        mujoco.mj_forward(model, data)
+        of_poses.append(
+            [
+                Contact(
+                    one.dist,
+                    one.pos.copy(),
+                    one.frame[:3].copy(),
+                    _rounded(one.friction, one.solref, one.dim, one.geom),
+                )
+                for one in data.contact[: data.ncon]
+            ]
+        )
+    return of_poses
+
+
+@pytest.mark.parametrize(("radius", "height"), [(0.03, 0.1), (0.03, 0.4), (0.25, 0.1)])
+def test_the_deepest_contact_of_a_sphere_is_mujocos(radius: float, height: float) -> None:
+    host = _model(f'type="sphere" size="{radius}"', height)
+    poses = _poses(host, 0.2 * radius, 1.3 * radius)
+    touching = 0
+    for theirs, ours in zip(_of_mujoco(host, poses), _found(_on_device(host), host, poses, ours=True), strict=True):
+        assert bool(theirs) == bool(ours)
+        if not theirs:
+            continue
+        touching += 1
+        deepest, own = (min(contacts, key=lambda contact: contact.distance) for contacts in (theirs, ours))
+        assert own.distance == pytest.approx(deepest.distance, abs=1e-5)
+        assert own.material == deepest.material
+        for contact in ours:  # those that are not the deepest are among MuJoCo's too
+            assert any(
+                np.allclose(contact.normal, one.normal, atol=1e-3)
+                and np.allclose(contact.position, one.position, atol=1e-3)
+                for one in theirs
+            )
+    assert touching > _POSES // 3
+
+
+def test_a_sphere_on_level_ground_has_one_contact() -> None:
+    host = _model('type="sphere" size="0.03"', 0.0)
+    poses = _poses(host, 0.01, 0.029)
+    for (contact,), pose in zip(_found(_on_device(host), host, poses, ours=True), poses, strict=True):
+        np.testing.assert_allclose(contact.normal, [0.0, 0.0, 1.0], atol=1e-5)
+        assert contact.distance == pytest.approx(pose[2] - 0.55 - 0.03, abs=1e-5)
+        np.testing.assert_allclose(contact.position, [*pose[:2], 0.55 + 0.5 * contact.distance], atol=1e-5)
+
+
+def test_a_sphere_whose_center_is_below_the_surface_is_pushed_out_by_the_nearest_way() -> None:
+    host = _model('type="sphere" size="0.03"', 0.05)
+    poses = _poses(host, -0.02, -0.001)
+    for (contact,) in _found(_on_device(host), host, poses, ours=True):
+        assert -0.051 < contact.distance < -0.03
+        assert contact.normal[2] > 0.5
+
+
+def test_other_shapes_have_the_contacts_that_they_had_and_few_are_looked_at() -> None:
+    host = _model('type="box" size="0.03 0.05 0.02"', 0.15)
+    poses = _poses(host, 0.0, 0.2)
+    model = _on_device(host)
+    ours = _found(model, host, poses, ours=True)
+    searched = model.callback.contactfilter
+    assert isinstance(searched, FieldContacts)
+    near = int(searched._near.count.numpy()[0])
+    theirs = _found(plain_model(model), host, poses, ours=False)
+    touching = sum(map(bool, theirs))
+    assert 20 < touching <= near < 2 * touching < _POSES
+    for own, their in zip(ours, theirs, strict=True):
+        assert sorted(contact.distance for contact in own) == sorted(contact.distance for contact in their)
