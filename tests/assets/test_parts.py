@@ -19,7 +19,7 @@ from orbit_core.assets.posture import link_poses
 from orbit_core.assets.validation import validate_entity
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.interfaces.errors import AssetError, ConfigurationError, UnknownNameError
-from orbit_core.scene import EndEffector, PlanarBase, Pose, RobotCategory, Scene, Workspace
+from orbit_core.scene import EndEffector, PlanarBase, Pose, RobotCategory, Scene, Sphere, Workspace
 from orbit_core.world import simulate
 
 ARMS = ("kinova_gen3", "kuka_iiwa7", "ur5", "ur10", "xarm7")
@@ -129,6 +129,16 @@ def test_what_a_base_brings_goes_with_it():
     assert spec.categories == (RobotCategory.ARM, RobotCategory.MOBILE, RobotCategory.LEGGED, RobotCategory.HUMANOID)
     assert spec.base_link == "waist_yaw_link"
     assert robot("unitree_g1").base_link == robot("unitree_g1").articulation.root.name
+
+
+def test_a_humanoid_stands_on_large_spheres_as_low_as_those_of_its_description():
+    feet = [link for link in robot("unitree_g1").articulation.links if link.name.endswith("ankle_roll_link")]
+    spheres = [(shape.geometry, shape.pose.position) for foot in feet for shape in foot.collisions]
+    assert len(spheres) == 8
+    for sphere, position in spheres:
+        assert isinstance(sphere, Sphere)
+        assert sphere.radius == 0.04
+        assert position[2] - sphere.radius == pytest.approx(-0.035)
 
 
 @pytest.mark.parametrize(

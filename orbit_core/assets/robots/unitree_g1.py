@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from orbit_core.assets.cache import Model
-from orbit_core.assets.compose import simplify_collisions
+from orbit_core.assets.compose import edit_links, simplify_collisions
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
 from orbit_core.assets.robots import dex3_hand
 from orbit_core.dynamics.drive_design import DriveDesign, with_armature
-from orbit_core.scene import Articulation, EndEffector, ImplicitPd, Pose
+from orbit_core.scene import Articulation, EndEffector, ImplicitPd, Link, Pose, Shape, Sphere
 
 SOURCE = "example-robot-data"
 LICENCE = "BSD-3-Clause"
@@ -30,6 +32,8 @@ WALKING = (
 ARMS = DriveDesign(joints=(".*_(shoulder|elbow|wrist)_.*joint",))
 HANDS = (dex3_hand.LEFT, dex3_hand.RIGHT)
 SIDES = ("left", "right")
+FOOT_RADIUS = 0.04
+"""Metres, of the spheres that a foot stands on."""
 
 
 def articulation() -> Articulation:
@@ -45,7 +49,30 @@ def with_hands() -> Articulation:
 
 def _read(name: str, file: str) -> Articulation:
     source = installed_urdf(SOURCE, f"robots/g1_description/urdf/{file}.urdf", name)
-    return with_armature(simplify_collisions(merge_fixed_links(source)))
+    return with_armature(simplify_collisions(merge_fixed_links(_with_larger_spheres(source))))
+
+
+def _with_larger_spheres(articulation: Articulation) -> Articulation:
+    """The robot with the spheres at the corners of its soles larger, as low as they were.
+
+    Contacts give way by some millimetres where it stamps. A plane pushes a sphere out whose middle it has swallowed,
+    but a height field is prisms side by side, and the nearest face, which leads out, may be one between two of them.
+    """
+
+    def edit(link: Link) -> Link:
+        return replace(link, collisions=tuple(map(_larger, link.collisions)))
+
+    size = f"{1000 * FOOT_RADIUS:.0f} mm"
+    note = f"feet stand on spheres of {size}, as low as the URDF's of 5 mm, which sink into terrain"
+    return edit_links(articulation, (".*_ankle_roll_link",), note, edit)
+
+
+def _larger(shape: Shape) -> Shape:
+    if not isinstance(shape.geometry, Sphere):
+        return shape
+    x, y, z = shape.pose.position
+    raised = replace(shape.pose, position=(x, y, z + FOOT_RADIUS - shape.geometry.radius))
+    return replace(shape, geometry=Sphere(radius=FOOT_RADIUS), pose=raised)
 
 
 def _arm(side: str) -> tuple[str, ...]:
