@@ -12,23 +12,26 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 from mujoco_warp import GeomType
-from mujoco_warp._src.collision_convex import convex_narrowphase
-from mujoco_warp._src.collision_core import CollisionContext
 from mujoco_warp._src.collision_driver import MJ_COLLISION_TABLE
 from mujoco_warp._src.math import upper_trid_index
-from mujoco_warp._src.types import BroadphaseType, Callback
+from mujoco_warp._src.types import MJ_MAX_EPAFACES, MJ_MAX_EPAHORIZON, BroadphaseType, Callback
 
-from orbit_warp.field_kernel import Contacts, Materials, Pairs, Scene, meet_fields
+from orbit_warp.field_kernel import Contacts, Materials, Near, Pairs, Scene, meet_fields
+from orbit_warp.field_search import Meshes, Polytopes, choose_contacts, search_triangles
 
 _TABLE = [pair for pair in MJ_COLLISION_TABLE if GeomType.HFIELD in pair]
 _NO_SENSOR = -1
+_TRIANGLES = 8
+"""Triangles near shapes, for each contact that there is room for: most are near and do not touch."""
+_THREADS, _BLOCK = 32768, 64
+"""Threads that search at a time, for each needs 5 KiB of memory, and those of a block, few so that they spread."""
 
 
 class FieldContacts:
     """Takes the pairs of height fields out of a model, and is called back once all other contacts are found.
 
-    Spheres' contacts are found in closed form; MuJoCo-Warp's general search looks at those other shapes alone whose
-    boxes reach below a triangle of the field.
+    Spheres' contacts are found in closed form; MuJoCo-Warp's general search looks at other shapes with those triangles
+    that their boxes reach below.
     """
 
     def __init__(self, model: mjw.Model, data: mjw.Data) -> None:
@@ -37,12 +40,12 @@ class FieldContacts:
         geoms, ids = self._pairs_before.numpy(), self._ids_before.numpy()
         taken = _of_fields(model)
         field_first = model.geom_type.numpy()[geoms[taken, 0]] == GeomType.HFIELD
-        self._pairs, self._near = Pairs(), Pairs()
+        self._pairs = Pairs()
         self._pairs.geoms = wp.array(np.where(field_first[:, None], geoms[taken], geoms[taken, ::-1]), dtype=wp.vec2i)
         self._pairs.ids = wp.array(ids[taken], dtype=wp.vec2i)
-        most = min(int(taken.sum()) * data.nworld, data.naconmax)
-        self._near.geoms, self._near.ids = wp.zeros(most, dtype=wp.vec2i), wp.zeros(most, dtype=wp.vec2i)
-        self._near.envs, self._near.count = wp.zeros(most, dtype=int), wp.zeros(1, dtype=int)
+        self._near = _near(int(taken.sum()) * data.nworld, _TRIANGLES * data.naconmax)
+        self._threads = min(_THREADS, len(self._near.cells))
+        self._polytopes = _polytopes(self._threads, model.opt.ccd_iterations)
         model.nxn_geom_pair_filtered = wp.array(geoms[~taken], dtype=wp.vec2i)
         model.nxn_pairid_filtered = wp.array(ids[~taken], dtype=wp.vec2i)
         if not _of_type(geoms[~taken], model, GeomType.HFIELD).any():
@@ -58,18 +61,22 @@ class FieldContacts:
             FieldContacts(model, data)
 
     def __call__(self, model: mjw.Model, data: mjw.Data) -> None:
-        near = self._near
+        near, scene, materials, contacts = self._near, _scene(model, data), _materials(model), _contacts(data)
         near.count.zero_()
+        near.triangle_count.zero_()
+        dim = (self._pairs.geoms.shape[0], data.nworld)
+        wp.launch(meet_fields, dim=dim, inputs=[scene, materials, self._pairs], outputs=[contacts, near, data.overflow])
+        opt = model.opt
         wp.launch(
-            meet_fields,
-            dim=(self._pairs.geoms.shape[0], data.nworld),
-            inputs=[_scene(model, data), _materials(model), self._pairs],
-            outputs=[_contacts(data), near, data.overflow],
-        )
-        searched, found = copy.copy(model), copy.copy(data)
-        searched.geom_pair_type_count = self._counts_before
-        found.ncollision, found.naccdmax = near.count, min(data.naccdmax, near.geoms.shape[0])
-        convex_narrowphase(searched, found, CollisionContext(near.geoms, near.ids, near.envs), _TABLE)
+            search_triangles,
+            dim=self._threads,
+            inputs=[
+                self._threads, opt.ccd_tolerance, opt.ccd_iterations, scene, materials, _meshes(model), self._polytopes,
+            ],
+            outputs=[near, data.overflow],
+            block_dim=_BLOCK,
+        )  # fmt: skip
+        wp.launch(choose_contacts, dim=len(near.envs), inputs=[scene, materials], outputs=[contacts, near])
 
     def undone(self, model: mjw.Model) -> mjw.Model:
         """The model as MuJoCo-Warp steps it by itself."""
@@ -95,6 +102,38 @@ def _of_fields(model: mjw.Model) -> npt.NDArray[np.bool_]:
 
 def _of_type(pairs: npt.NDArray[np.int32], model: mjw.Model, kind: GeomType) -> npt.NDArray[np.bool_]:
     return (model.geom_type.numpy()[pairs] == kind).any(axis=1)
+
+
+def _near(pairs: int, triangles: int) -> Near:
+    near = Near()
+    for name, kind in (("geoms", wp.vec2i), ("ids", wp.vec2i), ("envs", int), ("starts", int), ("ends", int)):
+        setattr(near, name, wp.zeros(pairs, dtype=kind))
+    for name, kind in (
+        ("pairs", int), ("cells", int), ("distances", float), ("points", wp.vec3), ("normals", wp.vec3),
+    ):  # fmt: skip
+        setattr(near, name, wp.zeros(triangles, dtype=kind))
+    near.count, near.triangle_count = wp.zeros(1, dtype=int), wp.zeros(1, dtype=int)
+    return near
+
+
+def _polytopes(threads: int, iterations: int) -> Polytopes:
+    """As large as MuJoCo-Warp has them."""
+    vertices, faces = 10 + 2 * iterations, 6 + MJ_MAX_EPAFACES * iterations
+    polytopes = Polytopes()
+    polytopes.vertices = wp.empty((threads, vertices), dtype=wp.vec3)
+    polytopes.indices = wp.empty((threads, vertices), dtype=int)
+    polytopes.faces = wp.empty((threads, faces), dtype=int)
+    polytopes.projections = wp.empty((threads, faces), dtype=wp.vec3)
+    polytopes.squares = wp.empty((threads, faces), dtype=float)
+    polytopes.horizon = wp.empty((threads, MJ_MAX_EPAHORIZON), dtype=int)
+    return polytopes
+
+
+def _meshes(model: mjw.Model) -> Meshes:
+    meshes = Meshes()
+    meshes.starts, meshes.counts, meshes.graph_starts = model.mesh_vertadr, model.mesh_vertnum, model.mesh_graphadr
+    meshes.vertices, meshes.graph = model.mesh_vert, model.mesh_graph
+    return meshes
 
 
 def _scene(model: mjw.Model, data: mjw.Data) -> Scene:

@@ -1,8 +1,8 @@
-"""Where shapes meet height fields: contacts of spheres, and which other shapes come near enough to be looked at.
+"""Where shapes meet height fields: contacts of spheres, and which triangles other shapes come near.
 
-MuJoCo-Warp takes a height field's triangle for the top of a prism that goes down to the field's base, and looks for
-contacts of a shape with each prism under it by a general search, a thread for each shape. A sphere's are found here in
-closed form; of other shapes those go on to that search whose box reaches below some triangle.
+MuJoCo takes a height field's triangle for the top of a prism that goes down to the field's base, and looks for
+contacts of a shape with each prism under it by a general search. A sphere's are found here in closed form; other shapes
+are left to that search (``field_search``) with those triangles alone that the shape's box reaches below.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
@@ -93,8 +93,28 @@ class Pairs:
 
     geoms: wp.array[wp.vec2i]
     ids: wp.array[wp.vec2i]
+
+
+@wp.struct
+class Near:
+    """Pairs whose shapes are near triangles of the field, in any environment; each has some of these in a row."""
+
+    geoms: wp.array[wp.vec2i]
+    ids: wp.array[wp.vec2i]
     envs: wp.array[int]
+    starts: wp.array[int]
+    ends: wp.array[int]
     count: wp.array[int]
+    pairs: wp.array[int]
+    """Of each triangle: whose it is."""
+    cells: wp.array[int]
+    """Of each triangle: twice the cell's number, and which half of it."""
+    triangle_count: wp.array[int]
+    distances: wp.array[float]
+    """Of each triangle, once searched: the distance to the shape, negative inside, or 1e10 where they do not touch."""
+    points: wp.array[wp.vec3]
+    normals: wp.array[wp.vec3]
+    """From the field to the shape, in the field's frame, as the points."""
 
 
 @wp.struct
@@ -212,9 +232,9 @@ def is_reported(scene: Scene, field: Field, row: int, column: int, half: int, po
 @wp.func
 def add_contact(
     scene: Scene, materials: Materials, contacts: Contacts, geoms: wp.vec2i, ids: wp.vec2i, env: int, number: int,
-    distance: float, point: wp.vec3, normal: wp.vec3, center: wp.vec3,
+    distance: float, point: wp.vec3, normal: wp.vec3,
 ):  # fmt: skip
-    """Write a contact at a point of the surface, given from the center of a shape in the frame of the field."""
+    """Write a contact, given in the frame of the field: the point half way between the surfaces."""
     margin, gap = contact_margin_gap(
         materials.margin, materials.gap, materials.pair_margin, materials.pair_gap, geoms, ids[0], env
     )
@@ -224,7 +244,7 @@ def add_contact(
         materials.pair_solimp, materials.pair_adhesion, materials.pair_friction, geoms, ids[0], env,
     )  # fmt: skip
     rotation = scene.rotations[env, geoms[0]]
-    position = scene.positions[env, geoms[0]] + rotation @ (center + point + 0.5 * distance * normal)
+    position = scene.positions[env, geoms[0]] + rotation @ point
     write_contact(
         contacts.most, number, distance, position, make_frame(rotation @ normal), margin, gap, condim, friction, solref,
         solreffriction, solimp, adhesion, geoms, ids, env, contacts.dist, contacts.pos, contacts.frame,
@@ -264,22 +284,26 @@ def meet_sphere(
                     continue
                 if not inside and not is_reported(scene, field, row, column, half, point):
                     continue
-                direction = wp.where(distance > _SAME, -point, normal)
-                add_contact(
-                    scene, materials, contacts, geoms, ids, env, number, distance - radius, point,
-                    wp.normalize(direction), center,
-                )  # fmt: skip
+                direction = wp.normalize(wp.where(distance > _SAME, -point, normal))
+                middle = center + point + 0.5 * (distance - radius) * direction
+                add_contact(scene, materials, contacts, geoms, ids, env, number, distance - radius, middle, direction)
                 number += 1
     if below:
-        direction = wp.where(least > _SAME, nearest, outward)
-        add_contact(
-            scene, materials, contacts, geoms, ids, env, 0, -least - radius, nearest, wp.normalize(direction), center
-        )
+        direction = wp.normalize(wp.where(least > _SAME, nearest, outward))
+        middle = center + nearest - 0.5 * (least + radius) * direction
+        add_contact(scene, materials, contacts, geoms, ids, env, 0, -least - radius, middle, direction)
 
 
 @wp.func
-def box_meets(scene: Scene, field: Field, axes: wp.mat33, half_size: wp.vec3, lowest: float, bound: float) -> bool:
-    """Whether a box reaches below the plane of some triangle under it; ``lowest`` is its lowest point's z."""
+def near_triangles(
+    scene: Scene, field: Field, axes: wp.mat33, half_size: wp.vec3, lowest: float, bound: float, near: Near, pair: int,
+    start: int,
+) -> int:  # fmt: skip
+    """How many triangles have planes that a box reaches below; lists them from ``start`` on unless that is negative.
+
+    ``lowest`` is the z of the box's lowest point from its center.
+    """
+    count = wp.int32(0)
     for row in range(field.first_row, field.end_row):
         for column in range(field.first_column, field.end_column):
             for half in range(2):
@@ -288,14 +312,18 @@ def box_meets(scene: Scene, field: Field, axes: wp.mat33, half_size: wp.vec3, lo
                     continue
                 normal = wp.normalize(wp.cross(b - a, c - a))
                 across = wp.transpose(axes) @ normal
-                if -wp.dot(normal, a) <= wp.dot(wp.abs(across), half_size) + bound:
-                    return True
-    return False
+                if -wp.dot(normal, a) > wp.dot(wp.abs(across), half_size) + bound:
+                    continue
+                if start >= 0:
+                    near.pairs[start + count] = pair
+                    near.cells[start + count] = 2 * (row * field.columns + column) + half
+                count += 1
+    return count
 
 
 @wp.kernel(module="unique", enable_backward=False)
-def meet_fields(scene: Scene, materials: Materials, pairs: Pairs, contacts: Contacts, near: Pairs, full: wp.array[int]):
-    """Each thread takes a pair in an environment: adds a sphere's contacts, or puts the pair down as near."""
+def meet_fields(scene: Scene, materials: Materials, pairs: Pairs, contacts: Contacts, near: Near, full: wp.array[int]):
+    """Each thread takes a pair in an environment: adds a sphere's contacts, or lists triangles that are near."""
     pair, env = wp.tid()
     geoms, ids = pairs.geoms[pair], pairs.ids[pair]
     kind = scene.types[geoms[1]]
@@ -309,16 +337,17 @@ def meet_fields(scene: Scene, materials: Materials, pairs: Pairs, contacts: Cont
     into = wp.transpose(scene.rotations[env, geoms[0]])
     center = into @ (scene.positions[env, geoms[1]] - scene.positions[env, geoms[0]])
     axes = into @ scene.rotations[env, geoms[1]]
-    half_size = scene.boxes[env % scene.boxes.shape[0], geoms[1], 1]
-    reach = wp.vec3(wp.dot(wp.abs(axes[0]), half_size), wp.dot(wp.abs(axes[1]), half_size), 0.0)
-    reach[2] = wp.dot(wp.abs(axes[2]), half_size)
     radius = scene.sizes[env % scene.sizes.shape[0], geoms[1]][0]
+    half_size = wp.vec3(radius, radius, radius)
     if kind == _SPHERE:
-        reach = wp.vec3(radius, radius, radius)
+        axes = wp.identity(n=3, dtype=float)
     else:
+        half_size = scene.boxes[env % scene.boxes.shape[0], geoms[1], 1]
         center += axes @ scene.boxes[env % scene.boxes.shape[0], geoms[1], 0]
     bound = wp.max(margin + gap, 0.0)
-    reach += wp.vec3(bound, bound, bound)
+    reach = wp.vec3(bound, bound, bound)
+    for i in range(3):
+        reach[i] += wp.dot(wp.abs(axes[i]), half_size)
     size = scene.field_sizes[index]
     beside = wp.abs(center[0]) > size[0] + reach[0] or wp.abs(center[1]) > size[1] + reach[1]
     if beside or center[2] - reach[2] > size[2] or center[2] + reach[2] < -size[3]:
@@ -327,12 +356,17 @@ def meet_fields(scene: Scene, materials: Materials, pairs: Pairs, contacts: Cont
     if kind == _SPHERE and wp.abs(center[0]) < size[0] and wp.abs(center[1]) < size[1] and center[2] > -size[3]:
         meet_sphere(scene, materials, contacts, geoms, ids, env, field, center, radius, radius + bound)
         return
-    if kind != _SPHERE and not box_meets(scene, field, axes, half_size, -reach[2], bound + _SAME):
+    bound += _SAME
+    count = near_triangles(scene, field, axes, half_size, -reach[2], bound, near, 0, -1)
+    if count == 0:
         return
-    slot = wp.atomic_add(near.count, 0, 1)
-    if slot >= near.geoms.shape[0]:
+    start = wp.atomic_add(near.triangle_count, 0, count)
+    if start + count > near.cells.shape[0]:
         wp.atomic_or(full, env, _FULL)
         return
+    slot = wp.atomic_add(near.count, 0, 1)
     near.geoms[slot] = geoms
     near.ids[slot] = ids
     near.envs[slot] = env
+    near.starts[slot] = start
+    near.ends[slot] = start + near_triangles(scene, field, axes, half_size, -reach[2], bound, near, slot, start)

@@ -136,16 +136,23 @@ def test_a_sphere_whose_center_is_below_the_surface_is_pushed_out_by_the_nearest
         assert contact.normal[2] > 0.5
 
 
-def test_other_shapes_have_the_contacts_that_they_had_and_few_are_looked_at() -> None:
+def test_other_shapes_touch_where_they_did_and_few_are_searched() -> None:
+    """How deep they are, MuJoCo-Warp's search tells in single precision, which rounds less beside the shape."""
     host = _model('type="box" size="0.03 0.05 0.02"', 0.15)
-    poses = _poses(host, 0.0, 0.2)
+    poses = _poses(host, 0.02, 0.1)
     model = _on_device(host)
     ours = _found(model, host, poses, ours=True)
-    searched = model.callback.contactfilter
-    assert isinstance(searched, FieldContacts)
-    near = int(searched._near.count.numpy()[0])
+    fields = model.callback.contactfilter
+    assert isinstance(fields, FieldContacts)
+    near = int(fields._near.count.numpy()[0])
     theirs = _found(plain_model(model), host, poses, ours=False)
-    touching = sum(map(bool, theirs))
-    assert 20 < touching <= near < 2 * touching < _POSES
-    for own, their in zip(ours, theirs, strict=True):
-        assert sorted(contact.distance for contact in own) == sorted(contact.distance for contact in their)
+    exact = _of_mujoco(host, poses)
+    touching = [bool(contacts) for contacts in exact]
+    assert [bool(contacts) for contacts in ours] == [bool(contacts) for contacts in theirs] == touching
+    assert _POSES // 3 < sum(touching) <= near < 0.8 * _POSES
+    of_ours, of_theirs, of_exact = (
+        np.array([min(contact.distance for contact in contacts) for contacts in all_of if contacts])
+        for all_of in (ours, theirs, exact)
+    )
+    assert np.median(np.abs(of_ours - of_exact)) < 1e-5
+    assert np.abs(of_ours - of_exact).mean() < np.abs(of_theirs - of_exact).mean()
