@@ -51,8 +51,10 @@ def buffer_sizes(model: mujoco.MjModel, device_model: mjw.Model, config: WarpCon
     of_bodies = int(np.where(parts > _MANY_PARTS, _CONTACTS_OF_PART * parts, _CONTACTS_OF_BODY).sum())
     likely = max(of_bodies + _CONTACTS_OF_GEOM * int((~alone).sum()), _LEAST_CONTACTS)
     meshes = (model.geom_type[touching] == mujoco.mjtGeom.mjGEOM_MESH) & (model.geom_bodyid[touching] == 0)
-    if model.nhfield or np.count_nonzero(meshes) > _SURFACE:
-        likely *= 4  # a height field offers every cell under a shape, a surface each of its triangles
+    if np.count_nonzero(meshes) > _SURFACE:
+        likely *= 4  # a surface offers each of its triangles under a shape
+    elif model.nhfield:
+        likely *= 2  # a height field's are found for all of a shape, at most four where it is no sphere
     fields = model.geom_type[pairs] == mujoco.mjtGeom.mjGEOM_SDF
     if fields.any():  # each descent of a pair may end in a contact
         likely += model.opt.sdf_initpoints * (_HOLDING + int(fields.all(axis=1).sum()))
