@@ -29,11 +29,11 @@ class Contact:
 def _model(shape: str, height: float) -> mujoco.MjModel:
     """A free shape over a field that is turned, whose heights are random up to that height (m)."""
     model = mujoco.MjModel.from_xml_string(f"""
-        <mujoco><asset><hfield name="field" nrow="21" ncol="25" size="1.2 1.0 {height or 1.0} 0.3"/></asset><worldbody>
+        <mujoco><asset><hfield name="field" nrow="21" ncol="25" size="1.2 1.0 {height} 0.3"/></asset><worldbody>
         <body><freejoint/><geom {shape} friction="0.7 0.02 0.001" condim="4"/></body>
         <geom type="hfield" hfield="field" pos="0.1 -0.2 0.3" euler="0 0 30" solref="0.05 1" friction="0.4"/>
         </worldbody></mujoco>""")
-    model.hfield_data[:] = np.random.default_rng(0).random(model.nhfielddata) if height else 0.25
+    model.hfield_data[:] = np.random.default_rng(0).random(model.nhfielddata)
     return model
 
 
@@ -119,13 +119,18 @@ def test_the_deepest_contact_of_a_sphere_is_mujocos(radius: float, height: float
     assert touching > _POSES // 3
 
 
-def test_a_sphere_on_level_ground_has_one_contact() -> None:
-    host = _model('type="sphere" size="0.03"', 0.0)
+def test_a_sphere_on_a_slope_has_one_contact() -> None:
+    """The rims of the triangles beside that under it do not push, as MuJoCo's do."""
+    host = _model('type="sphere" size="0.03"', 0.3)
+    host.hfield_data[:] = np.tile(np.linspace(0.0, 1.0, 25), 21)
     poses = _poses(host, 0.01, 0.029)
-    for (contact,), pose in zip(_found(_on_device(host), host, poses, ours=True), poses, strict=True):
-        np.testing.assert_allclose(contact.normal, [0.0, 0.0, 1.0], atol=1e-5)
-        assert contact.distance == pytest.approx(pose[2] - 0.55 - 0.03, abs=1e-5)
-        np.testing.assert_allclose(contact.position, [*pose[:2], 0.55 + 0.5 * contact.distance], atol=1e-5)
+    across = 1.0 / np.hypot(1.0, 0.3 / 2.4)
+    turned = np.array([-0.3 / 2.4 * np.cos(np.pi / 6), -0.3 / 2.4 * np.sin(np.pi / 6), 1.0]) * across
+    for (contact,), theirs in zip(
+        _found(_on_device(host), host, poses, ours=True), _of_mujoco(host, poses), strict=True
+    ):
+        np.testing.assert_allclose(contact.normal, turned, atol=1e-5)
+        assert contact.distance == pytest.approx(min(one.distance for one in theirs), abs=1e-5)
 
 
 def test_a_sphere_whose_center_is_below_the_surface_is_pushed_out_by_the_nearest_way() -> None:
