@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 import warp as wp
 
-from orbit_warp.field_contacts import FieldContacts, plain_model
+from orbit_warp.field_contacts import FieldContacts
 
 _POSES = 200
 
@@ -51,11 +51,10 @@ def _poses(model: mujoco.MjModel, lowest: float, highest: float) -> npt.NDArray[
     return poses
 
 
-def _found(model: mjw.Model, host: mujoco.MjModel, poses: npt.NDArray[np.float32], ours: bool) -> list[list[Contact]]:
+def _found(model: mjw.Model, host: mujoco.MjModel, poses: npt.NDArray[np.float32]) -> list[list[Contact]]:
     data = mjw.make_data(host, nworld=len(poses), nconmax=30, njmax=10)
     data.qpos = wp.array(poses, dtype=float)
-    if ours:
-        FieldContacts.replace(model, data)
+    FieldContacts.replace(model, data)
     mjw.kinematics(model, data)
     mjw.collision(model, data)
     contact, count = data.contact, int(data.nacon.numpy()[0])
@@ -102,7 +101,7 @@ def test_the_deepest_contact_of_a_sphere_is_mujocos(radius: float, height: float
     host = _model(f'type="sphere" size="{radius}"', height)
     poses = _poses(host, 0.2 * radius, 1.3 * radius)
     touching = 0
-    for theirs, ours in zip(_of_mujoco(host, poses), _found(_on_device(host), host, poses, ours=True), strict=True):
+    for theirs, ours in zip(_of_mujoco(host, poses), _found(_on_device(host), host, poses), strict=True):
         assert bool(theirs) == bool(ours)
         if not theirs:
             continue
@@ -126,9 +125,7 @@ def test_a_sphere_on_a_slope_has_one_contact() -> None:
     poses = _poses(host, 0.01, 0.029)
     across = 1.0 / np.hypot(1.0, 0.3 / 2.4)
     turned = np.array([-0.3 / 2.4 * np.cos(np.pi / 6), -0.3 / 2.4 * np.sin(np.pi / 6), 1.0]) * across
-    for (contact,), theirs in zip(
-        _found(_on_device(host), host, poses, ours=True), _of_mujoco(host, poses), strict=True
-    ):
+    for (contact,), theirs in zip(_found(_on_device(host), host, poses), _of_mujoco(host, poses), strict=True):
         np.testing.assert_allclose(contact.normal, turned, atol=1e-5)
         assert contact.distance == pytest.approx(min(one.distance for one in theirs), abs=1e-5)
 
@@ -136,28 +133,26 @@ def test_a_sphere_on_a_slope_has_one_contact() -> None:
 def test_a_sphere_whose_center_is_below_the_surface_is_pushed_out_by_the_nearest_way() -> None:
     host = _model('type="sphere" size="0.03"', 0.05)
     poses = _poses(host, -0.02, -0.001)
-    for (contact,) in _found(_on_device(host), host, poses, ours=True):
+    for (contact,) in _found(_on_device(host), host, poses):
         assert -0.051 < contact.distance < -0.03
         assert contact.normal[2] > 0.5
 
 
-def test_other_shapes_touch_where_they_did_and_few_are_searched() -> None:
-    """How deep they are, MuJoCo-Warp's search tells in single precision, which rounds less beside the shape."""
+def test_other_shapes_touch_where_mujocos_do_and_few_are_searched() -> None:
+    """How deep they are, a search in single precision tells badly: seen from the world it would be off by 8 mm here."""
     host = _model('type="box" size="0.03 0.05 0.02"', 0.15)
     poses = _poses(host, 0.02, 0.1)
     model = _on_device(host)
-    ours = _found(model, host, poses, ours=True)
+    ours, theirs = _found(model, host, poses), _of_mujoco(host, poses)
     fields = model.callback.contactfilter
     assert isinstance(fields, FieldContacts)
     near = int(fields._near.count.numpy()[0])
-    theirs = _found(plain_model(model), host, poses, ours=False)
-    exact = _of_mujoco(host, poses)
-    touching = [bool(contacts) for contacts in exact]
-    assert [bool(contacts) for contacts in ours] == [bool(contacts) for contacts in theirs] == touching
+    touching = [bool(contacts) for contacts in theirs]
+    assert [bool(contacts) for contacts in ours] == touching
     assert _POSES // 3 < sum(touching) <= near < 0.8 * _POSES
-    of_ours, of_theirs, of_exact = (
+    depths, exact = (
         np.array([min(contact.distance for contact in contacts) for contacts in all_of if contacts])
-        for all_of in (ours, theirs, exact)
+        for all_of in (ours, theirs)
     )
-    assert np.median(np.abs(of_ours - of_exact)) < 1e-5
-    assert np.abs(of_ours - of_exact).mean() < np.abs(of_theirs - of_exact).mean()
+    assert np.median(np.abs(depths - exact)) < 1e-5
+    assert np.abs(depths - exact).mean() < 6e-3
