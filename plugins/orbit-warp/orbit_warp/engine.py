@@ -232,7 +232,7 @@ class WarpEngine(PartedEngine[State, Parameters]):
     def cast_rays_past(
         self, origins: Tensor, directions: Tensor, max_distance: float, links: range, env_ids: Tensor | None = None
     ) -> RayHits:
-        self._state.refresh_bodies()
+        self._state.refresh_bodies(moving=self._rays.moving(links))
         return self._rays.cast_past(origins, directions, max_distance, links, env_ids)
 
     # Parameters per environment --------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import warp as wp
 from mujoco_warp._src.types import vec6f
 from torch import Tensor
 
-from orbit_core.interfaces import RayHits, SceneLayout
+from orbit_core.interfaces import TERRAIN, RayHits, SceneLayout
 from orbit_mjmodel.addresses import Addresses
 from orbit_warp.native import Native
 from orbit_warp.ray_kernel import rays_at_few, rays_past
@@ -57,6 +57,10 @@ class RayCaster:
         key = ("rays past", origins.shape[1], links.start, links.stop)
         self._graphs.run(key, lambda: self._launch_past(buffers, links))
         return self._hits(buffers, max_distance, rows)
+
+    def moving(self, links: range) -> bool:
+        """Whether there is anything but terrain, apart from some links."""
+        return any(link != TERRAIN and link not in links for link in self._links[:-1])
 
     def _geoms_past(self, links: range) -> wp.array:
         others = [geom for geom, link in enumerate(self._links[:-1]) if link not in links]

@@ -48,7 +48,7 @@ class State:
             wp.array(a, dtype=int) for a in (addresses.joint_positions, addresses.joint_velocities)
         ]
         self._no_rows = wp.zeros((1, 7), dtype=float)
-        self._current = self._bodies_current = False
+        self._current = self._bodies_current = self._bodies_derived = False
 
     def mark_written(self) -> None:
         """What is derived no longer holds."""
@@ -64,11 +64,14 @@ class State:
             self._graphs.run("derive", self.derive)
             self._current = True
 
-    def refresh_bodies(self) -> None:
-        """Derive what MuJoCo-Warp itself reads: its own poses and velocities of bodies, and geoms."""
-        if not self._bodies_current:
+    def refresh_bodies(self, moving: bool = True) -> None:
+        """Derive what MuJoCo-Warp itself reads: its own poses and velocities of bodies, and geoms.
+
+        For what never moves, once is enough.
+        """
+        if not (self._bodies_current if moving else self._bodies_derived):
             self._graphs.run("derive bodies", self.derive_bodies)
-            self._bodies_current = True
+            self._bodies_current = self._bodies_derived = True
 
     def derive_bodies(self) -> None:
         """Launch what brings MuJoCo-Warp's own poses and velocities of bodies up to date."""
