@@ -173,6 +173,15 @@ def triangle(scene: Scene, field: Field, row: int, column: int, half: int):
 
 
 @wp.func
+def highest(scene: Scene, field: Field, row: int, column: int) -> float:
+    """The z of a cell's highest corner, from the center of the shape."""
+    first = field.start + row * field.columns + column
+    near = wp.max(scene.heights[first], scene.heights[first + 1])
+    first += field.columns
+    return field.below + field.scale * wp.max(near, wp.max(scene.heights[first], scene.heights[first + 1]))
+
+
+@wp.func
 def nearest_on_triangle(a: wp.vec3, b: wp.vec3, c: wp.vec3):
     """The point nearest to the origin, and whether it is inside, not on the rim (Ericson 2005, section 5.1.5)."""
     ab, ac = b - a, c - a
@@ -267,10 +276,10 @@ def meet_sphere(
     outward = wp.vec3()
     for row in range(field.first_row, field.end_row):
         for column in range(field.first_column, field.end_column):
+            if not below and highest(scene, field, row, column) < -bound:
+                continue
             for half in range(2):
                 a, b, c = triangle(scene, field, row, column, half)
-                if not below and wp.max(a[2], wp.max(b[2], c[2])) < -bound:
-                    continue
                 point, inside = nearest_on_triangle(a, b, c)
                 distance = wp.length(point)
                 normal = wp.cross(b - a, c - a)
@@ -306,10 +315,10 @@ def near_triangles(
     count = wp.int32(0)
     for row in range(field.first_row, field.end_row):
         for column in range(field.first_column, field.end_column):
+            if highest(scene, field, row, column) < lowest - bound:
+                continue
             for half in range(2):
                 a, b, c = triangle(scene, field, row, column, half)
-                if wp.max(a[2], wp.max(b[2], c[2])) < lowest - bound:
-                    continue
                 normal = wp.normalize(wp.cross(b - a, c - a))
                 across = wp.transpose(axes) @ normal
                 if -wp.dot(normal, a) > wp.dot(wp.abs(across), half_size) + bound:
