@@ -130,6 +130,24 @@ def test_a_sphere_on_a_slope_has_one_contact() -> None:
         assert contact.distance == pytest.approx(min(one.distance for one in theirs), abs=1e-5)
 
 
+@pytest.mark.parametrize(("up", "contacts"), [(1.0, 2), (-1.0, 1)])
+def test_a_sphere_touches_both_sides_of_a_valley_and_the_rim_of_a_ridge_once(up: float, contacts: int) -> None:
+    host = _model('type="sphere" size="0.03"', 0.3)
+    host.hfield_data[:] = np.tile(0.5 + up * (np.abs(np.linspace(-1.0, 1.0, 25)) - 0.5), 21)
+    slope = 0.3 / 1.2
+    bottom = np.array([0.1, -0.2, 0.3 + (0.0 if up > 0 else 0.3)])
+    height = 0.029 * (np.hypot(1.0, slope) if up > 0 else 1.0)
+    poses = np.tile(np.array([0, 0, 0, 1, 0, 0, 0], dtype=np.float32), (20, 1))
+    along = np.array([-0.5, np.cos(np.pi / 6), 0.0])  # the field's y
+    poses[:, :3] = bottom + np.linspace(-0.4, 0.4, 20)[:, None] * along + [0.0, 0.0, height]
+    for found in _found(_on_device(host), host, poses):
+        assert len(found) == contacts
+        for contact in found:
+            assert contact.distance == pytest.approx(-0.001, abs=1e-5)
+            assert contact.normal[2] == pytest.approx(1.0 / np.hypot(1.0, slope) if up > 0 else 1.0, abs=1e-4)
+        np.testing.assert_allclose(sum(contact.normal[:2] for contact in found), 0.0, atol=1e-4)
+
+
 def test_a_sphere_whose_center_is_below_the_surface_is_pushed_out_by_the_nearest_way() -> None:
     host = _model('type="sphere" size="0.03"', 0.05)
     poses = _poses(host, -0.02, -0.001)
