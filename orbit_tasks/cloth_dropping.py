@@ -97,6 +97,8 @@ class ClothDropping(cloth.ClothTask):
     the gripper does not touch it at the episode's end. Metric: that distance.
     """
 
+    grip_force: float = 5.0
+    """Newtons; harder, and corners of the fingers come through the cloth, which then hangs on them as they open."""
     episode_length: float = 11.0
     view: Pose = look_at(eye=(1.3, 0.9, 0.75), target=(0.45, 0.12, 0.08))
     particles: int = 25

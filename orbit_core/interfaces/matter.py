@@ -73,9 +73,19 @@ class Matter(ABC):
     def reset(self, link_poses: Tensor, env_ids: Tensor | None = None) -> None:
         """Put environments, with links at ``link_poses`` (N, L, 7), into the initial state; what is held stays held."""
 
+    def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
+        """Masses (n, k) in kg of links (k,), with which inertias scale; for who reckons with those of free bodies."""
+
+    def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
+        """Centres of mass (n, k, 3) in the link frames of links (k,); the same."""
+
     @abstractmethod
-    def step(self, before: Tensor, after: Tensor) -> None:
-        """Advance by one physics step, in which links went from poses ``before`` to ``after``, (N, L, 7) each."""
+    def step(self, before: Tensor, after: Tensor, velocities: tuple[Tensor, Tensor] | None = None) -> None:
+        """Advance by one physics step, in which links went from poses ``before`` to ``after``, (N, L, 7) each.
+
+        Scenes with free bodies give ``velocities`` before and after it, (N, L, 6) each as of
+        :attr:`Engine.link_velocities`.
+        """
 
     @property
     @abstractmethod

@@ -114,6 +114,7 @@ class CoupledEngine(Engine):
         self._centers = torch.tensor(centers, dtype=torch.float32, device=self.device).view(1, -1, 3)
         self._centers = self._centers.repeat(self.num_envs, 1, 1)
         """(N, L, 3) m in the links' frames."""
+        self._has_free = any(not (e.spec.fixed_base or e.spec.articulation.joints) for e in self.layout.entities)
         self._asked = torch.zeros(self.num_envs, len(self.layout.links), 6, device=self.device)
         """What callers of set_wrenches want."""
         queries = self.layout.contact_queries
@@ -139,12 +140,14 @@ class CoupledEngine(Engine):
         forces, failure = torch.zeros_like(self._forces), None
         for _ in range(steps):
             before = self._inner.link_poses.clone()
+            was = self._inner.link_velocities.clone() if self._has_free else None
             self._apply(before)
             try:
                 self._inner.step(1)
             except SimulationError as error:  # of some environments: the others go on
                 failure = error
-            self._matter.step(before, self._inner.link_poses)
+            velocities = None if was is None else (was, self._inner.link_velocities)
+            self._matter.step(before, self._inner.link_poses, velocities)
             if len(self.layout.contact_queries):
                 forces += self._inner.contact_forces
                 forces[:, self._total_queries] += self._matter.wrenches[:, self._total_links, :3]
@@ -237,9 +240,11 @@ class CoupledEngine(Engine):
 
     def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
         self._inner.set_masses(links, masses, env_ids)
+        self._matter.set_masses(links, masses, env_ids)
 
     def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
         self._inner.set_centers_of_mass(links, centers, env_ids)
+        self._matter.set_centers_of_mass(links, centers, env_ids)
         write_columns(self._centers, links, centers, env_ids)
 
     def set_friction(self, links: Tensor, coefficients: Tensor, env_ids: Tensor | None = None) -> None:

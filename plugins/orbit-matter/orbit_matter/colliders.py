@@ -24,10 +24,16 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
+from orbit_matter.bodies import free_links
+from orbit_matter.contact import STILL
 from orbit_matter.surfaces import BOX, CAPSULE, CYLINDER, HEIGHT_FIELD, MESH, PLANE, SPHERE, Shapes
 
 _ENDLESS = 1e6
 """Metres; the reach of what is near everything."""
+
+_STILL_FREE = 0.012
+"""m/s of a free body below which friction is less than whole: half as much again as it takes of one in a substep of
+0.84 ms, in which that of a body at rest would else turn round."""
 
 
 class Colliders:
@@ -39,6 +45,7 @@ class Colliders:
         """Kept, for the kernels know them by number alone."""
         self._heights: list[np.ndarray] = []
         kinds = [_shapes_of(variant) for variant in layout.variants]
+        self._free = set(free_links(layout))
         self.count = max(1, *(len(shapes) for shapes in kinds))
         self.kinds = len(kinds)
         self.links = np.full((self.kinds, self.count), TERRAIN, np.int64)
@@ -52,12 +59,14 @@ class Colliders:
         link, mesh = np.full(shape, terrain, np.int32), np.zeros(shape, np.uint64)
         pose, size = np.zeros((*shape, 7), np.float32), np.zeros((*shape, 3), np.float32)
         pose[..., 6] = 1.0
+        still = np.full(shape, float(STILL), np.float32)
         reach = np.full(shape, -_ENDLESS, np.float32)  # where a kind has fewer shapes: near nothing
         for k, shapes in enumerate(kinds):
             for s, (own, number) in enumerate(shapes):
                 form[k, s], size[k, s], reach[k, s], mesh[k, s], rows[k, s] = self._form(own)
                 pose[k, s] = _transform(own.pose)
                 self.links[k, s] = number
+                still[k, s] = _STILL_FREE if number in self._free else float(STILL)
                 link[k, s] = terrain if number == TERRAIN else number
                 self.friction[k, s] = own.material.dynamic_friction
         made = Shapes()
@@ -65,6 +74,7 @@ class Colliders:
             made.kind, made.link = wp.array(form, dtype=int), wp.array(link, dtype=int)
             made.pose = wp.array(pose, dtype=wp.transform)
             made.size, made.reach = wp.array(size, dtype=wp.vec3), wp.array(reach, dtype=float)
+            made.still = wp.array(still, dtype=float)
             made.mesh, made.rows = wp.array(mesh, dtype=wp.uint64), wp.array(rows, dtype=wp.vec3i)
             heights = np.concatenate([np.zeros(1, np.float32), *self._heights])
             made.heights = wp.array(heights, dtype=float)

@@ -146,6 +146,8 @@ def end_substep(
         inertia = 1.0 / (p.w[env, i] * h * h)
         normal = stiffness * depth * inertia / (inertia + stiffness)
         d += n * (normal / inertia)
+        if felt.near[env, i, 1] >= 0 and is_in_other(p, links, shapes, felt, env, i, only, p.x[env, i] + d):
+            return 2
         here = p.x[env, i] + d
         most = wp.max(p.parameters[env, p.owner[i], 3], felt.friction[env, only]) * normal / inertia
         slid = held_back(d - carried(links, env, only, here), n, most)
@@ -153,6 +155,22 @@ def end_substep(
         feel(felt, links, env, p.owner[i], shapes.link[kind, only], (slid * inertia - n * normal) * share, here)
     settle(p, env, i, d, h)
     return count
+
+
+@wp.func
+def is_in_other(
+    p: Particles, links: Links, shapes: Shapes, felt: Felt, env: int, i: int, only: int, x: wp.vec3
+) -> bool:
+    """Whether a particle that one surface has pushed to x is in another: it would leap from one to the other."""
+    inside, k = bool(False), int(0)
+    while k < NEAREST and not inside:
+        s = felt.near[env, i, k]
+        k += 1
+        if s < 0:
+            k = NEAREST
+        elif s != only:
+            inside = surface(links, shapes, env, env % shapes.kind.shape[0], s, x, p.radius[i])[3] > 0.0
+    return inside
 
 
 @wp.func
@@ -207,14 +225,15 @@ def end_between(
         for axis in range(3):
             normals[looked, axis] = found[axis]
         looked += 1
-    # Twice: the first pass finds surfaces at the place without contact, the second those that then still push.
+    # Twice: the first pass finds surfaces at the place without contact, the second those that it is in then.
     moved = wp.vec3()
     for _attempt in range(2):
+        before = moved
         matrix = wp.identity(n=3, dtype=float) * inertia
         pushes = wp.vec3()
         for k in range(looked):
             n = normal_of(normals, k)
-            if depths[k] > 0.0 and depths[k] - wp.dot(n, moved) > 0.0:
+            if depths[k] - wp.dot(n, before) > 0.0:
                 matrix += wp.outer(n, n) * stiffness
                 pushes += n * (stiffness * depths[k])
         moved = wp.inverse(matrix) * pushes
@@ -225,8 +244,6 @@ def end_between(
     for k in range(looked):
         s = felt.near[env, i, k]
         normal = stiffness * (depths[k] - wp.dot(normal_of(normals, k), moved))
-        if depths[k] <= 0.0:
-            normal = float(0.0)
         depths[k] = wp.max(normal, 0.0)
         if normal > 0.0:
             limits[k] = wp.max(p.parameters[env, p.owner[i], 3], felt.friction[env, s]) * normal / inertia
@@ -246,13 +263,13 @@ def end_between(
             rubbed = rubbed - n * wp.dot(n, rubbed)
             length = wp.length(rubbed)
             if length > STILL * h:
-                rub = rubbed * (limits[k] / length)
-                limits[k] = float(0.0)
+                still = wp.max(shapes.still[kind, s], shapes.still[kind, felt.near[env, i, best]])
+                part = wp.min(1.0, length / (still * h))
+                rub = rubbed * (limits[k] * part / length)
+                limits[k] = limits[k] * (1.0 - part)
                 d = d - rub
-                felt_at = (rub * inertia - n * depths[k]) * share
-                feel(felt, links, env, p.owner[i], shapes.link[kind, s], felt_at, here)
-            else:
-                hold += limits[k]
+                feel(felt, links, env, p.owner[i], shapes.link[kind, s], rub * (inertia * share), here)
+            hold += limits[k]
     n = normal_of(normals, best)
     slid = d - way
     slid = slid - n * wp.dot(n, slid)
@@ -260,9 +277,10 @@ def end_between(
         slid = slid * (hold / wp.length(slid))
     d = d - slid
     for k in range(looked):
-        if limits[k] > 0.0:
+        if depths[k] > 0.0:
             s = felt.near[env, i, k]
-            force = (slid * (inertia * limits[k] / hold) - normal_of(normals, k) * depths[k]) * share
+            part = limits[k] / wp.max(hold, 1.0e-12)
+            force = (slid * (inertia * part) - normal_of(normals, k) * depths[k]) * share
             feel(felt, links, env, p.owner[i], shapes.link[kind, s], force, here)
     settle(p, env, i, d, h)
 

@@ -18,7 +18,7 @@ from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, SceneL
 from orbit_core.interfaces.matter import PARAMETERS, Matter
 from orbit_core.plugin_kit.rows import take_rows, write_columns, write_rows
 from orbit_core.scene import Attachment
-from orbit_matter import contact, kernels, rows, self_contact, stability, substeps
+from orbit_matter import bodies, contact, kernels, rows, self_contact, stability, substeps
 from orbit_matter.colliders import Colliders
 from orbit_matter.config import MatterConfig
 from orbit_matter.model import build
@@ -52,7 +52,7 @@ class ParticleMatter(Matter):
         self._stepping = Stepping(layout.scene.physics_dt, count, sweeps, config.contact_stiffness)
         self._graphs = Graphs(device, config.capture)
         by_rows = (rows,) if device.type == "cpu" else ()
-        load_kernels("orbit-matter", (kernels, contact, self_contact, *by_rows), self._graphs.device)
+        load_kernels("orbit-matter", (kernels, contact, self_contact, bodies, *by_rows), self._graphs.device)
         self._colliders = Colliders(layout, self._graphs.device)
         self._tensors: dict[str, Tensor] = {}
         """State and parameters; snapshots hold them."""
@@ -70,6 +70,7 @@ class ParticleMatter(Matter):
         parameters = torch.ones(n, len(scene.deformables), len(PARAMETERS), **make)
         parameters[..., PARAMETERS.index("friction")] = frictions
         kinds = torch.arange(n) % self._colliders.kinds
+        mass, inertia, center = bodies.masses(self._layout)
         self._rest = rest
         self._tensors = {
             "x": rest.repeat(n, 1, 1),
@@ -82,10 +83,16 @@ class ParticleMatter(Matter):
             "friction": torch.as_tensor(self._colliders.friction, **make)[kinds].contiguous(),
             "forces": torch.zeros(n, len(scene.deformables), links, 3, **make),
             "torques": torch.zeros(n, links, 3, **make),
+            "mass": torch.as_tensor(mass, **make)[kinds].contiguous(),
+            "inertia": torch.as_tensor(inertia, **make)[kinds].contiguous(),
+            "center": torch.as_tensor(center, **make)[kinds].contiguous(),
         }
         self._start = torch.zeros(n, max(links, 1), 7, **make)
         self._end = torch.zeros(n, max(links, 1), 7, **make)
         self._wrenches = torch.zeros(n, links, 6, **make)
+        self._free = torch.tensor(bodies.free_links(self._layout), dtype=torch.int64, device=self._device)
+        self._velocities = torch.zeros(2, n, len(self._free), 6, **make)
+        """Of free bodies, before the engine's last step and after it."""
         self._shape_links = torch.as_tensor(self._colliders.links, device=self._device)[kinds]
         """(N, S)"""
         for index, spec in enumerate(scene.deformables):
@@ -105,7 +112,9 @@ class ParticleMatter(Matter):
         rounds = math.ceil(self._num_envs / self._colliders.kinds)
         count = 1 if self._device.type != "cpu" else min(threads or len(os.sched_getaffinity(0)), rounds)
         bounds = [min(round(rounds * k / count) * self._colliders.kinds, self._num_envs) for k in range(count + 1)]
-        memory = {**self._tensors, "start": self._start, "end": self._end}
+        memory = {**self._tensors, "start": self._start, "end": self._end, "wrenches": self._wrenches}
+        memory["free"] = self._free.to(torch.int32).expand(self._num_envs, -1).contiguous()
+        memory |= {"before": self._velocities[0], "after": self._velocities[1]}
         with wp.ScopedDevice(self._graphs.device):
             return tuple(
                 Part(slice(a, b), memory, self._model, self._colliders, self._stepping) for a, b in pairwise(bounds)
@@ -113,10 +122,13 @@ class ParticleMatter(Matter):
 
     # Time ------------------------------------------------------------------------------------------------------------
 
-    def step(self, before: Tensor, after: Tensor) -> None:
+    def step(self, before: Tensor, after: Tensor, velocities: tuple[Tensor, Tensor] | None = None) -> None:
         links = before.shape[1]
         self._start[:, :links].copy_(before)
         self._end[:, :links].copy_(after)
+        if velocities is not None:
+            torch.index_select(velocities[0], 1, self._free, out=self._velocities[0])
+            torch.index_select(velocities[1], 1, self._free, out=self._velocities[1])
         self._graphs.run_side_by_side({("step", n): part.launch_step for n, part in enumerate(self._parts)})
         self._wrenches[..., :3] = self._tensors["forces"].sum(1)
         self._wrenches[..., 3:] = self._tensors["torques"]
@@ -184,6 +196,23 @@ class ParticleMatter(Matter):
         for number in range(len(links)):
             changed = torch.where(of == links[number], coefficients[:, number : number + 1], changed)
         write_rows(target, changed, env_ids)
+
+    def set_masses(self, links: Tensor, masses: Tensor, env_ids: Tensor | None = None) -> None:
+        body, of = self._bodies(links)
+        old = take_rows(self._tensors["mass"], env_ids)[:, body]
+        scale = (masses[:, of] / old)[..., None, None]
+        inertia = take_rows(self._tensors["inertia"], env_ids)[:, body] * scale
+        write_columns(self._tensors["inertia"], body, inertia, env_ids)
+        write_columns(self._tensors["mass"], body, masses[:, of], env_ids)
+
+    def set_centers_of_mass(self, links: Tensor, centers: Tensor, env_ids: Tensor | None = None) -> None:
+        body, of = self._bodies(links)
+        write_columns(self._tensors["center"], body, centers[:, of], env_ids)
+
+    def _bodies(self, links: Tensor) -> tuple[Tensor, Tensor]:
+        """Which free bodies are among links (k,), and which of these each is."""
+        body, of = (self._free[:, None] == links[None]).nonzero(as_tuple=True)
+        return body, of
 
     # Measurements and snapshots --------------------------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from torch import Tensor
 
-from orbit_matter import contact, kernels, rows, self_contact
+from orbit_matter import bodies, contact, kernels, rows, self_contact
 from orbit_matter.colliders import Colliders
 from orbit_matter.model import Constraints, Model
 
@@ -56,7 +56,7 @@ class Part:
         self._rows, memory = rows, {name: tensor[rows] for name, tensor in memory.items()}
         self._model, self._colliders, self._stepping = model, colliders, stepping
         self._n, self._p = len(memory["x"]), len(model.rest)
-        self._count = memory["start"].shape[1]
+        self._count, self._free = memory["start"].shape[1], memory["mass"].shape[1]
         self._particles = self._make_particles(memory)
         self._gravity = wp.from_torch(memory["gravity"], wp.vec3)
         self._links = self._make_links(memory)
@@ -64,6 +64,7 @@ class Part:
         felt.forces, felt.torques = wp.from_torch(memory["forces"], wp.vec3), wp.from_torch(memory["torques"], wp.vec3)
         felt.friction = wp.from_torch(memory["friction"])
         felt.near = wp.full((self._n, self._p, int(contact.NEAREST)), -1, dtype=int)
+        self._bodies = self._make_bodies(memory)
         self._edges = self._make_edges()
         self._neighbours = self._make_neighbours(memory) if model.meets else None
         self._triangles = _struct(kernels.Triangles(), model.triangles)
@@ -89,6 +90,17 @@ class Part:
         made.reach = wp.zeros(shapes, dtype=float)
         made.axes, made.way = wp.zeros(shapes, dtype=wp.mat33), wp.zeros(shapes, dtype=wp.vec3)
         made.turn = wp.zeros(shapes, dtype=wp.quat)
+        return made
+
+    def _make_bodies(self, memory: Mapping[str, Tensor]) -> Any:
+        made, shape = bodies.Bodies(), memory["mass"].shape
+        made.link = wp.from_torch(memory["free"])
+        made.mass, made.center = wp.from_torch(memory["mass"]), wp.from_torch(memory["center"], wp.vec3)
+        made.inertia, made.turning = wp.from_torch(memory["inertia"], wp.mat33), wp.zeros(shape, dtype=wp.mat33)
+        for name in ("before", "after", "wrenches"):
+            setattr(made, name, wp.from_torch(memory[name]))
+        for name in ("pull", "twist", "shift", "turned"):
+            setattr(made, name, wp.zeros(shape, dtype=wp.vec3))
         return made
 
     def _make_edges(self) -> Any:
@@ -129,6 +141,9 @@ class Part:
 
     def launch_step(self) -> None:
         """Advance by one physics step."""
+        if self._free:
+            ahead = [self._bodies, self._links, self._gravity, self._stepping.physics_dt]
+            wp.launch(bodies.look_ahead, (self._n, self._free), inputs=ahead)
         self._felt.forces.zero_()
         self._felt.torques.zero_()
         wp.launch(kernels.weigh, (self._n, self._p), inputs=[self._particles])
@@ -149,9 +164,16 @@ class Part:
         for number in range(self._stepping.substeps):
             self._launch_substep((number + 1) / self._stepping.substeps)
 
-    def _place(self, share: float, first: int) -> None:
-        """Put links and shapes where they are after a share of the step, the first time or again."""
+    def _place(self, share: float, first: int, moving: bool = False) -> None:
+        """Put links and shapes where they are after a share of the step, the first time or again.
+
+        Free bodies respond to what they felt, where they are ``moving``.
+        """
         wp.launch(kernels.place_links, (self._n, self._count + 1), inputs=[self._links, self._count, share])
+        if self._free and moving:
+            numbers = [self._stepping.physics_dt, share, self._stepping.h]
+            inputs = [self._bodies, self._links, self._felt, *numbers]
+            wp.launch(bodies.respond, (self._n, self._free), inputs=inputs)
         shapes = [self._links, self._colliders.shapes, first]
         wp.launch(kernels.place_shapes, (self._n, self._colliders.count), inputs=shapes)
 
@@ -162,7 +184,7 @@ class Part:
         wp.launch(self_contact.find, shape, inputs=[self._particles, near, MARGIN])
 
     def _launch_substep(self, share: float) -> None:
-        self._place(share, 0)
+        self._place(share, 0, moving=True)
         contacts = [self._particles, self._links, self._colliders.shapes, self._felt, self._gravity]
         numbers = [self._stepping.contact_stiffness, self._stepping.h, 1.0 / self._stepping.substeps]
         if self.takes_rows:

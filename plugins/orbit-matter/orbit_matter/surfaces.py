@@ -32,6 +32,8 @@ class Shapes:
     """Half extents; radius and half length; full extents of a height field."""
     reach: wp.array2d[float]
     """Radius of a ball around the shape's origin that holds it."""
+    still: wp.array2d[float]
+    """m/s of another surface along it from which on that rubs with all of its friction, and in proportion below."""
     mesh: wp.array2d[wp.uint64]
     heights: wp.array[float]
     """Of all height fields, row by row."""

@@ -10,6 +10,8 @@ import pytest
 import torch
 
 from orbit_core.assets.deformables import line, sheet
+from orbit_core.assets.objects import box
+from orbit_core.interfaces import World
 from orbit_core.scene import (
     Attachment,
     Box,
@@ -21,6 +23,7 @@ from orbit_core.scene import (
     Mesh,
     MeshCollision,
     ObjectSpec,
+    PhysicsMaterial,
     Plane,
     Pose,
     Rope,
@@ -144,3 +147,35 @@ def test_a_triangle_mesh_that_moves_carries_cloth_as_a_box_does(monkeypatch: pyt
     assert felt.item() == pytest.approx(weight.item(), rel=1e-3)
     torch.testing.assert_close(meshed, place, rtol=0.0, atol=1e-4)
     assert weight.item() == pytest.approx(-0.2 * 0.14**2 * 9.81, rel=0.1)
+
+
+def test_boxes_that_fall_on_cloth_come_to_rest_on_it() -> None:
+    """Of 0.2, 1 and 5 kg, in one world: the matter goes on with each by the mass that it has there."""
+    masses = torch.tensor([[0.2], [1.0], [5.0]])
+    world = _box_on_cloth(friction=1.0, num_envs=3)
+    world.objects["box"].set_masses(masses)
+    world.step(240)
+    assert (world.objects["box"].root_velocity[:, :3].norm(dim=1) < 0.01).all()
+    felt = world.deformables["cloth"].contact_force("box", "box")[:, 2]
+    assert felt.tolist() == pytest.approx((9.81 * masses[:, 0]).tolist(), rel=0.02)
+    world.close()
+
+
+def test_what_rubs_nowhere_still_carries() -> None:
+    world = _box_on_cloth(friction=0.0, num_envs=1)
+    world.step(240)
+    assert float(world.deformables["cloth"].contact_force("box", "box")[0, 2]) == pytest.approx(9.81, rel=0.02)
+    world.close()
+
+
+def _box_on_cloth(friction: float, num_envs: int) -> World:
+    """A box of 1 kg, 1 cm above a cloth on the ground."""
+    material = PhysicsMaterial(friction, friction)
+    cloth = Cloth(
+        "cloth", sheet((0.15, 0.15), (11, 11)), 0.2, Pose((0.0, 0.0, 0.002)), thickness=0.004, friction=friction
+    )
+    thing = box("box", (0.08, 0.08, 0.04), mass=1.0, material=material, pose=Pose((0.0, 0.0, 0.034)))
+    ground = Shape(Plane(), material=material)
+    return simulate(
+        Scene(objects=(thing,), deformables=(cloth,), terrain=(ground,)), num_envs, "mujoco", matter="orbit-matter"
+    )

@@ -1,0 +1,154 @@
+"""Free bodies under what matter does to them, within a physics step.
+
+Of other links the matter knows the way that the engine has taken them, and what it does to them they feel a step later.
+That is too late for a body that lies on cloth: it would bounce on its contacts, ever higher. So the matter goes on
+with free bodies by itself, most of a step ahead of the engine, from the state where this left them: in each substep by
+what cloth and rope did to them so far, and by what else moved them in the engine's last step. The engine then takes
+them the same way, under the mean of these wrenches.
+"""
+
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false
+# Kernels are compiled by Warp; to Python they are annotations and calls that no type checker can follow.
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from orbit_core.interfaces import SceneLayout
+from orbit_matter.contact import Felt
+from orbit_matter.kernels import Links
+
+AHEAD = wp.constant(0.8)
+"""Part of a step that the matter's end is ahead of the engine's. Half would neither take from a swinging load nor give
+to it; contacts of what lies on cloth have their damping from the rest, and a load of angular frequency w loses ``0.15
+w^2 dt`` of its swing a second."""
+
+
+@wp.struct
+class Bodies:
+    """B free bodies of each of N environments."""
+
+    link: wp.array2d[int]
+    """(N, B) of each, the only one that it has."""
+    mass: wp.array2d[float]
+    inertia: wp.array2d[wp.mat33]
+    """(N, B) kg m^2 about the centre of mass, in the link's axes."""
+    center: wp.array2d[wp.vec3]
+    """(N, B) of mass, in the link's frame."""
+    before: wp.array3d[float]
+    """(N, B, 6) velocities, linear and angular, of the frame's origin before the engine's last step, and after it."""
+    after: wp.array3d[float]
+    wrenches: wp.array3d[float]
+    """(N, L, 6) that the matter had done to links in it, about their frames' origins."""
+    pull: wp.array2d[wp.vec3]
+    """(N, B) m/s^2 and rad/s^2 that what else there is gives it."""
+    twist: wp.array2d[wp.vec3]
+    turning: wp.array2d[wp.mat33]
+    """(N, B) inverse of the inertia, in world axes."""
+    shift: wp.array2d[wp.vec3]
+    """(N, B) how far it is from where its velocity alone would have taken it: metres of its centre, and radians."""
+    turned: wp.array2d[wp.vec3]
+
+
+def free_links(layout: SceneLayout) -> list[int]:
+    """Indices of the links of free bodies: of what is neither fixed nor has joints."""
+    return [e.links.start for e in layout.entities if not e.spec.fixed_base and not e.spec.articulation.joints]
+
+
+def masses(layout: SceneLayout) -> tuple[npt.NDArray[np.float32], ...]:
+    """Masses (K, B), inertias (K, B, 3, 3) and centres of mass (K, B, 3) of free bodies in each kind of environment."""
+    chosen = free_links(layout)
+    kinds = [[variant.links[n] for n in chosen] for variant in layout.variants]
+    shape = (len(kinds), len(chosen))
+    mass = np.array([[link.mass for link in links] for links in kinds], np.float32).reshape(shape)
+    inertia = np.array([[link.inertia for link in links] for links in kinds], np.float32).reshape(*shape, 3, 3)
+    center = np.array([[link.center_of_mass for link in links] for links in kinds], np.float32).reshape(*shape, 3)
+    return mass, inertia, center
+
+
+@wp.func
+def _three(of: wp.array3d[float], env: int, row: int, first: int) -> wp.vec3:
+    return wp.vec3(of[env, row, first], of[env, row, first + 1], of[env, row, first + 2])
+
+
+@wp.func
+def _at_most(v: wp.vec3, most: float) -> wp.vec3:
+    length = wp.length(v)
+    if length > most:
+        v = v * (most / length)
+    return v
+
+
+@wp.func
+def _turn_by(v: wp.vec3) -> wp.quat:
+    """The turn by a rotation vector, in radians."""
+    angle = wp.length(v)
+    if angle < 1.0e-9:
+        return wp.quat(0.5 * v, 1.0)
+    return wp.quat_from_axis_angle(v / angle, angle)
+
+
+@wp.func
+def _write(to: wp.array3d[float], env: int, link: int, x: wp.vec3, q: wp.quat, center: wp.vec3):
+    """The pose of a link whose centre of mass is at x."""
+    origin = x - wp.quat_rotate(q, center)
+    for k in range(3):
+        to[env, link, k] = origin[k]
+        to[env, link, 4 + k] = q[k]
+    to[env, link, 3] = q[3]
+
+
+@wp.kernel(enable_backward=False)
+def look_ahead(b: Bodies, links: Links, gravity: wp.array[wp.vec3], dt: float):
+    """The way that each body's velocity takes it in the step to come, and what pulls it beside the matter.
+
+    That is what it was in the last step: gravity, and what other bodies did. Of a blow, which does not go on, no more
+    is taken than what carries the body and the matter's own wrench.
+    """
+    env, i = wp.tid()
+    link = b.link[env, i]
+    e = links.end
+    position, q = _three(e, env, link, 0), wp.quat(e[env, link, 4], e[env, link, 5], e[env, link, 6], e[env, link, 3])
+    axes = wp.quat_to_matrix(q)
+    arm, mass = axes * b.center[env, i], b.mass[env, i]
+    turning = axes * wp.inverse(b.inertia[env, i]) * wp.transpose(axes)
+    w, w_before = _three(b.after, env, i, 3), _three(b.before, env, i, 3)
+    v = _three(b.after, env, i, 0) + wp.cross(w, arm)
+    v_before = _three(b.before, env, i, 0) + wp.cross(w_before, arm)
+    force = _three(b.wrenches, env, link, 0)
+    torque = _three(b.wrenches, env, link, 3) - wp.cross(arm, force)
+    weight = wp.length(gravity[env])
+    own, own_turn = force / mass, turning * torque
+    b.pull[env, i] = _at_most((v - v_before) / dt - own, weight + wp.length(own))
+    gyration = wp.sqrt(wp.trace(b.inertia[env, i]) / mass)
+    b.twist[env, i] = _at_most((w - w_before) / dt - own_turn, weight / gyration + wp.length(own_turn))
+    b.turning[env, i] = turning
+    b.shift[env, i] = wp.vec3()
+    b.turned[env, i] = wp.vec3()
+    x, c, begin, end = position + arm, b.center[env, i], (AHEAD - 1.0) * dt, AHEAD * dt
+    _write(links.start, env, link, x + v * begin, _turn_by(w * begin) * q, c)
+    _write(links.end, env, link, x + v * end, _turn_by(w * end) * q, c)
+
+
+@wp.kernel(enable_backward=False)
+def respond(b: Bodies, links: Links, felt: Felt, dt: float, share: float, h: float):
+    """Move bodies by what was done to them so far, in the substep that ends after a share of the step."""
+    env, i = wp.tid()
+    link = b.link[env, i]
+    force = wp.vec3()
+    for d in range(felt.forces.shape[1]):
+        force += felt.forces[env, d, link]
+    pose = links.link[env, link]
+    origin, q = wp.transform_get_translation(pose), wp.transform_get_rotation(pose)
+    arm = wp.quat_rotate(q, b.center[env, i])
+    torque = felt.torques[env, link] - wp.cross(arm, force)
+    shift = b.shift[env, i] + (b.pull[env, i] * share + force / b.mass[env, i]) * (dt * h)
+    turned = b.turned[env, i] + (b.twist[env, i] * share + b.turning[env, i] * torque) * (dt * h)
+    b.shift[env, i] = shift
+    b.turned[env, i] = turned
+    q = _turn_by(turned) * q
+    links.link[env, link] = wp.transform(origin + arm + shift - wp.quat_rotate(q, b.center[env, i]), q)
