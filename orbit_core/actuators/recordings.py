@@ -8,6 +8,7 @@ A file is one recording at an even rate. NPZ and HDF5 hold ``time`` (T,) in seco
 from __future__ import annotations
 
 import csv
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,8 +83,10 @@ def _checked(path: Path, data: Mapping[str, Any]) -> Recording:
     joints = tuple(str(name) for name in data["joints"])
     if not joints:
         raise ConfigurationError(f"recording {path} names no joint")
-    time = np.asarray(data["time"], dtype=np.float64)
-    arrays = {name: np.asarray(data[name], dtype=np.float64) for name in QUANTITIES}
+    if len({*joints}) < len(joints):
+        raise ConfigurationError(f"recording {path} names a joint twice: {', '.join(joints)}")
+    time = _real(path, "time", data["time"])
+    arrays = {name: _real(path, name, data[name]) for name in QUANTITIES}
     for name, array in arrays.items():
         if array.shape != (len(time), len(joints)):
             raise ConfigurationError(
@@ -96,13 +99,24 @@ def _checked(path: Path, data: Mapping[str, Any]) -> Recording:
             )
     if len(time) < _LEAST_STEPS:
         raise ConfigurationError(f"recording {path} has {len(time)} steps: {_LEAST_STEPS} are the fewest")
+    if not np.ptp(arrays["effort"]):
+        raise ConfigurationError(f"recording {path} has one effort throughout: record joints that are driven")
     return Recording(joints, _rate(path, time), *_tensors(arrays))
+
+
+def _real(path: Path, name: str, values: Any) -> npt.NDArray[np.float64]:
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        raise ConfigurationError(f"recording {path}: {name} is of {array.dtype}, and must be of real numbers")
+    return array.astype(np.float64)
 
 
 def _rate(path: Path, time: npt.NDArray[np.float64]) -> float:
     steps = np.diff(time)
     step = float(np.median(steps))
-    if step <= 0.0 or np.abs(steps - step).max() > _UNEVEN * step:
+    if (steps <= 0.0).any():
+        raise ConfigurationError(f"recording {path}: time does not rise after {time[int(steps.argmin())]:g} s")
+    if np.abs(steps - step).max() > _UNEVEN * step:
         worst = int(np.abs(steps - step).argmax())
         raise ConfigurationError(
             f"recording {path}: its steps are {step:g} s long, but that after {time[worst]:g} s is {steps[worst]:g} s: "
@@ -141,6 +155,8 @@ def _read_csv(path: Path) -> dict[str, Any]:
 
 
 def _read_npz(path: Path) -> dict[str, Any]:
+    if not zipfile.is_zipfile(path):
+        raise ValueError("it is no NPZ archive, as numpy.savez writes them")
     with np.load(path, allow_pickle=False) as file:
         return {name: file[name] for name in file.files}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,3 +72,8 @@ def main(words: Sequence[str]) -> None:
     table.add_row("error of the network", f"{found.error:.4g} {unit}")
     table.add_row("error of the best PD law", f"{found.line_error:.4g} {unit}")
     console().print(table)
+    if found.error >= found.line_error:
+        warnings.warn(
+            "the network does no better than a PD law: record longer, with targets as the robot will have them",
+            stacklevel=2,
+        )

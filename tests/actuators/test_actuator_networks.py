@@ -185,6 +185,10 @@ def test_recordings_of_three_formats_are_the_same(data: dict[str, np.ndarray], r
             r"velocity is \(5000, 2\), with 5000 times and 3 joints",
         ),
         ({"time": np.arange(5000) ** 1.1}, ConfigurationError, "resample it evenly"),
+        ({"time": 1.0 - np.arange(5000.0)}, ConfigurationError, "time does not rise after 1 s"),
+        ({"joints": np.array(["a", "b", "a"])}, ConfigurationError, "names a joint twice: a, b, a"),
+        ({"position": np.zeros((5000, 3), complex)}, ConfigurationError, "position is of complex128"),
+        ({"effort": np.zeros((5000, 3))}, ConfigurationError, "one effort throughout"),
         ({"effort": np.full((5000, 3), np.nan)}, NonFiniteError, "effort is not finite in step 0"),
     ],
 )
@@ -214,6 +218,13 @@ def test_a_table_that_is_broken_is_refused_in_one_line(tmp_path: Path, text: str
         read_recording(path)
 
 
+def test_what_is_no_archive_is_told_so(tmp_path: Path) -> None:
+    path = tmp_path / "text.npz"
+    path.write_text("hello")
+    with pytest.raises(ConfigurationError, match="is no NPZ archive"):
+        read_recording(path)
+
+
 @pytest.mark.parametrize("rate", [0.0, -1.0, math.nan])
 def test_a_fit_that_would_not_learn_is_refused(rate: float) -> None:
     with pytest.raises(ConfigurationError, match="learning_rate"):
@@ -225,7 +236,9 @@ def test_the_command_writes_a_file_that_a_world_takes(
 ) -> None:
     output = tmp_path / "knee.safetensors"
     assert main(["train-actuator", str(recording), "--output", str(output), "--kind", "mlp", "--passes", "2"]) == 0
-    assert "error of the best PD law" in capsys.readouterr().out
+    told = capsys.readouterr()
+    assert "error of the best PD law" in told.out
+    assert "no better than a PD law" in told.err
     assert read_network(output).description.fitted_to == ("joint_0", "joint_1", "joint_2")
     assert actuators_of(pendulums((ActuatorNetwork(joints=("joint_.*",), file=str(output)),))).explicit
 
