@@ -58,6 +58,7 @@ def report(scene: Scene, substep: float, sweeps: int) -> tuple[Approximation, ..
             "its length": _hanging(spec) * math.sqrt(sweeps),
             "its bending stiffness": _bending(spec),
             "its waves under its load": _taut(spec, scene),
+            **{f"bearing '{name}', should it lie on it": b * math.sqrt(sweeps) for name, b in _laden(spec, scene)},
         }
         for asked, bound in bounds.items():
             if bound < 0.99 * substep:
@@ -94,6 +95,25 @@ def _taut(spec: object, scene: Scene) -> float:
     if not tension:
         return math.inf
     return _TAUT * edge_length(spec) * math.sqrt(spec.linear_density / tension)
+
+
+def _laden(spec: object, scene: Scene) -> list[tuple[str, float]]:
+    """Free bodies that may lie on cloth that is held, and the seconds with which it bears each with one sweep.
+
+    Half a body's weight pulls at each side of what lies between two rows of held particles.
+    """
+    if not isinstance(spec, Cloth):
+        return []
+    things = {thing.name: thing for thing in (*scene.objects, *scene.robots)}
+    fixed = [a for a in spec.attachments if a.entity is None or things[a.entity].fixed_base]
+    held = sum(len(attachment.particles) for attachment in fixed)
+    free = {n: t for n, t in things.items() if not (t.fixed_base or t.articulation.joints)}
+    if held < 2:
+        return []
+    edge, gravity = edge_length(spec), float(np.linalg.norm(scene.gravity))
+    width = min(0.5 * held * edge, float(np.ptp(spec.rest_positions, axis=0).max()))
+    bound = edge * math.sqrt(_STRETCH * spec.area_density * 2.0 * width / (2.0 * _SLACK * max(gravity, 1e-9)))
+    return [(name, bound / math.sqrt(thing.articulation.links[0].mass)) for name, thing in free.items()]
 
 
 def edge_length(spec: Cloth | Rope) -> float:

@@ -317,6 +317,16 @@ def test_a_loaded_rope_takes_the_substep_that_its_waves_need() -> None:
     assert substep == pytest.approx(0.6 * 0.02 * (0.1 / (9.81 * 3.02)) ** 0.5)
 
 
+@pytest.mark.parametrize("held", [True, False])
+def test_cloth_that_would_not_bear_a_free_body_is_reported(held: bool) -> None:
+    """Half of 1 kg at each side of a cloth that is held there: told of unless it lies free, or the substep is short."""
+    cloth = replace(CLOTH, attachments=(Attachment((0, 1)),) if held else ())
+    scene = Scene(objects=(box("load", (0.1, 0.1, 0.1), mass=1.0),), deformables=(cloth,))
+    told = [line.asked for line in substeps.report(scene, 8e-4, 1)]
+    assert ("bearing 'load', should it lie on it" in told) == held
+    assert not [line for line in substeps.report(scene, 1e-5, 1) if "load" in line.asked]
+
+
 def test_a_substep_without_end_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="give 1e-06 s or more"):
         simulate(SCENE, 1, "mujoco", matter="orbit-matter", matter_settings={"substep": 1e-12})
