@@ -184,6 +184,21 @@ def _cloth_weight(trial: Trial) -> Mapping[str, float]:
     return {"force": weight_error(trial, world, "cloth", [("block", "block")])}
 
 
+def _cloth_load(trial: Trial) -> Mapping[str, float]:
+    """A box falls from 2 cm on a cloth that lies on the ground, and rests on it."""
+    mass, half = 1.0, 0.04
+    cloth = Cloth("cloth", sheet((0.15, 0.15), (11, 11)), 0.2, Pose((0.0, 0.0, 0.5 * THICKNESS)), thickness=THICKNESS)
+    block = cube("block", half, mass, Pose((0.0, 0.0, half + 0.02 + THICKNESS)))
+    world = trial.world(Scene(objects=(block,), deformables=(cloth,)))
+    trial.step(world, trial.steps(1.2))
+    felt, speed, count = 0.0, 0.0, trial.steps(0.2)
+    for _ in range(count):
+        trial.step(world)
+        speed = max(speed, float(world.objects["block"].root_velocity[0, :3].norm()))
+        felt += float(world.deformables["cloth"].contact_force("block", "block")[0, 2]) / count
+    return {"force": abs(felt / (G * mass) - 1.0), "speed": speed}
+
+
 _CAPSTAN = "Meriam and Kraige, Statics, section 6/8, with the strip's own weight and inertia on the arc"
 _LIMIT = Metric(
     name="limit",
@@ -303,5 +318,32 @@ SCENARIOS = (
         time_steps=TIME_STEPS,
         run=_cloth_weight,
         metrics=(WEIGHT_FELT,),
+    ),
+    Scenario(
+        name="cloth_load",
+        group=GROUP,
+        question="Does a box of 1 kg that falls on a cloth on the ground come to rest on it?",
+        truth="m g up, and no speed, after 1.2 s",
+        source="equilibrium of forces",
+        needs=(Capability.CLOTH,),
+        judges=(Capability.CLOTH,),
+        time_steps=TIME_STEPS,
+        run=_cloth_load,
+        metrics=(
+            Metric(
+                name="force",
+                unit="",
+                tolerance=0.02,
+                meaning="error of the mean force of the cloth on it, over its weight",
+                looser_because=ASKED,
+            ),
+            Metric(
+                name="speed",
+                unit="m/s",
+                tolerance=0.01,
+                meaning="its largest speed in 0.2 s after that",
+                looser_because="a centimetre in a second is rest for every purpose",
+            ),
+        ),
     ),
 )

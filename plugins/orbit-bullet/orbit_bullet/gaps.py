@@ -116,6 +116,7 @@ _CLOTH = tuple(
         ("cloth_edge", ("limit", "slid")),
         ("cloth_grasp", ("force", "slip")),
         ("cloth_weight", ("force",)),
+        ("cloth_load", ("force", "speed")),
     )
     for metric in metrics
 )
