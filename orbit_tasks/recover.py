@@ -102,14 +102,15 @@ class RecoverObservations:
 
 @dataclass
 class RecoverRewards:
-    """Upright first, then high, then with the joints at home; less speed, effort and abrupt actions."""
+    """Upright first, then high, then with the joints at home; less speed, effort, abrupt acts and joints too fast."""
 
     upright: RewardTerm | None = RewardTerm(upright, 1.0)
     raised: RewardTerm | None = RewardTerm(raised, 1.0)
     at_home: RewardTerm | None = RewardTerm(at_home, 1.0)
-    restless: RewardTerm | None = RewardTerm(restless, -0.02)
+    restless: RewardTerm | None = RewardTerm(restless, -0.003)
     effort: RewardTerm | None = RewardTerm(common.joint_effort, -1e-5)
-    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.01)
+    action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.003)
+    overspeed: RewardTerm | None = RewardTerm(walking.overspeed, -0.1)
 
 
 @dataclass
@@ -153,7 +154,7 @@ class Recover(Task):
     action: str = "joint_position"
     episode_length: float = 6.0
     ppo: PpoSettings = PpoSettings(
-        iterations=1000, hidden_sizes=(512, 256, 128), initial_std=1.0, entropy_weight=0.005, discount=0.99
+        iterations=1000, hidden_sizes=(512, 256, 128), initial_std=0.5, entropy_weight=0.005, discount=0.99
     )
     view: Pose = look_at(eye=(2.4, 1.8, 1.2), target=(0.0, 0.0, 0.25))
     action_scale: float = 1.5
@@ -170,6 +171,8 @@ class Recover(Task):
     events: RecoverEvents = field(default_factory=RecoverEvents)
     home_height: float = field(init=False, default=1.0)
     """Metres."""
+    speed_limits: Tensor = field(init=False)
+    """(joints,) rad/s."""
 
     def scene(self) -> Scene:
         robot = walking.scaled(common.legged(self.robot), self.action_scale)
@@ -178,6 +181,7 @@ class Recover(Task):
     def start(self, world: World) -> None:
         super().start(world)
         self.home_height = common.robot_of(world).spec.pose.position[2]
+        self.speed_limits = walking.speed_limits(common.robot_of(world))
 
     def randomize(self) -> None:
         """All masses, the ground's friction, the legs' gains, and noise on what a real robot estimates."""

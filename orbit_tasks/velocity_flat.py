@@ -24,7 +24,6 @@ from orbit_core.envs import (
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.interfaces.layout import joint_limits
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
@@ -76,12 +75,6 @@ def rolling(world: World, task: VelocityFlat) -> Tensor:
 def tilt(world: World, task: VelocityFlat) -> Tensor:
     """(N,) squared sine of the tilt."""
     return common.squared_norm(projected_gravity(world, task)[:, :2])
-
-
-def overspeed(world: World, task: VelocityFlat) -> Tensor:
-    """(N,) rad/s, summed over joints: what they are beyond their velocity limits, which few engines hold."""
-    speeds = common.robot_of(world).joint_velocities.abs()
-    return (speeds - task.speed_limits).clamp_min(0.0).sum(1)
 
 
 @once_per_state
@@ -148,7 +141,7 @@ class VelocityRewards:
     tilt: RewardTerm | None = RewardTerm(tilt, -5.0)
     effort: RewardTerm | None = RewardTerm(common.joint_effort, -2.5e-5)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -0.01)
-    overspeed: RewardTerm | None = RewardTerm(overspeed, -0.2)
+    overspeed: RewardTerm | None = RewardTerm(walking.overspeed, -0.2)
     stride: RewardTerm | None = RewardTerm(biped.stride, 0.75)
     slide: RewardTerm | None = RewardTerm(biped.slide, -0.1)
     stray: RewardTerm | None = RewardTerm(biped.stray, -0.1)
@@ -247,8 +240,7 @@ class VelocityFlat(Task):
         self.command = torch.zeros(world.num_envs, 3, device=world.device)
         self.errors = torch.zeros(world.num_envs, 2, device=world.device)
         robot = common.robot_of(world)
-        limits = joint_limits(robot.spec, "velocity_limit")
-        self.speed_limits = torch.as_tensor(limits, dtype=torch.float32, device=world.device)
+        self.speed_limits = walking.speed_limits(robot)
         names = list(biped.contacts_of(world).link_names)
         touching = [names.index(robot.spec.articulation.frame(foot).link) for foot in robot.spec.feet]
         others = [link for link in range(1, len(names)) if link not in touching]

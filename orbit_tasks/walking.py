@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_rotate_inverse, yaw_angle
 from orbit_core.interfaces import ConfigurationError, Robot, World, match_names
+from orbit_core.interfaces.layout import joint_limits
 from orbit_core.mdp import common
 from orbit_core.motion import joint_commands
 from orbit_core.motion.embodiment import leg_joints
@@ -128,3 +130,22 @@ READINGS: Mapping[str, Callable[[Robot], Tensor]] = {
 
 JOINT_READINGS = ("joint_positions", "joint_velocities")
 """Those with a component for each joint."""
+
+
+class SpeedLimited(Protocol):
+    """What :func:`overspeed` reads of a task."""
+
+    speed_limits: Tensor
+    """(joints,) rad/s."""
+
+
+def speed_limits(robot: Robot) -> Tensor:
+    """(joints,) rad/s that the robot's description allows its joints."""
+    limits = joint_limits(robot.spec, "velocity_limit")
+    return torch.as_tensor(limits, dtype=torch.float32, device=robot.home_positions.device)
+
+
+def overspeed(world: World, task: SpeedLimited) -> Tensor:
+    """(N,) rad/s, summed over joints: what they are beyond their velocity limits, which few engines hold."""
+    speeds = common.robot_of(world).joint_velocities.abs()
+    return (speeds - task.speed_limits).clamp_min(0.0).sum(1)

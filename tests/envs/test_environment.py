@@ -21,7 +21,8 @@ from orbit_core.interfaces import (
 )
 from orbit_tasks.lift import Lift, LiftRewards, LiftTerminations
 from orbit_tasks.reach import Reach
-from orbit_tasks.velocity_flat import VelocityFlat, overspeed
+from orbit_tasks.velocity_flat import VelocityFlat
+from orbit_tasks.walking import overspeed
 
 BACKEND = default_backend()
 
