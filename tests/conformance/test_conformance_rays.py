@@ -71,3 +71,21 @@ def test_rays_leave_what_carries_them_in_each_environment_by_itself(make_engine:
     hits = engine.cast_rays_past(origins, down, 5.0, range(2))
     assert (hits.links == TERRAIN).all()
     assert_near(hits.distances, torch.full_like(hits.distances, 2.0), **TOLERANCE)
+
+
+def test_rays_meet_what_is_nearest_behind_what_carries_them_wherever_that_goes(make_engine: MakeEngine) -> None:
+    """One's own cube goes about above another, which engines that number what a ray meets come to in any order."""
+    engine = make_engine(scene(cube("own", half=0.1), cube("other", half=0.1), gravity=WEIGHTLESS))
+    origins = torch.tensor([[[0.0, 0.0, 2.0], [0.0, 0.5, 2.0]]])
+    down = torch.tensor([0.0, 0.0, -1.0]).expand_as(origins).contiguous()
+    for number in range(12):
+        aside = 0.5 * (number % 2)
+        for entity, place in ((0, (0.0, aside, 1.0 + 0.05 * number)), (1, (0.0, 0.5 - aside, 0.3))):
+            pose = torch.tensor([[*place, 1.0, 0.0, 0.0, 0.0]])
+            engine.write_root_state(entity, pose, None)
+        engine.step(1)
+        below = engine.cast_rays_past(origins, down, 5.0, range(1))
+        expected = [[TERRAIN, 1], [1, TERRAIN]][number % 2]
+        assert below.links.tolist() == [expected]
+        both = torch.tensor([[1.6 if link == 1 else 2.0 for link in expected]])
+        assert_near(below.distances, both, **TOLERANCE)

@@ -15,7 +15,9 @@ FloatArray = npt.NDArray[np.floating]
 RAYS_PER_CALL = 16_000
 """Bullet's own bound is 16,384."""
 _MOST_SURFACES = 32
-"""Shapes of links to be passed that a ray may meet before it counts as a miss."""
+"""Shapes that a ray may meet, its own links among them, before what else it meets is not looked at."""
+_MISS = (-1, -1, 1.0)
+"""Body, link and share of the ray's length, as of a hit."""
 _OVERLAP = 1e-3
 """Part of a stretch that the next repeats: a ray meets no height field that its stretch ends or begins on."""
 
@@ -56,22 +58,30 @@ def _meet(
 
 
 def _cast_past(stage: Stage, start: FloatArray, end: FloatArray, mask: int, past: range) -> list[Any]:
-    """The first hit of each ray that is not on a link of ``past``.
+    """The nearest hit of each ray that is not on a link of ``past``.
 
     A ray that begins within a shape does not leave it, so that no second ray can go on behind the first one's hit.
+    Bullet numbers what a ray meets in no order: of rays that meet their own links first, all hits are looked at.
     """
     hits = _cast(stage.client, start, end, mask)
-    for number in range(1, _MOST_SURFACES):
-        own = [ray for ray, hit in enumerate(hits) if hit[0] >= 0 and _link(stage, hit) in past]
-        if not own:
+    searching = [ray for ray, hit in enumerate(hits) if _link(stage, hit) in past]
+    for ray in searching:
+        hits[ray] = _MISS
+    for number in range(_MOST_SURFACES):
+        if not searching:
             break
-        for ray, hit in zip(own, _cast(stage.client, start[own], end[own], mask, number), strict=True):
-            hits[ray] = hit
+        numbered = dict(
+            zip(searching, _cast(stage.client, start[searching], end[searching], mask, number), strict=True)
+        )
+        searching = [ray for ray, hit in numbered.items() if hit[0] >= 0]
+        for ray in searching:
+            if numbered[ray][2] < hits[ray][2] and _link(stage, numbered[ray]) not in past:
+                hits[ray] = numbered[ray]
     return hits
 
 
 def _cast(client: Any, start: FloatArray, end: FloatArray, mask: int, number: int = -1) -> list[Any]:
-    """The first hit of each ray, or that of a number, in the order of distance."""
+    """The nearest hit of each ray, or that of a number, in no order; one of body -1 is none."""
     hits: list[Any] = []
     for first in range(0, len(start), RAYS_PER_CALL):
         part = slice(first, first + RAYS_PER_CALL)
