@@ -43,7 +43,7 @@ class Extent:
     episodes: int
     """Number of episodes, one in each environment."""
     slow_episodes: int
-    """The same of slow tasks, :meth:`Settings.is_slow`."""
+    """The same of slow tasks, :meth:`Settings.is_slow`; where there is but one, and it misses, :attr:`episodes`."""
     slow_replays: bool
     """Whether the actions of slow tasks are taken again on other backends too."""
     pixel_episodes: int
@@ -58,8 +58,8 @@ class Extent:
 
 
 QUICK = Extent(
-    episodes=8,
-    slow_episodes=2,
+    episodes=4,
+    slow_episodes=1,
     slow_replays=False,
     pixel_episodes=0,
     throughput_envs=(8,),

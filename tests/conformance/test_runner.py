@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from orbit_core.backends import backend_names
+from orbit_core.conformance.episodes import TaskResult
 from orbit_core.conformance.execution import RECORDING, TRACES, VIDEO, Outcome, execute
 from orbit_core.conformance.jobs import Job, Kind, plan
 from orbit_core.conformance.pools import Work
@@ -18,6 +19,7 @@ from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.conformance.settings import Part, choose
 from orbit_core.conformance.verdict import Status
 from orbit_core.interfaces import UnknownNameError
+from orbit_core.rollout.estimates import Estimate
 
 PAIR = backend_names()[:2]
 
@@ -102,6 +104,25 @@ def test_an_exception_is_the_jobs_own(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = choose(backends=PAIR, scenarios=["free_fall"])
     record = execute(Job(Kind.SCENARIO, "free_fall", PAIR[0], 0.005), settings, {}).record
     assert (record.ending, record.reason, record.status) == (Ending.ERROR, "ZeroDivisionError: no time", Status.FAIL)
+
+
+@pytest.mark.parametrize(("rate", "counts"), [(1.0, [1]), (0.0, [1, 4])])
+def test_one_episode_that_misses_is_looked_at_again(
+    rate: float, counts: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+
+    def run_task(task: str, backend: str, *, num_envs: int, seed: int, **_: object) -> TaskResult:
+        asked.append(num_envs)
+        success = Estimate(rate, 0.0, 1.0)
+        return TaskResult(task, backend, seed, {}, num_envs, success, {}, success, None, expert_success=0.8)
+
+    monkeypatch.setattr("orbit_core.conformance.execution.run_task", run_task)
+    settings = choose(backends=PAIR, tasks=["Nut-Bolt"], quick=True)
+    record = execute(Job(Kind.TASK, "Nut-Bolt", PAIR[0]), settings, {}).record
+    assert asked == counts
+    assert record.task is not None
+    assert record.task.num_envs == counts[-1]
 
 
 def test_naming_scenarios_leaves_the_tasks_out() -> None:
