@@ -44,6 +44,8 @@ def merge(folders: Sequence[Path], output: Path) -> Result:
     results = [load(folder) for folder in folders]
     if output.resolve() in [folder.resolve() for folder in folders]:
         raise ConfigurationError(f"folder {output} is one of those to be merged: give another --output")
+    with storage_faults(output):
+        output.mkdir(parents=True, exist_ok=True)
     records: dict[str, Record] = {}
     for folder, result in zip(folders, results, strict=True):
         for record in result.records:

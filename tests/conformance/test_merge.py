@@ -84,6 +84,15 @@ def test_results_of_other_seeds_or_other_declarations_are_refused(tmp_path: Path
         merge((first, changed), tmp_path / "out")
 
 
+def test_runs_without_files_are_merged_into_a_new_folder(tmp_path: Path) -> None:
+    falls = [
+        Outcome(Record(dataclasses.replace(FALL, backend=name), Ending.UNSUPPORTED, "no"), {}) for name in (ONE, TWO)
+    ]
+    folders = [finished(tmp_path / name, name, fall) for name, fall in zip((ONE, TWO), falls, strict=True)]
+    merge(folders, tmp_path / "new" / "merged")
+    assert len(load(tmp_path / "new" / "merged").records) == 2
+
+
 def test_fewer_episodes_are_never_more_and_replay_no_slow_tasks() -> None:
     fewer = settings(ONE).extent
     assert (fewer.episodes, fewer.slow_episodes, fewer.pixel_episodes, fewer.slow_replays) == (2, 2, 2, False)
