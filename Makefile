@@ -74,14 +74,19 @@ mutants: $(VENV)/.ready-dev
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
-# Python compiles what it loads and no more, and packages of the system come while pip works.
-PIP := $(BIN)/pip install --quiet --no-compile --constraint constraints.txt
+# Python compiles what it loads and no more, and packages of the system come while pip works. What builds packages is
+# installed once, rather than anew for each of them.
+PIP := $(BIN)/pip install --quiet --no-compile --no-build-isolation --constraint constraints.txt
 
-$(VENV)/.ready: $(VENV)/bin/python $(SOURCES)
+$(VENV)/.builders: $(VENV)/bin/python
+	$(PIP) hatchling editables setuptools wheel
+	touch $@
+
+$(VENV)/.ready: $(VENV)/.builders $(SOURCES)
 	sh tools/system_packages.sh graphics & $(PIP) --editable ".[mujoco,robots,usd,mjcf,viewer,video]" && wait $$!
 	touch $@
 
-$(VENV)/.ready-dev: $(VENV)/bin/python $(SOURCES)
+$(VENV)/.ready-dev: $(VENV)/.builders $(SOURCES)
 	sh tools/system_packages.sh graphics vulkan browser & $(PIP) --editable \
 		".[mujoco,bullet,sapien,warp,robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,$(LEARNING),dev]" \
 		&& wait $$!
