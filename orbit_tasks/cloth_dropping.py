@@ -46,6 +46,11 @@ def inside(world: World, task: ClothDropping) -> Tensor:
     return world.deformables[CLOTH].share_inside(region)
 
 
+def dropped(world: World, task: ClothDropping) -> Tensor:
+    """(N,) bool: whether the cloth is in the container and off the hand."""
+    return cloth.let_go(world, task) & (inside(world, task) >= task.least_inside)
+
+
 def place_container(world: World, task: ClothDropping, env_ids: Tensor) -> None:
     """Place the container up to 4 cm off its place each way."""
     thing = world.objects[CONTAINER]
@@ -119,16 +124,15 @@ class ClothDropping(cloth.ClothTask):
         )
 
     def success(self, world: World) -> Tensor:
-        within = (distance(world, self) < self.tolerance) & (inside(world, self) >= self.least_inside)
-        return within & cloth.let_go(world, self)
+        return (distance(world, self) < self.tolerance) & dropped(world, self)
 
     def metrics(self, world: World) -> dict[str, Tensor]:
         return {"container_distance_m": distance(world, self), "inside": inside(world, self)}
 
     def expert(self, world: World) -> Expert:
         above, within = cloth.over(container, CARRIED), cloth.over(container, LOWERED)
-        # Cloth at times hangs on a finger that has opened, and rises with it: take it down, close and open again.
-        again = Retry(2, cloth.let_go, most=3)
+        # Cloth at times hangs on a finger that has opened, and rises with it: take it down again.
+        again = Retry(2, dropped, most=3)
         phases = (
             *cloth.pinching(world),
             Phase(cloth.here(CARRIED), gripper_open=False, position_tolerance=0.03, timeout=1.0),
