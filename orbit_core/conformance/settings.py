@@ -43,7 +43,7 @@ class Extent:
     episodes: int
     """Number of episodes, one in each environment."""
     slow_episodes: int
-    """The same of slow tasks, :meth:`Settings.is_slow`; where there is but one, and it misses, :attr:`episodes`."""
+    """The same of slow tasks, :meth:`Settings.is_slow`; where there is but one, and it misses, two."""
     slow_replays: bool
     """Whether the actions of slow tasks are taken again on other backends too."""
     pixel_episodes: int
