@@ -114,6 +114,10 @@ def test_a_kind_that_cannot_be_is_refused() -> None:
         _ = TerrainGrid(kinds=(SteppingStones(side=Span(0.0, 0.0), apart=Span(0.0, 0.0)),)).heights
     with pytest.raises(ConfigurationError, match="run is 0"):
         _ = TerrainGrid(kinds=(Stairs(run=0.0),)).heights
+    with pytest.raises(ConfigurationError, match="step of 100 m does not fit"):
+        _ = TerrainGrid(kinds=(Stairs(run=100.0),)).heights
+    with pytest.raises(ConfigurationError, match="not finite"):
+        TerrainGrid(kinds=(Flat(),)).height(np.array([0.0, np.nan]), np.zeros(2))
 
 
 def test_a_cell_smaller_than_the_robot_is_refused() -> None:

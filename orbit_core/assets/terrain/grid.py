@@ -155,8 +155,14 @@ class TerrainGrid:
         return heights
 
     def height(self, x: Array, y: Array) -> Array:
-        """The height that the cells' own functions give at places in the environment's frame; zero beside the grid."""
+        """The height that the cells' own functions give at places in the environment's frame; zero beside the grid.
+
+        Raises:
+            ConfigurationError: a place is not finite.
+        """
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        if not (np.isfinite(x).all() and np.isfinite(y).all()):
+            raise ConfigurationError("a terrain has no height where x or y is not finite: give places in metres")
         size = self.cell_size
         level, kind = (np.floor(v / size + n / 2).astype(int) for v, n in ((x, self.levels), (y, len(self.kinds))))
         heights = np.zeros(x.shape)

@@ -153,6 +153,11 @@ class Stairs(TerrainKind):
             raise ConfigurationError("terrain Stairs: run is 0: give the steps a depth")
         rise = self.rise.at(difficulty) * (-1.0 if self.down else 1.0)
         most = np.floor((size - self.platform) / 2 / self.run + _EDGE)
+        if most < 1.0:
+            raise ConfigurationError(
+                f"terrain Stairs: a step of {self.run:g} m does not fit between the rim of a {size:g} m cell and its "
+                f"platform of {self.platform:g} m: give a shorter run"
+            )
         return lambda x, y: rise * np.clip(np.floor((size / 2 - _ring(x, y)) / self.run + 1e-6), 0.0, most)
 
 
