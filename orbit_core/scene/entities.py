@@ -150,6 +150,11 @@ class Entity:
         """What the entity may be: environment i has the one of index i modulo their number."""
         return (self.articulation,)
 
+    @property
+    def is_free_body(self) -> bool:
+        """Whether it is one rigid body that nothing holds: neither fixed nor with joints."""
+        return not (self.fixed_base or self.articulation.joints)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectSpec(Entity):

@@ -115,7 +115,7 @@ class CoupledEngine(Engine):
         self._centers = torch.tensor(centers, dtype=torch.float32, device=self.device).view(1, -1, 3)
         self._centers = self._centers.repeat(self.num_envs, 1, 1)
         """(N, L, 3) m in the links' frames."""
-        self._has_free = any(not (e.spec.fixed_base or e.spec.articulation.joints) for e in self.layout.entities)
+        self._has_free = any(e.spec.is_free_body for e in self.layout.entities)
         self._asked = torch.zeros(self.num_envs, len(self.layout.links), 6, device=self.device)
         """What callers of set_wrenches want."""
         queries = self.layout.contact_queries

@@ -56,7 +56,7 @@ class Bodies:
 
 def free_links(layout: SceneLayout) -> list[int]:
     """Indices of the links of free bodies: of what is neither fixed nor has joints."""
-    return [e.links.start for e in layout.entities if not e.spec.fixed_base and not e.spec.articulation.joints]
+    return [e.links.start for e in layout.entities if e.spec.is_free_body]
 
 
 def masses(layout: SceneLayout) -> tuple[npt.NDArray[np.float32], ...]:

@@ -61,7 +61,7 @@ def sinking(layout: SceneLayout, contact_stiffness: float) -> tuple[Approximatio
 
 def _check_link(layout: SceneLayout, spec: Cloth | Rope, attachment: Attachment) -> None:
     entity = layout.entity(attachment.entity or "").spec
-    if entity.fixed_base or entity.articulation.joints:
+    if not entity.is_free_body:
         return
     mass, strip, step = _felt_mass(entity, spec, attachment), _impedance(spec, attachment), layout.scene.physics_dt
     if mass < LEAST_SHARE * min(strip * step, spec.mass):

@@ -107,7 +107,7 @@ def _laden(spec: object, scene: Scene) -> list[tuple[str, float]]:
     things = {thing.name: thing for thing in (*scene.objects, *scene.robots)}
     fixed = [a for a in spec.attachments if a.entity is None or things[a.entity].fixed_base]
     held = sum(len(attachment.particles) for attachment in fixed)
-    free = {n: t for n, t in things.items() if not (t.fixed_base or t.articulation.joints)}
+    free = {n: t for n, t in things.items() if t.is_free_body}
     if held < 2:
         return []
     edge, gravity = edge_length(spec), float(np.linalg.norm(scene.gravity))
