@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from typing import Any, Protocol
 
 import torch
 
+from orbit_core.dynamics.linear import products_ignore_other_rows
 from orbit_core.interfaces import World
 from orbit_core.scene import Scene
 from orbit_core.world.world import SimulatedWorld
@@ -54,4 +56,11 @@ def simulate(
         BuildError: what the engine built is not what the scene describes.
     """
     drawing, matters = (renderer, renderer_settings), (matter, matter_settings)
-    return SimulatedWorld(scene, num_envs, backend, settings, device, seed, *drawing, *matters)
+    world = SimulatedWorld(scene, num_envs, backend, settings, device, seed, *drawing, *matters)
+    if world.device.type == "cpu" and not products_ignore_other_rows():
+        warnings.warn(
+            "matrix products of this process depend on the number of environments, in their last bits, and so do "
+            "observations and rewards: import orbit_core before torch multiplies anything, or set MKL_CBWR=AUTO,STRICT",
+            stacklevel=2,
+        )
+    return world
