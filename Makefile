@@ -1,6 +1,7 @@
 # make demo    a Franka lifts cubes on MuJoCo; the video lands in out/lift.mp4
 # make view    the same, live in the browser
-# make test    style, types, all tests, the conformance suite's quick run, and the example backend
+# make test    style, types, all fast tests, a tenth of the slow ones, and the like of the conformance suite
+# make test-all  everything
 # Each sets up the environment in .venv first, as far as it needs it.
 
 PYTHON ?= python3
@@ -20,7 +21,15 @@ EXAMPLE_SCENARIOS := free_fall projectile sliding_to_rolling ball_on_slope landi
 SOURCES := pyproject.toml constraints.txt $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
 CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples
 
-.PHONY: demo view test lint types unit coverage conformance example mutants clean
+# Kernels, compiled steps, parsed robots and wheels may be kept between runs, and runs may share them.
+export ORBIT_TEST_CACHE ?= $(HOME)/.cache/orbit-tests
+CACHED := sh tools/with_caches.sh
+PYTEST := $(CACHED) $(BIN)/pytest -n auto --dist worksteal
+# Every scenario is a test as well, for those who write them; `conformance` runs them here.
+UNITS := --ignore tests/conformance/test_scenarios.py
+
+.PHONY: demo view test test-all lint types unit unit-all coverage conformance conformance-all example example-all mutants \
+	slow-list clean
 
 demo: $(VENV)/.ready
 	@mkdir -p out
@@ -29,7 +38,11 @@ demo: $(VENV)/.ready
 view: $(VENV)/.ready
 	$(BIN)/orbit view Lift --backend mujoco
 
+# All fast tests, a tenth of the slow ones that changes with each commit, and the slow ones that a change concerns.
 test: $(VENV)/.ready-dev lint types unit conformance example
+
+# Everything, once. Its measurements are what `make slow-list` reads.
+test-all: $(VENV)/.ready-dev lint types unit-all conformance-all example-all
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check $(CODE)
@@ -39,44 +52,67 @@ types: $(VENV)/.ready-dev
 	$(BIN)/basedpyright --threads
 
 # Test processes share the cores, and torch's threads would only wait for each other.
-unit coverage example mutants: export OMP_NUM_THREADS = 1
+unit unit-all coverage example example-all mutants: export OMP_NUM_THREADS = 1
+unit-all coverage example-all: export ORBIT_TEST_ALL = 1
 
 unit: $(VENV)/.ready-dev
-	$(BIN)/pytest -n auto --dist worksteal --ignore tests/conformance/test_scenarios.py
+	$(PYTEST) $(UNITS) --tier quick
+
+unit-all: $(VENV)/.ready-dev
+	$(PYTEST) $(UNITS) --durations-to out/durations/units.json
 
 # The same, a third slower, with the share of lines that it runs.
 coverage: $(VENV)/.ready-dev
-	$(BIN)/pytest -n auto --dist worksteal --ignore tests/conformance/test_scenarios.py --cov --cov-report=term:skip-covered --cov-fail-under=90
+	$(PYTEST) $(UNITS) --cov --cov-report=term:skip-covered --cov-fail-under=90
+
+conformance: $(VENV)/.ready-dev
+	$(CACHED) $(BIN)/python -m tests.tiers conformance
 
 # Every scenario (what tests/conformance/test_scenarios.py collects for those who write them) on every backend, quickly;
 # every task, every kept policy and every robot of the catalogue on two; robots beside the others, whose workers now and
 # then wait for the last of their jobs. `orbit conformance` is the whole matrix; throughput is for idle machines: the
 # committed report and benchmarks/ have it.
-conformance: $(VENV)/.ready-dev
-	$(BIN)/orbit conformance --part robots --backend mujoco sapien --jobs 1 --output out/conformance-robots & \
-	$(BIN)/orbit conformance --quick --part scenarios --output out/conformance && \
-	$(BIN)/orbit conformance --quick --part tasks transfers --backend mujoco sapien --output out/conformance-tasks && wait $$!
-
-# The backend that docs/write-a-backend.md builds, installed beside the environment so that nothing else sees it, and a
-# tenth of its mutants.
-example: $(VENV)/.ready-dev
-	$(BIN)/pip install --quiet --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
-	PYTHONPATH=out/orbit-torch:. $(BIN)/python -m tests.mutants --tenth & \
-	export PYTHONPATH=out/orbit-torch && $(BIN)/pytest -n auto -k torch tests/conformance/test_conformance_*.py && \
-	$(BIN)/orbit conformance --quick --backend torch --scenario $(EXAMPLE_SCENARIOS) --matter native --output out/conformance-torch \
+conformance-all: $(VENV)/.ready-dev
+	$(CACHED) $(BIN)/orbit conformance --part robots --backend mujoco sapien --jobs 1 --output out/conformance/robots & \
+	$(CACHED) $(BIN)/orbit conformance --quick --part scenarios --output out/conformance/scenarios && \
+	$(CACHED) $(BIN)/orbit conformance --quick --part tasks transfers --backend mujoco sapien --output out/conformance/tasks \
 	&& wait $$!
 
-# The example backend broken in every named way; each mutant must be caught by the tests that it names. Takes minutes.
-mutants: $(VENV)/.ready-dev
+# The backend that docs/write-a-backend.md builds, installed next to the environment so that nothing else sees it, and a
+# tenth of its scenarios and mutants.
+EXAMPLE := PYTHONPATH=out/orbit-torch:. $(CACHED)
+EXAMPLE_TESTS := -k torch tests/conformance/test_conformance_*.py
+EXAMPLE_RUN := conformance --quick --backend torch --matter native --output out/conformance-torch --scenario
+
+out/orbit-torch: $(VENV)/.ready-dev $(shell find examples/orbit-torch -name '*.py')
 	$(BIN)/pip install --quiet --no-deps --upgrade --target out/orbit-torch examples/orbit-torch
-	PYTHONPATH=out/orbit-torch:. $(BIN)/python -m tests.mutants
+	@touch $@
+
+example: out/orbit-torch
+	$(EXAMPLE) $(BIN)/python -m tests.mutants --turn $$($(BIN)/python -m tests.tiers turn) & \
+	$(EXAMPLE) $(BIN)/pytest -n auto $(EXAMPLE_TESTS) --tier quick && \
+	$(EXAMPLE) $(BIN)/orbit $(EXAMPLE_RUN) $$($(BIN)/python -m tests.tiers share $(EXAMPLE_SCENARIOS)) && wait $$!
+
+example-all: out/orbit-torch
+	$(EXAMPLE) $(BIN)/python -m tests.mutants --turn $$($(BIN)/python -m tests.tiers turn) & \
+	$(EXAMPLE) $(BIN)/pytest -n auto $(EXAMPLE_TESTS) --durations-to out/durations/example.json && \
+	$(EXAMPLE) $(BIN)/orbit $(EXAMPLE_RUN) $(EXAMPLE_SCENARIOS) && wait $$!
+
+# The example backend broken in every named way; each mutant must be caught by the tests that it names: some 16 minutes of
+# a core.
+mutants: out/orbit-torch
+	$(EXAMPLE) $(BIN)/python -m tests.mutants
+
+# Bring the list of slow tests up to what the last `make test-all` measured.
+slow-list: $(VENV)/.ready-dev
+	$(BIN)/python -m tests.tiers refresh
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
 # Python compiles what it loads and no more, and packages of the system come while pip works. What builds packages is
 # installed once, rather than anew for each of them.
-PIP := $(BIN)/pip install --quiet --no-compile --no-build-isolation --constraint constraints.txt
+PIP := $(CACHED) $(BIN)/pip install --quiet --no-compile --no-build-isolation --constraint constraints.txt
 
 $(VENV)/.builders: $(VENV)/bin/python
 	$(PIP) hatchling editables setuptools wheel

@@ -7,7 +7,7 @@ import os
 
 __version__ = "0.1.0"
 
-# MKL, which multiplies torch's matrices on x86-64, picks its kernels by the number of rows, so that an environment's last
-# bits would depend on how many others there are. In its strict mode they do not, at no measurable cost
+# MKL, which multiplies torch's matrices on x86-64, picks its kernels by the number of rows, so that the last bits of an
+# environment would depend on how many others there are. In its strict mode they do not, at no measurable cost
 # (docs/performance.md). MKL reads the variable at the process's first product; elsewhere it has no effect.
 os.environ.setdefault("MKL_CBWR", "AUTO,STRICT")

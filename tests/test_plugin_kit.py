@@ -10,7 +10,6 @@ from orbit_core import backends
 from orbit_core.assets.compound_joints import BALL, compound
 from orbit_core.conformance.bodies import pendulum, scene, slider
 from orbit_core.interfaces import TERRAIN, ConfigurationError, ContactQuery, SceneLayout
-from orbit_core.plugin_kit import contact_signs, velocity_at
 from orbit_core.plugin_kit.deformable_surface import DeformableSurface
 from orbit_core.plugin_kit.markers import AXIS_COLORS, marker_shapes
 from orbit_core.plugin_kit.massless import STAND_IN, stand_in_approximations, with_stand_in
@@ -20,6 +19,7 @@ from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures
 from orbit_core.plugin_kit.rotations import compose, multiply, rotate, rotate_inverse
 from orbit_core.plugin_kit.rows import block, host_rows, rows_of
 from orbit_core.plugin_kit.springs import least_inertias, soft_springs
+from orbit_core.plugin_kit.velocities import contact_signs, velocity_at
 from orbit_core.scene import (
     Articulation,
     CameraSpec,

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from orbit_core.interfaces import UnknownNameError
 from orbit_core.pretrained import policy_fields, policy_path, pretrained_policies, pretrained_policy
+from tests.forked import run_forked
 
 ABOUT = 'description = "Stacks cubes"\nleast_success = 0.8\n'
 FIELDS = '[fields]\nobservations = "pixels"\n'
@@ -30,10 +29,7 @@ def install(folder: Path, about: str, name: str = "pile") -> None:
 
 
 def ask(folder: Path, code: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(folder)}
-    return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, env=environment, check=False
-    )
+    return run_forked(code, path=[folder])
 
 
 def test_the_suite_keeps_policies_that_are_held_to_something() -> None:

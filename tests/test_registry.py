@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.forked import run_forked
 
 _CODE = """
 def register_fine(registry):
@@ -39,12 +39,8 @@ def orbit(folder: Path, group: str, points: str, *words: str) -> subprocess.Comp
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text(f"[{group}]\n{points}\n")
-    path = os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
     code = "import sys; from orbit_core.cli import main; sys.exit(main(sys.argv[1:]))"
-    return subprocess.run(
-        [sys.executable, "-c", code, *words],
-        capture_output=True, text=True, timeout=60, check=False, env={**os.environ, "PYTHONPATH": path},
-    )  # fmt: skip
+    return run_forked(code, *words, path=[folder])
 
 
 @pytest.mark.parametrize(
@@ -99,11 +95,7 @@ def test_a_broken_command_names_its_package_and_leaves_the_others(tmp_path: Path
     assert asked.returncode == 2
     assert "command 'juggle', entry point 'juggle' (theirs:nothing, of distribution theirs)" in asked.stderr
     assert "Traceback" not in asked.stderr
-    usage = subprocess.run(
-        [sys.executable, "-c", "from orbit_core.cli import main; main(['--help'])"],
-        capture_output=True, text=True, timeout=60, check=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", "")))},
-    )  # fmt: skip
+    usage = run_forked("from orbit_core.cli import main; main(['--help'])", path=[tmp_path])
     assert "entry point 'juggle'" in usage.stdout
     told = " ".join(usage.stderr.split())
     assert "command 'list' is registered twice" in told
@@ -130,10 +122,6 @@ def test_a_package_brings_a_learning_library(tmp_path: Path) -> None:
         ("lost", "cannot be loaded (AttributeError"),
         ("rsl_rl", "did you mean 'rsl-rl'"),
     ):
-        path = os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", "")))
-        asked = subprocess.run(
-            [sys.executable, "-c", command, name],
-            capture_output=True, text=True, timeout=60, check=False, env={**os.environ, "PYTHONPATH": path},
-        )  # fmt: skip
+        asked = run_forked(command, name, path=[tmp_path])
         assert asked.returncode != 0
         assert complaint in asked.stderr

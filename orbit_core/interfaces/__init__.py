@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from orbit_core.interfaces.backend import Backend
-    from orbit_core.interfaces.built import BuiltModel
+    from orbit_core.interfaces.built import Approximation, BuiltModel
     from orbit_core.interfaces.capabilities import (
         EXACT,
         Capabilities,
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         first_few,
         matter_divergence_error,
     )
-    from orbit_core.interfaces.engine import Approximation, Engine
+    from orbit_core.interfaces.engine import Engine
     from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
     from orbit_core.interfaces.errors import (
         ArgumentError,
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "backend": ("Backend",),
-    "built": ("BuiltModel",),
+    "built": ("Approximation", "BuiltModel"),
     "capabilities": (
         "EXACT", "Capabilities", "Capability", "DriveIntegration", "Level", "Support", "approximate", "unsupported",
     ),
@@ -77,7 +77,7 @@ _MODULES = {
     "divergence": (
         "MAX_DISTANCE", "MAX_SPEED", "diverged", "divergence_error", "first_few", "matter_divergence_error",
     ),
-    "engine": ("Approximation", "Engine"),
+    "engine": ("Engine",),
     "entities": ("Deformable", "Marker", "Object", "Robot"),
     "errors": (
         "ArgumentError", "AssetError", "BackendNotInstalledError", "BuildError", "ClosedError", "ConfigurationError",

@@ -11,6 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 
+@dataclass(frozen=True)
+class Approximation:
+    """A line of the build report: what the scene asked for, what the engine got, and why they differ."""
+
+    subject: str
+    asked: str
+    got: str
+    why: str
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BuiltModel:
     """One kind of environment, for L links and J movable joints in the layout's order.

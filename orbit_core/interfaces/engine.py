@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces.built import BuiltModel
+from orbit_core.interfaces.built import Approximation, BuiltModel
 from orbit_core.interfaces.capture import Watched, changes, measures, reads_state
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.layout import SceneLayout
 from orbit_core.interfaces.rays import RayHits, cast_past
 
 _COMMANDS = ("position_targets", "velocity_targets", "efforts")
-
-
-@dataclass(frozen=True)
-class Approximation:
-    """A line of the build report: what the scene asked for, what the engine got, and why they differ."""
-
-    subject: str
-    asked: str
-    got: str
-    why: str
 
 
 class Engine(Watched, ABC):

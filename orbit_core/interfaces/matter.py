@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
-    from orbit_core.interfaces.engine import Approximation
+    from orbit_core.interfaces.built import Approximation
     from orbit_core.interfaces.layout import SceneLayout
     from orbit_core.interfaces.renderer import Image
     from orbit_core.scene import CameraSpec

@@ -10,7 +10,8 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces.engine import Approximation, Engine
+from orbit_core.interfaces.built import Approximation
+from orbit_core.interfaces.engine import Engine
 from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
 from orbit_core.interfaces.layout import SceneLayout

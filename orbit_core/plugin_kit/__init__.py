@@ -1,5 +1,4 @@
-"""What plugins may share and need not use: rotations, velocities, contact signs, markers, a scaffold for renderers."""
+"""Code that plugins may share: rotations, velocities, contact signs, markers, a scaffold for renderers.
 
-from orbit_core.plugin_kit.velocities import contact_signs, velocity_at
-
-__all__ = ["contact_signs", "velocity_at"]
+Import from its modules: some need numpy only, and an engine's worker processes start seconds sooner without torch.
+"""

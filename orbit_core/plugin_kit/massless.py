@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orbit_core.interfaces.engine import Approximation
+from orbit_core.interfaces.built import Approximation
 from orbit_core.interfaces.layout import EntityLayout
 from orbit_core.scene import Articulation, Link
 

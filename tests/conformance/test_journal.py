@@ -22,6 +22,7 @@ from orbit_core.conformance.runner import header_of
 from orbit_core.conformance.settings import choose
 from orbit_core.conformance.sources import CORE, backend_packages, source_digests, sources_of
 from orbit_core.interfaces import ConfigurationError, StorageError
+from tests.forked import run_forked
 
 ONE, TWO = backend_names()[:2]
 SETTINGS = choose(backends=(ONE, TWO), tasks=("Reach",), scenarios=("free_fall",), parts=("scenarios", "tasks"))
@@ -114,9 +115,7 @@ def test_a_digest_is_of_a_plugins_files_and_of_those_that_it_shares(tmp_path: Pa
     )
 
     def told() -> str:
-        paths = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-        environment = {**os.environ, "PYTHONPATH": paths}
-        done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
+        done = run_forked(script, path=[tmp_path])
         assert done.returncode == 0, done.stderr
         return done.stdout
 
@@ -174,7 +173,7 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path, header: Header
         "import os, sys; from pathlib import Path; from orbit_core.files import FolderLock;"
         "lock = FolderLock(Path(sys.argv[1])); os._exit(0)"
     )
-    subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=True, timeout=60)
+    assert run_forked(script, str(tmp_path)).returncode == 0
     assert (tmp_path / ".lock").read_text(), "it died with the lock"
     Journal(tmp_path, header).close()
 

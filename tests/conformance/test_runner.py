@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
-from orbit_core.backends import backend_names
 from orbit_core.conformance.episodes import TaskResult
-from orbit_core.conformance.execution import RECORDING, TRACES, VIDEO, Outcome, execute
+from orbit_core.conformance.execution import RECORDING, TRACES, VIDEO, execute
 from orbit_core.conformance.jobs import Job, Kind, plan
-from orbit_core.conformance.pools import Work
 from orbit_core.conformance.report.page import write_report
 from orbit_core.conformance.results import Ending, Result, load
 from orbit_core.conformance.runner import run
@@ -21,35 +18,15 @@ from orbit_core.conformance.verdict import Status
 from orbit_core.interfaces import UnknownNameError
 from orbit_core.rollout.estimates import Estimate
 
-PAIR = backend_names()[:2]
-
-
-class Here:
-    """Does jobs in this process."""
-
-    def run(self, work: Sequence[Work], alone: bool) -> Iterator[Outcome]:
-        return (execute(*one) for one in work)
-
-    def close(self) -> None:
-        pass
+from .conftest import PAIR, Here
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a finished run of one scenario, robot and task and the policy that is kept for it, on two backends."""
-    folder = tmp_path_factory.mktemp("run")
-    parts = [part.value for part in Part]
-    one = {"scenarios": ["free_fall"], "robots": ["cartpole"], "tasks": ["Reach"]}
-    run(choose(backends=PAIR, parts=parts, quick=True, episodes=2, **one), folder, Here())
-    return folder
+def result(finished_run: Path) -> Result:
+    return load(finished_run)
 
 
-@pytest.fixture(scope="module")
-def result(folder: Path) -> Result:
-    return load(folder)
-
-
-def test_every_kind_of_job_is_done(result: Result, folder: Path) -> None:
+def test_every_kind_of_job_is_done(result: Result, finished_run: Path) -> None:
     assert {(r.job.kind, r.job.backend) for r in result.records if r.job.kind is not Kind.REPLAY} == {
         (kind, backend) for kind in Kind for backend in PAIR if kind is not Kind.REPLAY
     }
@@ -58,7 +35,7 @@ def test_every_kind_of_job_is_done(result: Result, folder: Path) -> None:
     for record in result.records:
         expected = files.get(record.job.kind)
         assert record.files == ((expected,) if expected else ())
-        assert all((folder / record.job.key / name).stat().st_size > 0 for name in record.files)
+        assert all((finished_run / record.job.key / name).stat().st_size > 0 for name in record.files)
 
 
 def test_what_was_recorded_on_one_backend_is_replayed_on_the_other(result: Result) -> None:
@@ -80,8 +57,8 @@ def test_a_policy_acts_on_backends_that_it_was_not_learned_on(result: Result) ->
         assert record.played.metrics["position_error_m"].value < 0.05, "it goes to the goal"
 
 
-def test_the_page_shows_all_of_it(folder: Path) -> None:
-    page = write_report(folder).read_text()
+def test_the_page_shows_all_of_it(finished_run: Path) -> None:
+    page = write_report(finished_run).read_text()
     for words in (
         "Does the expert reach the goal?",
         "Free motion",

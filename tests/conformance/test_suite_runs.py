@@ -6,42 +6,36 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import psutil
 import pytest
 
-from orbit_core.backends import default_backend
 from orbit_core.cli import main
 from orbit_core.conformance.journal import JOURNAL
 from orbit_core.conformance.results import Ending, load
 from orbit_core.conformance.verdict import Status
 
-from . import broken_plugin
+from .conftest import PAIR, PROGRAM
 
-BACKEND = default_backend()
-PROGRAM = [sys.executable, "-c", "import sys; from orbit_core.cli import main; sys.exit(main())", "conformance"]
+BACKEND = PAIR[0]
 
 
-def conformance(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", **variables}
+def conformance(*words: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     return subprocess.run([*PROGRAM, *words], capture_output=True, text=True, timeout=600, env=environment)
 
 
-def test_an_engine_that_dies_or_hangs_fails_alone(tmp_path: Path) -> None:
-    variables = broken_plugin.install(tmp_path)
-    words = ("--quick", "--scenario", "free_fall", "--output", str(tmp_path / "out"))
-    done = conformance(*words, "--backend", "dying", "hanging", BACKEND, "--time-limit", "30", **variables)
-    assert done.returncode == 1, done.stderr
-    records = {record.job.backend: record for record in load(tmp_path / "out").records}
+def test_an_engine_that_dies_or_hangs_fails_alone(broken_run: Path) -> None:
+    records = {record.job.backend: record for record in load(broken_run).records}
     assert records["dying"].ending is Ending.CRASH
     assert "SIGABRT" in records["dying"].reason
-    assert "create_engine" in (tmp_path / "out" / "log.txt").read_text(), "the log tells where it died"
+    assert "create_engine" in (broken_run / "log.txt").read_text(), "the log tells where it died"
     assert records["hanging"].ending is Ending.TIMEOUT
     assert records[BACKEND].status is Status.PASS
-    assert "scenario/free_fall/dying/0.005: fail: its process died of SIGABRT" in " ".join(done.stdout.split())
+    told = " ".join((broken_run / "told").read_text().split())
+    assert "scenario/projectile/dying/0.005: fail: its process died of SIGABRT" in told
 
 
 def test_a_killed_run_goes_on_where_it_was(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Breaks the example backend in every named way and holds each mutant to the tests that must catch it.
 
-The example, ``examples/orbit-torch``, must be installed. ``--tenth`` takes every tenth mutant, ``--only`` those named.
+The example, ``examples/orbit-torch``, must be installed. ``--turn N`` takes every tenth mutant from the N-th on,
+``--only`` those named.
 The exit code is 1 if a test fails for the unbroken example, or does not fail for a mutant.
 """
 
@@ -17,10 +18,10 @@ from .mutant import Mutant
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
-    parser.add_argument("--tenth", action="store_true", help="every tenth mutant, for CI")
+    parser.add_argument("--turn", type=int, metavar="N", help="every tenth mutant from the N-th on, 0 to 9")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="mutants of these names")
     options = parser.parse_args(arguments)
-    chosen = catalogue.chosen(options.only, tenth=options.tenth)
+    chosen = catalogue.chosen(options.only, options.turn)
     checks = {(check, mutant.of_example): mutant for mutant in chosen for check in mutant.caught_by}
     unbroken = (key[0] for key in _shown([*checks]) if not passes(key[0], checks[key]))
     complaints = [f"{check} fails for what is not broken" for check in unbroken]

@@ -10,14 +10,14 @@ from . import commands, contacts, frames, masks, readings, snapshots, time  # no
 from .mutant import MUTANTS, Mutant
 
 
-def chosen(names: Sequence[str] | None = None, *, tenth: bool = False) -> list[Mutant]:
-    """Those of these names, or every tenth, or all.
+def chosen(names: Sequence[str] | None = None, turn: int | None = None) -> list[Mutant]:
+    """Return the mutants of these names, every tenth from the ``turn``-th on, or all.
 
     Raises:
         UnknownNameError: no mutant has one of the names.
     """
     if names is None:
-        return MUTANTS[::10] if tenth else list(MUTANTS)
+        return list(MUTANTS) if turn is None else MUTANTS[turn::10]
     known = {mutant.name: mutant for mutant in MUTANTS}
     for name in names:
         if name not in known:

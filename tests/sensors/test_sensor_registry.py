@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.forked import run_forked
 
 _PACKAGE = """
 from dataclasses import dataclass
@@ -66,11 +66,7 @@ def run(folder: Path, points: str, spec: str) -> subprocess.CompletedProcess[str
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text(f"[orbit.sensors]\n{points}\n")
-    path = os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
-    return subprocess.run(
-        [sys.executable, "-c", _PROGRAM.format(spec=spec)],
-        capture_output=True, text=True, timeout=120, check=False, env={**os.environ, "PYTHONPATH": path},
-    )  # fmt: skip
+    return run_forked(_PROGRAM.format(spec=spec), path=[folder])
 
 
 def test_an_installed_package_brings_a_sensor(tmp_path: Path) -> None:

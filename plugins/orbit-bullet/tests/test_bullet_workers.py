@@ -234,3 +234,9 @@ def test_a_diverged_environment_is_told_by_its_own_number() -> None:
     engine.step(2)
     assert engine.link_poses.isfinite().all()
     engine.close()
+
+
+def test_a_worker_starts_without_the_tensor_library() -> None:
+    """Which takes seconds of a core to load, for each worker."""
+    code = "import sys, orbit_bullet.worker; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

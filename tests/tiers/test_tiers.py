@@ -1,0 +1,179 @@
+"""Every slow test has its turn, a change brings its own, and a run says what is missing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.tiers.__main__ import refresh
+from tests.tiers.conformance import commands, touched_jobs
+from tests.tiers.revision import Revision, current_revision
+from tests.tiers.selection import select
+from tests.tiers.slow_list import SLOW_SECONDS, TURNS, read_slow_list, refreshed, turns, write_slow_list
+from tests.tiers.touched import touched_backends, touched_tests
+
+ROOT = Path(__file__).parents[2]
+LISTED = {f"tests/x/test_{i}.py::test_{i}": 2.0 + i for i in range(60)}
+
+
+def test_ten_commits_in_a_row_run_every_slow_test_once() -> None:
+    runs = [select(LISTED, Revision(turn), ()).chosen for turn in range(TURNS)]
+    assert sorted(name for run in runs for name in run) == sorted(LISTED)
+    shares = [sum(LISTED[name] for name in run) for run in runs]
+    assert max(shares) < 1.1 * min(shares)
+    assert turns(dict(reversed(LISTED.items()))) == turns(LISTED)
+
+
+def test_what_a_change_concerns_runs_whatever_the_turn() -> None:
+    name = next(name for name, turn in turns(LISTED).items() if turn != 3)
+    selection = select(LISTED, Revision(3), {name, "tests/of_no_list.py::test"})
+    assert name in selection.chosen
+    assert selection.by_change == {name}
+    assert "and 1 more that the change concerns" in selection.describe(3)
+
+
+def test_a_list_comes_back_from_its_file(tmp_path: Path) -> None:
+    listed = {"tests/a.py::test[b c-1.5]": 12.3, "scenario/free_fall": 2.0}
+    write_slow_list(listed, tmp_path / "slow.txt")
+    assert read_slow_list(tmp_path / "slow.txt") == listed
+    assert read_slow_list(tmp_path / "none.txt") == {}
+
+
+def test_a_refresh_adds_what_grew_drops_what_shrank_or_is_gone_and_keeps_what_did_not_run() -> None:
+    listed = {"shrank": 9.0, "gone": 9.0, "not run": 9.0, "wavers": SLOW_SECONDS}
+    measured = {"grew": 5.0, "shrank": 0.1, "fast": 0.9 * SLOW_SECONDS, "wavers": 0.9 * SLOW_SECONDS}
+    after = refreshed(listed, measured, ["gone"])
+    assert after == {"grew": 5.0, "not run": 9.0, "wavers": 0.9 * SLOW_SECONDS}
+
+
+def test_a_refresh_without_a_measurement_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.tiers.conformance.OUTPUT", tmp_path)
+    assert refresh(tmp_path, tmp_path / "slow.txt") == 1
+    assert not (tmp_path / "slow.txt").exists()
+
+
+def test_every_name_of_the_list_is_of_a_file_that_is_there() -> None:
+    files = {name.partition("::")[0] for name in read_slow_list() if "::" in name}
+    assert {name for name in files if not (ROOT / name).is_file()} == set()
+
+
+def _git(folder: Path, *words: str) -> None:
+    identity = {
+        "GIT_AUTHOR_NAME": "a",
+        "GIT_AUTHOR_EMAIL": "a@b",
+        "GIT_COMMITTER_NAME": "a",
+        "GIT_COMMITTER_EMAIL": "a@b",
+    }
+    subprocess.run(["git", *words], cwd=folder, check=True, capture_output=True, env=os.environ | identity)
+
+
+def test_a_revision_is_the_commits_turn_and_what_differs_from_the_base(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for variable in ("ORBIT_TEST_BASE", "ORBIT_TEST_TURN"):
+        monkeypatch.delenv(variable, raising=False)
+    folder = tmp_path / "clone"
+    folder.mkdir()
+    assert current_revision(folder).note.startswith("no git history")
+    _git(folder, "init", "-b", "main")
+    for count in range(3):
+        (folder / f"{count}.py").touch()
+        _git(folder, "add", "-A")
+        _git(folder, "commit", "-m", "one")
+    assert current_revision(folder) == Revision(3, frozenset({"2.py"}))
+    _git(folder, "checkout", "-b", "topic", "HEAD~1")
+    (folder / "own.py").touch()
+    _git(folder, "add", "-A")
+    _git(folder, "commit", "-m", "own")
+    (folder / "new.py").touch()
+    assert current_revision(folder).changed == {"own.py", "new.py"}
+    monkeypatch.setenv("ORBIT_TEST_BASE", "HEAD~2")
+    monkeypatch.setenv("ORBIT_TEST_TURN", "17")
+    assert current_revision(folder) == Revision(7, frozenset({"own.py", "new.py", "1.py"}))
+
+
+def test_a_shallow_clone_and_one_of_a_single_commit_say_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ORBIT_TEST_BASE", raising=False)
+    _git(tmp_path, "init", "-b", "main", "one")
+    (tmp_path / "one" / "a.py").touch()
+    _git(tmp_path / "one", "add", "-A")
+    _git(tmp_path / "one", "commit", "-m", "one")
+    assert current_revision(tmp_path / "one").note == "no base to compare with: changes are unknown"
+    _git(tmp_path, "clone", "--depth", "1", f"file://{tmp_path / 'one'}", "two")
+    assert 0 <= current_revision(tmp_path / "two").turn < TURNS
+
+
+def test_a_change_concerns_the_tests_of_its_package_plugin_backend_and_importers() -> None:
+    names = [
+        "tests/envs/test_environment.py::test_a",
+        "tests/tasks/test_jenga.py::test_b",
+        "plugins/orbit-bullet/tests/test_bullet_workers.py::test_c",
+        "tests/conformance/test_conformance_rays.py::test_d[bullet-1]",
+        "tests/conformance/test_conformance_rays.py::test_d[sapien-1]",
+    ]
+    of = {
+        "orbit_core/envs/task.py": {names[0]},
+        "orbit_tasks/jenga.py": {names[1]},
+        "plugins/orbit-bullet/orbit_bullet/engine.py": {names[2], names[3]},
+        "tests/conformance/test_conformance_rays.py": {names[3], names[4]},
+        "docs/start.md": set(),
+    }
+    for path, expected in of.items():
+        assert touched_tests(names, [path]) == expected, path
+
+
+def test_a_change_of_a_shared_package_concerns_every_backend_that_is_built_on_it() -> None:
+    assert touched_backends(["plugins/orbit-mjmodel/orbit_mjmodel/model.py"]) == {"mujoco", "warp"}
+    assert touched_backends(["plugins/orbit-sapien/README.md", "orbit_core/files.py"]) == set()
+
+
+def test_a_changed_plugin_runs_all_scenarios_on_its_backend() -> None:
+    names = {"scenario/free_fall": "a", "scenario/spin_down": "b", "robot/ur10": "c", "task/Lift": "orbit_tasks.lift"}
+    assert touched_jobs(names, ["orbit_tasks/lift.py"]) == {"task/Lift"}
+    changed = frozenset({"plugins/orbit-mujoco/orbit_mujoco/engine.py"})
+    runs = dict(commands(["scenario/free_fall", "task/Lift"], names, Revision(0, changed)))
+    assert runs["scenarios"] == ["--quick", "--scenario", "free_fall"]
+    assert runs["scenarios-mujoco"] == ["--quick", "--backend", "mujoco", "--scenario", "spin_down"]
+    assert "--robot" not in runs["tasks"]
+    assert runs["tasks"][:6] == ["--quick", "--part", "tasks", "transfers", "--task", "Lift"]
+
+
+def test_a_quick_run_leaves_slow_tests_out_and_says_so(tmp_path: Path) -> None:
+    """A whole run in a process of its own, on a list that names a slow test of each turn and one that is gone."""
+    (tmp_path / "test_few.py").write_text("".join(f"def test_{i}(): pass\n" for i in range(20)))
+    listed = {f"test_few.py::test_{i}": 5.0 for i in range(10)} | {"test_few.py::test_gone": 5.0}
+    options = ["-p", "tests.tiers.plugin", "-p", "no:cacheprovider", "--tier", "quick", "--rootdir", str(tmp_path)]
+    code = (
+        "import sys, pytest, tests.tiers.plugin as plugin\n"
+        f"plugin.read_slow_list = lambda: {listed!r}\n"
+        f"sys.exit(pytest.main({[*options, str(tmp_path)]!r}))"
+    )
+    own = {"PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=os.environ | own
+    )
+    assert "11 passed, 9 deselected" in done.stdout, done.stdout + done.stderr
+    assert "1 of 10 slow ones, 5 of 50 s" in done.stdout
+    assert "names 1 tests that are gone" in done.stdout
+
+
+def test_caches_move_with_the_variable_and_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    script = ROOT / "tools" / "with_caches.sh"
+
+    def caches(folder: Path) -> subprocess.CompletedProcess[str]:
+        environment = os.environ | {"ORBIT_TEST_CACHE": str(folder)}
+        words = ["sh", str(script), "sh", "-c", "echo $ORBIT_CACHE_DIR $WARP_CACHE_PATH $TORCHINDUCTOR_CACHE_DIR"]
+        return subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, env=environment, check=True)
+
+    kept = caches(tmp_path / "kept")
+    assert all(path.startswith(str(tmp_path / "kept")) for path in kept.stdout.split())
+    assert kept.stderr == ""
+    (tmp_path / "file").touch()
+    other = caches(tmp_path / "file")
+    assert all(path.startswith(str(tmp_path / "out" / "caches")) for path in other.stdout.split())
+    assert "is used instead" in other.stderr
+    assert len(other.stderr.splitlines()) == 1
