@@ -1,4 +1,4 @@
-"""Source files are short, and every public name of the core and the tasks says what it is."""
+"""Source files are of one concept, and every public name of the core and the tasks says what it is."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parents[1]
-MOST_LINES = 400
+MOST_LINES = 1000
 DOCUMENTED = ("orbit_core", "orbit_tasks")
 
 
@@ -27,7 +27,7 @@ def tracked() -> list[Path]:
     return [path for folder in (*DOCUMENTED, "plugins", "tests") for path in (ROOT / folder).rglob("*.py")]
 
 
-def test_no_source_file_is_longer_than_400_lines() -> None:
+def test_no_source_file_is_longer_than_1000_lines() -> None:
     files = tracked()
     assert len(files) > 300
     lengths = {str(path.relative_to(ROOT)): path.read_text().count("\n") for path in files}

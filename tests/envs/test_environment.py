@@ -67,6 +67,7 @@ def test_the_time_limit_truncates_and_begins_anew_in_the_same_step() -> None:
     environment.close()
 
 
+@pytest.mark.rotates
 @pytest.mark.parametrize("task", list(task_entries()))
 def test_an_environment_does_the_same_whatever_their_number(task: str) -> None:
     few, many = (make(task, num_envs=n, backend=BACKEND, seed=3, episode_length=0.2) for n in (2, 5))

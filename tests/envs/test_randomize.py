@@ -21,6 +21,7 @@ from orbit_tasks.velocity_flat import VelocityFlat
 TASKS = ("Reach", "Lift", "Cabinet", "Velocity-Flat", "Handover")
 
 
+@pytest.mark.rotates
 @pytest.mark.parametrize("backend", backend_names())
 @pytest.mark.parametrize("task", TASKS)
 def test_every_task_runs_randomized_on_every_backend(task: str, backend: str) -> None:

@@ -33,6 +33,7 @@ CHEAP = {"Nut-Bolt": {"thread": "boxes"}, "Jenga": {"layers": 7}}
 """Fields of tasks whose scenes take long to step."""
 
 
+@pytest.mark.rotates
 @pytest.mark.parametrize("task", list(task_entries()))
 def test_gymnasiums_checker_passes(task: str) -> None:
     environment = gymnasium.make(f"orbit/{task}-v0", backend=BACKEND, **CHEAP.get(task, {}))

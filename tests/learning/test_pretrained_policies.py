@@ -40,6 +40,7 @@ def test_a_kept_policy_acts_as_when_it_was_kept(path: Path) -> None:
 PICTURES = [name for name in pretrained_policies() if load_policy(policy_path(name)).description.sees_pictures]
 
 
+@pytest.mark.rotates
 @pytest.mark.parametrize("name", sorted({*pretrained_policies()} - {*PICTURES}))
 def test_a_kept_policy_still_fits_its_task(name: str) -> None:
     """Played by its name, with the assets of then; how well it does is for the suite's transfers to hold."""

@@ -15,6 +15,8 @@ from tests.tiers.touched import touched_tests
 
 _GROWN = 1.5
 """A test is called grown from this many times the threshold on, so that a busy machine names none."""
+_OF_MANY = 0.5
+"""Seconds that a test of many alike counts in its turn, where it is not slow."""
 _COLLECTED, _GONE = "tiers_collected", "tiers_gone"
 
 
@@ -26,6 +28,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: measured to be slow (tests/tiers/slow.txt); one commit in ten runs it")
+    config.addinivalue_line("markers", "rotates: one of many alike, of which one commit in ten runs each, slow or not")
     config.pluginmanager.register(Tiers(config), "orbit-tiers")
 
 
@@ -52,6 +55,8 @@ class Tiers:
         for item in items:
             if item.nodeid in listed:
                 item.add_marker("slow")
+            elif item.get_closest_marker("rotates"):
+                listed[item.nodeid] = _OF_MANY
         if config.getoption("tier") == "all":
             self._lines = [f"{len(listed)} of {len(listed)} slow ones: the whole list"]
             return
