@@ -19,11 +19,13 @@ from tests.tiers.slow_list import read_slow_list
 from tests.tiers.touched import changed_modules, touched_backends
 
 OUTPUT = Path("out/conformance")
+"""Folder of the runs of ``make test-all``, by which the slow list is refreshed."""
+QUICK_OUTPUT = Path("out/conformance-quick")
 TASK_BACKENDS = ("mujoco", "sapien")
 """Robots, tasks and policies run on two backends; ``orbit conformance`` is the whole matrix."""
 
 
-def run_quick(output: Path = OUTPUT) -> int:
+def run_quick(output: Path = QUICK_OUTPUT) -> int:
     """Run this commit's share of the suite and return 1 if a backend is not as it declares, else 0."""
     revision = current_revision()
     listed = {name: seconds for name, seconds in read_slow_list().items() if "::" not in name}
@@ -31,11 +33,12 @@ def run_quick(output: Path = OUTPUT) -> int:
     known = {name: seconds for name, seconds in listed.items() if name in names}
     selection = select(known, revision, touched_jobs(names, revision.changed))
     chosen = [name for name in names if name not in known or name in selection.chosen]
+    program = [sys.executable, "-c", "import sys; from orbit_core.cli import main; sys.exit(main())", "conformance"]
     failed = 0
     for folder, arguments in commands(chosen, names, revision):
-        failed |= subprocess.run(
-            [sys.executable, "-m", "orbit_core.cli", "conformance", *arguments, "--output", str(output / folder)]
-        ).returncode
+        # Fresh, for what an interrupted run of another commit left there is of other jobs.
+        words = [*program, *arguments, "--fresh", "--output", str(output / folder)]
+        failed |= subprocess.run(words, check=False).returncode
     print(f"conformance: {selection.describe(revision.turn)}")
     if gone := sorted({*listed} - {*names}):
         print(f"the slow list names {len(gone)} jobs that are gone (`make slow-list`): {gone[0]} ...")
