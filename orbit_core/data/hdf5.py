@@ -65,7 +65,7 @@ def write_hdf5(
     compression: str | None = None,
     size: int = 0,
 ) -> int:
-    """Write a dataset; it appears whole or not at all. Returns the number of episodes.
+    """Write a dataset, check it, and let it take its place, whole or not at all. Returns the number of episodes.
 
     Args:
         path: of the file, which is replaced.
@@ -81,19 +81,21 @@ def write_hdf5(
     h5py = hdf5_module()
     successes: list[int] = []
     count = total = 0
-    with _room(path, size), written_whole(path) as written, h5py.File(written, "w", libver="latest") as file:
-        data = file.create_group("data")
-        for count, episode in enumerate(episodes, 1):
-            _check_room(path, sum(array.nbytes for array in episode.arrays.values()))
-            _write_episode(data.create_group(f"demo_{count - 1}"), episode, compression)
-            total += episode.info.length
-            successes += [count - 1] if episode.info.success else []
-        data.attrs["total"] = total
-        data.attrs["env_args"] = json.dumps(_env_args(manifest))
-        if manifest is not None:
-            file.create_dataset(_MANIFEST, data=np.frombuffer(manifest.encode(), np.uint8))
-        for name, positions in {**({"success": successes} if successes else {}), **(masks or {})}.items():
-            file.create_dataset(f"mask/{name}", data=np.array([f"demo_{i}" for i in positions], dtype="S"))
+    with _room(path, size), written_whole(path) as written:
+        with h5py.File(written, "w", libver="latest") as file:
+            data = file.create_group("data")
+            for count, episode in enumerate(episodes, 1):
+                _check_room(path, sum(array.nbytes for array in episode.arrays.values()))
+                _write_episode(data.create_group(f"demo_{count - 1}"), episode, compression)
+                total += episode.info.length
+                successes += [count - 1] if episode.info.success else []
+            data.attrs["total"] = total
+            data.attrs["env_args"] = json.dumps(_env_args(manifest))
+            if manifest is not None:
+                file.create_dataset(_MANIFEST, data=np.frombuffer(manifest.encode(), np.uint8))
+            for name, positions in {**({"success": successes} if successes else {}), **(masks or {})}.items():
+                file.create_dataset(f"mask/{name}", data=np.array([f"demo_{i}" for i in positions], dtype="S"))
+        Hdf5Dataset(written).close()  # before it replaces another, it must be readable
     return count
 
 

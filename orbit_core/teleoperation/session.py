@@ -146,10 +146,9 @@ class Session:
     def close(self) -> int:
         """Forget an open episode, gather what was kept; gives the number of episodes in the file."""
         self._recorder = None
-        if self._file.parts.infos():
+        if self._file.parts.files:
             self.kept = self._file.gather()
-        else:
-            self._file.parts.remove()
+        self._file.release()
         return self.kept
 
     # What the person asks for
