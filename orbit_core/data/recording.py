@@ -266,7 +266,5 @@ def _skip(environment: Environment, begun: Tensor) -> None:
     """Let the next episode of each environment be the one after those (N,) that are recorded."""
     if not bool(begun.any()):
         return
-    random = environment.world.random
-    key, _, counter = random.save_state()
-    random.load_state((key, begun - 1, counter))
+    environment.world.random.begin(begun - 1)
     environment.reset()
