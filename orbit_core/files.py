@@ -7,6 +7,7 @@ it take the target's place, in one step: whatever ends the program, the target i
 from __future__ import annotations
 
 import ctypes
+import errno
 import fcntl
 import os
 import platform
@@ -19,6 +20,8 @@ from pathlib import Path
 
 from orbit_core.interfaces.errors import ConfigurationError, StorageError
 
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Numbers of the errors by which a system says that there is no room."""
 LOCK = ".lock"
 _PARTIAL = re.compile(r"\.orbit-[0-9a-f]{8}\.partial")
 """Names of the folders that things are written in."""
