@@ -146,7 +146,10 @@ class PartFolder:
         """
         self.hold()
         with storage_faults(self.path):
-            for path in (*self.files, *(self.path / name for name in (_MANIFEST, _REPLACES, LOCK))):
+            # The mark first: what a kill then leaves goes on with the dataset, which has its episodes, and replaces
+            # nothing.
+            (self.path / _REPLACES).unlink(missing_ok=True)
+            for path in (*self.files, self.path / _MANIFEST, self.path / LOCK):
                 path.unlink(missing_ok=True)
             sweep(self.path)
             with suppress(OSError):
