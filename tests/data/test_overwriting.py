@@ -217,8 +217,8 @@ def test_a_disk_that_fills_leaves_the_dataset_that_was_there(
 
 
 def test_a_small_disk_that_fills_leaves_the_dataset_that_was_there(tmp_path: Path, capsys) -> None:
-    source = written(tmp_path / "source.hdf5", 40, length=2_000)
-    with small_disk(tmp_path / "disk", 2_000_000) as disk:
+    source = written(tmp_path / "source.hdf5", 40, length=6_000)
+    with small_disk(tmp_path / "disk", 8_000_000) as disk:
         for name in OUTPUTS:
             output = written(disk / name, 2)
             before = files(disk)
