@@ -149,7 +149,7 @@ def test_what_dead_writers_left_is_swept_and_nothing_else(tmp_path: Path) -> Non
 def test_a_line_is_appended_whole_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "lines"
     append_line(path, "first")
-    with no_file_beyond(100), pytest.raises(StorageError, match="cannot write .*/lines: File too large"):
+    with no_file_beyond(100), pytest.raises(StorageError, match=r"cannot write .*/lines: File too large"):
         append_line(path, "second" * 100)
     append_line(path, "third")
     assert path.read_text() == "first\nthird\n"

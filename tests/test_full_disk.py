@@ -35,7 +35,15 @@ from tests.faults import no_file_beyond, small_disk
 CORNERS = np.random.default_rng(0).normal(size=(8, 3))
 BODY = Articulation(
     "body",
-    (Link("base", 1.0, Pose().position, np.eye(3), collisions=(Shape(Mesh(CORNERS, np.array([[0, 1, 2], [3, 4, 5]]))),)),),
+    (
+        Link(
+            "base",
+            1.0,
+            Pose().position,
+            np.eye(3),
+            collisions=(Shape(Mesh(CORNERS, np.array([[0, 1, 2], [3, 4, 5]]))),),
+        ),
+    ),
 )
 POLICY = PolicyDescription(
     "Reach", "a_robot", "joint_position", (Part("seen", 3),), (Part("moved", 2),), 0.02, "an_engine", "a_library", 1

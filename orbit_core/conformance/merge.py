@@ -76,19 +76,23 @@ def _check_output(output: Path, overwrite: bool) -> None:
     files = {RESULT_FILE, REPORT, PREVIOUS, DROPPED, LOG, LOCK}
     if (output / RESULT_FILE).is_file():
         files |= {f"{record.job.key}/{name}" for record in load(output).records for name in record.files}
-        found = (path.relative_to(output).as_posix() for path in output.rglob("*") if path.is_symlink() or path.is_file())
+        found = (
+            path.relative_to(output).as_posix() for path in output.rglob("*") if path.is_symlink() or path.is_file()
+        )
         foreign = next((name for name in found if name not in files), None)
     else:
         foreign = f"no {RESULT_FILE}"
     if foreign is not None:
         raise ConfigurationError(
-            f"{output} is not, or not only, a result of the suite: it holds {foreign}. It is not replaced: give another "
-            "--output, or move it away first"
+            f"{output} is not, or not only, a result of the suite: it holds {foreign}. It is not replaced: give "
+            "another --output, or move it away first"
         )
 
 
 def _merge(folders: Sequence[Path], results: Sequence[Result], output: Path) -> Result:
-    """Copy the runs' files and write their result."""
+    """Copy the runs' files and write their result into a new folder."""
+    with storage_faults(output):
+        output.mkdir()
     records: dict[str, Record] = {}
     for folder, result in zip(folders, results, strict=True):
         for record in result.records:

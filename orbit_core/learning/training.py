@@ -202,6 +202,7 @@ def check_new(folder: Path) -> None:
     """
     if (folder / RECORD).exists():
         raise ConfigurationError(f"folder {folder} holds a training already: resume it, or name another")
-    taken = [path.name for kind in (CURVE, f"{CHECKPOINT}_*", "policy_*") for path in folder.glob(kind)]
+    written = (CURVE, f"{CHECKPOINT}_*{SUFFIX}", f"policy_*{SUFFIX}")
+    taken = [path.name for kind in written for path in folder.glob(kind)]
     if taken:
         raise ConfigurationError(f"folder {folder} holds {min(taken)}, which a training would write: name another")

@@ -37,7 +37,6 @@ from orbit_core.scene import (
     Sphere,
 )
 
-
 _REASON = re.compile(r" : '(.*)'")
 """What USD's errors say went wrong, behind where."""
 
