@@ -135,6 +135,8 @@ def _check_folder(folder: Path) -> None:
     found = {path.name for path in folder.iterdir()}
     if found - {LOCK, LOG} and not found & {JOURNAL, RESULT_FILE, PREVIOUS}:
         raise ConfigurationError(f"folder {folder} holds other things and no run of this suite: give another --output")
+    if (folder / LOG).is_symlink():
+        raise ConfigurationError(f"{folder / LOG} is a link, which is not written through: remove it first")
 
 
 _REMEDY = "--fresh begins anew, another --output keeps it"

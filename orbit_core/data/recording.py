@@ -69,8 +69,8 @@ class RecordingFile:
         """
         if self.parts.begun:
             raise ConfigurationError(
-                f"{self.parts.path} holds a recording that was cut off: 'orbit record --resume' goes on with it, "
-                "'orbit record --overwrite' begins another"
+                f"{self.parts.path} holds a recording that was cut off: the command that began it goes on with "
+                "--resume, and begins another with --overwrite; or give another name"
             )
 
     def begin_anew(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -226,3 +227,11 @@ def test_a_small_disk_that_fills_leaves_the_dataset_that_was_there(tmp_path: Pat
             assert "No space left on device" in capsys.readouterr().err
             assert files(disk) == before
             shutil.rmtree(output) if output.is_dir() else output.unlink()
+
+
+def test_an_output_that_is_no_regular_file_is_refused(tmp_path: Path, capsys) -> None:
+    source, pipe = written(tmp_path / "source.hdf5", 1), tmp_path / "card.md"
+    os.mkfifo(pipe)
+    assert main(["data", "info", str(source), "--card", str(pipe), "--overwrite"]) == 2
+    assert "card.md: it is no regular file" in capsys.readouterr().err
+    assert pipe.is_fifo()
