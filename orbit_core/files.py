@@ -87,6 +87,8 @@ def written_whole(path: Path) -> Iterator[Path]:
         with storage_faults(path):
             yield replacement.written
         replacement.take_place()
+    except StorageError as error:  # of a file within, which the user knows by its later name
+        raise StorageError(str(error).replace(str(replacement.written), str(path))) from error
     finally:
         replacement.discard()
 

@@ -96,17 +96,19 @@ class Journal:
         self._lock.release()
 
     def _begin(self, fresh: bool) -> None:
+        result = self.folder / RESULT_FILE
         with storage_faults(self._path):
-            if (self.folder / RESULT_FILE).exists():
-                (self.folder / RESULT_FILE).replace(self.folder / PREVIOUS)
-                self._path.unlink(missing_ok=True)
-            if self._path.exists() and fresh:
-                self._path.replace(self.folder / DROPPED)
-            elif self._path.exists():
+            finished = result.exists()
+            if not finished and self._path.exists() and fresh:
+                with written_whole(self.folder / DROPPED) as path:
+                    path.write_bytes(self._path.read_bytes())
+            elif not finished and self._path.exists():
                 self._resume()
             lines = [encode(self.header), *map(encode, self.records.values())]
             with written_whole(self._path) as path:
                 path.write_text("".join(f"{line}\n" for line in lines))
+            if finished:  # once the new run has begun
+                result.replace(self.folder / PREVIOUS)
 
     def _resume(self) -> None:
         """Take over the records of an unfinished run, except those that other code made."""

@@ -66,8 +66,10 @@ class VideoFile:
             raise ConfigurationError(f"video {self._path} is closed: frames come before close()")
         if frame.shape != self._size:
             raise ConfigurationError(f"a frame of video {self._path} must be {self._size}, not {frame.shape}")
-        with storage_faults(self._path):
+        try:
             self._stream.send(np.ascontiguousarray(frame))
+        except OSError:
+            raise self._no_video() from None
 
     def close(self) -> None:
         """Finish the file and give it its name; idempotent.
@@ -105,9 +107,10 @@ class VideoFile:
         try:
             self._count(str(self._replacement.written))
         except (RuntimeError, OSError):
-            raise StorageError(
-                f"cannot write {self._path}: the encoder left no whole video, as where the disk is full"
-            ) from None
+            raise self._no_video() from None
+
+    def _no_video(self) -> StorageError:
+        return StorageError(f"cannot write {self._path}: the encoder left no whole video, as where the disk is full")
 
     def _end_stream(self) -> None:
         assert self._stream is not None

@@ -22,6 +22,7 @@ from orbit_core.conformance.runner import header_of
 from orbit_core.conformance.settings import choose
 from orbit_core.conformance.sources import CORE, backend_packages, source_digests, sources_of
 from orbit_core.interfaces import ConfigurationError, StorageError
+from tests.faults import no_file_beyond
 
 ONE, TWO = backend_names()[:2]
 SETTINGS = choose(backends=(ONE, TWO), tasks=("Reach",), scenarios=("free_fall",), parts=("scenarios", "tasks"))
@@ -67,6 +68,20 @@ def test_fresh_begins_anew_and_keeps_the_journal(unfinished: Path, header: Heade
     before = (unfinished / JOURNAL).read_bytes()
     assert resumed(unfinished, header, fresh=True) == (set(), "")
     assert (unfinished / DROPPED).read_bytes() == before
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_a_run_that_cannot_begin_leaves_the_one_that_was_there(
+    finished: bool, unfinished: Path, header: Header
+) -> None:
+    if finished:
+        journal = Journal(unfinished, header)
+        journal.finish()
+        journal.close()
+    before = {path: path.read_bytes() for path in unfinished.iterdir() if path.name != ".lock"}
+    with no_file_beyond(100), pytest.raises(StorageError, match="File too large"):
+        Journal(unfinished, header, fresh=True)
+    assert {path: path.read_bytes() for path in unfinished.iterdir() if path.name != ".lock"} == before
 
 
 def test_a_folder_of_other_things_takes_no_run(tmp_path: Path, header: Header) -> None:

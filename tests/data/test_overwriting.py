@@ -213,7 +213,7 @@ def test_a_disk_that_fills_leaves_the_dataset_that_was_there(
     largest = 6_000 if name == "out" else len(before["source.hdf5"])
     with no_file_beyond(int(share * largest)):
         assert main(words) == 2
-    assert "cannot write" in capsys.readouterr().err
+    assert f"cannot write {output}" in capsys.readouterr().err
     assert files(tmp_path) == before
 
 
