@@ -19,6 +19,7 @@ from orbit_core.backends import default_backend, versions_of
 from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, write_json
 from orbit_core.conformance.throughput import Throughput, measure_once
+from orbit_core.files import written_whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +103,8 @@ def _plot(figures: list[Throughput], title: str, path: Path) -> None:
         axes.set_xticks([], minor=True)
         axes.grid(alpha=0.3)
     rates.set_ylim(bottom=0.0)
-    figure.savefig(path, dpi=150)
+    with written_whole(path) as written:
+        figure.savefig(written, dpi=150)
 
 
 def main(settings: Settings) -> None:

@@ -1,43 +1,159 @@
-"""Files that are whole or not there, whatever ends a program in the midst of writing, and folders of one writer."""
+"""Files and folders that appear whole or not at all, and folders of one writer.
+
+Whatever writes, writes in a folder of its own next to the target. Only once all is there and flushed to the disk does
+it take the target's place, in one step: whatever ends the program, the target is the old one or the new one.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import errno
 import fcntl
 import os
 import platform
+import re
 import secrets
-from collections.abc import Iterator
+import shutil
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from orbit_core.interfaces.errors import ConfigurationError, StorageError
 
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Numbers of the errors by which a system says that there is no room."""
+LOCK = ".lock"
+_PARTIAL = re.compile(r"\.orbit-[0-9a-f]{8}\.partial")
+"""Names of the folders that things are written in."""
+_REPLACED = "replaced"
+"""Folder within such a folder that holds what is being replaced, where two names cannot be exchanged at once."""
+_EXCHANGE, _HERE = 2, -100
+"""RENAME_EXCHANGE and AT_FDCWD of Linux's renameat2."""
+
+
+class Replacement:
+    """A file or folder in the making, which takes the place of another once it is whole.
+
+    Each writer has its own, so that several processes may write the same target.
+
+    Args:
+        path: of the target, which need not be there.
+
+    Raises:
+        StorageError: the disk is full, or the folder around it cannot be written; names the target.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path if path.name not in ("", "..") else path.resolve()
+        with storage_faults(path):
+            self._folder, self._lock = _locked_folder(self.path.parent)
+        self.written = self._folder / self.path.name
+        """Path to write to, of the target's name."""
+
+    def take_place(self) -> None:
+        """Flush what was written to the disk, and let it take the target's place.
+
+        Raises:
+            StorageError: it cannot; the target stays as it was.
+        """
+        try:
+            with storage_faults(self.path):
+                for path in (self.written, *self.written.rglob("*")):
+                    _to_disk(path)
+                _take_place(self.written, self.path)
+                _to_disk(self.path.parent)
+        finally:
+            self.discard()
+
+    def discard(self) -> None:
+        """Delete what was written, or what it replaced; idempotent."""
+        if self._lock is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            os.close(self._lock)
+            self._lock = None
+
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """A new file beside ``path`` to write, which takes its place at the end, flushed to the disk.
+    """Yield a new path to write a file or a folder to, which takes the place of ``path`` at the end.
 
-    Each writer has its own, so that several processes may write the same file. It is removed where anything goes wrong.
+    Where anything goes wrong, what was written is deleted and ``path`` stays as it was.
 
     Raises:
-        StorageError: the disk is full, or the folder cannot be written; names the file.
+        StorageError: the disk is full, or the folder cannot be written; names the target.
     """
-    written = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
-    with storage_faults(path):
+    replacement = Replacement(path)
+    try:
+        with storage_faults(path):
+            yield replacement.written
+        replacement.take_place()
+    except StorageError as error:  # of a file within, which the user knows by its later name
+        raise StorageError(str(error).replace(str(replacement.written), str(path))) from error
+    finally:
+        replacement.discard()
+
+
+def append_line(path: Path, line: str) -> None:
+    """Append a whole line to a file and flush it to the disk; on an error the file stays as it was.
+
+    Raises:
+        StorageError: the disk is full, or the file cannot be written.
+    """
+    with storage_faults(path), path.open("ab", buffering=0) as file:
+        whole = os.fstat(file.fileno()).st_size
+        rest = memoryview(line.encode() + b"\n")
         try:
-            yield written
-            _to_disk(written)
-            written.replace(path)
-        except BaseException:
-            with suppress(OSError):
-                written.unlink(missing_ok=True)
+            while rest:
+                rest = rest[file.write(rest) :]
+            os.fsync(file.fileno())
+        except OSError:
+            file.truncate(whole)
             raise
-        _to_disk(path.parent)
+
+
+def sweep(folder: Path) -> None:
+    """Delete what writers that died have left in a folder; what they were about to replace is given back."""
+    for left in folder.glob(".orbit-*.partial"):
+        if not _PARTIAL.fullmatch(left.name) or left.is_symlink():
+            continue
+        with suppress(OSError):
+            lock = os.open(left, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # fails while its writer lives
+                for old in left.glob(f"{_REPLACED}/*"):
+                    if not (folder / old.name).exists():
+                        old.rename(folder / old.name)
+                shutil.rmtree(left)
+            finally:
+                os.close(lock)
+
+
+def check_apart(output: Path, inputs: Iterable[Path]) -> None:
+    """Reject an output that would destroy what is read, or the folder that the program runs in.
+
+    Args:
+        output: file or folder to write.
+        inputs: files and folders that are read.
+
+    Raises:
+        ConfigurationError: the output is, holds or lies in an input, or is or holds the working folder.
+    """
+    target = output.resolve()
+    for path in inputs:
+        source = path.resolve()
+        if target == source:
+            raise ConfigurationError(f"{output} is what is read: give another name")
+        if source.is_relative_to(target):
+            raise ConfigurationError(f"{output} holds {path}, which is read: give another name")
+        if target.is_relative_to(source):
+            raise ConfigurationError(f"{output} lies in {path}, which is read: give another name")
+    if Path.cwd().is_relative_to(target):
+        raise ConfigurationError(f"{output} is the working folder, or holds it: give another name")
 
 
 @contextmanager
 def storage_faults(path: Path) -> Iterator[None]:
-    """What the file system refuses within, as one sentence that names the file and the reason.
+    """Turn what the file system refuses within into one sentence that names the file and the reason.
 
     Raises:
         StorageError: an operation on files failed.
@@ -49,6 +165,41 @@ def storage_faults(path: Path) -> Iterator[None]:
         raise StorageError(f"cannot write {path}: {reason}") from error
 
 
+def _locked_folder(parent: Path) -> tuple[Path, int]:
+    """Make a folder to write in, with a lock on it that tells :func:`sweep` that its writer lives."""
+    while True:
+        folder = parent / f".orbit-{secrets.token_hex(4)}.partial"
+        folder.mkdir()
+        with suppress(FileNotFoundError):
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            with suppress(OSError):  # some network file systems have no locks; nothing is swept there
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            if folder.exists():
+                return folder, lock
+            os.close(lock)  # another process swept it before it was locked
+
+
+def _take_place(written: Path, path: Path) -> None:
+    """Give what was written the target's name; a folder that was there is left where the new one was written."""
+    if not (written.is_dir() and path.is_dir() and not path.is_symlink()):
+        written.replace(path)
+    elif not _exchange(written, path):
+        old = written.parent / _REPLACED / path.name
+        old.parent.mkdir()
+        path.rename(old)
+        try:
+            written.rename(path)
+        except OSError:
+            old.rename(path)
+            raise
+
+
+def _exchange(first: Path, second: Path) -> bool:
+    """Exchange two names in one step; return False where the system or the file system cannot."""
+    rename = getattr(ctypes.CDLL(None), "renameat2", None)
+    return rename is not None and rename(_HERE, os.fsencode(first), _HERE, os.fsencode(second), _EXCHANGE) == 0
+
+
 def _to_disk(path: Path) -> None:
     """Make what was written outlast a loss of power."""
     handle = os.open(path, os.O_RDONLY)
@@ -56,9 +207,6 @@ def _to_disk(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-LOCK = ".lock"
 
 
 class FolderLock:
@@ -69,11 +217,11 @@ class FolderLock:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._file = (folder / LOCK).open("a+")
+        # No link is followed: in a folder from elsewhere it could name any file, which would be emptied.
+        self._file = os.fdopen(os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), "r+")
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            self._file.seek(0)
             holder = self._file.read().strip()
             self._file.close()
             raise ConfigurationError(

@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Callable, Sequence
 
 from orbit_core.cli.signals import Terminated, termination_interrupts
+from orbit_core.files import DISK_FULL
 from orbit_core.interfaces.errors import OrbitError
 from orbit_core.registry import Registry
 
@@ -68,6 +69,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if debug:
             raise
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        if debug or error.errno not in DISK_FULL:
+            raise
+        where = error.filename or "a temporary file"
+        print(f"error: cannot write {where}: {error.strerror}; TMPDIR names another folder", file=sys.stderr)
         return 2
     except Terminated:
         return 143

@@ -14,6 +14,7 @@ from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, progress_bar
 from orbit_core.cli.parsing import parse_words
 from orbit_core.cli.settings import EnvironmentSettings, KeyValues, Name
+from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError
 
 
@@ -42,7 +43,7 @@ class AugmentSettings:
     set: KeyValues = ()
     """A field of the task over those of the dataset."""
     overwrite: bool = False
-    """Replace the dataset that is there already."""
+    """Replace the dataset that is there already, once the new one is whole."""
 
 
 def main(words: Sequence[str]) -> None:
@@ -62,10 +63,10 @@ def main(words: Sequence[str]) -> None:
         check_positive(name, getattr(settings, name))
     if settings.most_attempts is not None:
         check_positive("most_attempts", settings.most_attempts)
-    if settings.output.resolve() == settings.dataset.resolve():
-        raise ConfigurationError(f"{settings.output} is what is read: give another name")
+    check_apart(settings.output, (settings.dataset,))
     check_output(settings.output, ".hdf5", settings.overwrite)
     file = RecordingFile(settings.output)
+    file.check_begun(resume=False, overwrite=settings.overwrite)
     with opened(settings.dataset) as dataset:
         manifest = dataset.known()
         chosen = [place for place, info in enumerate(dataset.episodes) if info.success][: settings.demonstrations]
@@ -88,9 +89,8 @@ def main(words: Sequence[str]) -> None:
         try:
             check_manifest(manifest, environment, str(settings.dataset), groups=())
             pieces = cut(environment, dataset, chosen)
-            if file.parts.path.exists():
-                file.parts.remove()
-            settings.output.unlink(missing_ok=True)
+            if settings.overwrite:
+                file.begin_anew()
             most = settings.most_attempts or 10 * settings.episodes
             with progress_bar() as bar:
                 line = bar.add_task(f"{manifest.task} demonstrations", total=settings.episodes)
@@ -99,6 +99,7 @@ def main(words: Sequence[str]) -> None:
                     lambda kept: bar.update(line, completed=kept),
                 )  # fmt: skip
         finally:
+            file.release()
             environment.close()
     console().print(
         f"{settings.output}: {done.kept} kept; {done.successes} of {done.attempts} attempts on {made.backend} "

@@ -17,6 +17,7 @@ from orbit_core.cli.output import console, new_table, progress_bar, write_json
 from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.settings import BenchSettings
 from orbit_core.envs.actors import scripted_actor
+from orbit_core.files import written_whole
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -158,4 +159,5 @@ def _plot(figures: list[Throughput], title: str, path: Path) -> None:
     axes.set_xticks([], minor=True)
     axes.set_ylim(bottom=0)
     axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=150)
+    with written_whole(path) as written:
+        figure.savefig(written, dpi=150)

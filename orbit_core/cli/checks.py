@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from orbit_core.files import storage_faults
+from orbit_core.files import storage_faults, sweep
 from orbit_core.interfaces.errors import ConfigurationError
 
 
 def check_output(path: Path | None, suffix: str, overwrite: bool) -> None:
-    """Refuse a file that could not be written, or is there already, before the work whose result it is to hold."""
+    """Refuse a file that could not be written, or is there already, before the work whose result it is to hold.
+
+    What a program that was killed has left in its folder is deleted.
+    """
     if path is None:
         return
     if path.suffix != suffix:
@@ -21,8 +24,11 @@ def check_output(path: Path | None, suffix: str, overwrite: bool) -> None:
         raise ConfigurationError(f"cannot write {path}: folder {path.parent} is read-only for this user")
     if path.is_dir():
         raise ConfigurationError(f"cannot write {path}: it is a folder")
+    if path.exists() and not path.is_file():
+        raise ConfigurationError(f"cannot write {path}: it is no regular file")
     if path.exists() and not overwrite:
         raise ConfigurationError(f"{path} is there already: give another name, or --overwrite")
+    sweep(path.parent)
 
 
 def make_folder(path: Path) -> None:

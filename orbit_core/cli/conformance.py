@@ -90,6 +90,8 @@ class MergeSettings:
     """The folders of finished runs."""
     output: Annotated[Path, arg(metavar="DIR")] = Path("out/conformance")
     """Folder for the result, the report and the videos."""
+    overwrite: bool = False
+    """Replace a result that is there already, once the new one is whole."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +230,7 @@ def _merge(words: Sequence[str]) -> int:
         raise ConfigurationError("name the folders of the runs to be merged")
     from orbit_core.conformance.merge import merge
 
-    return _tell(merge(settings.folders, settings.output), settings.output)
+    return _tell(merge(settings.folders, settings.output, settings.overwrite), settings.output)
 
 
 def _report(words: Sequence[str]) -> int:

@@ -13,6 +13,7 @@ from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console
 from orbit_core.cli.parsing import parse_words
 from orbit_core.cli.reading import ReadSettings
+from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.scene import Articulation, MeshCollision
 
@@ -58,6 +59,7 @@ def main(words: Sequence[str]) -> None:
     """Read one file, write the other, and tell what happened on the way."""
     settings = parse_words(ConvertSettings, words, "orbit convert")
     write = _writer(settings.target)
+    check_apart(settings.target, (settings.source,))
     check_output(settings.target, settings.target.suffix, settings.overwrite)
     articulation = _read(settings)
     lost = write(articulation, settings.target)

@@ -14,6 +14,7 @@ from tyro.conf import Positional, arg
 from orbit_core.cli.checks import check_output, check_positive, make_folder
 from orbit_core.cli.output import console, new_table
 from orbit_core.cli.parsing import parse_words
+from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ class _Written:
     rate: float | None = None
     """Steps in a second, for LeRobot, where the dataset does not say it."""
     overwrite: bool = False
-    """Replace what is there already."""
+    """Replace the dataset that is there already, once the new one is whole."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,17 +158,18 @@ def _filter(words: Sequence[str]) -> None:
 
 
 def _split(words: Sequence[str]) -> None:
-    from orbit_core.data.formats import divided, write_dataset
+    from orbit_core.data.formats import check_target, divided, write_dataset
 
     settings = parse_words(SplitSettings, words, "orbit data split")
     if settings.seed < 0:
         raise ConfigurationError(f"seed must not be below zero, but is {settings.seed}")
     if settings.dataset.suffix not in _HDF5:
         raise ConfigurationError(f"{settings.dataset} has no place for subsets: convert it to HDF5 first")
+    check_target(settings.dataset)
     with _opened((settings.dataset,)) as (dataset,):
         masks = {**dataset.masks, **divided(len(dataset.episodes), settings.valid, settings.seed)}
         episodes = map(dataset.read, range(len(dataset.episodes)))
-        write_dataset(settings.dataset, episodes, dataset.manifest, masks=masks)
+        write_dataset(settings.dataset.resolve(), episodes, dataset.manifest, masks=masks)
     sizes = ", ".join(f"{name} {len(masks[name])}" for name in ("train", "valid"))
     console().print(f"{settings.dataset}: {sizes} episodes", soft_wrap=True)
 
@@ -198,19 +200,19 @@ def _opened(paths: Sequence[Path]) -> Iterator[list[Dataset]]:
 
 def _write(settings: _Written, datasets: Sequence[Dataset], positions: Sequence[int] | None) -> None:
     """The episodes of several datasets, or some of one, in a new place."""
-    from orbit_core.data.formats import common_manifest, read_all, remove, write_dataset
+    from orbit_core.data.formats import check_target, common_manifest, read_all, write_dataset
+    from orbit_core.data.recording import RecordingFile
 
     output = settings.output
     if settings.rate is not None and not 0.0 < settings.rate < math.inf:
         raise ConfigurationError(f"rate must be above zero and finite, not {settings.rate:g}")
     if output.exists() and not settings.overwrite:
         raise ConfigurationError(f"{output} is there already: give another name, or --overwrite")
-    if any(dataset.path.resolve() == output.resolve() for dataset in datasets):
-        raise ConfigurationError(f"{output} is what is read: give another name")
+    check_apart(output, [dataset.path for dataset in datasets])
+    check_target(output)
+    RecordingFile(output).check_none()
     manifest = common_manifest(datasets)
     make_folder(output)
-    if output.suffix not in _HDF5:
-        remove(output)
     (first, *_) = datasets
     episodes = read_all(datasets) if positions is None else map(first.read, positions)
     masks = None if positions is None or output.suffix not in _HDF5 else _moved(first, positions)

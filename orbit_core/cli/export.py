@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from orbit_core.backends import backend_names
+from orbit_core.cli.checks import check_output, make_folder
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console
 from orbit_core.cli.parsing import parse_words
 from orbit_core.cli.settings import EnvironmentSettings
-from orbit_core.files import storage_faults
+from orbit_core.files import check_apart, written_whole
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
 from orbit_core.pretrained import policy_fields, policy_path
 
@@ -39,6 +40,8 @@ class ExportSettings:
     ('orbit list policies')."""
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("out/policy")
     """Takes policy.safetensors, policy.onnx and policy.json."""
+    overwrite: bool = False
+    """Replace files of those names that are there already."""
     amend: bool = False
     """Export nothing: write into the policy's own file the manifest that it lacks, since it is older than manifests."""
 
@@ -52,6 +55,11 @@ def main(words: Sequence[str]) -> None:
     policy = load_policy(path)
     if settings.amend:
         return _amend(policy, path)
+    described, weights, onnx = (settings.output / f"policy{suffix}" for suffix in (".json", ".safetensors", ".onnx"))
+    make_folder(described)
+    for target in (described, weights, onnx):
+        check_apart(target, [path] if path.is_file() else [])
+        check_output(target, target.suffix, settings.overwrite)
     if policy.manifest is None:
         try:
             policy = dataclasses.replace(policy, manifest=_present(policy, path))
@@ -59,12 +67,11 @@ def main(words: Sequence[str]) -> None:
         except OrbitError as error:
             told = f"the files have none either: {error}"
         warnings.warn(f"{path} holds no manifest of where it was learned: {told}", stacklevel=2)
-    with storage_faults(settings.output):
-        settings.output.mkdir(parents=True, exist_ok=True)
-        described = json.dumps(policy.description.document()["policy"], indent=2)
-        (settings.output / "policy.json").write_text(described + "\n", encoding="utf-8")
-    policy.save(settings.output / "policy.safetensors")
-    policy.export_onnx(settings.output / "policy.onnx")
+    # All three are written before the first takes its place, so that they are of one policy whatever goes wrong.
+    with written_whole(described) as text, written_whole(weights) as tensors, written_whole(onnx) as graph:
+        text.write_text(json.dumps(policy.description.document()["policy"], indent=2) + "\n", encoding="utf-8")
+        policy.save(tensors)
+        policy.export_onnx(graph)
     console().print(f"policy.safetensors, policy.onnx and policy.json are in {settings.output}", soft_wrap=True)
     return None
 

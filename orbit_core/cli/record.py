@@ -37,7 +37,7 @@ class RecordSettings(EnvironmentSettings):
     resume: bool = False
     """Go on with what is there: a recording that was cut off, or one that shall be longer."""
     overwrite: bool = False
-    """Record anew where a dataset of that name is there already."""
+    """Replace a dataset or a recording of that name that is there already, once the new one is whole."""
 
 
 def main(words: Sequence[str]) -> None:
@@ -65,8 +65,8 @@ def record(settings: RecordSettings) -> None:
     file.check_begun(settings.resume, settings.overwrite)
     environment = make_environment(settings, settings.num_envs)
     check_groups(settings.group, environment)
-    if not settings.resume:
-        file.discard()  # once nothing of the settings can be wrong any more
+    if settings.overwrite:
+        file.begin_anew()
     with progress_bar() as bar:
         counting = bar.add_task(f"{settings.task} demonstrations", total=settings.episodes)
         try:

@@ -39,7 +39,7 @@ class TeleopSettings(EnvironmentSettings):
     resume: bool = False
     """Add to the dataset of that name."""
     overwrite: bool = False
-    """Begin anew where a dataset of that name is there already."""
+    """Replace a dataset of that name that is there already, once an episode is saved and the session ends."""
     seconds: float = 60.0
     """Length of an episode, in the place of the task's own."""
     linear_speed: float = 0.25
@@ -92,9 +92,9 @@ def teleop(settings: TeleopSettings) -> None:
         driver = Driver(environment)
         speeds = Speeds(settings.linear_speed, settings.angular_speed)
         device = open_device(settings.input_device, speeds, driver, settings.leader_port)
-        if not settings.resume:
-            file.discard()
         try:
+            if settings.overwrite:
+                file.begin_anew()
             session = Session(
                 environment, driver, device, settings.input_device, file, settings.task or "", settings.seed
             )
@@ -106,6 +106,7 @@ def teleop(settings: TeleopSettings) -> None:
                 console().print(told, soft_wrap=True)
         finally:
             device.close()
+            file.release()
     finally:
         environment.close()
 

@@ -71,13 +71,15 @@ def train(settings: TrainSettings) -> Path:
         OrbitError: of many kinds; each names the setting.
     """
     from orbit_core.learning.learners import trainer_type
-    from orbit_core.learning.training import Training
+    from orbit_core.learning.training import Training, check_new
 
     check_positive("num_envs", settings.num_envs)
     check_positive("save_every", settings.save_every)
     if settings.output is not None and settings.resume is not None:
         raise ConfigurationError("a training resumes in its own folder: leave --output out")
     settings, leader = _ranked(for_training(settings))
+    if leader and settings.output is not None:
+        check_new(settings.output)
     make_trainer = trainer_type(settings.library)
     if _processes() > 1 and not make_trainer.several_gpus:
         raise ConfigurationError(f"library '{settings.library}' trains on one GPU: for several, use --library rsl-rl")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import tempfile
 import time
@@ -27,13 +26,13 @@ from orbit_core.conformance.throughput import measure_once
 from orbit_core.conformance.transfer import learned, transfer
 from orbit_core.conformance.verdict import Status, run_scenario
 from orbit_core.conformance.videos import film
+from orbit_core.files import DISK_FULL
 from orbit_core.interfaces import StorageError, UnsupportedCapabilityError
 from orbit_core.interfaces.matter import NATIVE
 
 RECORDING = "recording.npz"
 TRACES = "traces.json"
 VIDEO = "video.mp4"
-_FULL = (errno.ENOSPC, errno.EDQUOT)
 _DIGITS = 6
 """Significant digits to which a trace is rounded: more than a plot shows."""
 
@@ -75,7 +74,7 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
         except StorageError:
             raise
         except Exception as error:
-            if isinstance(error, OSError) and error.errno in _FULL:
+            if isinstance(error, OSError) and error.errno in DISK_FULL:
                 raise StorageError(f"cannot write into folder {folder.parent}: {error.strerror}") from error
             traceback.print_exc()
             record = replace(record, ending=Ending.ERROR, reason=f"{type(error).__name__}: {error}")

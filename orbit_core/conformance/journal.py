@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -21,11 +20,12 @@ from orbit_core.conformance.results import (
     save,
 )
 from orbit_core.conformance.sources import CORE, sources_of
-from orbit_core.files import FolderLock, storage_faults, written_whole
+from orbit_core.files import LOCK, FolderLock, append_line, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
 
 JOURNAL = "journal.jsonl"
-PREVIOUS = "previous.json"
+PREVIOUS, DROPPED = "previous.json", "previous.jsonl"
+"""Result of the finished run, and journal of the unfinished one, that another has taken the place of."""
 LOG = "log.txt"
 
 
@@ -44,11 +44,11 @@ class Journal:
     Args:
         folder: of the run.
         header: what the run is of.
-        fresh: begin anew, whatever the folder holds.
+        fresh: begin anew where an unfinished run would go on, whose journal is kept as ``previous.jsonl``.
 
     Raises:
-        ConfigurationError: the folder holds an unfinished run of other settings, versions or another core, or the
-            journal of one is no journal; or another process writes into it.
+        ConfigurationError: the folder holds other things and no run, an unfinished run of other settings, versions or
+            another core, or the journal of one is no journal; or another process writes into it.
         StorageError: then and later, the disk is full, or the folder cannot be written.
     """
 
@@ -61,6 +61,8 @@ class Journal:
         self._path = folder / JOURNAL
         with storage_faults(folder):
             folder.mkdir(parents=True, exist_ok=True)
+            _check_folder(folder)
+            sweep(folder)
             self._lock = FolderLock(folder)
         try:
             self._begin(fresh)
@@ -77,7 +79,7 @@ class Journal:
                 own.mkdir(parents=True, exist_ok=True)
                 with written_whole(own / name) as path:
                     path.write_bytes(content)
-            self._append(encode(record))
+            append_line(self._path, encode(record))
         self.records[record.job.key] = record
 
     def finish(self, partings: Iterable[Parting] = (), courses: Iterable[Course] = ()) -> Result:
@@ -91,32 +93,22 @@ class Journal:
 
     def close(self) -> None:
         """Release the folder and leave the run as it is, to be resumed."""
-        self._file.close()
         self._lock.release()
 
     def _begin(self, fresh: bool) -> None:
+        result = self.folder / RESULT_FILE
         with storage_faults(self._path):
-            if (self.folder / RESULT_FILE).exists():
-                (self.folder / RESULT_FILE).replace(self.folder / PREVIOUS)
-                self._path.unlink(missing_ok=True)
-            if self._path.exists() and not fresh:
+            finished = result.exists()
+            if not finished and self._path.exists() and fresh:
+                with written_whole(self.folder / DROPPED) as path:
+                    path.write_bytes(self._path.read_bytes())
+            elif not finished and self._path.exists():
                 self._resume()
             lines = [encode(self.header), *map(encode, self.records.values())]
             with written_whole(self._path) as path:
                 path.write_text("".join(f"{line}\n" for line in lines))
-            self._file = self._path.open("ab", buffering=0)
-
-    def _append(self, line: str) -> None:
-        """Append a whole line, or, on an error, nothing."""
-        whole = self._path.stat().st_size
-        rest = memoryview(line.encode() + b"\n")
-        try:
-            while rest:
-                rest = rest[self._file.write(rest) :]
-            os.fsync(self._file.fileno())
-        except OSError:
-            self._file.truncate(whole)
-            raise
+            if finished:  # once the new run has begun
+                result.replace(self.folder / PREVIOUS)
 
     def _resume(self) -> None:
         """Take over the records of an unfinished run, except those that other code made."""
@@ -138,6 +130,15 @@ class Journal:
             self.dropped = f"{', '.join(sorted(changed))} changed: to be done again are {again}"
         self.records = {record.job.key: record for record in kept}
         self.header = replace(self.header, started=old.started)
+
+
+def _check_folder(folder: Path) -> None:
+    """Reject a folder that holds things, but no run: files of theirs could have the names of ours."""
+    found = {path.name for path in folder.iterdir()}
+    if found - {LOCK, LOG} and not found & {JOURNAL, RESULT_FILE, PREVIOUS}:
+        raise ConfigurationError(f"folder {folder} holds other things and no run of this suite: give another --output")
+    if (folder / LOG).is_symlink():
+        raise ConfigurationError(f"{folder / LOG} is a link, which is not written through: remove it first")
 
 
 _REMEDY = "--fresh begins anew, another --output keeps it"

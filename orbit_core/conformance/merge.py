@@ -12,40 +12,87 @@ from typing import Any, TypeVar
 from orbit_core.conformance.courses import Course, course_of
 from orbit_core.conformance.execution import RECORDING
 from orbit_core.conformance.jobs import Job, Kind
-from orbit_core.conformance.journal import now
-from orbit_core.conformance.results import BackendInfo, Header, Origin, Parting, Record, Result, load, save
+from orbit_core.conformance.journal import DROPPED, LOG, PREVIOUS, now
+from orbit_core.conformance.results import (
+    REPORT,
+    RESULT_FILE,
+    BackendInfo,
+    Header,
+    Origin,
+    Parting,
+    Record,
+    Result,
+    load,
+    save,
+)
 from orbit_core.conformance.settings import Part, Settings
 from orbit_core.conformance.sources import CORE
 from orbit_core.conformance.tasks import compare_recordings
 from orbit_core.envs.registry import task_entries
-from orbit_core.files import storage_faults
+from orbit_core.files import LOCK, check_apart, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.rollout.recording import Recording
 
 _Named = TypeVar("_Named")
 
 
-def merge(folders: Sequence[Path], output: Path) -> Result:
-    """The result of several finished runs, with their files, written into a folder.
+def merge(folders: Sequence[Path], output: Path, overwrite: bool = False) -> Result:
+    """Write the result of several finished runs, with their files, into a folder, which appears as a whole.
 
     Machines, versions and numbers of episodes may differ, and the result names each (``Header.origins``). Where two
     backends did a task in different runs, how they part is reckoned from the recordings, if they are still there.
 
     Args:
         folders: of the runs.
-        output: the folder of the merged result; none of the runs' own.
+        output: the folder of the merged result; none of the runs' own, and none around or within them.
+        overwrite: whether to replace a finished result that is there already, once the new one is whole.
 
     Raises:
         ConfigurationError: two runs did one job, or differ in what a result has once: the seed, ``--quick``, what a
-            scenario or a policy is held to, what a backend declares.
+            scenario or a policy is held to, what a backend declares. Or the output is there, and not to be replaced or
+            not only a result.
         AssetError: a folder holds no result.
         StorageError: the output cannot be written.
     """
     results = [load(folder) for folder in folders]
-    if output.resolve() in [folder.resolve() for folder in folders]:
-        raise ConfigurationError(f"folder {output} is one of those to be merged: give another --output")
+    check_apart(output, folders)
+    _check_output(output, overwrite)
+    output = output.resolve()
     with storage_faults(output):
-        output.mkdir(parents=True, exist_ok=True)
+        output.parent.mkdir(parents=True, exist_ok=True)
+    sweep(output.parent)
+    with written_whole(output) as written:
+        merged = _merge(folders, results, written)
+        _check_output(output, overwrite)  # again, for a person may have put something there meanwhile
+    return merged
+
+
+def _check_output(output: Path, overwrite: bool) -> None:
+    """Reject a folder that is there and not to be replaced, or that holds more than a finished run."""
+    if not output.exists() or (output.is_dir() and not any(output.iterdir())):
+        return
+    if not overwrite:
+        raise ConfigurationError(f"{output} is there already: give another --output, or --overwrite")
+    files = {RESULT_FILE, REPORT, PREVIOUS, DROPPED, LOG, LOCK}
+    if (output / RESULT_FILE).is_file():
+        files |= {f"{record.job.key}/{name}" for record in load(output).records for name in record.files}
+        found = (
+            path.relative_to(output).as_posix() for path in output.rglob("*") if path.is_symlink() or path.is_file()
+        )
+        foreign = next((name for name in found if name not in files), None)
+    else:
+        foreign = f"no {RESULT_FILE}"
+    if foreign is not None:
+        raise ConfigurationError(
+            f"{output} is not, or not only, a result of the suite: it holds {foreign}. It is not replaced: give "
+            "another --output, or move it away first"
+        )
+
+
+def _merge(folders: Sequence[Path], results: Sequence[Result], output: Path) -> Result:
+    """Copy the runs' files and write their result into a new folder."""
+    with storage_faults(output):
+        output.mkdir()
     records: dict[str, Record] = {}
     for folder, result in zip(folders, results, strict=True):
         for record in result.records:

@@ -134,7 +134,7 @@ class RayPool(Pool):
 def _begin_worker(log: str) -> None:
     """Send whatever engines print into the log, and tell there where a process dies."""
     sys.stdout.flush()
-    stream = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    stream = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW)
     os.dup2(stream, 1)
     os.dup2(stream, 2)
     faulthandler.enable()

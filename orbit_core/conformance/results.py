@@ -30,7 +30,7 @@ from orbit_core.interfaces.matter import NATIVE
 from orbit_core.pretrained import TransferGap, pretrained_policy
 
 SCHEMA = 1
-RESULT_FILE = "result.json"
+RESULT_FILE, REPORT = "result.json", "report.html"
 _Type = TypeVar("_Type")
 
 

@@ -262,7 +262,6 @@ def augment(
     progress(recorder.kept)
     attempts = int(recorder.ended.sum())
     if not recorder.kept:
-        file.parts.remove()
         raise ConfigurationError(f"none of {attempts} attempts succeeded: give other demonstrations")
     file.gather()
     return Augmented(recorder.kept, sum(successes), attempts)

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 from orbit_core.data.episodes import Dataset
 from orbit_core.files import written_whole
+from orbit_core.interfaces import ConfigurationError
 from orbit_core.rollout.estimates import proportion
+
+CARD = "README.md"
+"""Name of the card of a dataset that is a folder."""
+_HEAD = ("", "| | |", "|---|---|")
+"""Lines after a card's title."""
 
 
 def card(dataset: Dataset) -> str:
     """Markdown: task, robot, engine, versions, success, lengths, arrays with their shapes and units."""
-    lines = [f"# {dataset.path.stem}", "", "| | |", "|---|---|", *(f"| {n} | {v} |" for n, v in facts(dataset).items())]
+    lines = [f"# {dataset.path.stem}", *_HEAD, *(f"| {n} | {v} |" for n, v in facts(dataset).items())]
     if dataset.episodes:
         lines += ["", "| array | shape, of a step | type | unit |", "|---|---|---|---|"]
         lines += [f"| `{name}` | {shape} | {kind} | {unit} |" for name, shape, kind, unit in arrays(dataset)]
@@ -69,10 +76,38 @@ def arrays(dataset: Dataset) -> list[tuple[str, str, str, str]]:
 _UNITS = {"actions": "[-1, 1]", "states": "SI", "poses": "m, quaternion (w, x, y, z)"}
 
 
+def is_card(path: Path) -> bool:
+    """Return True if a file is the card of a dataset, by its first lines."""
+    with suppress(OSError, ValueError), path.open(encoding="utf-8") as file:
+        title, *head = (file.readline(1000).rstrip("\n") for _ in range(1 + len(_HEAD)))
+        return title.startswith("# ") and tuple(head) == _HEAD
+    return False
+
+
+def check_card(path: Path) -> None:
+    """Reject the path of a dataset's file next to which another file has the name of the card.
+
+    Raises:
+        ConfigurationError: names that file.
+    """
+    beside = path.with_suffix(".md")
+    if (beside.exists() or beside.is_symlink()) and not is_card(beside):
+        raise ConfigurationError(
+            f"{beside} is in the place of the card of {path} and is no card of a dataset: give another name, or move "
+            "it away first"
+        )
+
+
 def write_card(path: Path) -> Path:
-    """Write the card of a dataset's file beside it."""
+    """Write the card of a dataset's file next to it.
+
+    Raises:
+        ConfigurationError: a file of that name is there which is no card.
+        StorageError: the disk is full, or the folder cannot be written.
+    """
     from orbit_core.data.hdf5 import Hdf5Dataset
 
+    check_card(path)
     dataset = Hdf5Dataset(path)
     try:
         text = card(dataset)

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from orbit_core.data.card import card, write_card
+from orbit_core.data.card import CARD, card, check_card, write_card
 from orbit_core.data.compare import Kind, differences
 from orbit_core.data.episodes import Dataset, Episode
 from orbit_core.data.hdf5 import SUFFIX, Hdf5Dataset, write_hdf5
-from orbit_core.data.lerobot import write_lerobot
+from orbit_core.data.lerobot import check_replaceable, write_lerobot
 from orbit_core.data.lerobot_reader import LeRobotDataset
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.zarr_reader import SUFFIXES as ZARR
 from orbit_core.data.zarr_reader import ZarrDataset, is_zarr
+from orbit_core.files import sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
 
 _SUFFIXES = (SUFFIX, ".h5")
@@ -49,6 +49,8 @@ def write_dataset(
 ) -> set[str]:
     """Write a dataset with its card: HDF5 where the name ends in .hdf5 or .h5, and else a folder of LeRobot's.
 
+    The dataset is written next to its place, opened again to check it, and only then takes its place.
+
     Args:
         path: of the file or folder, which is replaced once the new one is whole.
         episodes: in their order.
@@ -61,26 +63,45 @@ def write_dataset(
         Names of arrays that the format has no place for.
 
     Raises:
-        ConfigurationError: LeRobot needs a rate that is not known, or the format does not take what is given.
+        ConfigurationError: LeRobot needs a rate that is not known, the format does not take what is given, or the
+            folder or the card that would be replaced is not one that ORBIT wrote.
         StorageError: the disk is full, or the folder cannot be written.
     """
+    check_target(path)
+    sweep(path.resolve().parent)
     if path.suffix in _SUFFIXES:
         write_hdf5(path, episodes, manifest, masks, compression)
         write_card(path)
         return set()
-    if path.name.endswith(ZARR):
-        raise ConfigurationError(f"{path} would be Zarr, which is read and not written: name it *.hdf5, or a folder")
-    if path.suffix:
-        raise ConfigurationError(f"{path} is of no format that is written: name it *.hdf5, or a folder, for LeRobot")
     if compression is not None or masks:
         raise ConfigurationError(f"{path} would be a LeRobot dataset, which takes no compression and no subsets")
     step_rate = rate if manifest is None else 1.0 / manifest.step_dt
     if step_rate is None:
         raise ConfigurationError("nothing says how many steps a second has: give --rate, which LeRobot needs")
-    left_out = write_lerobot(path, episodes, manifest, step_rate)
-    with opened(path) as dataset:
-        (path / "README.md").write_text(card(dataset), encoding="utf-8")
+    with written_whole(path.resolve()) as written:
+        left_out = write_lerobot(written, episodes, manifest, step_rate)
+        with opened(written) as dataset:
+            (written / CARD).write_text(card(dataset), encoding="utf-8")
+        check_replaceable(path)  # again, for a person may have put something there meanwhile
     return left_out
+
+
+def check_target(path: Path) -> None:
+    """Reject the path of a new dataset that no format has, or where something else would be lost.
+
+    Raises:
+        ConfigurationError: its suffix is of no format that is written, it is a folder that holds anything but a dataset
+            that ORBIT wrote, or a file in the place of its card is no card.
+    """
+    if path.suffix in _SUFFIXES:
+        if path.is_dir():
+            raise ConfigurationError(f"cannot write {path}: it is a folder")
+        return check_card(path)
+    if path.name.endswith(ZARR):
+        raise ConfigurationError(f"{path} would be Zarr, which is read and not written: name it *.hdf5, or a folder")
+    if path.suffix:
+        raise ConfigurationError(f"{path} is of no format that is written: name it *.hdf5, or a folder, for LeRobot")
+    return check_replaceable(path)
 
 
 def read_all(datasets: Iterable[Dataset]) -> Iterator[Episode]:
@@ -121,12 +142,3 @@ def divided(count: int, share: float, seed: int) -> dict[str, list[int]]:
         raise ConfigurationError(f"{share:g} of {count} episodes is none or all of them: give another share")
     order = np.random.default_rng(seed).permutation(count)
     return {"train": sorted(order[held_out:].tolist()), "valid": sorted(order[:held_out].tolist())}
-
-
-def remove(path: Path) -> None:
-    """Delete a dataset that is to be replaced, and an HDF5 file's card."""
-    if path.is_dir():
-        shutil.rmtree(path)
-    elif path.exists():
-        path.unlink()
-        path.with_suffix(".md").unlink(missing_ok=True)

@@ -9,11 +9,9 @@ are one kind), with links to elsewhere, or with data in other files are refused.
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import re
-import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -51,8 +49,8 @@ _FAULTS = (
 """What h5py raises of damaged files."""
 _REASON = re.compile(r"error message = '([^']*)'")
 _DEMO = re.compile(r"demo_[0-9]{1,9}")
-_MARGIN = 1 << 20
-"""Bytes that must be free besides what is written."""
+_MARGIN, _AHEAD = 1 << 20, 1 << 22
+"""Bytes that must be free besides what is written, and for which room is looked for at once."""
 _PICTURE = {"compression": "lzf"}
 """How pictures are compressed; numbers as small as states gain nothing from it."""
 
@@ -65,7 +63,7 @@ def write_hdf5(
     compression: str | None = None,
     size: int = 0,
 ) -> int:
-    """Write a dataset; it appears whole or not at all. Returns the number of episodes.
+    """Write a dataset, check it, and let it take its place, whole or not at all. Returns the number of episodes.
 
     Args:
         path: of the file, which is replaced.
@@ -80,20 +78,29 @@ def write_hdf5(
     """
     h5py = hdf5_module()
     successes: list[int] = []
-    count = total = 0
-    with _room(path, size), written_whole(path) as written, h5py.File(written, "w", libver="latest") as file:
-        data = file.create_group("data")
-        for count, episode in enumerate(episodes, 1):
-            _check_room(path, sum(array.nbytes for array in episode.arrays.values()))
-            _write_episode(data.create_group(f"demo_{count - 1}"), episode, compression)
-            total += episode.info.length
-            successes += [count - 1] if episode.info.success else []
-        data.attrs["total"] = total
-        data.attrs["env_args"] = json.dumps(_env_args(manifest))
-        if manifest is not None:
-            file.create_dataset(_MANIFEST, data=np.frombuffer(manifest.encode(), np.uint8))
-        for name, positions in {**({"success": successes} if successes else {}), **(masks or {})}.items():
-            file.create_dataset(f"mask/{name}", data=np.array([f"demo_{i}" for i in positions], dtype="S"))
+    count = total = room = 0
+    with _room(path, size), written_whole(path) as written:
+        with h5py.File(written, "w", libver="latest") as file:
+            data = file.create_group("data")
+            for count, episode in enumerate(episodes, 1):
+                needed = sum(array.nbytes for array in episode.arrays.values())
+                if needed > room:
+                    file.flush()  # so that little is left to write when it is closed, which must not fail
+                    _check_room(path, needed + _AHEAD)
+                    room = needed + _AHEAD
+                room -= needed
+                _write_episode(data.create_group(f"demo_{count - 1}"), episode, compression)
+                total += episode.info.length
+                successes += [count - 1] if episode.info.success else []
+            file.flush()
+            _check_room(path, 0)
+            data.attrs["total"] = total
+            data.attrs["env_args"] = json.dumps(_env_args(manifest))
+            if manifest is not None:
+                file.create_dataset(_MANIFEST, data=np.frombuffer(manifest.encode(), np.uint8))
+            for name, positions in {**({"success": successes} if successes else {}), **(masks or {})}.items():
+                file.create_dataset(f"mask/{name}", data=np.array([f"demo_{i}" for i in positions], dtype="S"))
+        Hdf5Dataset(written).close()  # before it replaces another, it must be readable
     return count
 
 
@@ -211,8 +218,7 @@ def _room(path: Path, size: int) -> Iterator[None]:
     try:
         with _hushed(), storage_faults(path):
             if size:
-                with TemporaryFile(dir=path.parent) as file:
-                    os.posix_fallocate(file.fileno(), 0, size)
+                _check_room(path, size)
             yield
     except (RuntimeError, StorageError) as error:
         if (reason := _REASON.search(str(error))) is None and isinstance(error, StorageError):
@@ -233,13 +239,13 @@ def _hushed() -> Iterator[None]:
 
 
 def _check_room(path: Path, size: int) -> None:
-    """A disk that is full is told before the library, which does not survive it well, finds out.
+    """Find out that the disk is full, or the user's share of it, before the library does, which then crashes.
 
     Raises:
         StorageError: there is no room for so many bytes.
     """
-    if shutil.disk_usage(path.parent).free < size + _MARGIN:
-        raise StorageError(f"cannot write {path}: {os.strerror(errno.ENOSPC)}")
+    with storage_faults(path), TemporaryFile(dir=path.parent) as file:
+        os.posix_fallocate(file.fileno(), 0, size + _MARGIN)
 
 
 def _write_episode(group: Any, episode: Episode, compression: str | None) -> None:

@@ -8,8 +8,9 @@ The layout is that of LeRobot's documentation (https://huggingface.co/docs/lerob
 from __future__ import annotations
 
 import json
-import shutil
-from collections.abc import Iterable, Mapping
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from orbit_core.data.card import CARD, is_card
 from orbit_core.data.episodes import ACTIONS, DONES, OBSERVED, REWARDS, STATES, Array, Episode, EpisodeInfo
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.video import write_video
@@ -31,6 +33,11 @@ MANIFEST, EPISODES, INFO = "meta/orbit_manifest.json", "meta/orbit_episodes.json
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 _EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_LAYOUT = re.compile(
+    r"meta/(info|stats|orbit_manifest|orbit_episodes)\.json|meta/tasks\.parquet"
+    r"|(meta/episodes|data)/chunk-\d{3,}/file-\d{3,}\.parquet|videos/[^/]+/chunk-\d{3,}/file-\d{3,}\.mp4"
+)
+"""Files that a dataset of ours consists of, besides its card."""
 _FILES_A_CHUNK = 1000
 _STEPS_A_FILE = 50_000
 
@@ -231,7 +238,9 @@ class LeRobotWriter:
 
 
 def write_lerobot(path: Path, episodes: Iterable[Episode], manifest: Manifest | None, rate: float) -> set[str]:
-    """Write a dataset; the folder appears whole or not at all. Returns the arrays that it has no place for.
+    """Write a dataset into a new folder. Returns the arrays that it has no place for.
+
+    On an error the folder is left unfinished: :func:`orbit_core.data.formats.write_dataset` writes whole ones.
 
     Args:
         path: of the folder, which must not be there.
@@ -245,20 +254,43 @@ def write_lerobot(path: Path, episodes: Iterable[Episode], manifest: Manifest | 
     """
     if abs(rate - round(rate)) > 1e-6:
         raise ConfigurationError(f"LeRobot takes a whole number of steps in a second, not {rate:g}")
-    partial = path.with_name(f".{path.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
     robot = next((r.model for r in manifest.robots.values() if r.agent), "") if manifest else "unknown"
-    writer = LeRobotWriter(partial, manifest.task if manifest else path.stem, round(rate), robot)
-    try:
-        for episode in episodes:
-            writer.add(episode)
-        writer.finish(manifest)
-        with storage_faults(path):
-            partial.replace(path)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
+    writer = LeRobotWriter(path, manifest.task if manifest else path.stem, round(rate), robot)
+    for episode in episodes:
+        writer.add(episode)
+    writer.finish(manifest)
     return writer.left_out
+
+
+def check_replaceable(path: Path) -> None:
+    """Reject what is not to be replaced by a dataset: anything but an empty folder or a dataset that ORBIT wrote.
+
+    Raises:
+        ConfigurationError: it is a file, a folder without such a dataset, or holds other things as well; names one.
+    """
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise ConfigurationError(f"{path} is a file, which no folder replaces: give another name, or remove it first")
+    foreign = next(_foreign(path), None)
+    if foreign is not None or (any(path.iterdir()) and not (path / EPISODES).is_file()):
+        what = "" if foreign is None else f": it holds {foreign}"
+        raise ConfigurationError(
+            f"{path} is not, or not only, a dataset that ORBIT wrote{what}. It is not replaced: give another name, or "
+            "move it away first"
+        )
+
+
+def _foreign(folder: Path) -> Iterator[str]:
+    """Paths within a folder that no dataset of ours has, links among them."""
+    for place, folders, files in os.walk(folder):
+        links = [name for name in folders if (Path(place) / name).is_symlink()]
+        for name in (*files, *links):
+            path = Path(place) / name
+            inner = path.relative_to(folder).as_posix()
+            own = is_card(path) if inner == CARD else _LAYOUT.fullmatch(inner)
+            if path.is_symlink() or not own:
+                yield inner
 
 
 def arrow_modules() -> tuple[Any, Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -17,10 +18,12 @@ from safetensors import SafetensorError, safe_open
 
 from orbit_core.data.episodes import INITIAL, Array, Episode, EpisodeInfo
 from orbit_core.data.manifest import Manifest
-from orbit_core.files import LOCK, FolderLock, storage_faults, written_whole
+from orbit_core.files import LOCK, FolderLock, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
 
 _MANIFEST = "manifest.json"
+_REPLACES = "replaces"
+"""Marks a recording that takes the place of the dataset in the end, instead of going on with it."""
 _PART = re.compile(r"part_(\d{6,})\.safetensors")
 _KEY = "episodes"
 
@@ -41,6 +44,27 @@ class PartFolder:
         """In the order of writing."""
         found = [path for path in self.path.iterdir() if _PART.fullmatch(path.name)] if self.path.is_dir() else []
         return sorted(found, key=lambda path: int(path.stem.removeprefix("part_")))
+
+    @property
+    def begun(self) -> bool:
+        """Whether a recording has begun here."""
+        return (self.path / _MANIFEST).is_file() or bool(self.files)
+
+    @property
+    def replaces(self) -> bool:
+        """Whether the recording takes the dataset's place in the end; else it goes on with it."""
+        return (self.path / _REPLACES).is_file()
+
+    def begin_replacing(self) -> None:
+        """Let the recording that begins here take the dataset's place in the end.
+
+        Raises:
+            ConfigurationError: another process writes into the folder; names that.
+            StorageError: it cannot be written.
+        """
+        self.hold()
+        with storage_faults(self.path):
+            (self.path / _REPLACES).touch()
 
     def hold(self) -> None:
         """Let nobody else write into the folder until it is removed or released.
@@ -68,10 +92,7 @@ class PartFolder:
             StorageError: it cannot be written.
         """
         self.hold()
-        with storage_faults(self.path):
-            for left in self.path.glob(".*"):
-                if left.name != LOCK:
-                    left.unlink()
+        sweep(self.path)
         with written_whole(self.path / _MANIFEST) as written:
             written.write_bytes(manifest.encode())
 
@@ -117,7 +138,7 @@ class PartFolder:
                 yield Episode(info, {n: a[row if n.startswith(INITIAL) else own] for n, a in arrays.items()})
 
     def remove(self) -> None:
-        """Delete the folder, once all is elsewhere.
+        """Delete the recording, once all is elsewhere; files of other kinds stay, and the folder with them.
 
         Raises:
             ConfigurationError: another process writes into it; names that.
@@ -125,9 +146,14 @@ class PartFolder:
         """
         self.hold()
         with storage_faults(self.path):
-            for path in self.path.iterdir():
-                path.unlink()
-            self.path.rmdir()
+            # The mark first: what a kill then leaves goes on with the dataset, which has its episodes, and replaces
+            # nothing.
+            (self.path / _REPLACES).unlink(missing_ok=True)
+            for path in (*self.files, self.path / _MANIFEST, self.path / LOCK):
+                path.unlink(missing_ok=True)
+            sweep(self.path)
+            with suppress(OSError):
+                self.path.rmdir()
         self.release()
 
 

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import glob
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from orbit_core.data.card import write_card
+from orbit_core.data.card import check_card, write_card
 from orbit_core.data.compare import Kind, differences
 from orbit_core.data.episodes import Episode, EpisodeInfo
 from orbit_core.data.hdf5 import Hdf5Dataset, hdf5_module, write_hdf5
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.parts import PartFolder
 from orbit_core.data.recorder import DemonstrationRecorder
+from orbit_core.files import storage_faults, sweep
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
 
@@ -24,9 +25,14 @@ if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor
     from orbit_core.envs.environment import Environment, EpisodeEnd
 
+_ASIDE = ".replaced-"
+
 
 class RecordingFile:
-    """A dataset that grows: the gathered file, and beside it the folder of what is not gathered yet.
+    """A dataset that grows: the gathered file, and next to it the folder of what is not gathered yet.
+
+    A recording that replaces the dataset (:meth:`begin_anew`) leaves it as it is until all its own episodes are
+    gathered, and keeps another one that was cut off in a folder ``*.parts.replaced-<number>`` until then.
 
     Args:
         path: of the HDF5 file.
@@ -36,36 +42,57 @@ class RecordingFile:
         self.path = path
         self.parts = PartFolder(path.with_name(f"{path.name}.parts"))
 
-    @property
-    def begun(self) -> bool:
-        """Whether anything of it is there."""
-        return self.path.exists() or self.parts.path.exists()
-
     def check_begun(self, resume: bool, overwrite: bool) -> None:
         """Refuse a recording that was cut off, if neither is asked for, to do both, one that still runs, and any where
         h5py is missing, which would be found out once all episodes are over.
 
         Raises:
-            ConfigurationError: tells of both, of the process that records, or of what to install.
+            ConfigurationError: tells of both, of the process that records, of what to install, or of a file in the
+                place of the card.
         """
         hdf5_module()
+        check_card(self.path)
         if resume and overwrite:
             raise ConfigurationError("--resume goes on with a recording, --overwrite begins it anew: give one of them")
-        if not self.parts.path.exists():
-            return
-        self.parts.hold()
+        if self.parts.path.exists():
+            self.parts.hold()
+        self._give_back()
         if not (resume or overwrite):
             self.parts.release()
+            self.check_none()
+
+    def check_none(self) -> None:
+        """Reject the path of a new dataset where a recording that was cut off is to become one.
+
+        Raises:
+            ConfigurationError: there is one; names its folder.
+        """
+        if self.parts.begun:
             raise ConfigurationError(
-                f"{self.parts.path} holds a recording that was cut off: --resume goes on with it, --overwrite begins "
-                "anew"
+                f"{self.parts.path} holds a recording that was cut off: the command that began it goes on with "
+                "--resume, and begins another with --overwrite; or give another name"
             )
 
-    def discard(self) -> None:
-        """Delete all of it, so that it can be recorded anew."""
+    def begin_anew(self) -> None:
+        """Begin a recording that replaces all that is there, once it is whole.
+
+        Raises:
+            ConfigurationError: another process records into the file; names that.
+            StorageError: the folder cannot be written.
+        """
         if self.parts.path.exists():
-            self.parts.remove()
-        self.path.unlink(missing_ok=True)
+            self.parts.hold()
+        if self.parts.files:
+            number = 1 + max((number for number, _ in self._set_aside()), default=0)
+            with storage_faults(self.parts.path):
+                self.parts.path.rename(self.parts.path.with_name(f"{self.parts.path.name}{_ASIDE}{number}"))
+            self.parts.release()
+        self.parts.begin_replacing()
+
+    def release(self) -> None:
+        """Let others record into the file; a recording of which no episode is kept is as if it had not begun."""
+        self._give_back()
+        self.parts.release()
 
     def infos(self) -> dict[int, EpisodeInfo]:
         """What is known of every episode that is kept, by number."""
@@ -78,7 +105,7 @@ class RecordingFile:
             ConfigurationError: what is there was recorded with another environment; names what differs.
         """
         recorded = self.parts.manifest()
-        if recorded is None and self.path.exists():
+        if recorded is None and self._continued:
             dataset = Hdf5Dataset(self.path)
             dataset.close()
             recorded = dataset.known()
@@ -101,17 +128,40 @@ class RecordingFile:
         manifest = self.parts.manifest()
         if manifest is None:
             raise ConfigurationError(f"nothing was recorded in {self.parts.path}")
-        for left in self.path.parent.glob(f".{self.path.stem}.*{self.path.suffix}"):
-            with suppress(OSError):
-                left.unlink()
-        size = sum(path.stat().st_size for path in (*self.parts.files, self.path) if path.exists())
+        sweep(self.path.parent)
+        continued = (self.path,) if self._continued else ()
+        size = sum(path.stat().st_size for path in (*self.parts.files, *continued))
         count = write_hdf5(self.path, self._episodes(), manifest, size=size)
         write_card(self.path)
+        for _, replaced in self._set_aside():
+            PartFolder(replaced).remove()
         self.parts.remove()
         return count
 
+    @property
+    def _continued(self) -> bool:
+        """Whether the recording goes on with a dataset that is there."""
+        return self.path.exists() and not self.parts.replaces
+
+    def _set_aside(self) -> list[tuple[int, Path]]:
+        """Folders of recordings that were cut off and are to be replaced, by their numbers, the oldest first."""
+        prefix = f"{self.parts.path.name}{_ASIDE}"
+        found = [path for path in self.path.parent.glob(f"{glob.escape(prefix)}*") if path.is_dir()]
+        numbers = [(path.name.removeprefix(prefix), path) for path in found]
+        return sorted((int(number), path) for number, path in numbers if number.isdecimal())
+
+    def _give_back(self) -> None:
+        """Remove a recording that kept no episode, and put the one in its place that it was to replace."""
+        if self.parts.files:
+            return
+        if self.parts.path.exists():
+            self.parts.remove()
+        if aside := self._set_aside():
+            with storage_faults(self.parts.path):
+                aside[-1][1].rename(self.parts.path)
+
     def _gathered(self) -> list[EpisodeInfo]:
-        if not self.path.exists():
+        if not self._continued:
             return []
         dataset = Hdf5Dataset(self.path)
         dataset.close()
@@ -120,7 +170,7 @@ class RecordingFile:
     def _episodes(self) -> Iterator[Episode]:
         """All episodes in the order in which they were recorded, a file at a time; each number once."""
         numbers: set[int] = set()
-        if self.path.exists():
+        if self._continued:
             dataset = Hdf5Dataset(self.path)
             numbers |= {info.number for info in dataset.episodes}
             yield from map(dataset.read, range(len(dataset.episodes)))
@@ -179,7 +229,7 @@ def record(
     try:
         return _record(environment, make_actor, file, task, episodes, seed, groups, progress)
     finally:
-        file.parts.release()
+        file.release()
 
 
 def _record(
@@ -216,7 +266,5 @@ def _skip(environment: Environment, begun: Tensor) -> None:
     """Let the next episode of each environment be the one after those (N,) that are recorded."""
     if not bool(begun.any()):
         return
-    random = environment.world.random
-    key, _, counter = random.save_state()
-    random.load_state((key, begun - 1, counter))
+    environment.world.random.begin(begun - 1)
     environment.reset()

@@ -61,6 +61,18 @@ class RandomStreams:
         ids = self._rows(env_ids)
         self._begin_stream(ids, self._episode[ids] + 1)
 
+    @property
+    def episode(self) -> Tensor:
+        """(N,) number of each environment's episode, from 0; -1 before the first."""
+        return self._tensors[1]
+
+    def begin(self, episode: Tensor) -> None:
+        """Begin the streams of given episodes (N,), in the environments that are in others."""
+        key, own, counter = self._tensors
+        other = own != episode
+        write_rows(counter, _mix(key + episode * _INCREMENT), other)
+        write_rows(own, episode, other)
+
     def uniform(
         self, shape: tuple[int, ...], low: Bound = 0.0, high: Bound = 1.0, env_ids: Tensor | None = None
     ) -> Tensor:

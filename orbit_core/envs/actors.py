@@ -34,15 +34,21 @@ class ExpertActor(Actor):
 
 
 class RandomActor(Actor):
-    """Uniform in [-1, 1], from a stream per environment: environment i does the same however many others there are."""
+    """Uniform in [-1, 1], from a stream per environment and episode.
+
+    Environment i does the same in its episode k however many other environments there are, and whether its earlier
+    episodes ran in this process or before it: a recording that was cut off goes on as it would have.
+    """
 
     def __init__(self, environment: Environment, seed: int) -> None:
         from orbit_core.dynamics.random import RandomStreams
 
         self._streams = RandomStreams(environment.num_envs, (seed + _OTHER_STREAM) % 2**63, environment.device)
+        self._episodes = environment.world.random
         self._shape = (environment.action_size,)
 
     def act(self) -> Tensor:
+        self._streams.begin(self._episodes.episode)
         return self._streams.uniform(self._shape, -1.0, 1.0)
 
 

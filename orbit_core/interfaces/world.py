@@ -71,6 +71,15 @@ class WorldRandom(Protocol):
         """(n,) int64 in [low, high]."""
         ...
 
+    @property
+    def episode(self) -> Tensor:
+        """(N,) number of each environment's episode, from 0; -1 before the first."""
+        ...
+
+    def begin(self, episode: Tensor) -> None:
+        """Begin the streams of given episodes (N,), in the environments that are in others."""
+        ...
+
     def save_state(self) -> Any:
         """Detached copy of all streams."""
         ...

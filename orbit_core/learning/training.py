@@ -11,7 +11,7 @@ from typing import Any
 
 from orbit_core.data.manifest import Manifest
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.files import storage_faults, written_whole
+from orbit_core.files import append_line, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError, SimulationError
 from orbit_core.learning.checkpoint import read_checkpoint, write_checkpoint
 from orbit_core.learning.policy import Policy, PolicyDescription
@@ -102,8 +102,9 @@ class Training:
         folder = self.trainer.folder
         with storage_faults(folder):
             folder.mkdir(parents=True, exist_ok=True)
-        if not begin and (folder / RECORD).exists():
-            raise ConfigurationError(f"folder {folder} holds a training already: resume it, or name another")
+        if not begin:
+            check_new(folder)
+        sweep(folder)
         settings = {"task": self.task, "library": self.trainer.name, **self._algorithm()}
         settings["manifest"] = self.manifest.document()
         with written_whole(folder / RECORD) as record:
@@ -118,7 +119,8 @@ class Training:
     def _continue_curve(self, begin: int) -> None:
         """Drop what was done after the checkpoint, for it is done again, and count on from there."""
         curve = self.trainer.folder / CURVE
-        lines = curve.read_text().splitlines() if curve.exists() else []
+        lines = curve.read_text().splitlines(keepends=True) if curve.exists() else []
+        lines = [line for line in lines if line.endswith("\n")]  # a kill may have torn the last one
         try:
             kept = [line for line in lines if json.loads(line)["iteration"] < begin]
         except (ValueError, TypeError, KeyError, RecursionError) as error:
@@ -126,7 +128,7 @@ class Training:
                 f"{curve} is no curve of a training ({error}): remove it to begin another"
             ) from None
         with written_whole(curve) as shortened:
-            shortened.write_text("".join(f"{line}\n" for line in kept))
+            shortened.write_text("".join(kept))
         if kept:
             last = json.loads(kept[-1])
             self._steps_before, self._seconds_before = last["env_steps"], last["seconds"]
@@ -188,6 +190,19 @@ class Training:
         told = asdict(progress)
         for numbers in (told, told["metrics"]):
             numbers.update({name: None for name, value in numbers.items() if value != value})
-        with (self.trainer.folder / CURVE).open("a") as file:
-            file.write(json.dumps(told) + "\n")
+        append_line(self.trainer.folder / CURVE, json.dumps(told))
         report(progress)
+
+
+def check_new(folder: Path) -> None:
+    """Reject a folder for a new training whose files would replace others, or be taken for its own.
+
+    Raises:
+        ConfigurationError: a training has begun in it, or it holds a file of a name that trainings write.
+    """
+    if (folder / RECORD).exists():
+        raise ConfigurationError(f"folder {folder} holds a training already: resume it, or name another")
+    written = (CURVE, f"{CHECKPOINT}_*{SUFFIX}", f"policy_*{SUFFIX}")
+    taken = [path.name for kind in written for path in folder.glob(kind)]
+    if taken:
+        raise ConfigurationError(f"folder {folder} holds {min(taken)}, which a training would write: name another")

@@ -62,7 +62,10 @@ class Session:
         self._success = False
         self._moved: float | None = None
         self._lost: DeviceLostError | None = None
-        self.kept = len(file.infos())
+        infos = file.infos()
+        if infos:  # the next episode begins otherwise than those that are recorded
+            environment.world.random.begin(torch.tensor([max(infos)], device=environment.device))
+        self.kept = len(infos)
         """Episodes in the file."""
         self.message = ""
         """What became of the person's last wish."""
@@ -146,10 +149,9 @@ class Session:
     def close(self) -> int:
         """Forget an open episode, gather what was kept; gives the number of episodes in the file."""
         self._recorder = None
-        if self._file.parts.infos():
+        if self._file.parts.files:
             self.kept = self._file.gather()
-        else:
-            self._file.parts.remove()
+        self._file.release()
         return self.kept
 
     # What the person asks for
@@ -177,8 +179,7 @@ class Session:
         self._driver.restart()
         self._success, self._recorder = False, None
         if recording:
-            number = max(self._file.infos(), default=-1) + 1
-            begun = torch.tensor([number], device=self._environment.device)
+            begun = self.world.random.episode.clone()
             self._recorder = DemonstrationRecorder(
                 self._environment, self._file.parts, _everything, self._seed, begun=begun
             )

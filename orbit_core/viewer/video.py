@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from orbit_core.files import storage_faults
-from orbit_core.interfaces import ConfigurationError
+from orbit_core.files import Replacement, storage_faults
+from orbit_core.interfaces import ConfigurationError, StorageError
 from orbit_core.rollout.stepping import StepObserver
 from orbit_core.viewer.pictures import OverviewCamera
 
@@ -44,16 +44,20 @@ class VideoFile:
         except ImportError as error:
             raise ConfigurationError('videos need an encoder: pip install "orbit-core[video]"') from error
         self._path = path
-        self._partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+        self._count = imageio_ffmpeg.count_frames_and_secs
+        self._replacement = Replacement(path)
         self._size = (height, width, 3)
-        stream: Generator[None, Any, None] = imageio_ffmpeg.write_frames(
-            str(self._partial),
-            (width, height),
-            fps=frames_per_second,  # pyright: ignore[reportArgumentType] - any number will do
-            macro_block_size=_MULTIPLE,
-            quality=7,
-        )
-        stream.send(None)
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._replacement.discard)
+            stream: Generator[None, Any, None] = imageio_ffmpeg.write_frames(
+                str(self._replacement.written),
+                (width, height),
+                fps=frames_per_second,  # pyright: ignore[reportArgumentType] - any number will do
+                macro_block_size=_MULTIPLE,
+                quality=7,
+            )
+            stream.send(None)
+            stack.pop_all()
         self._stream: Generator[None, Any, None] | None = stream
 
     def add(self, frame: npt.NDArray[np.uint8]) -> None:
@@ -62,21 +66,32 @@ class VideoFile:
             raise ConfigurationError(f"video {self._path} is closed: frames come before close()")
         if frame.shape != self._size:
             raise ConfigurationError(f"a frame of video {self._path} must be {self._size}, not {frame.shape}")
-        with storage_faults(self._path):
+        try:
             self._stream.send(np.ascontiguousarray(frame))
+        except OSError:
+            raise self._no_video() from None
 
     def close(self) -> None:
-        """Finish the file and give it its name; idempotent."""
-        if self._stream is not None:
+        """Finish the file and give it its name; idempotent.
+
+        Raises:
+            StorageError: the disk is full, or the folder cannot be written; there is no new file then.
+        """
+        if self._stream is None:
+            return
+        try:
             with storage_faults(self._path):
                 self._end_stream()
-                self._partial.replace(self._path)
+            self._check()
+            self._replacement.take_place()
+        finally:
+            self._replacement.discard()
 
     def discard(self) -> None:
         """Give the video up; what was written of it is deleted."""
         if self._stream is not None:
             self._end_stream()
-        self._partial.unlink(missing_ok=True)
+        self._replacement.discard()
 
     def __enter__(self) -> VideoFile:
         return self
@@ -86,6 +101,16 @@ class VideoFile:
             self.close()
         else:
             self.discard()
+
+    def _check(self) -> None:
+        """Read the video: the encoder says nothing of a disk that was full."""
+        try:
+            self._count(str(self._replacement.written))
+        except (RuntimeError, OSError):
+            raise self._no_video() from None
+
+    def _no_video(self) -> StorageError:
+        return StorageError(f"cannot write {self._path}: the encoder left no whole video, as where the disk is full")
 
     def _end_stream(self) -> None:
         assert self._stream is not None

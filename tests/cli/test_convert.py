@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from orbit_core.assets import load_articulation
 from orbit_core.cli import main
+from tests.faults import no_file_beyond
 
 ROBOT = """<robot name="lamp">
   <link name="base"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
@@ -78,3 +80,32 @@ def test_files_are_not_overwritten_unasked_and_formats_are_named(
     assert main(["convert", str(source), str(out), "--overwrite"]) == 0
     assert main(["convert", str(source), str(tmp_path / "copy.step")]) == 2
     assert "of no format that is written" in capsys.readouterr().err
+
+
+def test_a_model_is_replaced_by_one_that_is_whole_and_keeps_its_meshes_until_then(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Meshes of one name in one folder: the second model replaces none of the first one's."""
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 {}\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    for folder, height in (("low", 1), ("high", 2)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "wedge.obj").write_text(corners.format(height))
+
+    def convert(folder: str, *words: str) -> int:
+        return main(["convert", str(tmp_path / folder / "wedge.obj"), str(tmp_path / "wedge.urdf"), *words])
+
+    def height() -> float:
+        (shape,) = load_articulation(tmp_path / "wedge.urdf").root.collisions
+        return float(np.ptp(shape.geometry.vertices[:, 2]))
+
+    assert convert("low") == 0
+    assert height() == pytest.approx(1.0)
+    with no_file_beyond(300):  # the mesh has room, the model has none
+        assert convert("high", "--overwrite") == 2
+    assert "cannot write" in capsys.readouterr().err
+    assert height() == pytest.approx(1.0)
+    assert convert("high", "--overwrite") == 0
+    assert height() == pytest.approx(2.0)
+    same = str(tmp_path / "wedge.urdf")
+    assert main(["convert", same, same, "--overwrite"]) == 2
+    assert "wedge.urdf is what is read" in capsys.readouterr().err

@@ -16,12 +16,13 @@ from orbit_core.backends import backend_names
 from orbit_core.conformance import execution
 from orbit_core.conformance.execution import Outcome
 from orbit_core.conformance.jobs import Job, Kind, plan
-from orbit_core.conformance.journal import JOURNAL, Journal
+from orbit_core.conformance.journal import DROPPED, JOURNAL, Journal
 from orbit_core.conformance.results import RESULT_FILE, Ending, Header, Record, load
 from orbit_core.conformance.runner import header_of
 from orbit_core.conformance.settings import choose
 from orbit_core.conformance.sources import CORE, backend_packages, source_digests, sources_of
 from orbit_core.interfaces import ConfigurationError, StorageError
+from tests.faults import no_file_beyond
 from tests.forked import run_forked
 
 ONE, TWO = backend_names()[:2]
@@ -64,8 +65,31 @@ def test_an_unfinished_run_goes_on(unfinished: Path, header: Header) -> None:
     assert resumed(unfinished, header) == (ALL, "")
 
 
-def test_fresh_begins_anew(unfinished: Path, header: Header) -> None:
+def test_fresh_begins_anew_and_keeps_the_journal(unfinished: Path, header: Header) -> None:
+    before = (unfinished / JOURNAL).read_bytes()
     assert resumed(unfinished, header, fresh=True) == (set(), "")
+    assert (unfinished / DROPPED).read_bytes() == before
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_a_run_that_cannot_begin_leaves_the_one_that_was_there(
+    finished: bool, unfinished: Path, header: Header
+) -> None:
+    if finished:
+        journal = Journal(unfinished, header)
+        journal.finish()
+        journal.close()
+    before = {path: path.read_bytes() for path in unfinished.iterdir() if path.name != ".lock"}
+    with no_file_beyond(100), pytest.raises(StorageError, match="File too large"):
+        Journal(unfinished, header, fresh=True)
+    assert {path: path.read_bytes() for path in unfinished.iterdir() if path.name != ".lock"} == before
+
+
+def test_a_folder_of_other_things_takes_no_run(tmp_path: Path, header: Header) -> None:
+    (tmp_path / "report.html").write_text("my own")
+    with pytest.raises(ConfigurationError, match="holds other things and no run of this suite"):
+        Journal(tmp_path, header)
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
 
 
 def test_a_backend_of_other_source_does_its_own_jobs_again(unfinished: Path, header: Header) -> None:

@@ -17,7 +17,8 @@ from orbit_core.conformance.merge import merge
 from orbit_core.conformance.results import Ending, Record, load
 from orbit_core.conformance.runner import header_of
 from orbit_core.conformance.settings import FULL, QUICK, Settings, choose
-from orbit_core.interfaces import ConfigurationError, Gap
+from orbit_core.interfaces import ConfigurationError, Gap, StorageError
+from tests.faults import no_file_beyond
 
 from .conftest import PAIR
 
@@ -72,7 +73,7 @@ def test_two_backends_runs_on_two_machines_become_one_report(
     assert again.partings == result.partings
     with pytest.raises(ConfigurationError, match=f"hold task/Reach/{ONE}: leave one out"):
         merge((output, first), tmp_path / "twice")
-    with pytest.raises(ConfigurationError, match="is one of those to be merged"):
+    with pytest.raises(ConfigurationError, match="is what is read"):
         merge((first, second), first)
 
 
@@ -95,6 +96,33 @@ def test_runs_without_files_are_merged_into_a_new_folder(tmp_path: Path) -> None
     folders = [finished(tmp_path / name, name, fall) for name, fall in zip((ONE, TWO), falls, strict=True)]
     merge(folders, tmp_path / "new" / "merged")
     assert len(load(tmp_path / "new" / "merged").records) == 2
+
+
+def test_a_result_is_replaced_on_demand_and_nothing_else_is(tmp_path: Path) -> None:
+    runs, output = tmp_path / "runs", tmp_path / "merged"
+    fall = Outcome(Record(FALL, Ending.UNSUPPORTED, "no"), {"traces.json": b"[]"})
+    folders = [finished(runs / ONE, ONE, fall), finished(runs / TWO, TWO)]
+    for place, message in ((runs, "holds .*, which is read"), (folders[0] / "inner", "lies in .*, which is read")):
+        with pytest.raises(ConfigurationError, match=message):
+            merge(folders, place, overwrite=True)
+    output.mkdir()
+    merge(folders, output)
+    with pytest.raises(ConfigurationError, match="is there already: give another --output, or --overwrite"):
+        merge(folders, output)
+    merge(folders, output, overwrite=True)
+    (output / "notes.txt").write_text("years")
+    with pytest.raises(ConfigurationError, match=r"not only, a result of the suite: it holds notes\.txt"):
+        merge(folders, output, overwrite=True)
+    (tmp_path / "proj").mkdir()
+    (tmp_path / "proj" / "thesis.tex").write_text("years")
+    with pytest.raises(ConfigurationError, match=r"it holds no result\.json"):
+        merge(folders, tmp_path / "proj", overwrite=True)
+    assert [path.name for path in (tmp_path / "proj").iterdir()] == ["thesis.tex"]
+    (output / "notes.txt").unlink()
+    before = {path: path.read_bytes() for path in output.rglob("*") if path.is_file()}
+    with no_file_beyond(1), pytest.raises(StorageError, match="cannot write"):
+        merge(folders, output, overwrite=True)
+    assert {path: path.read_bytes() for path in output.rglob("*") if path.is_file()} == before
 
 
 def test_fewer_episodes_are_never_more_and_replay_no_slow_tasks() -> None:

@@ -91,3 +91,27 @@ def test_what_cannot_be_augmented_is_refused(dataset: Hdf5Dataset, environment: 
     with pytest.raises(ConfigurationError, match="4 episodes do not begin in 1 environments"):
         cut(few, dataset, range(4))
     few.close()
+
+
+def test_what_was_there_stays_where_no_attempt_succeeds(dataset: Hdf5Dataset, tmp_path: Path, capsys) -> None:
+    """A dataset is replaced by one that is whole, and a recording that was cut off by none."""
+    output, parts = tmp_path / "many.hdf5", tmp_path / "many.hdf5.parts"
+    output.write_bytes(dataset.path.read_bytes())
+    words = ["augment", str(dataset.path), "--output", str(output), "--num-envs", "4", "--most-attempts", "1"]
+    words += ["--episodes", "1", "--set", "tolerance=1e-9", "--set", "episode_length=0.1"]
+    assert main([*words, "--overwrite"]) == 2
+    assert "attempts succeeded: give other demonstrations" in capsys.readouterr().err
+    assert output.read_bytes() == dataset.path.read_bytes()
+    assert not parts.exists()
+    cut_off = RecordingFile(output)
+    cut_off.take_up(dataset.known())
+    cut_off.parts.add([dataset.episodes[0]], dataset.read(0).arrays)
+    cut_off.release()
+    output.unlink()
+    assert main(words) == 2
+    assert "many.hdf5.parts holds a recording that was cut off" in capsys.readouterr().err
+    assert main([*words, "--overwrite"]) == 2
+    assert len(cut_off.infos()) == 1
+    same = ["augment", str(dataset.path), "--output", str(dataset.path), "--overwrite"]
+    assert main(same) == 2
+    assert "is what is read" in capsys.readouterr().err

@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import random
-import resource
-import signal
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,14 +16,12 @@ from torch import Tensor
 
 from orbit_core.backends import default_backend
 from orbit_core.data.compare import check_manifest
-from orbit_core.data.episodes import Episode, EpisodeInfo
-from orbit_core.data.hdf5 import Hdf5Dataset, write_hdf5
+from orbit_core.data.hdf5 import Hdf5Dataset
 from orbit_core.data.manifest import Manifest
-from orbit_core.data.parts import PartFolder
 from orbit_core.data.recording import RecordingFile, record
 from orbit_core.envs import Environment, TerminationTerm, make
 from orbit_core.envs.actors import Actor, scripted_actor
-from orbit_core.interfaces import ConfigurationError, StorageError, UnknownNameError
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_tasks.reach import Reach
 
 BACKEND = default_backend()
@@ -152,7 +145,9 @@ def test_a_recording_that_was_cut_off_goes_on_to_the_same_episodes(
     with pytest.raises(KeyboardInterrupt):
         record(environment, lambda: _Interrupted(environment, STEPS + 5), file, "Lift", 6, SEED)
     assert len(file.infos()) == 4
-    (file.parts.path / ".part_000001.half.safetensors").write_bytes(b"half")
+    half = file.parts.path / ".orbit-01234567.partial"
+    half.mkdir()
+    (half / "part_000001.safetensors").write_bytes(b"half")
     resumed = recorded(environment, tmp_path / "lift.hdf5", 6)
     whole = {info.number: dataset.read(i) for i, info in enumerate(dataset.episodes)}
     assert [*whole] == [info.number for info in resumed.episodes]
@@ -185,126 +180,6 @@ def test_an_unknown_group_is_named(environment: Environment, tmp_path: Path) -> 
     file = RecordingFile(tmp_path / "x.hdf5")
     with pytest.raises(UnknownNameError, match="unknown observation group 'critc'"):
         record(environment, lambda: scripted_actor("zero", environment, 0), file, "Lift", 4, 0, groups=("critc",))
-
-
-# Whatever ends the program ---------------------------------------------------------------------------------------
-
-
-def synthetic(number: int, length: int = 5) -> tuple[list[EpisodeInfo], dict[str, np.ndarray]]:
-    """An episode whose numbers tell which it is."""
-    values = np.full((length, 2000), number, np.float32)
-    return [EpisodeInfo(number, length, success=True)], {"actions": values, "initial/goal": values[:1]}
-
-
-def in_a_child(work) -> int:
-    """Run something in a forked process that touches no tensors; its exit code comes from its end."""
-    child = os.fork()
-    if child == 0:
-        try:
-            work()
-            os._exit(0)
-        except StorageError as error:
-            print(error, flush=True)
-            os._exit(7)
-        finally:
-            os._exit(1)
-    return child
-
-
-def test_a_kill_at_any_of_fifty_moments_loses_no_finished_episode(manifest: Manifest, tmp_path: Path) -> None:
-    """The child tells each episode that is written; every so often it gathers all into the one file."""
-    file = RecordingFile(tmp_path / "x.hdf5")
-    chance, begun, gathered, torn = random.Random(0), 0, 0, 0
-    for _ in range(50):
-        reader, writer = os.pipe()
-
-        def work(begin: int = begun, writer: int = writer) -> None:
-            file.parts.begin(manifest)
-            for number in range(begin, begin + 10_000):
-                if number % 5 == 0 and number > begin:
-                    write_hdf5(file.path, file._episodes(), manifest)
-                    file.parts.remove()
-                    file.parts.begin(manifest)
-                file.parts.add(*synthetic(number))
-                os.write(writer, number.to_bytes(4, "little"))
-
-        child = in_a_child(work)
-        os.close(writer)
-        with os.fdopen(reader, "rb") as pipe:
-            # So many episodes, and a part of the next one's time: however fast the machine is.
-            whole, start = chance.randrange(8), time.monotonic()
-            told = pipe.read(4 * whole)
-            time.sleep(chance.uniform(0.0, 2.0) * (time.monotonic() - start) / max(whole, 1))
-            os.kill(child, signal.SIGKILL)
-            os.waitpid(child, 0)
-            told += pipe.read()
-        finished = [int.from_bytes(told[i : i + 4], "little") for i in range(0, len(told) - 3, 4)]
-        numbers = sorted(info.number for info in file.infos().values())
-        assert numbers == [*range(len(numbers))]
-        assert len(numbers) >= (finished[-1] + 1 if finished else begun)
-        for episode in file._episodes():
-            assert (episode.arrays["actions"] == episode.info.number).all()
-        begun = len(numbers)
-        gathered += file.path.exists()
-        torn += bool([*tmp_path.glob(".x.*"), *file.parts.path.glob(".*.*")])
-    assert begun > 50
-    assert gathered > 5
-    assert torn > 3  # else no kill came in the midst of writing
-
-
-@pytest.fixture(scope="module")
-def manifest(environment: Environment) -> Manifest:
-    return Manifest.of(environment, "Lift", SEED)
-
-
-def test_a_second_recorder_into_the_same_file_is_refused_whatever_it_asks_for(
-    manifest: Manifest, tmp_path: Path
-) -> None:
-    first, second = RecordingFile(tmp_path / "x.hdf5"), RecordingFile(tmp_path / "x.hdf5")
-    first.parts.begin(manifest)
-    first.parts.add(*synthetic(0))
-    for resume, overwrite in ((False, False), (True, False), (False, True)):
-        with pytest.raises(ConfigurationError, match=rf"a run of process {os.getpid()} on .* is writing into folder"):
-            second.check_begun(resume, overwrite)
-    with pytest.raises(ConfigurationError, match="is writing into folder"):
-        second.discard()
-    first.parts.release()
-    second.check_begun(True, False)
-    assert [*second.infos()] == [0]
-
-
-def test_a_full_disk_is_one_error_and_keeps_what_was_written(manifest: Manifest, tmp_path: Path, capfd) -> None:
-    """No file may grow beyond 100 kB in the child, which fails with a sentence."""
-    folder, whole = PartFolder(tmp_path / "parts"), tmp_path / "whole.hdf5"
-    write_hdf5(whole, [Episode(*_alone(0))], manifest)
-
-    def limited(work):
-        def run() -> None:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
-            work()
-
-        return run
-
-    def add() -> None:
-        folder.begin(manifest)
-        folder.add(*synthetic(0))
-        folder.add(*synthetic(1, length=50))
-
-    def replace() -> None:
-        write_hdf5(whole, [Episode(*_alone(number)) for number in range(20)], manifest, size=800_000)
-
-    for work, named in ((add, "part_000001.safetensors"), (replace, "whole.hdf5")):
-        child = in_a_child(limited(work))
-        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
-        assert f"{named}: File too large" in capfd.readouterr().out
-    assert [info.number for info in folder.infos()] == [0]
-    assert len(Hdf5Dataset(whole).episodes) == 1
-    assert {path.name for path in tmp_path.iterdir()} == {"parts", "whole.hdf5"}
-
-
-def _alone(number: int) -> tuple[EpisodeInfo, dict[str, np.ndarray]]:
-    (info,), arrays = synthetic(number)
-    return info, arrays
 
 
 # Bad files -----------------------------------------------------------------------------------------------------------

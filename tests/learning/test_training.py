@@ -20,14 +20,15 @@ from torch import Tensor
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
 from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, PpoSettings, RewardTerm
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.interfaces import ConfigurationError, StorageError, UnknownNameError
 from orbit_core.learning.checkpoint import read_checkpoint
 from orbit_core.learning.learners import library_names, trainer_type
 from orbit_core.learning.policy import PolicyActor, load_policy
 from orbit_core.learning.trainer import Progress, Trainer
-from orbit_core.learning.training import Training
+from orbit_core.learning.training import Training, check_new
 from orbit_core.mdp import common
 from orbit_tasks.reach import Reach
+from tests.faults import no_file_beyond
 
 BACKEND = default_backend()
 STEPS = 25
@@ -226,6 +227,39 @@ def test_an_interrupted_command_says_where_it_goes_on(
     assert "there is no checkpoint" in capsys.readouterr().out
 
 
+def test_a_folder_with_files_that_a_training_would_write_is_refused(tmp_path: Path) -> None:
+    for name in ("curve.jsonl", "policy_3.safetensors", "checkpoint_0.safetensors"):
+        folder = tmp_path / f"of_{name}"
+        folder.mkdir()
+        (folder / name).write_text("another's")
+        with pytest.raises(ConfigurationError, match=f"holds {name}, which a training would write"):
+            check_new(folder)
+    (tmp_path / "notes.txt").touch()
+    check_new(tmp_path)
+
+
+def test_a_training_that_was_killed_while_it_wrote_a_line_resumes(tmp_path: Path) -> None:
+    environment = reach(2)
+    learn(trainer("sb3", environment, tmp_path), 1)
+    with (tmp_path / "curve.jsonl").open("a") as file:
+        file.write('{"iteration": 1, "env_st')
+    learn(trainer("sb3", environment, tmp_path), 2, resume=True)
+    lines = [json.loads(line) for line in (tmp_path / "curve.jsonl").read_text().splitlines()]
+    assert [line["iteration"] for line in lines] == [0, 1]
+    environment.close()
+
+
+def test_a_disk_that_fills_ends_a_training_in_one_error_and_it_resumes(tmp_path: Path) -> None:
+    environment = reach(2)
+    learn(trainer("sb3", environment, tmp_path), 1)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir() if path.suffix == ".safetensors"}
+    with no_file_beyond(20_000), pytest.raises(StorageError, match=r"cannot write .*policy_1\.safetensors"):
+        learn(trainer("sb3", environment, tmp_path), 2, resume=True)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir() if path.suffix == ".safetensors"} == before
+    assert [progress.iteration for progress in learn(trainer("sb3", environment, tmp_path), 2, resume=True)] == [1]
+    environment.close()
+
+
 def test_a_checkpoint_of_another_training_is_refused(tmp_path: Path) -> None:
     environment = reach(2)
     (tmp_path / "model_3.pt").write_bytes(b"what a library wrote by itself")
@@ -257,7 +291,13 @@ def test_the_command_line_trains_plays_and_exports(tmp_path: Path, capsys: pytes
     result = tmp_path / "played.json"
     assert main(["play", str(training), *chosen, "--episodes", "4", "--json", str(result)]) == 0
     assert json.loads(result.read_text())["episodes"] == 4
-    assert main(["export", str(training), "--output", str(exported)]) == 0
+    export = ["export", str(training), "--output", str(exported)]
+    assert main(export) == 0
+    assert main(export) == 2
+    assert "policy.json is there already: give another name, or --overwrite" in capsys.readouterr().err
+    assert main([*export, "--overwrite"]) == 0
+    assert main(["export", str(exported / "policy.safetensors"), "--output", str(exported), "--overwrite"]) == 2
+    assert "policy.safetensors is what is read" in capsys.readouterr().err
     assert main(["play", str(exported / "policy.onnx"), *chosen, "--episodes", "4"]) == 0
     assert sorted(path.name for path in exported.iterdir()) == ["policy.json", "policy.onnx", "policy.safetensors"]
     capsys.readouterr()

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from orbit_core.backends import default_backend
@@ -228,6 +229,7 @@ def test_episodes_are_kept_on_demand_and_survive_a_lost_device(environment: Envi
         UP, ask[Event.SAVE], ask[Event.RECORD], *[UP] * 9, ask[Event.SUCCESS], ask[Event.SAVE], UP, ask[Event.RECORD],
         UP, ask[Event.DISCARD], ask[Event.RECORD], UP, UP, ask[Event.RESET], UP, ask[Event.SAVE], ask[Event.RECORD], UP,
     ]  # fmt: skip
+    environment.reset(2)
     session = Session(environment, Driver(environment), Played(*stream), "gamepad", RecordingFile(path), "Lift", 2)
     with pytest.raises(DeviceLostError, match="unplugged"):
         run(session)
@@ -241,11 +243,40 @@ def test_episodes_are_kept_on_demand_and_survive_a_lost_device(environment: Envi
     heights = hand[:, 2]
     assert heights[-1] > heights[0]
     dataset.close()
+    environment.reset(2)  # as in another process
     again = Session(environment, Driver(environment), Played(ask[Event.RECORD], UP, ask[Event.SAVE]), "browser",
                     RecordingFile(path), "Lift", 2)  # fmt: skip
     with pytest.raises(DeviceLostError):
         run(again)
     assert again.close() == 3
+    dataset = Hdf5Dataset(path)
+    numbers = [info.number for info in dataset.episodes]
+    assert numbers == sorted({*numbers})
+    assert [info.episode for info in dataset.episodes] == numbers
+    starts = [dataset.read(place).arrays["states"][0] for place in range(3)]
+    assert not np.array_equal(starts[2], starts[0])
+    assert not np.array_equal(starts[2], starts[1])
+    dataset.close()
+
+
+def test_a_session_that_overwrites_leaves_the_dataset_until_an_episode_is_saved(
+    environment: Environment, tmp_path: Path
+) -> None:
+    path = tmp_path / "own.hdf5"
+    save = [Reading(events=(Event.RECORD,)), UP, Reading(events=(Event.SAVE,))]
+    for stream, lengths in (([*save, *save], 2), ([UP], 2), (save, 1)):
+        file = RecordingFile(path)
+        file.check_begun(resume=False, overwrite=path.exists())
+        if path.exists():
+            file.begin_anew()
+        session = Session(environment, Driver(environment), Played(*stream), "gamepad", file, "Lift", 2)
+        with pytest.raises(DeviceLostError):
+            run(session)
+        session.close()
+        dataset = Hdf5Dataset(path)
+        assert len(dataset.episodes) == lengths
+        dataset.close()
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["own.hdf5", "own.md"]
 
 
 def test_nothing_is_left_where_nothing_was_saved(environment: Environment, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from orbit_core.assets.urdf.shapes_writer import write_obj
+from orbit_core.assets.urdf.shapes_writer import write_mesh
 from orbit_core.assets.urdf.text import numbers
 from orbit_core.scene import (
     Box,
@@ -86,17 +86,14 @@ class GeomWriter:
     def _mesh(self, mesh: Mesh, name: str) -> str:
         """The name of a mesh; its file is written with the first geom that uses it."""
         if id(mesh) not in self._meshes:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            plain = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in name or "mesh")[:80]
-            called = f"{len(self._meshes):04d}_{plain}"
-            path = self.folder / f"{called}.obj"
             # MuJoCo asks for four corners at least, though the faces need not use them all.
             vertices = np.concatenate([mesh.vertices, *[mesh.vertices[-1:]] * max(0, 4 - len(mesh.vertices))])
-            write_obj(replace(mesh, vertices=vertices), path)
-            file = Path(os.path.relpath(path, self.base)).as_posix()
-            # Bodies have inertias of their own, and a mesh drawn alone need enclose no volume.
-            SubElement(self.asset, "mesh", name=called, file=file, inertia="shell")
-            self._meshes[id(mesh)] = mesh, called
+            path = write_mesh(replace(mesh, vertices=vertices), self.folder, name or "mesh")
+            if all(path.stem != called for _, called in self._meshes.values()):
+                file = Path(os.path.relpath(path, self.base)).as_posix()
+                # Bodies have inertias of their own, and a mesh drawn alone need enclose no volume.
+                SubElement(self.asset, "mesh", name=path.stem, file=file, inertia="shell")
+            self._meshes[id(mesh)] = mesh, path.stem
         return self._meshes[id(mesh)][1]
 
     def _unique(self, name: str) -> str:

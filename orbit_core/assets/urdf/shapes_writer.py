@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
@@ -9,6 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from orbit_core.assets.urdf.text import numbers, origin
+from orbit_core.files import written_whole
 from orbit_core.scene import Box, Capsule, Color, Cylinder, HeightField, Mesh, Plane, Shape, Sphere
 
 
@@ -54,17 +56,30 @@ class ShapeWriter:
     def _file(self, mesh: Mesh, name: str) -> str:
         """The mesh's file, named from the URDF file; written with the first shape that uses it."""
         if id(mesh) not in self._files:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            plain = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in name)[:80]
-            path = self.folder / f"{len(self._files):04d}_{plain}.obj"
-            write_obj(mesh, path)
+            path = write_mesh(mesh, self.folder, name)
             # The mesh is kept with its file's name, so that no other takes its place in memory meanwhile.
             self._files[id(mesh)] = mesh, Path(os.path.relpath(path, self.base)).as_posix()
         return self._files[id(mesh)][1]
 
 
-def write_obj(mesh: Mesh, path: Path) -> None:
-    """Write a mesh's triangles as Wavefront OBJ, in full single precision."""
+def write_mesh(mesh: Mesh, folder: Path, name: str) -> Path:
+    """Write a mesh's triangles as Wavefront OBJ, in full single precision, and return the file.
+
+    The file's name ends in a digest of what it holds. So no file is replaced by one that differs: a model of the same
+    folder, or the one that is being overwritten, keeps its meshes.
+
+    Args:
+        mesh: the triangles.
+        folder: for the file; made where it is missing.
+        name: of the shape, with which the file's name begins.
+    """
     vertices = "".join("v {:.9g} {:.9g} {:.9g}\n".format(*vertex) for vertex in np.asarray(mesh.vertices).tolist())
     faces = "".join("f {} {} {}\n".format(*face) for face in (np.asarray(mesh.faces) + 1).tolist())
-    path.write_text(vertices + faces, encoding="ascii")
+    data = (vertices + faces).encode("ascii")
+    plain = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in name)[:80]
+    path = folder / f"{plain}_{hashlib.sha256(data).hexdigest()[:12]}.obj"
+    folder.mkdir(parents=True, exist_ok=True)
+    if not path.is_file() or path.read_bytes() != data:
+        with written_whole(path) as written:
+            written.write_bytes(data)
+    return path

@@ -7,6 +7,7 @@ Numbers that UsdPhysics holds in single precision come back rounded to it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from orbit_core.assets.usd.joint_writer import JointWriter
 from orbit_core.assets.usd.library import pxr
 from orbit_core.assets.usd.prims import assign, assign_custom, define, place, quatf
 from orbit_core.files import written_whole
-from orbit_core.interfaces.errors import AssetError
+from orbit_core.interfaces.errors import AssetError, StorageError
 from orbit_core.scene import (
     Articulation,
     Box,
@@ -35,6 +36,9 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
+
+_REASON = re.compile(r" : '(.*)'")
+"""What USD's errors say went wrong, behind where."""
 
 
 def write_usd(articulation: Articulation, path: str | Path) -> tuple[str, ...]:
@@ -53,7 +57,11 @@ def write_usd(articulation: Articulation, path: str | Path) -> tuple[str, ...]:
         writer = _Writer(articulation)
         writer.write()
         with written_whole(path) as written:
-            writer.stage.GetRootLayer().Export(str(written))
+            try:
+                writer.stage.GetRootLayer().Export(str(written))
+            except pxr().Tf.ErrorException as error:
+                reason = _REASON.search(str(error))
+                raise StorageError(f"cannot write {path}: {reason.group(1) if reason else error}") from None
         trap.Clear()
     return tuple(_losses(articulation))
 

@@ -16,14 +16,13 @@ from orbit_core.conformance.jobs import Kind
 from orbit_core.conformance.report import plots
 from orbit_core.conformance.report.courses import courses
 from orbit_core.conformance.report.robots import RobotSection, robot_section
-from orbit_core.conformance.results import PolicyInfo, Record, Result, ScenarioInfo, load
+from orbit_core.conformance.results import REPORT, PolicyInfo, Record, Result, ScenarioInfo, load
 from orbit_core.conformance.tolerances import loose_tolerances
 from orbit_core.conformance.verdict import Status
 from orbit_core.files import written_whole
 from orbit_core.interfaces.matter import NATIVE
 from orbit_core.rollout.estimates import Estimate
 
-REPORT = "report.html"
 _SYMBOLS = {Status.PASS: "✓", Status.GAP: "≈", Status.UNSUPPORTED: "–", Status.FAIL: "✗", Status.STALE: "!"}
 _ANCHORS = {Kind.ROBOT: "robots", Kind.TASK: "task-{}", Kind.TRANSFER: "transfers", Kind.THROUGHPUT: "throughput"}
 
