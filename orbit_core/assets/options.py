@@ -50,11 +50,13 @@ class ReadOptions:
 
     ``packages`` gives the folders of packages that ``package://`` names, besides the model's own. ``allow_outside``
     lets a model name files outside its folder and its packages: those below the folders listed, or any (``True``).
+    ``environment`` names the environment variables that a xacro file may read by ``$(env NAME)``.
     ``articulation`` names one of several in a file.
     """
 
     packages: Mapping[str, Path] = field(default_factory=dict)
     allow_outside: bool | tuple[Path, ...] = False
+    environment: tuple[str, ...] = ()
     limits: ReadLimits = field(default_factory=ReadLimits)
     articulation: str | None = None
     unsupported: Unsupported = Unsupported.REFUSE

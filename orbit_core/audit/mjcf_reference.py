@@ -12,7 +12,7 @@ import numpy as np
 
 from orbit_core.assets.naming import one_line
 from orbit_core.assets.options import ReadOptions
-from orbit_core.assets.xacro_files import read_expanded
+from orbit_core.assets.xacro import read_expanded
 from orbit_core.audit.mechanics import FloatArray, Posture
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation
@@ -130,7 +130,7 @@ def urdf_without_shapes(path: Path) -> str:
     Raises:
         AssetError: it is no XML.
     """
-    root, _ = read_expanded(path, ReadOptions())
+    root = read_expanded(path, ReadOptions()).root
     for link in root.iter("link"):
         for shape in [child for child in link if child.tag in ("visual", "collision")]:
             link.remove(shape)

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from orbit_core.assets.options import ReadOptions
-from orbit_core.assets.xacro_files import read_expanded
+from orbit_core.assets.xacro import read_expanded
 from orbit_core.audit.mechanics import FloatArray, Posture
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation
@@ -26,11 +26,11 @@ def pinocchio_installed() -> bool:
 
 def _text(path: Path) -> str:
     """The file's own text, unless it holds macros, which Pinocchio passes over, or is not written in UTF-8."""
-    root, expanded = read_expanded(path, ReadOptions())
+    expanded = read_expanded(path, ReadOptions())
     with contextlib.suppress(UnicodeDecodeError):
-        if not expanded:
+        if not expanded.notes:
             return path.read_bytes().decode("utf-8")
-    return ElementTree.tostring(root, encoding="unicode")
+    return ElementTree.tostring(expanded.root, encoding="unicode")
 
 
 class PinocchioReference:
