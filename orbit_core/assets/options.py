@@ -35,7 +35,10 @@ class ReadLimits:
     expanded_bytes: int = 2**30
     """Most bytes of all that an archive holds, once unpacked."""
     elements: int = 2_000_000
-    """XML elements of a file, bodies that a file replicates, or prims of a stage."""
+    """XML elements of a file, or prims of a stage."""
+    copies: int = 10_000
+    """Elements that MJCF makes of a count: by ``<replicate>``, ``<composite>``, ``<flexcomp>`` and ``nkey``. MuJoCo's
+    time to compile them grows with their square."""
     nesting: int = 2_000
     """XML elements, or folders of included files, within each other."""
     vertices: int = 10_000_000
