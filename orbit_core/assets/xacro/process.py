@@ -26,6 +26,9 @@ _REFUSED = (
     "resource.", "signal.", "tempfile.", "_thread.", "syslog.", "webbrowser.", "urllib.", "http.", "ftplib.",
 )  # fmt: skip
 """Operations that no xacro file needs, by how the interpreter's audit events begin."""
+_PATHS = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
+_LIBRARY = [*_PATHS, *map(os.path.realpath, _PATHS)]
+"""Folders of Python's own files, from which modules may still load."""
 _LISTING = ("os.listdir", "os.scandir")
 """Events of includes by pattern; the files found are opened, or not, as any file."""
 
@@ -33,7 +36,8 @@ _LISTING = ("os.listdir", "os.scandir")
 def main() -> int:
     """Expand the file that the order on standard input names; return the process's exit code."""
     order = Order.decoded(sys.stdin.read())
-    os.environ.clear()
+    for name in set(os.environ) - {"HOME"}:  # the user's home, above which no packages are looked for
+        del os.environ[name]
     markup = Markup(order)
     restrict(order, markup.folders)
     try:
@@ -72,13 +76,11 @@ def restrict(order: Order, folders: list[str]) -> None:
         (resource.RLIMIT_CORE, 0),
     ):
         resource.setrlimit(limit, (most, most))
-    paths = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
-    library = [*paths, *map(os.path.realpath, paths)]
     given = [os.path.realpath(folder) for folder in (*allowed_folders(order.path, order.options()), *order.outside)]
-    sys.addaudithook(_guard(library, given, folders))
+    sys.addaudithook(_guard(given, folders))
 
 
-def _guard(library: list[str], given: list[str], later: list[str]) -> Callable[[str, tuple[Any, ...]], None]:
+def _guard(given: list[str], later: list[str]) -> Callable[[str, tuple[Any, ...]], None]:
     def check(event: str, arguments: tuple[Any, ...]) -> None:
         if event == "open":
             path, mode, flags = arguments
@@ -90,14 +92,14 @@ def _guard(library: list[str], given: list[str], later: list[str]) -> Callable[[
             check_place(arguments[0])
         elif event == "exec":
             name = arguments[0].co_filename
-            if not name.startswith(("<frozen ", *library)):
+            if not name.startswith(("<frozen ", *_LIBRARY)):
                 raise RuntimeError(f"it runs code of '{name}', which no model may")
         elif event.startswith(_REFUSED):
             raise RuntimeError(f"it calls {event}, which no model may")
 
     def check_place(path: Any, *, writes: bool = False) -> None:
         place = os.path.realpath(os.fsdecode(path))
-        if writes or not any(_below(place, folder) for folder in (*given, *later, *library)):
+        if writes or not any(_below(place, folder) for folder in (*given, *later, *_LIBRARY)):
             raise RuntimeError(f"it opens '{place}', which the model may not: ReadOptions(allow_outside=...)")
 
     return check
