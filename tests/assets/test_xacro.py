@@ -187,6 +187,8 @@ def test_a_file_that_takes_too_long_or_too_much_memory_is_refused(
 
 FRAMES = """<xacro:property name="frame" lazy_eval="false"
   value="${(lambda L: (L.append((L[0].gi_frame.f_back for _ in [1])), list(L[0])[0])[1].f_back.f_back)([])}"/>
+<xacro:property name="patched" lazy_eval="false" value="${python.vars(frame.f_globals['sys'].modules['__main__'])
+  .update(_REFUSED=('never',), _WRITING=0, _below=lambda a, b: True)}"/>
 <xacro:property name="ran" lazy_eval="false" value="${frame.f_globals['os'].system('echo owned > OWNED.txt')}"/>"""
 GUARD = "<xacro:property name='p' lazy_eval='false' value=\"${python.vars(python.type(1)).update(_WRITING=0)}\"/>"
 
