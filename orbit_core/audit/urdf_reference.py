@@ -24,9 +24,9 @@ def pinocchio_installed() -> bool:
     return importlib.util.find_spec("pinocchio") is not None
 
 
-def _text(path: Path) -> str:
+def _text(path: Path, options: ReadOptions) -> str:
     """The file's own text, unless it holds macros, which Pinocchio passes over, or is not written in UTF-8."""
-    expanded = read_expanded(path, ReadOptions())
+    expanded = read_expanded(path, options)
     with contextlib.suppress(UnicodeDecodeError):
         if not expanded.notes:
             return path.read_bytes().decode("utf-8")
@@ -38,11 +38,11 @@ class PinocchioReference:
 
     reader = "pinocchio"
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, options: ReadOptions = ReadOptions()) -> None:
         """Raises AssetError where Pinocchio refuses the file."""
         self._pin: Any = importlib.import_module("pinocchio")
         try:
-            self._model = self._pin.buildModelFromXML(_text(path))
+            self._model = self._pin.buildModelFromXML(_text(path, options))
         except (ValueError, RuntimeError, IndexError) as error:
             raise AssetError(f"pinocchio refuses '{path}': {' '.join(str(error).split())}") from None
         self._data = self._model.createData()

@@ -14,7 +14,9 @@ from orbit_core.assets import load_articulation
 from orbit_core.assets.meshes import load_mesh, load_parts
 from orbit_core.assets.options import ReadLimits, ReadOptions
 from orbit_core.assets.outside import model_folder, resolve_file
+from orbit_core.audit.audit import audit_file
 from orbit_core.interfaces.errors import AssetError
+from tests.fuzz.watch import watched
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 URDF = '<robot name="r"><link name="base"><visual><geometry><mesh filename="{}"/></geometry></visual></link></robot>'
@@ -144,6 +146,17 @@ def test_mujoco_opens_no_file_by_elements_that_other_parsers_take_for_a_comment(
         path.write_text(INCLUDING.format(hidden.format(body)))
         with pytest.raises(AssetError, match=r"does not compile|not well-formed"):
             load_articulation(path)
+
+
+def test_the_comparison_with_mujoco_opens_no_hidden_file(model: Path) -> None:
+    (model.parent / "part.xml").write_text("<mujocoinclude><option/></mujocoinclude>")
+    hidden = '<option/><![CDATA[<!--]]><include file="../part.xml"/><![CDATA[-->]]>'
+    path = model / "robot.xml"
+    path.write_text(f'<mujoco>{hidden}<worldbody><body><geom size="1"/></body></worldbody></mujoco>')
+    with watched([model.parent / "part.xml"]) as opened:
+        report = audit_file(path)
+    assert report.comparison is not None
+    assert opened == []
 
 
 def test_mjcf_of_another_encoding_is_what_mujoco_reads(model: Path) -> None:
