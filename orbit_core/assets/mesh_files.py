@@ -7,6 +7,8 @@ import json
 import re
 import struct
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +63,22 @@ def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
         if suffix == "obj":
             check_obj_faces(data, path)
         raise AssetError(f"mesh file '{path}' cannot be read ({error}): re-export it") from error
+
+
+@contextmanager
+def without_programs() -> Iterator[None]:
+    """Keep Pillow from running Ghostscript, which it does for a picture that is PostScript whatever its name says.
+
+    trimesh opens pictures wherever a mesh holds some, and copies decode them: all reading of a mesh belongs within.
+    """
+    from PIL import EpsImagePlugin
+
+    before = EpsImagePlugin.gs_binary
+    EpsImagePlugin.gs_binary = False
+    try:
+        yield
+    finally:
+        EpsImagePlugin.gs_binary = before
 
 
 class _Neighbours:

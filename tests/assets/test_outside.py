@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import struct
@@ -14,6 +15,7 @@ from orbit_core.assets import load_articulation
 from orbit_core.assets.meshes import load_mesh, load_parts
 from orbit_core.assets.options import ReadLimits, ReadOptions
 from orbit_core.assets.outside import model_folder, resolve_file
+from orbit_core.assets.textures import texture_file
 from orbit_core.audit.audit import audit_file
 from orbit_core.interfaces.errors import AssetError
 from tests.fuzz.watch import watched
@@ -319,6 +321,35 @@ def test_buffers_and_materials_of_meshes_outside_are_not_opened(model: Path, for
     secret.write_text("newmtl m\nKd 1 0 0\n")
     (model / "mesh.obj").write_text(OBJ.format(uri))
     assert all(part.color != (1.0, 0.0, 0.0, 1.0) for part in load_parts(model / "mesh.obj"))
+
+
+POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\n0 0 8 8 rectfill\nshowpage\n%%EOF\n"
+
+
+def test_pictures_that_are_programs_are_not_run(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ghostscript = model.parent / "bin" / "gs"
+    ghostscript.parent.mkdir()
+    ghostscript.write_text(f"#!/bin/sh\necho 9.0 >> {model.parent}/ran\n")
+    ghostscript.chmod(0o755)
+    monkeypatch.setenv("PATH", str(ghostscript.parent), prepend=os.pathsep)
+    (model / "skin.png").write_bytes(POSTSCRIPT)
+    (model / "skin.mtl").write_text("newmtl m\nmap_Kd skin.png\n")
+    textured = TETRAHEDRON.replace("f ", "vt 0 0\nf ", 1).replace("f 1 3 2", "f 1/1 3/1 2/1")
+    (model / "mesh.obj").write_text(f"mtllib skin.mtl\nusemtl m\n{textured}")
+    image = {"images": [{"bufferView": 1}], "textures": [{"source": 0}]}
+    material = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]}
+    data = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0) + POSTSCRIPT
+    views = [{"buffer": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": len(POSTSCRIPT)}]
+    uri = f"data:application/octet-stream;base64,{base64.b64encode(data).decode()}"
+    header = GLTF | image | material | {"bufferViews": views, "buffers": [{"uri": uri, "byteLength": len(data)}]}
+    header["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0}, "material": 0}]}]
+    (model / "mesh.gltf").write_text(json.dumps(header))
+    for name in ("mesh.obj", "mesh.gltf"):
+        with pytest.raises(AssetError, match="Ghostscript"):
+            load_parts(model / name)
+    with pytest.raises(AssetError, match="cannot be read as a picture"):
+        texture_file(model / "skin.png")
+    assert not (model.parent / "ran").exists()
 
 
 def test_packages_named_or_above_the_model_are_open(model: Path, tmp_path: Path) -> None:
