@@ -7,6 +7,7 @@ import json
 import re
 import struct
 import warnings
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -148,7 +149,7 @@ def _refuse_huge_pictures() -> None:
 
 def _check_content(data: bytes, suffix: str, path: Path, options: ReadOptions) -> None:
     """Refuse what is cut short, and what makes a decoder ask for memory out of proportion to the file."""
-    if suffix == "dae" and _ENTITY.search(data.replace(b"\0", b"")[:65536]):
+    if any(_ENTITY.search(document.replace(b"\0", b"")) for document in _documents(data, suffix)):
         raise AssetError(f"mesh file '{path}' declares XML entities: export it again without")
     if suffix == "stl":
         check_stl(data, path)
@@ -156,6 +157,15 @@ def _check_content(data: bytes, suffix: str, path: Path, options: ReadOptions) -
         check_obj(data, path)
     if suffix in ("glb", "gltf"):
         _check_accessors(_gltf_header(data, path), path, options)
+
+
+def _documents(data: bytes, suffix: str) -> Iterator[bytes]:
+    """The XML of a mesh file, and all that an archive holds, for its own tables say which of that is XML."""
+    if suffix == "dae":
+        yield data
+    elif suffix in ("zae", "3mf"):
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            yield from map(archive.read, archive.namelist())
 
 
 def _gltf_header(data: bytes, path: Path) -> Any:

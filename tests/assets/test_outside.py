@@ -323,6 +323,22 @@ def test_buffers_and_materials_of_meshes_outside_are_not_opened(model: Path, for
     assert all(part.color != (1.0, 0.0, 0.0, 1.0) for part in load_parts(model / "mesh.obj"))
 
 
+COLLADA = Path(__file__).parents[1] / "fuzz" / "corpus" / "box.dae"
+
+
+@pytest.mark.parametrize("before", ["", " " * 100_000, "<!--" + "x" * 100_000 + "-->"])
+def test_entities_are_refused_wherever_a_mesh_declares_them(model: Path, before: str) -> None:
+    text = before + "<!DOCTYPE x [<!ENTITY a 'b'>]>" + COLLADA.read_text()
+    (model / "mesh.dae").write_text(text)
+    for name in ("mesh.zae", "mesh.3mf"):
+        with zipfile.ZipFile(model / name, "w") as archive:
+            archive.writestr("manifest.xml", "<dae_root>mesh.dat</dae_root>")
+            archive.writestr("mesh.dat", text)
+    for name in ("mesh.dae", "mesh.zae", "mesh.3mf"):
+        with pytest.raises(AssetError, match="declares XML entities"):
+            load_mesh(model / name)
+
+
 POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\n0 0 8 8 rectfill\nshowpage\n%%EOF\n"
 
 
