@@ -7,6 +7,9 @@ import json
 import re
 import struct
 import warnings
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +64,22 @@ def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
         if suffix == "obj":
             check_obj_faces(data, path)
         raise AssetError(f"mesh file '{path}' cannot be read ({error}): re-export it") from error
+
+
+@contextmanager
+def without_programs() -> Iterator[None]:
+    """Keep Pillow from running Ghostscript, which it does for a picture that is PostScript whatever its name says.
+
+    trimesh opens pictures wherever a mesh holds some, and copies decode them: all reading of a mesh belongs within.
+    """
+    from PIL import EpsImagePlugin
+
+    before = EpsImagePlugin.gs_binary
+    EpsImagePlugin.gs_binary = False
+    try:
+        yield
+    finally:
+        EpsImagePlugin.gs_binary = before
 
 
 class _Neighbours:
@@ -130,7 +149,7 @@ def _refuse_huge_pictures() -> None:
 
 def _check_content(data: bytes, suffix: str, path: Path, options: ReadOptions) -> None:
     """Refuse what is cut short, and what makes a decoder ask for memory out of proportion to the file."""
-    if suffix == "dae" and _ENTITY.search(data.replace(b"\0", b"")[:65536]):
+    if any(_ENTITY.search(document.replace(b"\0", b"")) for document in _documents(data, suffix)):
         raise AssetError(f"mesh file '{path}' declares XML entities: export it again without")
     if suffix == "stl":
         check_stl(data, path)
@@ -138,6 +157,15 @@ def _check_content(data: bytes, suffix: str, path: Path, options: ReadOptions) -
         check_obj(data, path)
     if suffix in ("glb", "gltf"):
         _check_accessors(_gltf_header(data, path), path, options)
+
+
+def _documents(data: bytes, suffix: str) -> Iterator[bytes]:
+    """The XML of a mesh file, and all that an archive holds, for its own tables say which of that is XML."""
+    if suffix == "dae":
+        yield data
+    elif suffix in ("zae", "3mf"):
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            yield from map(archive.read, archive.namelist())
 
 
 def _gltf_header(data: bytes, path: Path) -> Any:

@@ -35,7 +35,10 @@ class ReadLimits:
     expanded_bytes: int = 2**30
     """Most bytes of all that an archive holds, once unpacked."""
     elements: int = 2_000_000
-    """XML elements of a file, bodies that a file replicates, or prims of a stage."""
+    """XML elements of a file, or prims of a stage."""
+    copies: int = 10_000
+    """Elements that MJCF makes of a count: by ``<replicate>``, ``<composite>``, ``<flexcomp>`` and ``nkey``. The
+    time to compile them grows with their square."""
     nesting: int = 2_000
     """XML elements, or folders of included files, within each other."""
     vertices: int = 10_000_000
@@ -50,11 +53,13 @@ class ReadOptions:
 
     ``packages`` gives the folders of packages that ``package://`` names, besides the model's own. ``allow_outside``
     lets a model name files outside its folder and its packages: those below the folders listed, or any (``True``).
+    ``environment`` names the environment variables that a xacro file may read by ``$(env NAME)``.
     ``articulation`` names one of several in a file.
     """
 
     packages: Mapping[str, Path] = field(default_factory=dict)
     allow_outside: bool | tuple[Path, ...] = False
+    environment: tuple[str, ...] = ()
     limits: ReadLimits = field(default_factory=ReadLimits)
     articulation: str | None = None
     unsupported: Unsupported = Unsupported.REFUSE

@@ -23,16 +23,36 @@ def resolve_file(
 ) -> Path:
     """The file that a model names, if it may be opened.
 
-    It may be if it lies, with links followed, in one of the :func:`allowed_folders` or in the package that it names.
-
     Args:
-        reference: a path, or a URI ``file://``, ``package://NAME/...`` or ``model://NAME/...``.
-        base: the file that holds the reference, or the folder that relative references start from.
+        reference: as for :func:`allowed_path`, as are ``base`` and ``model``.
+        base: where the reference is.
         options: packages, folders allowed besides, and the largest size.
         model: the model's main file, where ``base`` is another one.
 
     Raises:
         AssetError: the file lies elsewhere, is missing, no regular file or too large, or its package is unknown.
+    """
+    path = allowed_path(reference, base, options, model=model)
+    check_file(path, options)
+    return path
+
+
+def allowed_path(
+    reference: str | Path, base: Path | str, options: ReadOptions, *, model: Path | str | None = None
+) -> Path:
+    """Return the path of a file that a model names, if it may be opened, whether it is there or not.
+
+    It may be opened if it is, with links followed, in one of the :func:`allowed_folders` or in the package that the
+    reference names.
+
+    Args:
+        reference: a path, or a URI ``file://``, ``package://NAME/...`` or ``model://NAME/...``.
+        base: the file that holds the reference, or the folder that relative references start from.
+        options: packages, and folders allowed besides.
+        model: the model's main file, where ``base`` is another one.
+
+    Raises:
+        AssetError: the file is elsewhere, or its package is unknown.
     """
     base = Path(base)
     main = Path(model) if model is not None else base
@@ -47,7 +67,6 @@ def resolve_file(
             f"'{reference}' leads to {real}, outside the model's folder {folders[0]} and the packages named: name its "
             "package, or allow its folder by ReadOptions(allow_outside=(folder,))"
         )
-    check_file(path, options)
     return path
 
 

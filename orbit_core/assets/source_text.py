@@ -78,14 +78,19 @@ def parse_xml(text: str, name: str, limits: ReadLimits) -> Element:
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.tree.data
     parser.EntityDeclHandler = builder.refuse_entity
-    document = _DECLARATION.sub("", text, count=1) if _DECLARATION.match(text) else text
-    # Published files draw lines of hyphens in comments, which the standard forbids; line numbers stay as they are.
-    document = _COMMENT.sub(lambda comment: "\n" * comment.group().count("\n"), document)
     try:
-        parser.Parse(document.lstrip().encode("utf-8", "replace"), True)
+        parser.Parse(plain_document(text), True)
     except expat.ExpatError as error:
         raise AssetError(f"{name} is not well-formed XML ({error}): correct it") from None
     return builder.tree.close()
+
+
+def plain_document(text: str) -> bytes:
+    """Return XML text as UTF-8 without its declaration and comments, which parsers would stop at."""
+    document = _DECLARATION.sub("", text, count=1) if _DECLARATION.match(text) else text
+    # Published files draw lines of hyphens in comments, which the standard forbids; line numbers stay as they are.
+    document = _COMMENT.sub(lambda comment: "\n" * comment.group().count("\n"), document)
+    return document.lstrip().encode("utf-8", "replace")
 
 
 class _Builder:

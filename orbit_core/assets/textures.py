@@ -11,6 +11,8 @@ from orbit_core.scene import Texture
 
 _SIDE = 256
 _LARGEST = 64 * 1024 * 1024
+_FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TGA", "TIFF", "WEBP")
+"""Formats that Pillow decodes by itself; for PostScript it runs a program."""
 """Pixels of a picture file, beyond which it is refused before it is decoded."""
 
 Gray = float
@@ -45,7 +47,7 @@ def blotches(seed: int, width: float = 0.2, finest: int = 5, dark: Gray = 0.1, l
 
 
 def texture_file(path: str | Path, width: float = 0.2) -> Texture:
-    """A picture file (PNG, JPEG and others that Pillow reads; needs Pillow), ``width`` metres wide.
+    """A picture file (PNG, JPEG, BMP, GIF, PPM, TGA, TIFF or WebP; needs Pillow), ``width`` metres wide.
 
     Raises:
         AssetError: there is none, it is no picture, or one of more than 64 million pixels; or Pillow is missing.
@@ -55,7 +57,7 @@ def texture_file(path: str | Path, width: float = 0.2) -> Texture:
     except ImportError:
         raise AssetError(f"reading '{path}' needs Pillow: pip install pillow") from None
     try:
-        with Image.open(path) as picture:
+        with Image.open(path, formats=_FORMATS) as picture:
             if picture.width * picture.height > _LARGEST:
                 raise AssetError(f"texture '{path}' is {picture.width} x {picture.height} pixels: make it smaller")
             return Texture(np.asarray(picture.convert("RGB")), width)

@@ -59,7 +59,7 @@ def audit_file(path: Path, options: ReadOptions = ReadOptions()) -> AssetReport:
     ]
     comparison: Comparison | None = None
     try:
-        if (reference := reference_of(path, articulation.root.name)) is not None:
+        if (reference := reference_of(path, articulation.root.name, options)) is not None:
             comparison = compare(articulation, reference)
             findings += _differences(comparison, repaired=options.repair is not Repair.NONE)
     except AssetError as error:
@@ -67,19 +67,19 @@ def audit_file(path: Path, options: ReadOptions = ReadOptions()) -> AssetReport:
     return AssetReport(path, articulation, bodies, tuple(findings), comparison)
 
 
-def reference_of(path: Path, root: str) -> Reference | None:
+def reference_of(path: Path, root: str, options: ReadOptions = ReadOptions()) -> Reference | None:
     """Another reader's model of the file, of an MJCF or a URDF; Pinocchio's of a URDF where it is installed.
 
-    ``None`` for other formats. ``root`` names the description's root link.
+    ``None`` for other formats. ``root`` names the description's root link, and ``options`` are those it was read with.
 
     Raises:
         AssetError: the other reader refuses the file.
     """
     suffix = path.suffix.lower()
     if suffix == ".urdf" and pinocchio_installed():
-        return PinocchioReference(path)
+        return PinocchioReference(path, options)
     if suffix in (".xml", ".mjcf", ".urdf"):
-        return MujocoReference(path, root)
+        return MujocoReference(path, root, options)
     return None
 
 

@@ -10,9 +10,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from orbit_core.assets.mjcf.model import compile_file
 from orbit_core.assets.naming import one_line
 from orbit_core.assets.options import ReadOptions
-from orbit_core.assets.xacro_files import read_expanded
+from orbit_core.assets.xacro import read_expanded
 from orbit_core.audit.mechanics import FloatArray, Posture
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation
@@ -23,7 +24,7 @@ class MujocoReference:
 
     reader = "MuJoCo"
 
-    def __init__(self, path: Path, root: str) -> None:
+    def __init__(self, path: Path, root: str, options: ReadOptions = ReadOptions()) -> None:
         """``root`` names the description's root link.
 
         Raises:
@@ -34,7 +35,7 @@ class MujocoReference:
         except ImportError:
             raise AssetError('a comparison with MuJoCo needs the package: pip install "orbit-core[mjcf]"') from None
         try:
-            self._model = self._compiled(path)
+            self._model = self._compiled(path, options)
         except ValueError as error:
             raise AssetError(f"mujoco refuses '{path}': {one_line(str(error))}") from None
         self._data = self._mujoco.MjData(self._model)
@@ -43,10 +44,10 @@ class MujocoReference:
         hinges = range(self._model.njnt)
         self._simple = {self._joint_name(joint): joint for joint in hinges if self._coordinates(joint) == 1}
 
-    def _compiled(self, path: Path) -> Any:
+    def _compiled(self, path: Path, options: ReadOptions) -> Any:
         if path.suffix.lower() != ".urdf":
-            return self._mujoco.MjModel.from_xml_path(str(path))
-        text = urdf_without_shapes(path)
+            return compile_file(path, options).model
+        text = urdf_without_shapes(path, options)
         if 'type="planar"' in text:
             raise AssetError(f"mujoco names the joints that a planar one becomes itself: '{path}' cannot be compared")
         return self._mujoco.MjModel.from_xml_string(text)
@@ -124,13 +125,13 @@ class MujocoReference:
         return self._model.body(body).name or f"body_{body}"
 
 
-def urdf_without_shapes(path: Path) -> str:
+def urdf_without_shapes(path: Path, options: ReadOptions = ReadOptions()) -> str:
     """A URDF file's text without what collides and is seen, told to keep fixed joints, as MuJoCo imports it.
 
     Raises:
         AssetError: it is no XML.
     """
-    root, _ = read_expanded(path, ReadOptions())
+    root = read_expanded(path, options).root
     for link in root.iter("link"):
         for shape in [child for child in link if child.tag in ("visual", "collision")]:
             link.remove(shape)

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from orbit_core.assets.options import ReadOptions
-from orbit_core.assets.xacro_files import read_expanded
+from orbit_core.assets.xacro import read_expanded
 from orbit_core.audit.mechanics import FloatArray, Posture
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation
@@ -24,13 +24,13 @@ def pinocchio_installed() -> bool:
     return importlib.util.find_spec("pinocchio") is not None
 
 
-def _text(path: Path) -> str:
+def _text(path: Path, options: ReadOptions) -> str:
     """The file's own text, unless it holds macros, which Pinocchio passes over, or is not written in UTF-8."""
-    root, expanded = read_expanded(path, ReadOptions())
+    expanded = read_expanded(path, options)
     with contextlib.suppress(UnicodeDecodeError):
-        if not expanded:
+        if not expanded.notes:
             return path.read_bytes().decode("utf-8")
-    return ElementTree.tostring(root, encoding="unicode")
+    return ElementTree.tostring(expanded.root, encoding="unicode")
 
 
 class PinocchioReference:
@@ -38,11 +38,11 @@ class PinocchioReference:
 
     reader = "pinocchio"
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, options: ReadOptions = ReadOptions()) -> None:
         """Raises AssetError where Pinocchio refuses the file."""
         self._pin: Any = importlib.import_module("pinocchio")
         try:
-            self._model = self._pin.buildModelFromXML(_text(path))
+            self._model = self._pin.buildModelFromXML(_text(path, options))
         except (ValueError, RuntimeError, IndexError) as error:
             raise AssetError(f"pinocchio refuses '{path}': {' '.join(str(error).split())}") from None
         self._data = self._model.createData()

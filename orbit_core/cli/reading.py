@@ -22,6 +22,8 @@ class ReadSettings:
     """Where package://NAME is; repeatable."""
     allow_outside: bool = False
     """Let the file name files outside its folder and packages."""
+    environment: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
+    """An environment variable that $(env NAME) of a xacro file may read; repeatable."""
     unsupported: Literal["refuse", "drop"] = "refuse"
     """What becomes of what ORBIT cannot describe."""
     repair: Literal["none", "balance"] = "none"
@@ -42,6 +44,7 @@ class ReadSettings:
         return ReadOptions(
             packages=packages,
             allow_outside=self.allow_outside,
+            environment=self.environment,
             articulation=self.articulation,
             unsupported=Unsupported(self.unsupported),
             repair=Repair(self.repair),

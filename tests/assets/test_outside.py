@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import struct
@@ -11,10 +12,13 @@ from pathlib import Path
 import pytest
 
 from orbit_core.assets import load_articulation
-from orbit_core.assets.meshes import load_mesh
+from orbit_core.assets.meshes import load_mesh, load_parts
 from orbit_core.assets.options import ReadLimits, ReadOptions
 from orbit_core.assets.outside import model_folder, resolve_file
+from orbit_core.assets.textures import texture_file
+from orbit_core.audit.audit import audit_file
 from orbit_core.interfaces.errors import AssetError
+from tests.fuzz.watch import watched
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 URDF = '<robot name="r"><link name="base"><visual><geometry><mesh filename="{}"/></geometry></visual></link></robot>'
@@ -90,6 +94,280 @@ def test_includes_of_mjcf_outside_are_refused(model: Path) -> None:
     assert len(load_articulation(path, options=ReadOptions(allow_outside=True)).links) == 1
 
 
+INCLUDED = '<mujocoinclude><asset><mesh name="m" file="{}"/></asset></mujocoinclude>'
+INCLUDING = """<mujoco>{}<worldbody><body><geom type="mesh" mesh="m" density="1000"/></body></worldbody></mujoco>"""
+
+
+def solid(path: Path, size: float) -> None:
+    """Write a tetrahedron of ``size`` metres, whose mass tells which file was read."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(TETRAHEDRON.replace("1 0 0", f"{size} 0 0").replace("v 0 1 0", f"v 0 {size} 0"))
+
+
+@pytest.mark.parametrize(
+    ("part", "reference", "meshes", "found"),
+    [
+        ("../../part.xml", "../mesh.obj", {"../../../mesh.obj": 3.0, "../mesh.obj": 2.0}, None),
+        ("sub/part.xml", "mesh.obj", {"sub/mesh.obj": 2.0}, 2.0),
+        ("sub/part.xml", "q/mesh.obj", {"sub/q/mesh.obj": 2.0, "q/q/mesh.obj": 1.5}, 1.5),
+        ("sub/part.xml", "../../../../mesh.obj", {"../../../mesh.obj": 3.0}, None),
+    ],
+)
+def test_meshes_of_included_mjcf_are_found_as_mujoco_finds_them_and_held_to_the_folder(
+    tmp_path: Path, part: str, reference: str, meshes: dict[str, float], found: float | None
+) -> None:
+    main = tmp_path / "model" / "a" / "b" / "main.xml"
+    (main.parent / part).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / "model" / "package.xml").write_text("<package/>")
+    for name, size in meshes.items():
+        solid(Path(os.path.normpath(main.parent / name)), size)
+    main.parent.mkdir(exist_ok=True, parents=True)
+    Path(os.path.normpath(main.parent / part)).write_text(INCLUDED.format(reference))
+    main.write_text(INCLUDING.format(f'<include file="{part}"/><compiler meshdir="q"/>'))
+    if found is None:
+        with pytest.raises(AssetError, match="outside the model's folder"):
+            load_articulation(main)
+    else:
+        assert load_articulation(main).mass == pytest.approx(1000 * found**2 / 6.0)
+
+
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        '<custom><text name="a" data="<!--"/></custom>{}<custom><text name="b" data="-->"/></custom>',
+        "<![CDATA[<!--]]>{}<![CDATA[-->]]>",
+        "<?a <!-- ?>{}<?a --> ?>",
+    ],
+)
+def test_mujoco_opens_no_file_by_elements_that_other_parsers_take_for_a_comment(model: Path, hidden: str) -> None:
+    solid(model.parent / "mesh.obj", 3.0)
+    asset = '<asset><mesh name="m" file="../mesh.obj"/></asset>'
+    path = model / "robot.xml"
+    for body in (asset, '<include file="../part.xml"/>'):
+        (model.parent / "part.xml").write_text(f"<mujocoinclude>{asset}</mujocoinclude>")
+        path.write_text(INCLUDING.format(hidden.format(body)))
+        with pytest.raises(AssetError, match=r"does not compile|not well-formed"):
+            load_articulation(path)
+
+
+def test_the_comparison_with_mujoco_opens_no_hidden_file(model: Path) -> None:
+    (model.parent / "part.xml").write_text("<mujocoinclude><option/></mujocoinclude>")
+    hidden = '<option/><![CDATA[<!--]]><include file="../part.xml"/><![CDATA[-->]]>'
+    path = model / "robot.xml"
+    path.write_text(f'<mujoco>{hidden}<worldbody><body><geom size="1"/></body></worldbody></mujoco>')
+    with watched([model.parent / "part.xml"]) as opened:
+        report = audit_file(path)
+    assert report.comparison is not None
+    assert opened == []
+
+
+def test_mjcf_of_another_encoding_is_what_mujoco_reads(model: Path) -> None:
+    solid(model.parent / "mesh.obj", 3.0)
+    hidden = '+ADwAIQAtAC0-<asset><mesh name="m" file="../mesh.obj"/></asset>+AC0ALQA+-'
+    path = model / "robot.xml"
+    path.write_text('<?xml version="1.0" encoding="utf-7"?>' + INCLUDING.format(hidden))
+    with pytest.raises(AssetError, match="does not compile"):
+        load_articulation(path)
+
+
+@pytest.mark.parametrize("reference", ["link/../../mesh.obj", "..\\mesh.obj", "sub/..\\..\\mesh.obj"])
+def test_paths_of_mjcf_are_checked_as_mujoco_reduces_them(model: Path, reference: str) -> None:
+    solid(model / "a" / "mesh.obj", 1.0)
+    (model / "a" / "b" / "c").mkdir(parents=True)
+    (model / "link").symlink_to(model / "a" / "b" / "c")
+    path = model / "robot.xml"
+    path.write_text(MJCF.format(reference))
+    with pytest.raises(AssetError, match="outside the model's folder"):
+        load_articulation(path)
+
+
+def test_models_that_mjcf_attaches_are_held_to_the_folder(model: Path) -> None:
+    attach = '<asset><model name="p" file="{}"/></asset><worldbody><attach model="p" body="b" prefix="x"/></worldbody>'
+    part = INCLUDING.replace("<body>", '<body name="b">')
+    path = model / "robot.xml"
+    path.write_text(f"<mujoco>{attach.format('parts/part.xml')}</mujoco>")
+    (model / "parts").mkdir()
+    for name, allowed in (("../mesh.obj", True), ("../../mesh.obj", False), ("<!--", False)):
+        (model / "parts" / "part.xml").write_text(part.format(INCLUDED.format(name)[15:-16]))
+        if allowed:
+            assert load_articulation(path).mass == pytest.approx(1000.0 / 6.0)
+        else:
+            with pytest.raises(AssetError):
+                load_articulation(path)
+
+
+@pytest.mark.parametrize("tag", ["Include", "INCLUDE"])
+def test_an_include_in_other_letters_opens_nothing(model: Path, tag: str) -> None:
+    path = model / "robot.xml"
+    path.write_text(f'<mujoco><{tag} file="../part.xml"/></mujoco>')
+    with pytest.raises(AssetError, match=f"<{tag}>, which MJCF lacks: write <include>"):
+        load_articulation(path)
+
+
+CLIPS = """#usda 1.0
+def Cube "c" (
+    prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"]
+    clips = {
+        dictionary default = {
+            asset[] assetPaths = [@../layer.usda@]
+            string primPath = "/c"
+            double2[] active = [(0, 0)]
+            double2[] times = [(0, 0)]
+        }
+    }
+)
+{
+}
+"""
+VARIANT = """#usda 1.0
+def "a" (
+    prepend variantSets = "v"
+    variants = {
+        string v = "x"
+    }
+)
+{
+    variantSet "v" = {
+        "x" (
+            prepend references = @../layer.usda:SDF_FORMAT_ARGS:a=b@</c>
+        ) {
+        }
+    }
+}
+"""
+ARCS = {
+    "references": '#usda 1.0\n({variables})\ndef "a" (prepend references = {path}</c>) {{}}\n',
+    "payload": '#usda 1.0\n({variables})\ndef "a" (prepend payload = {path}</c>) {{}}\n',
+    "subLayers": "#usda 1.0\n({variables}\nsubLayers = [{path}]\n)\n",
+}
+
+
+@pytest.mark.parametrize("arc", ARCS)
+def test_usd_layers_are_checked_however_they_are_named(model: Path, arc: str) -> None:
+    path = model / "stage.usda"
+
+    def stage(name: str, variables: str = "") -> Path:
+        path.unlink(missing_ok=True)
+        path.write_text(ARCS[arc].format(path=name, variables=variables))
+        return path
+
+    (model / "link.usda").symlink_to(model.parent / "layer.usda")
+    for name in ("@../layer.usda:SDF_FORMAT_ARGS:a=b@", "@./link.usda:SDF_FORMAT_ARGS:a=b@", "@./link.usda@"):
+        with pytest.raises(AssetError, match="outside the model's folder"):
+            load_articulation(stage(name))
+    with pytest.raises(AssetError, match=r"names a layer by the expression .*: write the path out"):
+        load_articulation(stage('@`"${UP}/layer.usda"`@', 'expressionVariables = {string UP = ".."}'))
+    assert len(load_articulation(stage("@./layer.usda:SDF_FORMAT_ARGS:a=b@")).links) == 1
+
+
+def test_layers_in_the_working_folder_are_not_found(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (model.parent / "other.usda").write_text(LAYER)
+    (model / "stage.usda").write_text(ARCS["references"].format(path="@other.usda@", variables=""))
+    monkeypatch.chdir(model.parent)
+    with pytest.raises(AssetError, match="outside the model's folder"):
+        load_articulation(model / "stage.usda")
+
+
+def test_value_clips_and_layers_of_variants_are_refused(model: Path) -> None:
+    for text, message in ((CLIPS, "/c has value clips"), (VARIANT, "outside the model's folder")):
+        path = model / f"stage{len(text)}.usda"
+        path.write_text(text)
+        with pytest.raises(AssetError, match=message):
+            load_articulation(path)
+
+
+def test_layers_within_an_archive_are_checked_too(model: Path) -> None:
+    sdf = pytest.importorskip("pxr.Sdf")
+    for name, target in (("good", "part.usda"), ("bad", "part.usda"), ("out", str(model.parent / "layer.usda"))):
+        inner = str(model.parent / "layer.usda") if name == "bad" else "last.usda"
+        archive = sdf.ZipFileWriter.CreateNew(str(model / f"{name}.usdz"))
+        for member, text in (
+            ("root.usda", ARCS["references"].format(path=f"@{target}@", variables="")),
+            ("part.usda", ARCS["references"].format(path=f"@{inner}@", variables="").replace('"a"', '"c"')),
+            ("last.usda", LAYER),
+        ):
+            (model / member).write_text(text)
+            archive.AddFile(str(model / member), member)
+        archive.Save()
+    assert len(load_articulation(model / "good.usdz").links) == 1
+    for name in ("bad", "out"):
+        with pytest.raises(AssetError, match="outside the model's folder"):
+            load_articulation(model / f"{name}.usdz")
+
+
+OBJ = "mtllib {}\nusemtl m\n" + TETRAHEDRON
+GLTF = {
+    "asset": {"version": "2.0"},
+    "accessors": [{"componentType": 5126, "type": "VEC3", "bufferView": 0, "count": 3}],
+    "bufferViews": [{"buffer": 0, "byteLength": 36}],
+    "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+    "nodes": [{"mesh": 0}],
+    "scenes": [{"nodes": [0]}],
+    "scene": 0,
+}
+
+
+@pytest.mark.parametrize(
+    "form", ["../secret.bin", "{above}/secret.bin", "file://{above}/secret.bin", "..\\secret.bin", "link.bin"]
+)
+def test_buffers_and_materials_of_meshes_outside_are_not_opened(model: Path, form: str) -> None:
+    secret = model.parent / "secret.bin"
+    secret.write_bytes(struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0))
+    (model / "link.bin").symlink_to(secret)
+    uri = form.format(above=model.parent)
+    (model / "mesh.gltf").write_text(json.dumps(GLTF | {"buffers": [{"uri": uri, "byteLength": 36}]}))
+    with pytest.raises(AssetError, match="outside the model's folder"):
+        load_mesh(model / "mesh.gltf")
+    secret.write_text("newmtl m\nKd 1 0 0\n")
+    (model / "mesh.obj").write_text(OBJ.format(uri))
+    assert all(part.color != (1.0, 0.0, 0.0, 1.0) for part in load_parts(model / "mesh.obj"))
+
+
+COLLADA = Path(__file__).parents[1] / "fuzz" / "corpus" / "box.dae"
+
+
+@pytest.mark.parametrize("before", ["", " " * 100_000, "<!--" + "x" * 100_000 + "-->"])
+def test_entities_are_refused_wherever_a_mesh_declares_them(model: Path, before: str) -> None:
+    text = before + "<!DOCTYPE x [<!ENTITY a 'b'>]>" + COLLADA.read_text()
+    (model / "mesh.dae").write_text(text)
+    for name in ("mesh.zae", "mesh.3mf"):
+        with zipfile.ZipFile(model / name, "w") as archive:
+            archive.writestr("manifest.xml", "<dae_root>mesh.dat</dae_root>")
+            archive.writestr("mesh.dat", text)
+    for name in ("mesh.dae", "mesh.zae", "mesh.3mf"):
+        with pytest.raises(AssetError, match="declares XML entities"):
+            load_mesh(model / name)
+
+
+POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\n0 0 8 8 rectfill\nshowpage\n%%EOF\n"
+
+
+def test_pictures_that_are_programs_are_not_run(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ghostscript = model.parent / "bin" / "gs"
+    ghostscript.parent.mkdir()
+    ghostscript.write_text(f"#!/bin/sh\necho 9.0 >> {model.parent}/ran\n")
+    ghostscript.chmod(0o755)
+    monkeypatch.setenv("PATH", str(ghostscript.parent), prepend=os.pathsep)
+    (model / "skin.png").write_bytes(POSTSCRIPT)
+    (model / "skin.mtl").write_text("newmtl m\nmap_Kd skin.png\n")
+    textured = TETRAHEDRON.replace("f ", "vt 0 0\nf ", 1).replace("f 1 3 2", "f 1/1 3/1 2/1")
+    (model / "mesh.obj").write_text(f"mtllib skin.mtl\nusemtl m\n{textured}")
+    image = {"images": [{"bufferView": 1}], "textures": [{"source": 0}]}
+    material = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]}
+    data = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0) + POSTSCRIPT
+    views = [{"buffer": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": len(POSTSCRIPT)}]
+    uri = f"data:application/octet-stream;base64,{base64.b64encode(data).decode()}"
+    header = GLTF | image | material | {"bufferViews": views, "buffers": [{"uri": uri, "byteLength": len(data)}]}
+    header["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0}, "material": 0}]}]
+    (model / "mesh.gltf").write_text(json.dumps(header))
+    for name in ("mesh.obj", "mesh.gltf"):
+        with pytest.raises(AssetError, match="Ghostscript"):
+            load_parts(model / name)
+    with pytest.raises(AssetError, match="cannot be read as a picture"):
+        texture_file(model / "skin.png")
+    assert not (model.parent / "ran").exists()
+
+
 def test_packages_named_or_above_the_model_are_open(model: Path, tmp_path: Path) -> None:
     options = ReadOptions(packages={"parts": tmp_path})
     path = model / "urdf" / "robot.urdf"
@@ -147,6 +425,12 @@ def test_archives_and_pictures_are_measured_before_they_are_unpacked(model: Path
     "body",
     [
         '<worldbody><replicate count="2000000000"><geom size="1"/></replicate></worldbody>',
+        '<worldbody><replicate count="20000"><geom size="1"/></replicate></worldbody>',
+        '<worldbody><replicate count="20000"><include file="part.xml"/></replicate></worldbody>',
+        '<asset><texture name="t" builtin="flat" width="20000"/></asset>',
+        '<asset><mesh name="m" builtin="supertorus" params="20000 0.3 1 1"/></asset>',
+        '<asset><mesh name="m" builtin="plate" params="30000 30000"/></asset>',
+        '<size nkey="1000000"/>',
         "<worldbody><replicate count='2000'><replicate count='2000'><geom/></replicate></replicate></worldbody>",
         '<worldbody><body><composite type="cable" count="2000000000 1 1"/></body></worldbody>',
         '<asset><texture type="2d" builtin="flat" name="t" width="100000" height="100000"/></asset>',
@@ -158,6 +442,7 @@ def test_archives_and_pictures_are_measured_before_they_are_unpacked(model: Path
 def test_mjcf_that_asks_for_gigabytes_is_refused_before_it_is_compiled(model: Path, body: str) -> None:
     path = model / "robot.xml"
     path.write_text(f"<mujoco>{body}</mujoco>")
+    (model / "part.xml").write_text('<mujocoinclude><geom size="1"/></mujocoinclude>')
     with pytest.raises(AssetError, match=r"robot\.xml.*raise ReadLimits"):
         load_articulation(path)
 

@@ -70,6 +70,19 @@ def test_mistakes_are_told_in_one_line(
     assert said in capsys.readouterr().err
 
 
+def test_a_xacro_file_reads_the_environment_variables_that_the_command_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("xacro")
+    monkeypatch.setenv("MASS_OF_ARM", "7")
+    source = tmp_path / "lamp.urdf.xacro"
+    source.write_text(ROBOT.replace('<mass value="1"/>', '<mass value="$(env MASS_OF_ARM)"/>'))
+    assert main(["convert", str(source), str(tmp_path / "a.xml")]) == 2
+    assert "variable 'MASS_OF_ARM' is not set, or not among" in capsys.readouterr().err
+    assert main(["convert", str(source), str(tmp_path / "a.xml"), "--environment", "MASS_OF_ARM"]) == 0
+    assert load_articulation(tmp_path / "a.xml").mass == pytest.approx(9.0)
+
+
 def test_files_are_not_overwritten_unasked_and_formats_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,10 +18,22 @@ from tests.fuzz.mutations import mutate
 
 CORPUS = Path(__file__).parent / "corpus"
 MODELS = ("arm.urdf", "arm.xml", "arm.usda", "arm.sdf", "arm.xacro")
-MESHES = ("box.obj", "ascii.stl", "binary.stl", "box.dae", "box.glb", "box.ply", "box.off")
-NEIGHBOURS = ("layer.usda", "box.mtl", "material_0.png")
+MESHES = ("box.obj", "ascii.stl", "binary.stl", "box.dae", "box.glb", "box.ply", "box.off", "box.mtl", "material_0.png")
+FORMATS = (
+    ("arm.urdf",), ("arm.xml", "arm.xml", "parts.xml"), ("arm.usda", "arm.usda", "layer.usda"), ("arm.sdf",),
+    ("arm.xacro", "arm.xacro", "rods.xacro", "sizes.yaml"), MESHES,
+)  # fmt: skip
+"""Files of each format, which are spoilt equally often."""
+_READ_BY = {
+    "layer.usda": "arm.usda", "box.mtl": "box.obj", "material_0.png": "box.obj", "parts.xml": "arm.xml",
+    "rods.xacro": "arm.xacro", "sizes.yaml": "arm.xacro",
+}  # fmt: skip
 """Files that others of the corpus name; a spoilt one is read by way of those."""
-_READ_BY = {"layer.usda": "arm.usda", "box.mtl": "box.obj", "material_0.png": "box.obj"}
+SECRETS = {
+    "secret.obj": "box.obj", "secret.usda": "layer.usda", "secret.xml": "parts.xml", "secret.xacro": "rods.xacro",
+    "secret.yaml": "sizes.yaml", "secret.png": "material_0.png", "secret.mtl": "box.mtl", "secret.sdf": "arm.sdf",
+}  # fmt: skip
+"""Files next to the model's folder, which nothing may open."""
 _UNLIMITED = ("effort_limit", "velocity_limit", "lower_limit", "upper_limit")
 _NOT_NEGATIVE = (
     "mass", "radius", "half_length", "half_extents", "damping", "friction", "armature", "stiffness", "effort_limit",
@@ -34,9 +46,12 @@ def spoil(folder: Path, seed: str) -> tuple[Path, str]:
     """Write the corpus to a folder with one file spoilt, as the seed has it: the file to read, and what was done."""
     rng = random.Random(seed)
     shutil.copytree(CORPUS, folder)
-    name = rng.choice((*MODELS, *MODELS, *MESHES, *NEIGHBOURS))
+    for secret, source in SECRETS.items():
+        shutil.copyfile(CORPUS / source, folder.parent / secret)
+    name = rng.choice(rng.choice(FORMATS))
     how, data = mutate((CORPUS / name).read_bytes(), rng)
-    (folder / name).write_bytes(data)
+    # Other programs open the machine's own files, too, so that an absolute path leads to one that is watched.
+    (folder / name).write_bytes(data.replace(b"/etc/passwd", bytes(folder.parent / "secret.obj")))
     return folder / _READ_BY.get(name, name), f"{name}: {how}"
 
 

@@ -13,6 +13,12 @@ NUMBERS = (
 )  # fmt: skip
 PATHS = (
     b"missing.stl", b"../secret.obj", b"/etc/passwd", b"file:///etc/passwd", b"package://nowhere/a.stl",
+    b"../secret.usda", b"../secret.usda:SDF_FORMAT_ARGS:a=b", b"`\"../secret.usda\"`",
+    b"layer.usda:SDF_FORMAT_ARGS:a=b",
+    b"..\\secret.obj", b"box.obj/../../secret.obj", b"package://robot/../secret.obj", b"../secret.xml", b"parts.xml",
+    b"../secret.xacro", b"*.xacro", b"../*", b"../secret.yaml", b"sizes.yaml", b"rods.xacro",
+    b"$(find robot)/rods.xacro",
+    b"../secret.png", b"../secret.mtl",
     b"arm.urdf", b"", b".", b"..", b"/dev/zero", b"https://example.org/a.stl", b"a\x00b.stl",
     b"box.obj/../box.obj", b"x" * 5000, b"package:///box.obj", b"arm.xml", b"arm.usda",
 )  # fmt: skip
@@ -21,13 +27,36 @@ WORDS = (
     b"free", b"nonsense", b"\xff\xfe", b"Z", b"W", b"/", b"..", b"true", b"mesh", b"\xc3\xa4", b"a b", b"\n",
     b"${1/0}", b"${'a'*10**9}", b"$(find nowhere)",
 )  # fmt: skip
+EXPRESSIONS = (
+    b"1/0", b"10**10**10", b"9**9**9", b"'a'*10**9", b"[0]*10**9", b"'%1000000000d' % 1", b"f'{1:1000000000}'",
+    b"''.__class__", b"().__class__.__bases__[0].__subclasses__()", b"'{0.__class__}'.format(1)",
+    b"(i for i in []).gi_frame",
+    b"(lambda: 1).__code__", b"(lambda f: f(f))(lambda f: f(f))", b"xacro.load_yaml('/etc/passwd')", b"nan", b"-1",
+    b"[]",
+    b"xacro.load_yaml('../secret.yaml')", b"load_yaml('sizes.yaml')", b"xacro.arg('none')", b"open('/etc/passwd')",
+    b"math",
+    b"__import__('os').system('true')", b"python.vars(math)", b"[[0] * 999 for i in range(10 ** 6)]", b"inf - inf",
+    b"'<a>'",
+    b"[0 for i in range(999) for j in range(999)]", b"'x' * 900000", b"lambda: 1", b"(yield)", b"[" * 300,
+    b"-" * 2000 + b"1",
+    b"'\\ud800'", b"x" * 30000, b"name", b"None",
+)  # fmt: skip
+SUBSTITUTIONS = (
+    b"$(env HOME)", b"$(optenv HOME 1)", b"$(find robot)", b"$(find ..)", b"$(eval 10**10**10)",
+    b"$(eval ''.__class__)",
+    b"$(arg none)", b"$(arg heavy)", b"$(cwd)", b"$(dirname)", b"$()", b"$(", b"${", b"$${x}", b"$(eval open('a'))",
+)  # fmt: skip
+HIDING = ((b"<!--", b"-->"), (b"<![CDATA[<!--]]>", b"<![CDATA[-->]]>"), (b"<?a <!-- ?>", b"<?a --> ?>"))
+"""Beginnings and ends of what some parsers take for a comment and others do not."""
 BOMB = (
     b'<!DOCTYPE bomb [<!ENTITY a "xxxxxxxxxx"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;"><!ENTITY c "&b;&b;&b;&b;&b;&b;">]>'
 )
 _NUMBER = re.compile(rb"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
+_EXPRESSION = re.compile(rb"\$\{[^}]*\}")
 _QUOTED = re.compile(rb'"([^"\n]*)"|(?<=>)([^<>\n]+)(?=<)')
 _PATH = re.compile(
-    rb'(?<=")[^"\n]+\.(?:obj|stl|dae|glb|mtl|png|usda)(?=")|(?<=@)[^@\n]+(?=@)|(?<=mtllib )\S+|(?<=>)[^<>\n]+\.obj(?=<)'
+    rb'(?<=")[^"\n]+\.(?:obj|stl|dae|glb|mtl|png|usda|xacro|xml)(?=")|(?<=\')[^\'\n]+\.yaml(?=\')'
+    rb"|(?<=@)[^@\n]+(?=@)|(?<=mtllib )\S+|(?<=>)[^<>\n]+\.obj(?=<)"
 )
 
 Mutation = Callable[[bytes, random.Random], bytes]
@@ -53,6 +82,23 @@ def word(data: bytes, rng: random.Random) -> bytes:
 def path(data: bytes, rng: random.Random) -> bytes:
     """Another file than the one named."""
     return _replaced(data, rng, _PATH, PATHS)
+
+
+def expression(data: bytes, rng: random.Random) -> bytes:
+    """Another expression of xacro, where one is or between quotes."""
+    new = tuple(b"${" + each + b"}" for each in EXPRESSIONS) + SUBSTITUTIONS
+    return _replaced(data, rng, _EXPRESSION if _EXPRESSION.search(data) and rng.random() < 0.7 else _QUOTED, new)
+
+
+def hidden(data: bytes, rng: random.Random) -> bytes:
+    """A file named within what looks like a comment to some parsers."""
+    start, end = rng.choice(HIDING)
+    named = rng.choice(
+        (b'<include file="../secret.xml"/>', b'<asset><mesh name="s" file="../secret.obj"/></asset>',
+         b'<xacro:include filename="../secret.xacro"/>', b"<include><uri>../secret.sdf</uri></include>")
+    )  # fmt: skip
+    position = data.find(b">\n", rng.randrange(len(data) + 1)) + 1
+    return data[:position] + start + named + end + data[position:]
 
 
 def value_moved(data: bytes, rng: random.Random) -> bytes:
@@ -194,7 +240,8 @@ def replaced(data: bytes, rng: random.Random) -> bytes:
 
 
 MUTATIONS: tuple[Mutation, ...] = (
-    number, number, number, numbers, word, word, path, value_moved, line_dropped, line_repeated,
+    number, number, number, numbers, word, word, path, path, value_moved, expression, hidden, line_dropped,
+    line_repeated,
     lines_swapped, attribute_dropped, attribute_renamed, cut, bytes_flipped, words_written, recoded, nested,
     bombed, enlarged, replaced,
 )  # fmt: skip

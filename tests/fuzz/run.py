@@ -97,11 +97,13 @@ def _awaited(connection: Connection, number: int) -> tuple[Outcome, bool]:
 
 
 def _serve(connection: Connection, seed: int) -> None:
-    from tests.fuzz.files import CORPUS, judge, spoil
+    from tests.fuzz.files import CORPUS, SECRETS, judge, spoil
+    from tests.fuzz.watch import contents, watched
 
     silence = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silence, 1)
     os.dup2(silence, 2)
+    os.chdir(tempfile.mkdtemp())
     for name in ("arm.usda", "arm.xml", "box.dae"):  # loads the libraries, whose memory is not the files'
         judge(CORPUS / name)
     status = Path("/proc/self/status").read_text().splitlines()
@@ -115,7 +117,13 @@ def _serve(connection: Connection, seed: int) -> None:
             return
         folder = Path(tempfile.mkdtemp())
         path, how = spoil(folder / "robot", f"{seed}:{number}")
-        verdict, why = judge(path)
+        before = contents(folder)
+        with watched([folder / name for name in SECRETS]) as opened:
+            verdict, why = judge(path)
+        if contents(folder) != before:
+            verdict, why = "failed", f"wrote {set(contents(folder)) ^ set(before) or 'into files'}: {why}"
+        if opened:
+            verdict, why = "failed", f"opened {', '.join(opened)}, which the model may not: {why}"
         shutil.rmtree(folder)
         connection.send(Outcome(number, verdict, f"{how}: {why}" if why else how))
 

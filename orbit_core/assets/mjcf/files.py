@@ -1,10 +1,12 @@
-"""What an MJCF file would have its compiler open and make, held to what the caller allows before that sees it."""
+"""MJCF files written out as one document, held to what the caller allows before MuJoCo sees it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import os
+from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from orbit_core.assets.archives import check_picture
@@ -14,35 +16,41 @@ from orbit_core.assets.outside import resolve_file
 from orbit_core.assets.source_text import read_xml
 from orbit_core.interfaces.errors import AssetError
 
-_FILES = {
-    "mesh": ("meshdir", "assetdir"),
-    "skin": ("meshdir", "assetdir"),
-    "hfield": ("meshdir", "assetdir"),
-    "flexcomp": ("meshdir", "assetdir"),
-    "texture": ("texturedir", "assetdir"),
-    "model": ("meshdir", "assetdir"),
-    "include": (),
-}
-"""Elements that name files, and the attributes of ``<compiler>`` that say where those are, besides the model's folder.
-"""
 _COUNTS = {
-    "composite": ("count", "elements"),
-    "flexcomp": ("count", "elements"),
+    "composite": ("count", "copies"),
+    "flexcomp": ("count", "copies"),
     "numeric": ("size", "elements"),
     "hfield": ("nrow", "vertices"),
     "texture": ("width", "pixels"),
 }
+_CORNERS = 10
+"""Corners of faces that a built-in mesh has for each of its squares, and that MuJoCo makes of them meanwhile."""
 _SECOND = {"nrow": "ncol", "width": "height"}
 
 
-def check_references(path: Path | str, options: ReadOptions) -> None:
-    """Hold an MJCF file, and those that it includes, to the files, sizes and copies that the caller allows.
+@dataclass(frozen=True)
+class MjcfText:
+    """An MJCF model as one document, which includes nothing and names files by absolute paths.
+
+    ``models`` are the documents of the models that it attaches, by the paths that it names.
+    """
+
+    text: str
+    models: dict[str, bytes]
+
+
+def read_whole(path: Path | str, options: ReadOptions) -> MjcfText:
+    """Read an MJCF file with all that it includes, and hold it to the files, sizes and copies that the caller allows.
+
+    MuJoCo is given this text in place of the files: its own parser finds other elements than ours in some (a comment
+    within an attribute or a CDATA section, another encoding), and could open files that were never checked.
 
     Raises:
-        AssetError: a file named is missing or lies outside, an element asks for more than the limits allow, or a file
-            is no well-formed XML.
+        AssetError: a file named is missing or outside, an element asks for more than the limits allow, or a file is no
+            well-formed XML.
     """
-    _Model(Path(path).absolute(), options).check()
+    model = _Model(Path(path).absolute(), options)
+    return MjcfText(ElementTree.tostring(model.read(), encoding="unicode"), model.models)
 
 
 class _Model:
@@ -53,64 +61,97 @@ class _Model:
         self.options = options
         self.above = above
         """The files that led here, the main model's first."""
-        self.folders: dict[str, list[str]] = {}
-        """All that the files give for each setting, for which of them counts depends on their order."""
+        self.folders = {"mesh": "", "texture": "", "model": ""}
+        """Folders of assets; the last setting in the document's order counts."""
         self.strip = False
-        self.sources: list[tuple[Path, Element]] = []
+        self.origin: dict[Element, Path] = {}
+        """The file that holds each element which names a file."""
+        self.included: set[Path] = set()
+        self.models: dict[str, bytes] = {}
 
-    def check(self) -> None:
-        self._collect(self.path, self.above)
-        kind = self.sources[0][1].tag
-        if kind == "mujocoinclude":
+    def read(self) -> Element:
+        """Return the model's root element, checked, with includes written out and absolute paths."""
+        root = self._collect(self.path, self.above)
+        if root.tag == "mujocoinclude":
             raise AssetError(f"{self.path} is a part that other MJCF files include: read one of those")
-        if kind != "mujoco":
-            raise AssetError(f"{self.path} does not compile: it is a <{kind}> and no <mujoco> model")
-        made = 0
-        for source, root in self.sources:
-            with naming(str(source)):
-                made += self._check_elements(source, root)
-        if made > self.options.limits.elements:
+        if root.tag != "mujoco":
+            raise AssetError(f"{self.path} does not compile: it is a <{root.tag}> and no <mujoco> model")
+        for compiler in root.iter("compiler"):
+            self._set_folders(compiler)
+        made = self._check_elements(root)
+        if made > self.options.limits.copies:
             raise AssetError(
-                f"{self.path} replicates its elements to {made}: lower its counts, or raise ReadLimits.elements"
+                f"{self.path} replicates its elements to {made} more: lower its counts, or raise ReadLimits.copies "
+                f"from {self.options.limits.copies}"
             )
+        return root
 
-    def _collect(self, path: Path, above: tuple[Path, ...]) -> None:
-        """Read a file and those that it includes; settings of ``<compiler>`` hold for all of them."""
+    def _collect(self, path: Path, above: tuple[Path, ...]) -> Element:
+        """Read a file, with the children of files that it includes in the place of each ``<include>``."""
         if path in above:
             raise AssetError(f"{path} includes itself: remove the <include>")
         if len(above) > self.options.limits.nesting:
             raise AssetError(f"{path} is included by {len(above)} files, one in another: include it in the first")
         root = read_xml(path, self.options)
-        self.sources.append((path, root))
-        for compiler in root.iter("compiler"):
-            for key in (key for key in compiler.attrib if key.endswith("dir")):
-                self.folders.setdefault(key, []).append(compiler.get(key, ""))
-            self.strip = compiler.get("strippath", str(self.strip)).lower() == "true"
-        for element in root.iter("include"):
-            with naming(f"{path}, <include>"):
-                included = self._allowed(element.get("file", ""), (self.path.parent, path.parent))
-            self._collect(included, (*above, path))
+        own = list(root.iter())
+        for element in own:
+            if any(key.startswith("file") for key in element.keys()):  # noqa: SIM118 an element has no iterator of keys
+                self.origin[element] = path
+            if element.tag != "include" and element.tag.lower() == "include":
+                raise AssetError(f"{path} has an element <{element.tag}>, which MJCF lacks: write <include>")
+        for element in own:
+            if element.find("include") is not None:
+                element[:] = [part for child in element for part in self._written_out(child, path, above)]
+        return root
 
-    def _check_elements(self, source: Path, root: Element) -> int:
-        """How many elements the file makes, copies included."""
+    def _written_out(self, element: Element, path: Path, above: tuple[Path, ...]) -> list[Element]:
+        """Return an element, or the elements that stand for it if it is an ``<include>``."""
+        if element.tag != "include":
+            return [element]
+        with naming(f"{path}, <include>"):
+            found = self._found(element.get("file", ""), "", path)
+            if found in self.included:
+                raise AssetError(f"'{found}' is included twice: include it once")
+        self.included.add(found)
+        return list(self._collect(found, (*above, path)))
+
+    def _set_folders(self, compiler: Element) -> None:
+        """Take over where a ``<compiler>`` says that assets are; ``assetdir`` sets all kinds, others override it."""
+        folder = compiler.get("assetdir")
+        if folder is not None:
+            self.folders |= {"mesh": folder, "texture": folder}
+        for kind in ("mesh", "texture"):
+            self.folders[kind] = compiler.get(f"{kind}dir", self.folders[kind])
+        if "strippath" in compiler.attrib:
+            self.strip = compiler.get("strippath") == "true"
+            compiler.set("strippath", "false")  # of paths that are absolute from here on
+
+    def _check_elements(self, root: Element) -> int:
+        """Check all elements and make their paths absolute; return how many copies they make."""
         total = 0
         waiting = [(root, 1)]
         while waiting:
             element, copies = waiting.pop()
             if element.tag == "replicate":
                 copies *= max(int(_number(element.get("count", "1"))), 1)
-            total += copies
+            total += copies - 1
+            source = self.origin.get(element, self.path)
             with naming(f"{source}, <{element.tag}> '{element.get('name', '')}'"):
                 self._check_size(element)
-                self._check_files(element)
+                self._check_files(element, source)
             waiting += [(child, copies) for child in element]
         return total
 
     def _check_size(self, element: Element) -> None:
         if element.tag == "size":
-            asked = {key: _number(value) for key, value in element.items() if key.startswith("nuser") or key == "nkey"}
-            for key, value in asked.items():
-                self._within(key, value, "elements")
+            for key in (key for key in element.keys() if key.startswith("nuser")):  # noqa: SIM118
+                self._within(key, _number(element.get(key, "")), "elements")
+            self._within("nkey", _number(element.get("nkey", "")), "copies")
+        if element.tag == "mesh" and element.get("builtin"):
+            first, second, *_ = (*map(_number, element.get("params", "").split()), 0.0, 0.0)
+            self._within("params", _CORNERS * first * max(first, second), "vertices")
+        if element.tag == "texture" and element.get("type", "cube") != "2d":
+            self._within("width", 6.0 * _number(element.get("width", "")) ** 2, "pixels")
         if element.tag not in _COUNTS:
             return
         attribute, limit = _COUNTS[element.tag]
@@ -122,28 +163,33 @@ class _Model:
         if value > most:
             raise AssetError(f"{attribute} asks for {value:g}: give {most} at most, or raise ReadLimits.{limit}")
 
-    def _check_files(self, element: Element) -> None:
-        if element.tag not in _FILES or element.tag == "include":
-            return
+    def _check_files(self, element: Element, source: Path) -> None:
+        folder = self.folders.get(element.tag, self.folders["mesh"])
         for key, reference in element.items():
             if not key.startswith("file") or not reference:
                 continue
-            name = Path(reference.replace("\\", "/")).name if self.strip else reference
-            folders = [self.path.parent / each for key in _FILES[element.tag] for each in self.folders.get(key, [])]
-            found = self._allowed(name, (*folders, self.path.parent))
+            found = self._found(reference, folder, source, strip=self.strip)
+            element.set(key, str(found))
             if element.tag == "model":
-                _Model(found, self.options, (*self.above, self.path)).check()
+                attached = _Model(found, self.options, (*self.above, self.path))
+                text = ElementTree.tostring(attached.read(), encoding="unicode")
+                self.models |= {str(found): text.encode(), **attached.models}
             elif element.tag in ("texture", "hfield"):
                 with found.open("rb") as file:
                     check_picture(file.read(24), str(found), self.options)
 
-    def _allowed(self, reference: str, folders: Iterable[Path]) -> Path:
-        """The file, looked for in each folder; all that are found must be allowed, for the compiler may take any."""
-        main = (*self.above, self.path)[0]
-        candidates = list(dict.fromkeys(folder / reference for folder in folders))
-        there = [path for path in candidates if path.exists()] or candidates[:1]
-        allowed = [resolve_file(path, self.path, self.options, model=main) for path in there]
-        return allowed[0]
+    def _found(self, reference: str, folder: str, source: Path, *, strip: bool = False) -> Path:
+        """Return the file that MuJoCo finds: in the main model's folder, or else next to the file that names it.
+
+        Paths are reduced as text, as MuJoCo does it, and not by links in the file system.
+        """
+        reference = reference.replace("\\", "/")
+        places = [self.path.parent / folder / (Path(reference).name if strip else reference)]
+        if source != self.path and not strip:
+            places.append(source.parent / reference)
+        places = [Path(os.path.normpath(place)) for place in places]
+        place = next((place for place in places if place.exists()), places[0])
+        return resolve_file(place, self.path, self.options, model=(*self.above, self.path)[0])
 
 
 def _number(text: str) -> float:

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from orbit_core.assets.mjcf.files import check_references
+from orbit_core.assets.mjcf.files import read_whole
 from orbit_core.assets.naming import one_line
 from orbit_core.assets.options import ReadOptions, Unsupported
-from orbit_core.assets.source_text import read_text
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Pose
 from orbit_core.scene.pose import Vector3, canonical
@@ -108,14 +107,15 @@ def compile_file(path: Path, options: ReadOptions) -> Compiled:
         mujoco: Any = importlib.import_module("mujoco")
     except ImportError:
         raise AssetError('MJCF files need the package mujoco: pip install "orbit-core[mjcf]"') from None
-    check_references(path, options)
+    whole = read_whole(path, options)
     said: list[str] = []
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(said.append)  # else it writes them to the terminal and to a file in the folder at hand
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            spec = _parsed(mujoco, path, options)
+            spec = mujoco.MjSpec.from_string(whole.text, include=whole.models)
+            spec.modelfiledir = str(path.parent)
             model = spec.compile()
     except ValueError as error:
         raise AssetError(f"{path} does not compile: {one_line(str(error))}") from None
@@ -123,16 +123,6 @@ def compile_file(path: Path, options: ReadOptions) -> Compiled:
         mujoco.set_mju_user_warning(before)
     name = spec.modelname if spec.modelname != _UNNAMED else path.stem
     return Compiled(model, mujoco, path, name, options, [f"MuJoCo: {one_line(line)}" for line in said])
-
-
-def _parsed(mujoco: Any, path: Path, options: ReadOptions) -> Any:
-    """The file as parsed by MuJoCo, which reads UTF-8 alone; a file of another encoding is handed over as text."""
-    data = path.read_bytes()
-    if not data.startswith((b"\xff\xfe", b"\xfe\xff", b"<\0", b"\0<")):
-        return mujoco.MjSpec.from_file(str(path))
-    spec = mujoco.MjSpec.from_string(read_text(path, options))
-    spec.modelfiledir = str(path.parent)
-    return spec
 
 
 def _filled(names: list[str], fallback: list[str]) -> list[str]:

@@ -20,7 +20,7 @@ from orbit_core.assets.trees import choose_tree
 from orbit_core.assets.urdf.shapes import UrdfShapes, facing
 from orbit_core.assets.urdf.text import UNLIMITED
 from orbit_core.assets.validation import sort_links
-from orbit_core.assets.xacro_files import read_expanded
+from orbit_core.assets.xacro import read_expanded
 from orbit_core.assets.xml_fields import Fields
 from orbit_core.scene import Articulation, Joint, JointType, Link, Mimic
 
@@ -86,9 +86,10 @@ class _Reader:
         return replace(articulation, notes=(*articulation.notes, *self.findings.notes))
 
     def _root(self) -> Element:
-        root, expanded = read_expanded(self.path, self.options)
-        if expanded:
-            self.findings.note("the file's xacro macros are expanded")
+        expanded = read_expanded(self.path, self.options)
+        root = expanded.root
+        for note in expanded.notes:
+            self.findings.note(note)
         if root.tag != "robot":
             raise self.findings.error(f"its root element is <{root.tag}>", "give a URDF file, whose root is <robot>")
         return root

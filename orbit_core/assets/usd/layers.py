@@ -34,6 +34,10 @@ def open_stage(path: Path | str, options: ReadOptions) -> Any:
         raise AssetError(f"{path} is no USD file that can be opened: {one_line(str(error))}") from None
     if errors := stage.GetCompositionErrors():
         raise AssetError(f"{path} does not compose: {one_line(str(errors[0]))}: put the layer there, or mend its path")
+    known = {layer.realPath for layer in layers}
+    for layer in stage.GetUsedLayers():
+        if not layer.anonymous and layer.realPath not in known:
+            raise AssetError(f"{path} takes in {layer.identifier}, which was not checked: name it by its plain path")
     return stage
 
 
@@ -43,6 +47,7 @@ def _checked_layers(path: Path, options: ReadOptions) -> list[Any]:
     A layer that is missing is left to composition, to which one that only an unselected variant names does not matter.
     """
     sdf = pxr().Sdf
+    resolve = pxr().Ar.GetResolver().Resolve
     check_file(path, options)
     seen: set[str] = set()
     waiting = [str(path)]
@@ -52,8 +57,9 @@ def _checked_layers(path: Path, options: ReadOptions) -> list[Any]:
         if found in seen:
             continue
         seen.add(found)
-        if found.lower().endswith(".usdz"):
-            check_archive(Path(found), options)
+        file = _outer(found)
+        if file.lower().endswith(".usdz"):
+            check_archive(Path(file), options)
         try:
             layer = sdf.Layer.FindOrOpen(found)
         except pxr().Tf.ErrorException as error:
@@ -61,9 +67,38 @@ def _checked_layers(path: Path, options: ReadOptions) -> list[Any]:
         if layer is None:
             raise AssetError(f"{found} is no USD file that can be opened: correct it")
         layers.append(layer)
-        for reference in layer.GetCompositionAssetDependencies():
-            # A path within an archive, scene.usdz[part.usda], opens no other file than the archive.
-            target = layer.ComputeAbsolutePath(reference).partition("[")[0]
-            if reference and Path(target).exists():
-                waiting.append(str(resolve_file(target, Path(found), options, model=path)))
+        _refuse_clips(layer)
+        for reference in filter(None, layer.GetCompositionAssetDependencies()):
+            if sdf.VariableExpression.IsExpression(reference):
+                raise AssetError(f"{found} names a layer by the expression {reference}: write the path out")
+            plain, _ = sdf.Layer.SplitIdentifier(reference)
+            named = layer.ComputeAbsolutePath(plain)  # maybe within an archive: scene.usdz[part.usda]
+            if outer := resolve(_outer(named)).GetPathString():
+                resolve_file(outer, Path(file), options, model=path)
+                if target := resolve(named).GetPathString():
+                    waiting.append(target)
     return layers
+
+
+def _outer(identifier: str) -> str:
+    """Return the file that a layer is in: the archive, for one within an archive."""
+    return identifier.partition("[")[0]
+
+
+def _refuse_clips(layer: Any) -> None:
+    """Refuse value clips, whose layers USD opens as it composes, by patterns of names and over time.
+
+    Raises:
+        AssetError: a prim has some.
+    """
+    waiting = [layer.pseudoRoot]
+    while waiting:
+        spec = waiting.pop()
+        if any(key.startswith("clip") for key in spec.ListInfoKeys()):
+            raise AssetError(
+                f"{layer.identifier}: {spec.path} has value clips, which take values from other files: write their "
+                "values into the layer"
+            )
+        waiting += spec.nameChildren
+        for variants in spec.variantSets.values():
+            waiting += [variant.primSpec for variant in variants.variants.values()]

@@ -18,7 +18,7 @@ def pxr() -> Any:
     Raises:
         AssetError: they are not installed.
     """
-    modules = ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdLux", "UsdPhysics", "UsdSemantics", "UsdShade", "Vt")
+    modules = ("Ar", "Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdLux", "UsdPhysics", "UsdSemantics", "UsdShade", "Vt")
     try:
         importlib.import_module("newton_usd_schemas")
         for module in modules:

@@ -73,4 +73,5 @@ def _arcs(layer: Any, spec: Any) -> Iterator[tuple[Any, Any]]:
 
 def _opened(layer: Any, name: str) -> Any:
     """A layer that has been opened already, and so may be; ``None`` for others."""
-    return pxr().Sdf.Layer.Find(layer.ComputeAbsolutePath(name))
+    plain, _ = pxr().Sdf.Layer.SplitIdentifier(name)
+    return pxr().Sdf.Layer.Find(layer.ComputeAbsolutePath(plain))
