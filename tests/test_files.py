@@ -141,6 +141,12 @@ def test_what_dead_writers_left_is_swept_and_nothing_else(tmp_path: Path) -> Non
     alive = Replacement(tmp_path / "x")
     sweep(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {*own, alive.written.parent.name}
+    # As a kill leaves it between two renamings, where the file system does not exchange names.
+    filled(tmp_path / ".orbit-89abcdef.partial" / "replaced" / "data", "before")
+    filled(tmp_path / ".orbit-89abcdef.partial" / "data", "after")
+    sweep(tmp_path)
+    assert texts(tmp_path / "data") == {"before"}
+    assert not (tmp_path / ".orbit-89abcdef.partial").exists()
     alive.written.write_text("whole")
     alive.take_place()
     assert (tmp_path / "x").read_text() == "whole"
