@@ -196,6 +196,21 @@ def test_models_that_mjcf_attaches_are_held_to_the_folder(model: Path) -> None:
                 load_articulation(path)
 
 
+def test_models_that_attach_or_include_ever_more_are_refused(model: Path) -> None:
+    attach = "".join(f'<attach model="p" body="b" prefix="x{number}"/>' for number in range(10))
+    include = "<include><uri>part{}.sdf</uri></include>"
+    for level in range(6):
+        asset = f'<asset><model name="p" file="part{level + 1}.xml"/></asset>'
+        body = f'<mujoco>{asset}<worldbody><body name="b">{attach}</body></worldbody></mujoco>'
+        (model / f"part{level}.xml").write_text(body)
+        (model / f"part{level}.sdf").write_text(f"<sdf><world>{include.format(level + 1) * 10}</world></sdf>")
+    (model / "part6.xml").write_text('<mujoco><worldbody><body name="b"><geom size="1"/></body></worldbody></mujoco>')
+    (model / "part6.sdf").write_text('<sdf><model name="m"><link name="l"/></model></sdf>')
+    for name in ("part0.xml", "part0.sdf"):
+        with pytest.raises(AssetError, match=r"raise ReadLimits\.copies"):
+            load_articulation(model / name, options=ReadOptions(limits=ReadLimits(copies=200)))
+
+
 @pytest.mark.parametrize("tag", ["Include", "INCLUDE"])
 def test_an_include_in_other_letters_opens_nothing(model: Path, tag: str) -> None:
     path = model / "robot.xml"
