@@ -354,6 +354,18 @@ def test_entities_are_refused_wherever_a_mesh_declares_them(model: Path, before:
             load_mesh(model / name)
 
 
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_pictures_of_meshes_with_more_pixels_than_the_limit_are_left_out(model: Path, suffix: str) -> None:
+    image = pytest.importorskip("PIL.Image")
+    image.new("RGB", (40, 30)).save(model / f"skin.{suffix}")
+    (model / "skin.mtl").write_text(f"newmtl m\nmap_Kd skin.{suffix}\n")
+    textured = TETRAHEDRON.replace("f ", "vt 0 0\nf ", 1).replace("f 1 3 2", "f 1/1 3/1 2/1")
+    (model / "mesh.obj").write_text(f"mtllib skin.mtl\nusemtl m\n{textured}")
+    for pixels, drawn in ((1200, True), (1199, False)):
+        options = ReadOptions(limits=ReadLimits(pixels=pixels))
+        assert load_parts(model / "mesh.obj", options=options)[0].textured == drawn
+
+
 POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\n0 0 8 8 rectfill\nshowpage\n%%EOF\n"
 
 
