@@ -46,12 +46,10 @@ def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
     data = path.read_bytes()
     _check_content(data, suffix, path, options)
     try:
-        with warnings.catch_warnings():
-            _refuse_huge_pictures()
-            if suffix == "dae":
-                data = without_broken_textures(data)
-            neighbours = _Neighbours(path, options, model).as_trimesh()
-            scene: Any = trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=neighbours, process=False)
+        if suffix == "dae":
+            data = without_broken_textures(data)
+        neighbours = _Neighbours(path, options, model).as_trimesh()
+        scene: Any = trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=neighbours, process=False)
         _check_size(scene, path, options)
         return scene
     except AssetError:
@@ -67,19 +65,21 @@ def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
 
 
 @contextmanager
-def without_programs() -> Iterator[None]:
-    """Keep Pillow from running Ghostscript, which it does for a picture that is PostScript whatever its name says.
+def bounded_pictures(options: ReadOptions) -> Iterator[None]:
+    """Keep Pillow from pictures of too many pixels, and from running Ghostscript, which it does for PostScript.
 
     trimesh opens pictures wherever a mesh holds some, and copies decode them: all reading of a mesh belongs within.
     """
-    from PIL import EpsImagePlugin
+    from PIL import EpsImagePlugin, Image
 
-    before = EpsImagePlugin.gs_binary
-    EpsImagePlugin.gs_binary = False
+    program, pixels = EpsImagePlugin.gs_binary, Image.MAX_IMAGE_PIXELS
+    EpsImagePlugin.gs_binary, Image.MAX_IMAGE_PIXELS = False, options.limits.pixels
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            yield
     finally:
-        EpsImagePlugin.gs_binary = before
+        EpsImagePlugin.gs_binary, Image.MAX_IMAGE_PIXELS = program, pixels
 
 
 class _Neighbours:
@@ -139,12 +139,6 @@ def _check_size(scene: Any, path: Path, options: ReadOptions) -> None:
             f"mesh file '{path}' holds {faces} triangles: make it smaller, or raise ReadLimits.vertices from "
             f"{options.limits.vertices}"
         )
-
-
-def _refuse_huge_pictures() -> None:
-    from PIL.Image import DecompressionBombWarning
-
-    warnings.simplefilter("error", DecompressionBombWarning)
 
 
 def _check_content(data: bytes, suffix: str, path: Path, options: ReadOptions) -> None:

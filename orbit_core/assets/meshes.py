@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.assets.mesh_colors import surface_color
-from orbit_core.assets.mesh_files import open_mesh, without_programs
+from orbit_core.assets.mesh_files import bounded_pictures, open_mesh
 from orbit_core.assets.naming import names_file, naming
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.vertices import merge_vertices
@@ -90,7 +90,7 @@ class MeshFiles:
         """
         key = (path, scale)
         if key not in self._meshes:
-            with naming(str(path)), without_programs():
+            with naming(str(path)), bounded_pictures(self.options):
                 parts = self._parts.get(key, ())
                 # One part is the whole: its visual and its collision shape then share one mesh.
                 self._meshes[key] = parts[0].mesh if len(parts) == 1 else _mesh(self._geometries(path), scale, path)
@@ -104,7 +104,7 @@ class MeshFiles:
         """
         key = (path, scale)
         if key not in self._parts:
-            with naming(str(path)), without_programs():
+            with naming(str(path)), bounded_pictures(self.options):
                 self._parts[key] = self._split(path, scale)
         return self._parts[key]
 

@@ -37,8 +37,8 @@ class ReadLimits:
     elements: int = 2_000_000
     """XML elements of a file, or prims of a stage."""
     copies: int = 10_000
-    """Elements that MJCF makes of a count: by ``<replicate>``, ``<composite>``, ``<flexcomp>`` and ``nkey``. The
-    time to compile them grows with their square."""
+    """Elements that MJCF makes of a count: by ``<replicate>``, ``<composite>``, ``<flexcomp>``, ``<attach>``
+    and ``nkey``, whose time to compile grows with their square; and files that an SDFormat world includes."""
     nesting: int = 2_000
     """XML elements, or folders of included files, within each other."""
     vertices: int = 10_000_000

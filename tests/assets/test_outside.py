@@ -196,6 +196,21 @@ def test_models_that_mjcf_attaches_are_held_to_the_folder(model: Path) -> None:
                 load_articulation(path)
 
 
+def test_models_that_attach_or_include_ever_more_are_refused(model: Path) -> None:
+    attach = "".join(f'<attach model="p" body="b" prefix="x{number}"/>' for number in range(10))
+    include = "<include><uri>part{}.sdf</uri></include>"
+    for level in range(6):
+        asset = f'<asset><model name="p" file="part{level + 1}.xml"/></asset>'
+        body = f'<mujoco>{asset}<worldbody><body name="b">{attach}</body></worldbody></mujoco>'
+        (model / f"part{level}.xml").write_text(body)
+        (model / f"part{level}.sdf").write_text(f"<sdf><world>{include.format(level + 1) * 10}</world></sdf>")
+    (model / "part6.xml").write_text('<mujoco><worldbody><body name="b"><geom size="1"/></body></worldbody></mujoco>')
+    (model / "part6.sdf").write_text('<sdf><model name="m"><link name="l"/></model></sdf>')
+    for name in ("part0.xml", "part0.sdf"):
+        with pytest.raises(AssetError, match=r"raise ReadLimits\.copies"):
+            load_articulation(model / name, options=ReadOptions(limits=ReadLimits(copies=200)))
+
+
 @pytest.mark.parametrize("tag", ["Include", "INCLUDE"])
 def test_an_include_in_other_letters_opens_nothing(model: Path, tag: str) -> None:
     path = model / "robot.xml"
@@ -337,6 +352,18 @@ def test_entities_are_refused_wherever_a_mesh_declares_them(model: Path, before:
     for name in ("mesh.dae", "mesh.zae", "mesh.3mf"):
         with pytest.raises(AssetError, match="declares XML entities"):
             load_mesh(model / name)
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_pictures_of_meshes_with_more_pixels_than_the_limit_are_left_out(model: Path, suffix: str) -> None:
+    image = pytest.importorskip("PIL.Image")
+    image.new("RGB", (40, 30)).save(model / f"skin.{suffix}")
+    (model / "skin.mtl").write_text(f"newmtl m\nmap_Kd skin.{suffix}\n")
+    textured = TETRAHEDRON.replace("f ", "vt 0 0\nf ", 1).replace("f 1 3 2", "f 1/1 3/1 2/1")
+    (model / "mesh.obj").write_text(f"mtllib skin.mtl\nusemtl m\n{textured}")
+    for pixels, drawn in ((1200, True), (1199, False)):
+        options = ReadOptions(limits=ReadLimits(pixels=pixels))
+        assert load_parts(model / "mesh.obj", options=options)[0].textured == drawn
 
 
 POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\n0 0 8 8 rectfill\nshowpage\n%%EOF\n"

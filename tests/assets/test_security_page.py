@@ -23,7 +23,7 @@ STATED = (
     f"bytes of a file ({LIMITS.file_bytes // MEBI} MiB)",
     f"unpacks to ({LIMITS.expanded_bytes // 2**30} GiB)",
     f"elements and prims ({LIMITS.elements // 10**6} million)",
-    f"makes of a count ({LIMITS.copies:,})",
+    f"makes of a count and files that an SDFormat world includes ({LIMITS.copies:,})",
     f"nesting ({LIMITS.nesting:,})",
     f"triangles of a mesh ({LIMITS.vertices // 10**6} million)",
     f"pixels of a picture ({LIMITS.pixels // MEBI} Mi)",

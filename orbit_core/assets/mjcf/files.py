@@ -68,6 +68,10 @@ class _Model:
         """The file that holds each element which names a file."""
         self.included: set[Path] = set()
         self.models: dict[str, bytes] = {}
+        self.largest = 0
+        """Size of the largest model that it attaches."""
+        self.size = 0
+        """Elements that MuJoCo makes of the model, copies and attached models included."""
 
     def read(self) -> Element:
         """Return the model's root element, checked, with includes written out and absolute paths."""
@@ -78,7 +82,9 @@ class _Model:
             raise AssetError(f"{self.path} does not compile: it is a <{root.tag}> and no <mujoco> model")
         for compiler in root.iter("compiler"):
             self._set_folders(compiler)
-        made = self._check_elements(root)
+        own = sum(1 for _ in root.iter())
+        self.size = self._check_elements(root)
+        made = self.size - own
         if made > self.options.limits.copies:
             raise AssetError(
                 f"{self.path} replicates its elements to {made} more: lower its counts, or raise ReadLimits.copies "
@@ -127,20 +133,21 @@ class _Model:
             compiler.set("strippath", "false")  # of paths that are absolute from here on
 
     def _check_elements(self, root: Element) -> int:
-        """Check all elements and make their paths absolute; return how many copies they make."""
-        total = 0
+        """Check all elements and make their paths absolute; return how many they are, copies included."""
+        total = attached = 0
         waiting = [(root, 1)]
         while waiting:
             element, copies = waiting.pop()
             if element.tag == "replicate":
                 copies *= max(int(_number(element.get("count", "1"))), 1)
-            total += copies - 1
+            total += copies
+            attached += copies if element.tag == "attach" else 0
             source = self.origin.get(element, self.path)
             with naming(f"{source}, <{element.tag}> '{element.get('name', '')}'"):
                 self._check_size(element)
                 self._check_files(element, source)
             waiting += [(child, copies) for child in element]
-        return total
+        return total + attached * self.largest
 
     def _check_size(self, element: Element) -> None:
         if element.tag == "size":
@@ -174,6 +181,7 @@ class _Model:
                 attached = _Model(found, self.options, (*self.above, self.path))
                 text = ElementTree.tostring(attached.read(), encoding="unicode")
                 self.models |= {str(found): text.encode(), **attached.models}
+                self.largest = max(self.largest, attached.size)
             elif element.tag in ("texture", "hfield"):
                 with found.open("rb") as file:
                     check_picture(file.read(24), str(found), self.options)

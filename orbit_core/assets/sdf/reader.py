@@ -87,11 +87,27 @@ def _read(source: _Source, options: ReadOptions) -> SdfModel:
     return SdfModel(reader.read(source.name), source.pose, source.static)
 
 
-def _sources(path: Path, options: ReadOptions, depth: int = 0) -> list[_Source]:
-    """The models of a file, world by world, included ones in their place."""
+def _sources(
+    path: Path, options: ReadOptions, above: tuple[Path, ...] = (), read: list[Path] | None = None
+) -> list[_Source]:
+    """Return the models of a file, world by world, included ones in their place.
+
+    Args:
+        path: the file.
+        options: which files may be included, and how many.
+        above: the files that include this one, the outermost first.
+        read: all files read so far, which grows.
+    """
     findings = Findings(f"SDF file '{path}'", options)
-    if depth > _DEEPEST:
-        raise findings.error(f"it is included {depth} files deep", "include it once")
+    read = [] if read is None else read
+    read.append(path)
+    if len(above) > _DEEPEST:
+        raise findings.error(f"it is included {len(above)} files deep", "include it once")
+    if len(read) > options.limits.copies:
+        raise findings.error(
+            f"it is one of more than {options.limits.copies} files that are included",
+            "include fewer, or raise ReadLimits.copies",
+        )
     root = read_xml(path, options)
     if root.tag != "sdf":
         raise findings.error(f"its root element is <{root.tag}>", "give an SDF file, whose root is <sdf>")
@@ -107,18 +123,20 @@ def _sources(path: Path, options: ReadOptions, depth: int = 0) -> list[_Source]:
                 static = fields.flag(element, "static", f"model '{name}'")
                 found.append(_Source(element, path, name, pose, _version(root), static))
             elif element.tag == "include":
-                found += _included(element, path, fields, options, depth)
+                found += _included(element, fields, options, (*above, path), read)
     if not found:
         raise findings.error("it holds no <model>", "give a file that does")
     return found
 
 
-def _included(element: Element, path: Path, fields: SdfFields, options: ReadOptions, depth: int) -> list[_Source]:
+def _included(
+    element: Element, fields: SdfFields, options: ReadOptions, above: tuple[Path, ...], read: list[Path]
+) -> list[_Source]:
     uri = fields.text(element, "uri", "an <include>").rstrip("/")
-    file = resolve_file(uri if uri.endswith(".sdf") else f"{uri}/model.sdf", path, options)
+    file = resolve_file(uri if uri.endswith(".sdf") else f"{uri}/model.sdf", above[-1], options)
     pose, _ = fields.pose(element, "an <include>")
     given = element.find("pose") is not None
-    models = _sources(file, options, depth + 1)
+    models = _sources(file, options, above, read)
     name = fields.text(element, "name", "an <include>", models[0].name)
     static = fields.flag(element, "static", "an <include>")
     return [
