@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,6 +29,7 @@ from orbit_core.interfaces import (
 from orbit_core.plugin_kit.markers import marker_shapes
 from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures, painted, repainted
 from orbit_core.plugin_kit.rotations import compose, rotate
+from orbit_core.plugin_kit.scratch import ScratchFolder
 from orbit_core.scene import CameraSpec, Channel, Shape
 from orbit_core.scene.pose import Vector3
 
@@ -69,8 +68,8 @@ class BulletRenderer(HostRenderer):
 
     def _build(self, layout: SceneLayout) -> None:
         refused = refusals("Bullet cannot draw the scene", SimulationError)
-        with tempfile.TemporaryDirectory(prefix="orbit-bullet-") as folder, silence(), refused:
-            shapes = VisualShapes(self._client, Path(folder))
+        with ScratchFolder("orbit-bullet-") as folder, silence(), refused:
+            shapes = VisualShapes(self._client, folder)
             things = drawn_shapes(layout)
             self._links = np.array([link for _, link in things], dtype=np.int64)
             self._offsets = np.array([_flat(shape) for shape, _ in things]).reshape(-1, 7)
