@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import io
 import os
 import sys
 import warnings
@@ -60,6 +61,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words or os.environ.get("ORBIT_DEBUG", "") not in ("", "0")
     words = [word for word in words if word != "--debug"]
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # Where the terminal's encoding lacks a character, such as that of a deviation or of a file's name, a table of
+        # finished work shows its number in the place of it.
+        sys.stdout.reconfigure(errors="backslashreplace")
     request = EndRequest()
     try:
         with warnings.catch_warnings(), request:
