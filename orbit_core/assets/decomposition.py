@@ -127,6 +127,7 @@ def _split(
 ) -> _Pieces:
     """The pieces, while a line on a terminal says what is being split."""
     from rich.console import Console
+    from rich.text import Text
 
     if importlib.util.find_spec("coacd") is None:
         raise AssetError(
@@ -137,7 +138,7 @@ def _split(
         raise _failed(where, "it lies in a plane")
     with ScratchFolder("orbit-decomposition-") as folder:
         np.savez(folder / "mesh.npz", vertices=vertices, faces=faces)
-        with Console(stderr=True).status(f"splitting {where} into convex pieces ({len(faces)} triangles)"):
+        with Console(stderr=True).status(Text(f"splitting {where} into convex pieces ({len(faces)} triangles)")):
             _run(folder, settings, where)
         with np.load(folder / "pieces.npz", allow_pickle=False) as file:
             pieces = _read(file)
