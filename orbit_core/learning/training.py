@@ -83,6 +83,7 @@ class Training:
             self.trainer.learn(iterations - begin, done)
         except KeyboardInterrupt:
             if self._done >= 0 and self.saved != self._checkpoint(self._done):
+                self._check_weights(self._done + 1)
                 self._save(self._done)
             raise
         except Exception:
