@@ -102,9 +102,13 @@ class Leader(Device):
         asyncio.set_event_loop(self._loop)
         with suppress(asyncio.CancelledError):
             self._loop.run_until_complete(self._serving)
-        for task in (open_ones := asyncio.all_tasks(self._loop)):
-            task.cancel()
-        self._loop.run_until_complete(asyncio.gather(*open_ones, return_exceptions=True))
+        # A connection that is being accepted is a task that begins another, and closes its socket only once it has run.
+        while asyncio.all_tasks(self._loop):
+            self._loop.run_until_complete(asyncio.sleep(0))
+            for task in (tasks := asyncio.all_tasks(self._loop)):
+                task.cancel()
+            self._loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
+        self._loop.run_until_complete(asyncio.sleep(0))  # closes the sockets of what was cancelled
         self._loop.close()
         self._socket.close()
 
@@ -122,8 +126,8 @@ class Leader(Device):
                     await _answer(writer, fault)
                 else:
                     await self._listen(reader, writer)
-        except asyncio.CancelledError:
-            pass  # pushed out, or the session ends
+        except asyncio.CancelledError:  # pushed out, or the session ends
+            writer.transport.abort()
         finally:
             writer.close()
 
