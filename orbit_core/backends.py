@@ -98,6 +98,8 @@ def backend(name: str) -> Backend:
         return _made(_backends(), name)
     except UnknownNameError:
         installable = installable_backends()
+        if not isinstance(name, str):
+            raise UnknownNameError("backend", name, {*backend_names(), *installable}) from None
         if name in installable:
             raise BackendNotInstalledError(f"backend '{name}' is not installed: {installable[name]}") from None
         if name in renderer_names():
@@ -113,7 +115,7 @@ def renderer(name: str) -> Backend:
     Raises:
         BackendNotInstalledError, UnknownNameError, ConfigurationError: as :func:`backend`.
     """
-    if name in renderer_names():
+    if isinstance(name, str) and name in renderer_names():
         return _made(_renderers(), name)
     try:
         return backend(name)

@@ -11,6 +11,7 @@ import functools
 import inspect
 import math
 import sys
+import tomllib
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
@@ -25,6 +26,10 @@ from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 Config = TypeVar("Config")
 _LARGEST = 2**31 - 1
 """Largest whole number, for engines hold them in 32 bits."""
+_LONGEST_FILE = 2**20
+"""Bytes of a TOML file."""
+_DEEPEST = 32
+"""Levels of tables and lists within each other in a TOML file."""
 _OFF = "none"
 """What switches a field off in text, where it may be None."""
 
@@ -73,6 +78,48 @@ def assignments(pairs: Iterable[str], owner: str, kind: str = "field") -> dict[s
             raise ConfigurationError(f"a {kind} of {owner} is set as key=value, not '{pair}'")
         values[path.strip()] = Text(text)
     return values
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Args:
+        path: of the file.
+        what: the file is, for messages: "configuration file".
+
+    Raises:
+        ConfigurationError: it cannot be read, is no regular file, larger than 1 MiB, not TOML, or nests too deep.
+    """
+    try:
+        if path.exists() and not path.is_file():  # a pipe or a device may never end
+            raise ConfigurationError(f"{what} {path} is no regular file")
+        with path.open("rb") as file:
+            data = file.read(_LONGEST_FILE + 1)
+    except OSError as error:
+        raise ConfigurationError(f"cannot read {what} {path}: {error.strerror}") from error
+    except ValueError as error:  # a null character in the name
+        raise ConfigurationError(f"cannot read {what} {str(path)!r}: {error}") from error
+    if len(data) > _LONGEST_FILE:
+        raise ConfigurationError(f"{what} {path} is larger than {_LONGEST_FILE:,} bytes, the most that is read")
+    try:
+        values = tomllib.loads(data.decode())
+    except ValueError as error:  # of syntax, of characters, and of integers of thousands of digits
+        raise ConfigurationError(f"{what} {path} is not TOML: {error}") from error
+    except RecursionError:
+        values = None
+    if values is None or _depth(values) > _DEEPEST:
+        raise ConfigurationError(f"{what} {path} nests deeper than {_DEEPEST} levels, the most that is read")
+    return values
+
+
+def _depth(values: Any) -> int:
+    """Return how deep tables and lists nest, counted without recursion."""
+    depth, level = 0, [values]
+    while level:
+        depth += 1
+        inner = [part for each in level for part in (each.values() if isinstance(each, dict) else each)]
+        level = [part for part in inner if isinstance(part, dict | list)]
+    return depth
 
 
 def field_types(kind: type) -> dict[str, Any]:

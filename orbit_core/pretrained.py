@@ -25,7 +25,6 @@ Listing names imports nothing heavy.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -33,6 +32,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from orbit_core.configuration import read_toml
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.registry import Registry
 
@@ -135,8 +135,8 @@ def policy_fields(name: str | Path) -> Mapping[str, Any]:
 
 
 def _read(about: Path) -> PretrainedPolicy:
+    values = read_toml(about, "description")
     try:
-        values: dict[str, Any] = tomllib.loads(about.read_text(encoding="utf-8"))
         gaps = tuple(TransferGap(**gap) for gap in values.pop("gaps", ()))
         return PretrainedPolicy(name=about.parent.name, folder=about.parent, gaps=gaps, **values)
     except (ValueError, TypeError) as error:

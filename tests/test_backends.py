@@ -146,6 +146,13 @@ def test_an_unknown_name_lists_near_and_known_ones(install: Install) -> None:
         backends.backend("plane")
 
 
+@pytest.mark.parametrize("name", [["cube"], {"name": 1}, None, 3])
+def test_a_name_that_is_no_text_is_unknown(name: Any) -> None:
+    for find in (backends.backend, backends.renderer, backends.matter_solver):
+        with pytest.raises(UnknownNameError):
+            find(name)
+
+
 def test_a_known_backend_that_is_not_installed_says_how_to_install_it(install: Install) -> None:
     install(("plain", "orbit-plain", PlainBackend), extras=("plain", "later"))
     assert backends.installable_backends() == {"later": 'pip install "orbit-core[later]"'}

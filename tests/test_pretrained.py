@@ -61,7 +61,7 @@ def test_another_package_brings_policies_of_its_own(tmp_path: Path) -> None:
         (ABOUT + 'fields = "pixels"\n', "pile", "fields is a table of the task's fields, not 'pixels'"),
         (ABOUT + GAP.replace('backend = "slippery"', ""), "pile", "a gap names a backend, a renderer or both"),
         (ABOUT + GAP.replace("reason", "cause"), "pile", "unexpected keyword argument 'cause'"),
-        ("description = \n", "pile", "describes no policy"),
+        ("description = \n", "pile", "is not TOML"),
         (ABOUT, "reach", "policy 'reach' is registered twice"),
     ],
 )

@@ -10,7 +10,6 @@ import importlib.util
 import os
 import subprocess
 import sys
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -24,6 +23,7 @@ import numpy.typing as npt
 from orbit_core.assets.cache import cache_folder, digest_arrays, write_cached
 from orbit_core.assets.surface_checks import check_mesh, extents
 from orbit_core.interfaces.errors import ArgumentError, AssetError, StorageError
+from orbit_core.plugin_kit.scratch import ScratchFolder
 from orbit_core.scene import Articulation, Entity, Mesh, MeshCollision, ObjectSpec, Shape
 
 _EntityType = TypeVar("_EntityType", bound=Entity)
@@ -127,6 +127,7 @@ def _split(
 ) -> _Pieces:
     """The pieces, while a line on a terminal says what is being split."""
     from rich.console import Console
+    from rich.text import Text
 
     if importlib.util.find_spec("coacd") is None:
         raise AssetError(
@@ -135,11 +136,11 @@ def _split(
         )
     if extents(vertices) < 3:
         raise _failed(where, "it lies in a plane")
-    with tempfile.TemporaryDirectory() as folder:
-        np.savez(Path(folder) / "mesh.npz", vertices=vertices, faces=faces)
-        with Console(stderr=True).status(f"splitting {where} into convex pieces ({len(faces)} triangles)"):
-            _run(Path(folder), settings, where)
-        with np.load(Path(folder) / "pieces.npz", allow_pickle=False) as file:
+    with ScratchFolder("orbit-decomposition-") as folder:
+        np.savez(folder / "mesh.npz", vertices=vertices, faces=faces)
+        with Console(stderr=True).status(Text(f"splitting {where} into convex pieces ({len(faces)} triangles)")):
+            _run(folder, settings, where)
+        with np.load(folder / "pieces.npz", allow_pickle=False) as file:
             pieces = _read(file)
     solid = [piece for piece in pieces if extents(piece[0]) == 3]
     if not solid:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import functools
 import importlib
+import io
 import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
 
-from orbit_core.cli.signals import Terminated, termination_interrupts
+from orbit_core.cli.signals import EndRequest
 from orbit_core.files import DISK_FULL
 from orbit_core.interfaces.errors import OrbitError
 from orbit_core.registry import Registry
@@ -52,34 +53,38 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
-    It is 2 for a user's mistake, told in one line, 130 when interrupted, and 143 when ended by SIGTERM, which closes
-    everything as an interrupt does.
+    The code is 2 for a user's mistake, reported in one line, 130 for a command that was interrupted, and 143 for one
+    that SIGTERM ended; either signal closes everything first, and a second one ends the process at once.
 
     ``--debug``, or ORBIT_DEBUG=1 in the process's environment, shows the traceback of such a mistake.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words or os.environ.get("ORBIT_DEBUG", "") not in ("", "0")
     words = [word for word in words if word != "--debug"]
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # Where the terminal's encoding lacks a character, such as that of a deviation or of a file's name, a table of
+        # finished work shows its number in the place of it.
+        sys.stdout.reconfigure(errors="backslashreplace")
+    request = EndRequest()
     try:
-        with warnings.catch_warnings(), termination_interrupts():
+        with warnings.catch_warnings(), request:
             if not debug:
                 warnings.showwarning = _show_warning
-            return _dispatch(words)
+            code = _dispatch(words)
     except OrbitError as error:
         if debug:
             raise
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+        code = 2
     except OSError as error:
         if debug or error.errno not in DISK_FULL:
             raise
         where = error.filename or "a temporary file"
         print(f"error: cannot write {where}: {error.strerror}; TMPDIR names another folder", file=sys.stderr)
-        return 2
-    except Terminated:
-        return 143
+        code = 2
     except KeyboardInterrupt:
-        return 130
+        code = 130
+    return request.exit_code or code
 
 
 def _show_warning(message: Warning | str, *_: object) -> None:

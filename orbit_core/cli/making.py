@@ -28,6 +28,7 @@ def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverge
     drawing = renderer(settings.renderer or name)
     import torch
 
+    from orbit_core.envs.configuration import configure
     from orbit_core.envs.making import make
 
     try:
@@ -49,4 +50,5 @@ def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverge
     own_matter = assignments(settings.matter_setting, "the matter solver", "setting")
     matter = {"matter": settings.matter, "matter_settings": {**settings.matter_settings, **own_matter}}
     common = (settings.seed, settings.renderer, own, looks, settings.compile, settings.check_finite)
-    return make(entry.name, num_envs, name, device, *common, **matter, reset_diverged=reset_diverged, **fields)
+    task = configure(entry.task_type(), fields)  # a field may bear the name of an argument of make
+    return make(task, num_envs, name, device, *common, **matter, reset_diverged=reset_diverged)

@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import io
 import re
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
@@ -14,7 +13,7 @@ from typing import Any, TypeVar, get_type_hints
 import tyro
 
 from orbit_core.cli.settings import EnvironmentSettings
-from orbit_core.configuration import configured, field_types
+from orbit_core.configuration import configured, field_types, read_toml
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 
 _Settings = TypeVar("_Settings", bound=EnvironmentSettings)
@@ -55,13 +54,7 @@ def parse_words(kind: type[_Parsed], words: Sequence[str], program: str, default
 
 def read_file(settings_type: type[_Settings], path: Path) -> _Settings:
     """The settings of a TOML file over the defaults of ``settings_type``."""
-    try:
-        with path.open("rb") as file:
-            values = tomllib.load(file)
-    except OSError as error:
-        raise ConfigurationError(f"cannot read configuration file {path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"configuration file {path} is not TOML: {error}") from error
+    values = read_toml(path, "configuration file")
     known = field_types(settings_type).keys() - {*_COMMAND_LINE_ONLY}
     for key in values.keys() - known:
         raise UnknownNameError("key", key, known, f"configuration file {path}")

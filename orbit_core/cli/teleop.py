@@ -112,6 +112,7 @@ def teleop(settings: TeleopSettings) -> None:
 
 
 def _show(settings: TeleopSettings, session: Session, device: Device, driver: Driver) -> None:
+    from orbit_core.teleoperation.leader import Leader
     from orbit_core.teleoperation.views import Views
     from orbit_core.viewer.viewer import Viewer
 
@@ -135,6 +136,6 @@ def _show(settings: TeleopSettings, session: Session, device: Device, driver: Dr
         print(f"drive and watch at {viewer.url}", flush=True)
         for url in viewer.page_urls:
             print(f"a gamepad on the screen, for a phone as well, at {url}", flush=True)
-        if (port := getattr(device, "port", None)) is not None:
-            print(f"a leader connects to 127.0.0.1:{port}", flush=True)
+        if isinstance(device, Leader):
+            print(f"a leader connects to 127.0.0.1:{device.port}, and sends {device.greeting} first", flush=True)
         viewer.run(settings.max_steps)

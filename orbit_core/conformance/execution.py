@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 import time
 import traceback
 from collections.abc import Callable, Mapping
@@ -29,6 +28,7 @@ from orbit_core.conformance.videos import film
 from orbit_core.files import DISK_FULL
 from orbit_core.interfaces import StorageError, UnsupportedCapabilityError
 from orbit_core.interfaces.matter import NATIVE
+from orbit_core.plugin_kit.scratch import OWNER, ScratchFolder
 
 RECORDING = "recording.npz"
 TRACES = "traces.json"
@@ -63,8 +63,7 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
     torch.set_num_threads(1)  # other jobs run on the other cores
     begin = time.perf_counter()
     record = Record(job, Ending.DONE, device=settings.device_of(job.backend))
-    with tempfile.TemporaryDirectory(prefix="orbit_conformance_") as name:
-        folder = Path(name)
+    with ScratchFolder("orbit-conformance-") as folder:
         try:
             for file, content in inputs.items():
                 (folder / file).write_bytes(content)
@@ -78,7 +77,8 @@ def execute(job: Job, settings: Settings, inputs: Mapping[str, bytes]) -> Outcom
                 raise StorageError(f"cannot write into folder {folder.parent}: {error.strerror}") from error
             traceback.print_exc()
             record = replace(record, ending=Ending.ERROR, reason=f"{type(error).__name__}: {error}")
-        made = {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.name not in inputs}
+        own = [path for path in sorted(folder.iterdir()) if path.name not in inputs and path.name != OWNER]
+        made = {path.name: path.read_bytes() for path in own}
     return Outcome(replace(record, seconds=time.perf_counter() - begin, files=tuple(made)), made)
 
 

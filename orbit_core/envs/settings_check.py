@@ -10,6 +10,9 @@ from orbit_core.envs.task import Task
 from orbit_core.envs.terms import CurriculumTerm, terms_of
 from orbit_core.interfaces import ConfigurationError
 
+_LONGEST_EPISODE = 2**31 - 1
+"""Steps of an episode; step counters have 64 bits, and libraries keep them in 32."""
+
 
 def check_no_backend(given: Mapping[str, object]) -> None:
     """Refuse settings of a backend, by name, beside a world that is given.
@@ -52,6 +55,11 @@ def whole_steps(task: Task) -> int:
             raise ConfigurationError(f"{name} must be above zero seconds, not {seconds:g}")
     whole_number(task.decimation, "decimation", 1, MOST_STEPS)
     step_dt = task.physics_dt * task.decimation
+    if not task.episode_length / step_dt <= _LONGEST_EPISODE:
+        raise ConfigurationError(
+            f"episode_length {task.episode_length:g} s has more than {_LONGEST_EPISODE:,} steps of {step_dt:g} s: "
+            "give a shorter one"
+        )
     steps = round(task.episode_length / step_dt)
     if steps < 1 or abs(steps * step_dt - task.episode_length) > 1e-6 * task.episode_length:
         raise ConfigurationError(

@@ -32,6 +32,17 @@ def write_checkpoint(path: Path, library: str, state: Any) -> None:
     write_tensors(path, document, tensors)
 
 
+def tensors_in(state: Any) -> list[Tensor]:
+    """Return all tensors of a library's state.
+
+    Raises:
+        ConfigurationError: the state holds something that is no data; names it.
+    """
+    tensors: dict[str, Tensor] = {}
+    _packed(state, tensors)
+    return list(tensors.values())
+
+
 def read_checkpoint(path: Path, library: str) -> Any:
     """The state that :func:`write_checkpoint` wrote, its tensors on the CPU.
 

@@ -31,16 +31,30 @@ Arrays = dict[str, npt.NDArray[Any] | dict[str, npt.NDArray[Any]]]
 class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor]):
     """N environments, with torch tensors on the environment's device, reset in the same step as they end.
 
-    Keywords are those of :func:`orbit_core.envs.make`: backend, device, seed, and the task's own fields. Where an
-    episode ended, ``info["final_obs"]`` (N, ...) holds its last observation, ``info["_final_obs"]`` (N,) says where,
-    and ``info["final_info"]`` holds success and metrics. On a GPU they are there at every step, since to leave them out
-    would be to wait for the device.
+    Where an episode ended, ``info["final_obs"]`` (N, ...) holds its last observation, ``info["_final_obs"]`` (N,) says
+    where, and ``info["final_info"]`` holds success and metrics. On a GPU they are there at every step, since to leave
+    them out would be to wait for the device.
+
+    Args:
+        task: a task or its name.
+        num_envs: N.
+        render_mode: ``"rgb_array"`` for pictures, or None.
+        numpy: give NumPy arrays in place of tensors, for Gymnasium's own wrappers, which compute with NumPy.
+        keywords: those of :func:`orbit_core.envs.make`: backend, device, seed, and the task's own fields.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
 
-    def __init__(self, task: str | Task, num_envs: int = 1, render_mode: str | None = None, **keywords: Any) -> None:
+    def __init__(
+        self,
+        task: str | Task,
+        num_envs: int = 1,
+        render_mode: str | None = None,
+        numpy: bool = False,
+        **keywords: Any,
+    ) -> None:
         self.environment = make(task, num_envs=num_envs, **keywords)
+        self._numpy = numpy
         self.metadata = _metadata(self.environment, AutoresetMode.SAME_STEP)
         self.render_mode = checked_mode(render_mode)
         self.num_envs = num_envs
@@ -67,7 +81,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
         mask = given.pop("reset_mask", None)
         refuse_options(given, "'reset_mask'")
         env_ids = None if mask is None else as_tensor(mask, None, self.device, "reset_mask")
-        return self.environment.reset(seed, env_ids)
+        return self._given(self.environment.reset(seed, env_ids))
 
     def step(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, actions: Tensor | npt.ArrayLike
@@ -76,7 +90,11 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
         observation, reward, terminated, truncated, info = self.environment.step(action)
         found = all_ends(info, self.num_envs)
         final = {} if found is None else _final(*found)
-        return observation, reward, terminated, truncated, final
+        return self._given((observation, reward, terminated, truncated, final))
+
+    def _given(self, results: Any) -> Any:
+        """Return results as they were asked for: tensors, or NumPy arrays."""
+        return _host_arrays(results) if self._numpy else results
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
         pictures = self._spectator.pictures()
@@ -204,8 +222,13 @@ def outcome(end: EpisodeEnd | None, row: int) -> dict[str, Any]:
 
 def arrays_of(observation: Observation) -> Arrays:
     """The first environment's observation as NumPy arrays."""
-    arrays = map_leaves(lambda value: value[0].cpu(), observation)
-    return {
-        name: {term: value.numpy() for term, value in group.items()} if isinstance(group, dict) else group.numpy()
-        for name, group in arrays.items()
-    }
+    return _host_arrays(map_leaves(lambda value: value[0], observation))
+
+
+def _host_arrays(values: Any) -> Any:
+    """Return a tree of tuples and dictionaries with NumPy arrays in the place of its tensors."""
+    if isinstance(values, Tensor):
+        return values.cpu().numpy()
+    if isinstance(values, tuple):
+        return tuple(map(_host_arrays, values))
+    return {name: _host_arrays(value) for name, value in values.items()}

@@ -9,11 +9,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from orbit_core.data.manifest import Manifest
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.files import append_line, storage_faults, sweep, written_whole
-from orbit_core.interfaces import ConfigurationError, SimulationError
-from orbit_core.learning.checkpoint import read_checkpoint, write_checkpoint
+from orbit_core.interfaces import ConfigurationError, NonFiniteError, SimulationError
+from orbit_core.learning.checkpoint import read_checkpoint, tensors_in, write_checkpoint
 from orbit_core.learning.policy import Policy, PolicyDescription
 from orbit_core.learning.policy_file import SUFFIX, newest_file
 from orbit_core.learning.trainer import Progress, Trainer
@@ -23,6 +25,8 @@ CURVE = "curve.jsonl"
 CHECKPOINT = "checkpoint"
 _FEW_DIVERGED = 3
 """Environments that may diverge in any iteration; of many, one in a hundred may."""
+_LARGEST_WEIGHT = 1e12
+"""Beyond which the products of three layers overflow in single precision."""
 
 
 @dataclass
@@ -58,6 +62,9 @@ class Training:
 
         A checkpoint is written every ``save_every`` iterations, at the end, and when KeyboardInterrupt ends the
         training. What an interrupted iteration has learned stays in that checkpoint's weights; it is done again.
+
+        Raises:
+            NonFiniteError: the policy diverged; names the iteration and the last checkpoint, which stays.
         """
         begin = self._resume() if resume else 0
         if begin >= iterations:
@@ -66,6 +73,7 @@ class Training:
             self._start(begin)
 
         def done(progress: Progress) -> None:
+            self._check_weights(progress.iteration)
             self._done = progress.iteration
             if self._done % save_every == 0 or self._done == iterations - 1:
                 self._save(self._done)
@@ -75,9 +83,27 @@ class Training:
             self.trainer.learn(iterations - begin, done)
         except KeyboardInterrupt:
             if self._done >= 0 and self.saved != self._checkpoint(self._done):
+                self._check_weights(self._done + 1)
                 self._save(self._done)
             raise
+        except Exception:
+            # Libraries and the environment each complain in their own way of a policy of NaN.
+            self._check_weights(self._done + 1, self.trainer.state())
+            raise
         return self._policy(iterations - 1)
+
+    def _check_weights(self, iteration: int, state: Any = None) -> None:
+        """Refuse to go on with a policy that diverged, or with a state of the library's that is not finite."""
+        weights = self.trainer.actor().module.state_dict().values()
+        # A comparison with NaN is false.
+        bounded = all(bool((weight.abs() <= _LARGEST_WEIGHT).all()) for weight in weights)
+        if bounded and all(bool(torch.isfinite(tensor).all()) for tensor in tensors_in(state)):
+            return
+        kept = f"{self.saved} holds the last that was sound" if self.saved else "no checkpoint had been written"
+        raise NonFiniteError(
+            f"the policy diverged in iteration {iteration}, its weights are not finite or beyond "
+            f"{_LARGEST_WEIGHT:g}; {kept}: use a smaller learning_rate, or a narrower range of rewards"
+        )
 
     def _resume(self) -> int:
         """Take over the newest checkpoint; returns the iteration to go on with."""

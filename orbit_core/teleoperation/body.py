@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import torch
@@ -10,7 +9,7 @@ from torch import Tensor
 
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import pose_error, pose_inverse, pose_multiply
-from orbit_core.interfaces import ConfigurationError, Robot, UnknownNameError
+from orbit_core.interfaces import Robot, UnknownNameError
 from orbit_core.motion import MotionGenerator, driven_joints
 from orbit_core.motion.binary_gripper import gripper_positions
 from orbit_core.motion.ik import towards_pose
@@ -118,7 +117,6 @@ class Body:
 
         Raises:
             UnknownNameError: the reading names a joint that the robot lacks.
-            ConfigurationError: a joint value is not finite.
         """
         opened = hand.gripper_open if reading.gripper_open is None else reading.gripper_open
         opened ^= reading.events.count(Event.GRIPPER) % 2 == 1
@@ -147,17 +145,17 @@ class Body:
     def _take_joints(self, reading: Reading) -> None:
         names = self.robot.joint_names
         values = dict(reading.joints or {})
-        for name, value in values.items():
+        for name in values:
             if name not in names:
                 raise UnknownNameError("joint", name, names)
-            if not math.isfinite(value):
-                raise ConfigurationError(f"the device wants joint '{name}' at {value}, which is no position")
         asked = {names.index(name): value for name, value in values.items()}
         for hand in self.hands:
             if not hand.by_joints and not asked.keys().isdisjoint(hand.arm):
                 self._posture[:, hand.arm] = self.robot.joint_positions[:, hand.arm]
                 hand.by_joints = True
-        self._posture[:, [*asked]] = torch.tensor([*asked.values()], device=self._posture.device)
+        wanted = torch.tensor([*asked.values()], device=self._posture.device)
+        low, high = self.robot.position_limits[[*asked]].unbind(1)
+        self._posture[:, [*asked]] = wanted.clamp(low, high)
         for hand in self.hands:
             if hand.by_joints:
                 hand.target = self._pose_at(hand, self._posture)

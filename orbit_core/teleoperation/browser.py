@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from orbit_core.teleoperation.body import Hand
-from orbit_core.teleoperation.device import Device, Event, Reading, Speeds
+from orbit_core.teleoperation.device import Device, Event, EventQueue, Reading, Speeds, within_reach
 from orbit_core.teleoperation.driver import Driver
 from orbit_core.teleoperation.pad import PATH, Pad
 from orbit_core.viewer.scene_view import SceneView
@@ -59,7 +59,7 @@ class Browser(Device):
         self._lock = threading.Lock()
         self._pose: tuple[float, ...] | None = None
         self._joints: dict[str, float] | None = None
-        self._events: list[Event] = []
+        self._events = EventQueue()
         self._held: dict[tuple[str, int, float], float] = {}
         self._moved: float | None = None
         self._last = -_RESTS
@@ -86,11 +86,10 @@ class Browser(Device):
                 pose=self._pose,
                 joints=self._joints,
                 base=(base[0], base[1], base[2]),
-                events=tuple(self._events),
+                events=self._events.take(),
                 moved_at=self._moved,
             )
             self._pose = self._joints = self._moved = None
-            self._events = []
         return reading
 
     def attach(self, server: ViserServer, scene: SceneView) -> Browser:
@@ -152,12 +151,14 @@ class Browser(Device):
     def _dragged(self, event: Any) -> None:
         with self._lock:
             self._dragging = event.phase != "end"
-            self._pose = (*map(float, self._gizmo.position), *map(float, self._gizmo.wxyz))
-            self._joints = None
+            pose = (*map(float, self._gizmo.position), *map(float, self._gizmo.wxyz))
+            if not within_reach(pose) or not any(pose[3:]):  # no gizmo sends that
+                return
+            self._pose, self._joints = pose, None
             self._heard()
 
     def _slid(self, name: str, event: Any) -> None:
-        if event.client is None:  # a program set it
+        if event.client is None or not within_reach((event.target.value,)):  # a program set it, or it is no slider's
             return
         with self._lock:
             self._joints = {**(self._joints or {}), name: float(event.target.value)}
@@ -165,12 +166,13 @@ class Browser(Device):
 
     def _ask(self, event: Event) -> None:
         with self._lock:
-            self._events.append(event)
+            self._events.add(event)
             self._heard()
 
     def _padded(self, event: Event | None) -> None:
         with self._lock:
-            self._events += [event] if event else []
+            if event:
+                self._events.add(event)
             self._pose = self._joints = None
             self._heard()
 

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from orbit_core.interfaces.errors import OrbitError
+from orbit_core.interfaces.errors import ConfigurationError, OrbitError
+
+FARTHEST = 1e4
+"""m, rad, m/s or rad/s: the largest number that a device may ask for. Beyond it single precision has no millimetres."""
+MOST_EVENTS = 32
+"""Events that wait for the next step; a person asks for one or two."""
 
 
 class DeviceLostError(OrbitError):
@@ -33,9 +38,40 @@ class Event(Enum):
     """Drive the next end effector, of the same robot or another, where there are several."""
 
 
+def within_reach(numbers: Iterable[float]) -> bool:
+    """Return True if all numbers are finite and at most :data:`FARTHEST`."""
+    return all(abs(number) <= FARTHEST for number in numbers)
+
+
+class EventQueue:
+    """Events that wait for the next reading, :data:`MOST_EVENTS` at most."""
+
+    def __init__(self) -> None:
+        self._waiting: list[Event] = []
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def add(self, event: Event) -> bool:
+        """Add an event; return False if there are too many already, and this one is dropped."""
+        if len(self._waiting) >= MOST_EVENTS:
+            return False
+        self._waiting.append(event)
+        return True
+
+    def take(self) -> tuple[Event, ...]:
+        """Return all of them, oldest first, and forget them."""
+        waiting, self._waiting = self._waiting, []
+        return tuple(waiting)
+
+
 @dataclass(frozen=True)
 class Reading:
-    """What a person asks for at one moment; None where the device says nothing of it."""
+    """What a person asks for at one moment; None where the device says nothing of it.
+
+    Raises:
+        ConfigurationError: a number is not finite or beyond :data:`FARTHEST`, or a quaternion has no length.
+    """
 
     twist: tuple[float, ...] | None = None
     """Six: m/s and rad/s of the end effector, in world axes."""
@@ -49,6 +85,17 @@ class Reading:
     events: tuple[Event, ...] = ()
     moved_at: float | None = None
     """``time.perf_counter()`` of the oldest move of the person that the reading holds."""
+
+    def __post_init__(self) -> None:
+        joints = self.joints or {}
+        for what, numbers in (("twist", self.twist), ("pose", self.pose), ("base", self.base)):
+            if not within_reach(numbers or ()):
+                raise ConfigurationError(f"the device asks for {what} {numbers}: give numbers up to {FARTHEST:g}")
+        for name, value in joints.items():
+            if not within_reach((value,)):
+                raise ConfigurationError(f"the device wants joint '{name}' at {value}, which is no position")
+        if self.pose is not None and not any(self.pose[3:]):
+            raise ConfigurationError("the device asks for a pose whose quaternion is zero")
 
 
 @dataclass(frozen=True)

@@ -118,6 +118,12 @@ def guarded(guard: Guard) -> Iterator[None]:
         handler: Listener, *arguments: Any, process_request: ProcessRequest | None = None, **options: Any
     ) -> Any:
         def process(connection: ServerConnection, request: Request) -> Response | None:
+            try:
+                return answered(connection, request)
+            except (ValueError, LookupError, OSError):  # a host, a header twice or a path that no browser sends
+                return _refusal("malformed request", http.HTTPStatus.BAD_REQUEST)
+
+        def answered(connection: ServerConnection, request: Request) -> Response | None:
             if answer := guard.answer(request):
                 return answer
             if page := guard.page(request):
@@ -155,7 +161,7 @@ def _shown(page: Page) -> Response:
     return Response(http.HTTPStatus.OK, "OK", headers, page.html)
 
 
-def _refusal(why: str) -> Response:
+def _refusal(why: str, status: http.HTTPStatus = http.HTTPStatus.FORBIDDEN) -> Response:
     body = f"{why}\n".encode()
     headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
-    return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
+    return Response(status, status.phrase, headers, body)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from orbit_core import cli
 from orbit_core.backends import backend, default_backend
 from orbit_core.cli import main
 from orbit_core.conformance.robots.checks import CHECKS
@@ -210,10 +212,22 @@ BUILT_MISTAKES = [
     (["--renderer", "crayons"], "unknown renderer 'crayons'"),
     (["--set", "cube.siz=1"], "did you mean 'size'"),
     (["--set", "tolerance"], "key=value"),
+    (["--set", "episode_length=1e18"], "more than 2,147,483,647 steps"),
+    (["--set", "physics_dt=1e-300"], "more than 2,147,483,647 steps"),
+    (["--set", "num_envs=1"], "unknown field 'num_envs'"),
     (["--set", "tolerance=big"], "'tolerance' of task Lift is 'big'"),
     (["--matter-setting", "substep=1"], "nothing in this scene bends or flows"),
     (["--setting", "nothing_of_the_kind=1"], "unknown setting 'nothing_of_the_kind'"),
 ]
+
+
+def test_a_character_that_the_terminal_lacks_is_no_error_after_the_work_is_done(monkeypatch: pytest.MonkeyPatch):
+    """As with PYTHONUTF8=0 in the C locale, and with names of files that are no text."""
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding="ascii"))
+    monkeypatch.setattr(cli, "_dispatch", lambda words: print("1 \u00b1 2 in \udcff.hdf5", flush=True) or 0)
+    assert main([]) == 0
+    assert written.getvalue().strip() == rb"1 \xb1 2 in \udcff.hdf5"
 
 
 def assert_one_line(code: int, out: str, err: str, named: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -100,6 +101,31 @@ def test_a_wrong_key_or_value_is_named_with_its_file(tmp_path: Path, text: str, 
         run_settings("Lift", "--config", str(path))
     for part in [str(path), *named]:
         assert part in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("a = " + "[" * 900 + "]" * 900, "deeper than 32"),
+        ("[fields]\nx = " + "{a = " * 300 + "1" + "}" * 300, "deeper than 32"),
+        (f"fields.{'.'.join('a' * 3000)} = 1", "deeper than 32"),
+        (f"seed = {'9' * 6000}", "not TOML"),
+        ("#" * 2**20 + "\n", "larger than 1,048,576 bytes"),
+    ],
+)
+def test_a_file_of_a_size_that_no_settings_have_is_refused(tmp_path: Path, text: str, why: str):
+    path = tmp_path / "huge.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match=f"huge.toml.*{why}"):
+        run_settings("Lift", "--config", str(path))
+
+
+def test_a_pipe_and_a_device_are_no_files_of_settings(tmp_path: Path):
+    """They may never end."""
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
+        with pytest.raises(ConfigurationError, match=f"{path} is no regular file"):
+            run_settings("Lift", "--config", str(path))
 
 
 def test_a_missing_file_is_named():

@@ -11,6 +11,7 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import NormalizeReward, RecordEpisodeStatistics
 from stable_baselines3 import PPO
 
 import orbit_core.learning.gymnasium
@@ -77,6 +78,21 @@ def test_a_vector_environment_gives_tensors_and_resets_in_the_same_step() -> Non
     assert set(info["final_info"]) == {"success", "steps", "goal_distance_m"}
     assert isinstance(reward, torch.Tensor)
     environment.close()
+
+
+def test_gymnasiums_own_wrappers_take_a_vector_environment_of_numpy_arrays() -> None:
+    """Its statistics and its normalisation of rewards compute with NumPy, and raise where rewards are tensors."""
+    environment = gymnasium.make_vec("orbit/Reach-v0", num_envs=2, backend=BACKEND, episode_length=0.06, numpy=True)
+    wrapped = RecordEpisodeStatistics(NormalizeReward(environment))
+    observation, _ = wrapped.reset(seed=0)
+    assert observation["policy"] in environment.observation_space["policy"]
+    for _ in range(3):
+        observation, reward, _, truncated, info = wrapped.step(wrapped.action_space.sample())
+    assert truncated.tolist() == [True, True]
+    assert info["episode"]["l"].tolist() == [3, 3]
+    arrays = (observation["policy"], reward, info["final_obs"]["policy"], info["final_info"]["success"])
+    assert all(isinstance(array, np.ndarray) for array in arrays)
+    wrapped.close()
 
 
 def test_a_single_environment_shows_the_end_of_its_episode() -> None:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
+import math
 import os
 import pty
-import socket
 import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,12 +22,12 @@ from orbit_core.data.recording import RecordingFile
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.envs import Environment, make
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.teleoperation.device import Device, DeviceLostError, Event, Reading, Speeds
+from orbit_core.teleoperation.browser import Browser
+from orbit_core.teleoperation.device import FARTHEST, MOST_EVENTS, Device, DeviceLostError, Event, Reading, Speeds
 from orbit_core.teleoperation.devices import open_device
 from orbit_core.teleoperation.driver import Driver
 from orbit_core.teleoperation.gamepad import Gamepad
 from orbit_core.teleoperation.keyboard import Keyboard
-from orbit_core.teleoperation.leader import Leader
 from orbit_core.teleoperation.session import Session
 from orbit_core.teleoperation.spacemouse import SpaceMouse
 
@@ -114,35 +114,6 @@ def test_a_spacemouse_by_recorded_reports() -> None:
         SpaceMouse(SPEEDS, lambda: (_ for _ in ()).throw(OSError("read error"))).read()
 
 
-def test_a_leader_sends_lines_and_is_told_what_is_wrong() -> None:
-    leader = Leader(("a", "b"), 0)
-    with socket.create_connection(("127.0.0.1", leader.port)) as client, client.makefile("rb") as answers:
-        for bad in (
-            b"no json\n",
-            b'{"joints": {"c": 1}}\n',
-            b'{"joints": {"a": "1"}}\n',
-            b'{"joint": {}}\n',
-            b"\xff\n",
-        ):
-            client.sendall(bad)
-            assert "error" in json.loads(answers.readline())
-        client.sendall(b'{"joints": {"a": 0.5}}\n{"gripper_open": false, "event": "record"}\n')
-        with socket.create_connection(("127.0.0.1", leader.port)) as other:
-            assert b"another leader" in other.recv(1000)
-        end = time.monotonic() + 5.0
-        while not (reading := leader.read()).events and time.monotonic() < end:
-            time.sleep(0.01)
-        assert reading == Reading(
-            joints={"a": 0.5}, gripper_open=False, events=(Event.RECORD,), moved_at=reading.moved_at
-        )
-    end = time.monotonic() + 5.0
-    while not leader._lost and time.monotonic() < end:
-        time.sleep(0.01)
-    with pytest.raises(DeviceLostError, match="closed"):
-        leader.read()
-    leader.close()
-
-
 # Driving ------------------------------------------------------------------------------------------------------------
 
 
@@ -183,7 +154,43 @@ def test_joint_values_and_poses_are_followed(action: str) -> None:
     assert (hand.measured[0, :3] - wanted[:3]).norm() < 0.02
     with pytest.raises(UnknownNameError, match="joint 'elbow'"):
         driver.act(Reading(joints={"elbow": 0.0}))
+    other = hand.robot.joint_names[3]
+    begin = hand.robot.joint_positions[0, 3].item()
+    for _ in range(25):
+        environment.step(driver.act(Reading(joints={name: FARTHEST, other: begin + 0.2})))
+    assert hand.robot.joint_positions.isfinite().all()
+    if action == "joint_position":  # a joint at its limit does not hold up the others
+        assert hand.robot.joint_positions[0, 3] > begin + 0.02
     environment.close()
+
+
+@pytest.mark.parametrize(
+    ("asked", "why"),
+    [
+        ({"joints": {"elbow": 1e308}}, "joint 'elbow' at 1e.308"),
+        ({"joints": {"elbow": float("nan")}}, "joint 'elbow' at nan"),
+        ({"twist": (0.0, 0.0, float("inf"), 0.0, 0.0, 0.0)}, "twist"),
+        ({"pose": (1e9, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)}, "pose"),
+        ({"pose": (0.0,) * 7}, "quaternion is zero"),
+        ({"base": (float("nan"), 0.0, 0.0)}, "base"),
+    ],
+)
+def test_no_reading_asks_for_what_single_precision_cannot_hold(asked: dict[str, Any], why: str) -> None:
+    with pytest.raises(ConfigurationError, match=why):
+        Reading(**asked)
+
+
+def test_a_page_that_sends_what_no_page_shows_changes_nothing(environment: Environment) -> None:
+    """A gizmo or slider with numbers that are not finite, and more events than a person can ask for."""
+    browser = Browser(SPEEDS, Driver(environment))
+    for pose in ((math.nan,) * 7, (0.0,) * 7, (1e308,) * 7):
+        browser._gizmo = SimpleNamespace(position=pose[:3], wxyz=pose[3:])
+        browser._dragged(SimpleNamespace(phase="end"))
+    browser._slid("elbow", SimpleNamespace(client=1, target=SimpleNamespace(value=math.inf)))
+    for _ in range(1000):
+        browser._ask(Event.NEXT)
+    reading = browser.read()
+    assert (reading.pose, reading.joints, len(reading.events)) == (None, None, MOST_EVENTS)
 
 
 def test_several_robots_are_driven_in_turn() -> None:
@@ -321,10 +328,3 @@ def test_the_command_serves_its_page_and_leaves_nothing(
         assert main([*words, "--device", "keyboard"]) == 2
     assert "standard input is none" in capsys.readouterr().err
     assert [*tmp_path.iterdir()] == []
-
-
-def test_a_taken_port_is_named() -> None:
-    leader = Leader(("a",), 0)
-    with pytest.raises(ConfigurationError, match=str(leader.port)):
-        Leader(("a",), leader.port)
-    leader.close()

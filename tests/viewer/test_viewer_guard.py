@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import importlib.metadata
+import socket
 import tracemalloc
 import urllib.error
 import urllib.parse
@@ -43,8 +44,8 @@ def connect(port: int, origin: str | None = None, **headers: str) -> bool:
             async with websockets.connect(
                 f"ws://127.0.0.1:{port}", subprotocols=[PROTOCOL], additional_headers=headers, max_size=None,
                 origin=origin,
-            ) as socket:  # fmt: skip
-                return len(await asyncio.wait_for(socket.recv(), 10)) > 0
+            ) as opened:  # fmt: skip
+                return len(await asyncio.wait_for(opened.recv(), 10)) > 0
         except InvalidStatus:
             return False
 
@@ -82,6 +83,28 @@ def test_a_foreign_name_that_points_here_is_refused(local: Viewer) -> None:
     status, told = fetch(local.url, Host="evil.example")
     assert status == 403
     assert "not called 'evil.example'" in told
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        b"/ HTTP/1.1\r\nHost: [::1",
+        b"/ HTTP/1.1\r\nHost: 127.0.0.1\r\nHost: evil.example",
+        b"/ HTTP/1.1\r\nHost: \xff\xfe",
+        b"/ HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://[x",
+        b"/ HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: x\r\nUpgrade: y",
+        b"/ HTTP/1.1\r\nHost: 127.0.0.1\r\nAccept-Encoding: a\r\nAccept-Encoding: b",
+        b"/" + b"a" * 300 + b" HTTP/1.1\r\nHost: 127.0.0.1",
+    ],
+)
+def test_a_malformed_request_is_refused_without_a_traceback(
+    local: Viewer, lines: bytes, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    with socket.create_connection(("127.0.0.1", port_of(local)), timeout=10) as client:
+        client.sendall(b"GET " + lines + b"\r\n\r\n")
+        assert client.recv(100).startswith(b"HTTP/1.1 400 Bad Request")
+    assert capfd.readouterr() == ("", "")
+    assert not caplog.records
 
 
 def test_an_address_that_others_reach_asks_for_the_token_once(reachable: Viewer) -> None:

@@ -6,7 +6,6 @@ import ctypes
 import hashlib
 import os
 import subprocess
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.capture.fusion.interpreter import Unfusable
+from orbit_core.plugin_kit.scratch import ScratchFolder
 
 _THREADS = 32
 """Of a block on a GPU: few, so that a few thousand environments fill all multiprocessors."""
@@ -48,8 +48,8 @@ def _compiled(source: str) -> Path:
     if library.is_file():
         return library
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder) as work:
-        text, made = Path(work) / "fused.cpp", Path(work) / "fused.so"
+    with ScratchFolder("orbit-kernel-", folder) as work:
+        text, made = work / "fused.cpp", work / "fused.so"
         text.write_text(source)
         run = subprocess.run([compiler, *_FLAGS, "-o", str(made), str(text)], capture_output=True, text=True)
         if run.returncode:

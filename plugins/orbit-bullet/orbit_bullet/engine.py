@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 import weakref
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,6 +31,7 @@ from orbit_core.interfaces import (
     divergence_error,
     first_few,
 )
+from orbit_core.plugin_kit.scratch import ScratchFolder
 
 _COMMANDS = ("position_targets", "velocity_targets", "efforts")
 
@@ -55,14 +53,14 @@ class BulletEngine(Engine):
         check_stability(layout)
         self._report = build_report(layout, config)
         self._home = self.position_targets[:1].clone()
-        folder = Path(tempfile.mkdtemp(prefix="orbit-bullet-"))
+        scratch = ScratchFolder("orbit-bullet-")
         try:
-            files = write_scene(layout, folder)
+            files = write_scene(layout, scratch.path)
             self._pool: Pool = make_pool(layout, files, num_envs, config)
         except BaseException:
-            shutil.rmtree(folder)
+            scratch.remove()
             raise
-        self._finalizer = weakref.finalize(self, _release, self._pool, folder, os.getpid())
+        self._finalizer = weakref.finalize(self, _release, self._pool, scratch, os.getpid())
         self._tensors = {name: torch.from_numpy(array) for name, array in vars(self._pool.buffers).items()}
         for name in _COMMANDS:
             self._tensors[name].copy_(getattr(self, name))
@@ -256,10 +254,10 @@ class BulletEngine(Engine):
         return np.arange(self.num_envs) if env_ids is None else env_ids.numpy()
 
 
-def _release(pool: Pool, folder: Path, owner: int) -> None:
+def _release(pool: Pool, scratch: ScratchFolder, owner: int) -> None:
     if os.getpid() == owner:  # a process that was forked from it ends too, and these are not its own
         pool.close()
-        shutil.rmtree(folder)
+        scratch.remove()
 
 
 def _forget(engine: weakref.ref[BulletEngine], worlds: tuple[Any, ...]) -> None:

@@ -8,10 +8,11 @@ import multiprocessing
 import os
 import signal
 import sys
-import tempfile
 import threading
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -24,6 +25,7 @@ from orbit_bullet.shard import Shard
 from orbit_bullet.stage import SceneFiles, client_ranges, envs_per_client, split_evenly
 from orbit_bullet.worker import Assignment, Failure, work
 from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationError
+from orbit_core.plugin_kit.scratch import ScratchFolder
 
 FEWEST_PER_WORKER = 8
 """Environments for which a process of its own pays."""
@@ -32,7 +34,7 @@ CLIENT_MEMORY = 29e6
 MOST_CLIENTS = 1000
 """Bullet worlds in a process: Bullet has room for 1,024, renderers among them."""
 _PATIENCE = 5.0
-"""Seconds that a worker has to end by itself."""
+"""Seconds that workers have to end by themselves, all together."""
 
 
 class Pool(ABC):
@@ -103,25 +105,37 @@ class ProcessPool(Pool):
     ) -> None:
         self.ranges = split_evenly(num_envs, workers)
         shapes = shapes_of(layout, num_envs)
-        folder = "/dev/shm" if Path("/dev/shm").is_dir() else None
-        context = multiprocessing.get_context("spawn")
+        parent = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
         self._processes: list[Any] = []
         self._connections: list[Any] = []
         self._posted: set[int] = set()
         self._dead = ""
-        with tempfile.TemporaryDirectory(prefix=f"orbit-bullet-{os.getpid()}-", dir=folder) as name:
-            memory = Path(name) / "state"
-            self.buffers = shared_buffers(shapes, memory)
-            with _hidden_main(), _interrupts_held():
-                for start, stop in self.ranges:
-                    ours, theirs = context.Pipe()
-                    assignment = Assignment(layout, files, config, start, stop, shapes, memory)
-                    process = context.Process(target=work, args=(theirs, assignment), daemon=True)
-                    process.start()
-                    theirs.close()
-                    self._processes.append(process)
-                    self._connections.append(ours)
-            self._await_build(progress)
+        try:
+            with ScratchFolder(f"orbit-bullet-{os.getpid()}-", parent) as folder:
+                memory = folder / "state"
+                self.buffers = shared_buffers(shapes, memory)
+                # In a thread of its own: an exception that a signal raises here would cut a start short, and the
+                # worker would complain of half a message.
+                with ThreadPoolExecutor(1) as starter:
+                    starter.submit(self._start_workers).result()
+                for number, (start, stop) in enumerate(self.ranges):
+                    self._send(number, Assignment(layout, files, config, start, stop, shapes, memory))
+                self._await_build(progress)
+        except BaseException:
+            self.close()
+            raise
+
+    def _start_workers(self) -> None:
+        """Start all of them; each then waits for its assignment, which is too long for the pipe that starts it."""
+        context = multiprocessing.get_context("spawn")
+        with _hidden_main(), _interrupts_held():
+            for _ in self.ranges:
+                ours, theirs = context.Pipe()
+                process = context.Process(target=work, args=(theirs,), daemon=True)
+                process.start()
+                theirs.close()
+                self._processes.append(process)
+                self._connections.append(ours)
 
     def _await_build(self, progress: BuildProgress) -> None:
         """Count what the workers build until all of them are done."""
@@ -131,7 +145,6 @@ class ProcessPool(Pool):
             for number in [number for number in building if self._connections[number].poll()]:
                 built = self._receive(number)
                 if isinstance(built, Failure):
-                    self.close()
                     raise built.error
                 if built is None:
                     building.remove(number)
@@ -200,8 +213,9 @@ class ProcessPool(Pool):
         self._dead = self._dead or "the world is closed: make another"
         for connection in self._connections:
             connection.close()
+        end = time.monotonic() + _PATIENCE
         for process in self._processes:
-            process.join(_PATIENCE)
+            process.join(max(0.0, end - time.monotonic()))
             if process.is_alive():
                 process.kill()
                 process.join()
@@ -285,7 +299,7 @@ def _hidden_main() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Workers that start within never get the interrupt key, even while they import; this process does afterwards."""
+    """Have workers that start in this thread never get the interrupt key, even while they import."""
     resource_tracker.ensure_running()  # which lets the key through again where it has to be started
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

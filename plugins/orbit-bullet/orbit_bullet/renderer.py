@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
+import contextlib
 import math
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from orbit_bullet import opengl
 from orbit_bullet.config import BulletConfig
 from orbit_bullet.library import Client, refusals, silence
 from orbit_bullet.lighting import add_light, pixel_rays, sky_colors
@@ -30,6 +29,7 @@ from orbit_core.interfaces import (
 from orbit_core.plugin_kit.markers import marker_shapes
 from orbit_core.plugin_kit.rendering import HostRenderer, HostRequest, Pictures, painted, repainted
 from orbit_core.plugin_kit.rotations import compose, rotate
+from orbit_core.plugin_kit.scratch import ScratchFolder
 from orbit_core.scene import CameraSpec, Channel, Shape
 from orbit_core.scene.pose import Vector3
 
@@ -38,8 +38,6 @@ _TINY_PIXELS = 128 * 128
 """Up to which the software renderer is the faster."""
 _HIDDEN = (0.0, 0.0, -1e4)
 """Position of markers while they are not drawn."""
-_egl_owner: list[object] = []
-"""The one renderer of this process that has OpenGL: Bullet's plugin serves the last client that loaded it."""
 
 
 class BulletRenderer(HostRenderer):
@@ -55,12 +53,23 @@ class BulletRenderer(HostRenderer):
             ConfigurationError: OpenGL was asked for, and is missing or in use by another renderer of this process.
         """
         self._config, self._scene = config, layout.scene
-        self._client = Client()
         wanted = config.renderer == "egl" or (config.renderer == "auto" and _suits_opengl(cameras))
-        self._opengl = wanted and self._load_opengl(required=config.renderer == "egl")
+        self._opengl = opengl.acquire() if wanted else None
+        if config.renderer == "egl" and self._opengl is None:
+            cause = "another renderer of this process has it" if opengl.loads() else "its plugin does not load here"
+            raise ConfigurationError(f"renderer 'egl' needs OpenGL, but {cause}: choose renderer = 'tiny'")
+        self._client = Client() if self._opengl is None else self._opengl.client
+        try:
+            with self._drawing():
+                self._build(layout)
+        except BaseException:
+            self.free()
+            raise
+
+    def _build(self, layout: SceneLayout) -> None:
         refused = refusals("Bullet cannot draw the scene", SimulationError)
-        with tempfile.TemporaryDirectory(prefix="orbit-bullet-") as folder, silence(), refused:
-            shapes = VisualShapes(self._client, Path(folder))
+        with ScratchFolder("orbit-bullet-") as folder, silence(), refused:
+            shapes = VisualShapes(self._client, folder)
             things = drawn_shapes(layout)
             self._links = np.array([link for _, link in things], dtype=np.int64)
             self._offsets = np.array([_flat(shape) for shape, _ in things]).reshape(-1, 7)
@@ -87,21 +96,15 @@ class BulletRenderer(HostRenderer):
         self._place([body for body, here in zip(self._bodies, still, strict=True) if here], self._offsets[still])
         self._moving = np.flatnonzero(~still)
 
-    def _load_opengl(self, required: bool) -> bool:
-        plugin = importlib.util.find_spec("eglRenderer")
-        free = not _egl_owner
-        if plugin is not None and plugin.origin is not None and free:
-            with silence():
-                loaded = self._client.loadPlugin(plugin.origin, "_eglRendererPlugin")
-            if loaded >= 0:
-                _egl_owner.append(self)
-                return True
-        if required:
-            cause = "Bullet's plugin for it does not load" if free else "another renderer of this process has it"
-            raise ConfigurationError(f"renderer 'egl' needs OpenGL, but {cause}: choose renderer = 'tiny'")
-        return False
+    def _drawing(self) -> contextlib.AbstractContextManager[None]:
+        """Whatever reaches OpenGL happens within."""
+        return contextlib.nullcontext() if self._opengl is None else self._opengl.current()
 
     def draw_pictures(self, request: HostRequest) -> Pictures:
+        with self._drawing():
+            return self._draw_pictures(request)
+
+    def _draw_pictures(self, request: HostRequest) -> Pictures:
         camera, wanted = request.camera, request.wanted
         marks = request.markers if self._marker_bodies else None
         rgb, depth = request.canvas("rgb"), request.canvas("depth")
@@ -126,9 +129,10 @@ class BulletRenderer(HostRenderer):
         return Pictures(rgb, depth, normals, links, albedo)
 
     def free(self) -> None:
-        if self in _egl_owner:
-            _egl_owner.remove(self)
-        self._client.close()
+        if self._opengl is None:
+            self._client.close()
+        else:
+            opengl.release(self._opengl)
 
     # One picture -----------------------------------------------------------------------------------------------------
 
@@ -144,7 +148,7 @@ class BulletRenderer(HostRenderer):
             self._place_markers(None)
         colors, depth, bodies = layers[0]
         rays, rotation = pixel_rays(camera), _rotation(pose)
-        if not self._opengl:  # OpenGL's colours are lit already, in its own way
+        if self._opengl is None:  # OpenGL's colours are lit already, in its own way
             colors = self._albedo_of_body[bodies] * np.asarray(self._scene.ambient, np.float32)
             points = pose[:3] + (np.where(np.isfinite(depth), depth, 0.0) * rays) @ rotation.T
             for lamp, layer in zip(lamps, layers, strict=False):
@@ -182,7 +186,9 @@ class BulletRenderer(HostRenderer):
         """Colours (H, W, 3), depth buffer (H, W) and body codes (H, W) as Bullet has them."""
         client = self._client
         projection = list(client.computeProjectionMatrixFOV(math.degrees(fov), width / height, near, far))
-        if not self._opengl:  # the software renderer looks through a pixel's corner: shift the picture by half of one
+        if (
+            self._opengl is None
+        ):  # the software renderer looks through a pixel's corner: shift the picture by half of one
             projection[8] += 1.0 / width
             projection[9] += 1.0 / height
         picture = client.getCameraImage(
@@ -195,8 +201,8 @@ class BulletRenderer(HostRenderer):
             lightAmbientCoeff=0.0,
             lightDiffuseCoeff=1.0,
             lightSpecularCoeff=0.0,
-            shadow=int(self._opengl and self._config.shadows),
-            renderer=client.ER_BULLET_HARDWARE_OPENGL if self._opengl else client.ER_TINY_RENDERER,
+            shadow=int(self._opengl is not None and self._config.shadows),
+            renderer=client.ER_TINY_RENDERER if self._opengl is None else client.ER_BULLET_HARDWARE_OPENGL,
         )
         rgb = np.asarray(picture[2], dtype=np.uint8).reshape(height, width, 4)[..., :3]
         buffer = np.asarray(picture[3], dtype=np.float64).reshape(height, width)

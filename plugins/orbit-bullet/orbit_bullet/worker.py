@@ -38,8 +38,8 @@ class Failure:
     error: Exception
 
 
-def work(connection: Connection, assignment: Assignment) -> None:
-    """Build a shard, then do what is asked until the connection closes.
+def work(connection: Connection) -> None:
+    """Take an assignment, build its shard, then do what is asked until the connection closes.
 
     While it builds, it sends how many environments each world has, and at the end None, or what went wrong.
 
@@ -48,10 +48,11 @@ def work(connection: Connection, assignment: Assignment) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupted program closes the connection
     try:
+        assignment = connection.recv()
         shard, failure = _build(assignment, connection.send), None
         connection.send(None)
     except Exception as error:
-        with contextlib.suppress(OSError):  # who asked may have ended in the meantime
+        with contextlib.suppress(OSError):  # the process that started it may have ended
             connection.send(Failure(_portable(error)))
         return
     while True:

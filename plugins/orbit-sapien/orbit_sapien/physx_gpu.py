@@ -12,7 +12,6 @@ import os
 import platform
 import shutil
 import sys
-import tempfile
 import urllib.error
 import urllib.request
 import zipfile
@@ -20,6 +19,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from orbit_core.interfaces import ConfigurationError, OrbitError
+from orbit_core.plugin_kit.scratch import ScratchFolder
 from orbit_sapien.native import physx
 
 _LIBRARY = "libPhysXGpu_64.so"
@@ -82,8 +82,8 @@ def install(url: str, sha256: str | None) -> Path:
     """
     target = library_path()
     print(f"downloading {url}")
-    with tempfile.TemporaryDirectory(prefix="orbit-physx-") as folder:
-        archive = Path(folder) / "physx.zip"
+    with ScratchFolder("orbit-physx-") as folder:
+        archive = folder / "physx.zip"
         found = _download(url, archive)
         print(f"its SHA-256 is {found}")
         if sha256 is None:

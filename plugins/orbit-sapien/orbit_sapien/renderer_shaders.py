@@ -17,6 +17,7 @@ import tempfile
 from pathlib import Path
 
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.plugin_kit.scratch import ScratchFolder
 from orbit_core.scene import Rgb, Sky
 from orbit_sapien.native import sapien
 
@@ -42,7 +43,7 @@ def shader_pack(tier: str, sky: Sky) -> str:
     installed = Path(str(sapien.__file__)).parent / "vulkan_shader"
     if tier == "rt":
         return str(installed / "rt")
-    folder = Path(_root().name)
+    folder = _root().path
     if not (folder / "common").exists():
         shutil.copytree(installed / "common", folder / "common")
         shadows = folder / "common" / "shadow.glsl"
@@ -71,6 +72,6 @@ def _vector(color: Rgb) -> str:
 
 
 @functools.cache
-def _root() -> tempfile.TemporaryDirectory[str]:
+def _root() -> ScratchFolder:
     """Removed when the process ends."""
-    return tempfile.TemporaryDirectory(prefix="orbit-sapien-shaders-")
+    return ScratchFolder("orbit-sapien-shaders-")
