@@ -10,7 +10,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from orbit_core.interfaces.errors import ConfigurationError, StorageError
+from orbit_core.interfaces.errors import ArgumentError, ConfigurationError, StorageError
+
+
+def as_path(path: Path | str) -> Path:
+    """Return a path that a caller gave as text or as a path.
+
+    Raises:
+        ArgumentError: it is of another type, empty text, or holds a null character.
+    """
+    if isinstance(path, str | os.PathLike) and isinstance(text := os.fspath(path), str) and text and "\0" not in text:
+        return Path(path)
+    raise ArgumentError(f"{path!r} is no path of a file or folder: give text or a pathlib.Path")
 
 
 @contextmanager

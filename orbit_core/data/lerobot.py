@@ -22,6 +22,7 @@ from orbit_core.data.manifest import Manifest
 from orbit_core.data.video import write_video
 from orbit_core.files import storage_faults
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.reading.parquet import arrow_modules
 
 VERSION = "v3.0"
 STATE_OF_GROUP = ".state"
@@ -259,20 +260,6 @@ def write_lerobot(path: Path, episodes: Iterable[Episode], manifest: Manifest | 
         shutil.rmtree(partial, ignore_errors=True)
         raise
     return writer.left_out
-
-
-def arrow_modules() -> tuple[Any, Any]:
-    """pyarrow and its parquet.
-
-    Raises:
-        ConfigurationError: it is not installed.
-    """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise ConfigurationError("LeRobot datasets need pyarrow: pip install 'orbit-core[lerobot]'") from error
-    return pyarrow, pyarrow.parquet
 
 
 def _columns_of(episode: Episode) -> dict[str, dict[str, Array]]:

@@ -13,11 +13,12 @@ from torch import Tensor
 from orbit_core.data.card import write_card
 from orbit_core.data.compare import Kind, differences
 from orbit_core.data.episodes import Episode, EpisodeInfo
-from orbit_core.data.hdf5 import Hdf5Dataset, hdf5_module, write_hdf5
+from orbit_core.data.hdf5 import Hdf5Dataset, write_hdf5
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.parts import PartFolder
 from orbit_core.data.recorder import DemonstrationRecorder
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.reading.hdf5 import hdf5_module
 from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
 
 if TYPE_CHECKING:
