@@ -7,8 +7,8 @@ A file is one recording at an even rate. NPZ and HDF5 hold ``time`` (T,) in seco
 
 from __future__ import annotations
 
-from array import array as Growing
 import csv
+from array import array as Growing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -173,9 +173,7 @@ def _read_csv(path: Path, account: ReadAccount) -> dict[str, Any]:
         values = Growing("d")
         for number, row in enumerate(rows, 1):
             if len(row) != len(header):
-                raise ValueError(
-                    f"row {number} has {len(row)} values, and the header names {len(header)} columns"
-                )
+                raise ValueError(f"row {number} has {len(row)} values, and the header names {len(header)} columns")
             if number % _ROWS == 1:
                 account.take("a thousand rows", _ROWS * len(header) * values.itemsize)
                 account.check_time()

@@ -67,7 +67,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OrbitError as error:
         if debug:
             raise
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        from orbit_core.cli.output import printable
+
+        print(f"error: {printable(' '.join(str(error).split()))}", file=sys.stderr)
         return 2
     except Terminated:
         return 143

@@ -7,7 +7,8 @@ from collections import Counter
 from pathlib import Path
 
 from orbit_core.data.episodes import Dataset
-from orbit_core.files import written_whole
+from orbit_core.files import as_path, written_whole
+from orbit_core.reading.budget import TRUSTED
 from orbit_core.rollout.estimates import proportion
 
 
@@ -69,11 +70,12 @@ def arrays(dataset: Dataset) -> list[tuple[str, str, str, str]]:
 _UNITS = {"actions": "[-1, 1]", "states": "SI", "poses": "m, quaternion (w, x, y, z)"}
 
 
-def write_card(path: Path) -> Path:
+def write_card(path: Path | str) -> Path:
     """Write the card of a dataset's file beside it."""
     from orbit_core.data.hdf5 import Hdf5Dataset
 
-    dataset = Hdf5Dataset(path)
+    path = as_path(path)
+    dataset = Hdf5Dataset(path, TRUSTED)
     try:
         text = card(dataset)
     finally:

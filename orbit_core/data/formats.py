@@ -19,20 +19,27 @@ from orbit_core.data.lerobot_reader import LeRobotDataset
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.zarr_reader import SUFFIXES as ZARR
 from orbit_core.data.zarr_reader import ZarrDataset, is_zarr
+from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.reading.budget import TRUSTED, ReadBudget
 
 _SUFFIXES = (SUFFIX, ".h5")
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Dataset]:
-    """A dataset: an HDF5 file, a folder of LeRobot's, or a Zarr replay buffer.
+def opened(path: Path | str, budget: ReadBudget = ReadBudget()) -> Iterator[Dataset]:
+    """Open a dataset: an HDF5 file, a folder of LeRobot's, or a Zarr replay buffer.
+
+    Args:
+        path: of the file or folder.
+        budget: limits on what opening it, and reading each episode, may take.
 
     Raises:
         ConfigurationError: there is none, or it cannot be read.
     """
+    path = as_path(path)
     reader = ZarrDataset if is_zarr(path) else LeRobotDataset if path.is_dir() else Hdf5Dataset
-    dataset = reader(path)
+    dataset = reader(path, budget)
     try:
         yield dataset
     finally:
@@ -40,7 +47,7 @@ def opened(path: Path) -> Iterator[Dataset]:
 
 
 def write_dataset(
-    path: Path,
+    path: Path | str,
     episodes: Iterable[Episode],
     manifest: Manifest | None,
     rate: float | None = None,
@@ -64,6 +71,7 @@ def write_dataset(
         ConfigurationError: LeRobot needs a rate that is not known, or the format does not take what is given.
         StorageError: the disk is full, or the folder cannot be written.
     """
+    path = as_path(path)
     if path.suffix in _SUFFIXES:
         write_hdf5(path, episodes, manifest, masks, compression)
         write_card(path)
@@ -78,7 +86,7 @@ def write_dataset(
     if step_rate is None:
         raise ConfigurationError("nothing says how many steps a second has: give --rate, which LeRobot needs")
     left_out = write_lerobot(path, episodes, manifest, step_rate)
-    with opened(path) as dataset:
+    with opened(path, TRUSTED) as dataset:
         (path / "README.md").write_text(card(dataset), encoding="utf-8")
     return left_out
 

@@ -54,7 +54,7 @@ _PICTURE = {"compression": "lzf"}
 
 
 def write_hdf5(
-    path: Path,
+    path: Path | str,
     episodes: Iterable[Episode],
     manifest: Manifest | None,
     masks: Mapping[str, Sequence[int]] | None = None,
@@ -74,7 +74,7 @@ def write_hdf5(
     Raises:
         StorageError: the disk is full, or the folder cannot be written.
     """
-    h5py = hdf5_module()
+    path, h5py = as_path(path), hdf5_module()
     successes: list[int] = []
     count = total = 0
     with _room(path, size), written_whole(path) as written, h5py.File(written, "w", libver="latest") as file:
@@ -109,7 +109,7 @@ class Hdf5Dataset(Dataset):
         self._file = Hdf5File(self.path, "dataset")
         try:
             with self._file.faults("the file"):
-                account = ReadAccount(budget, str(self.path))
+                account = ReadAccount(budget, str(self.path), 512 * self.path.stat().st_blocks)
                 self._data, self._demos = self._demonstrations()
                 self.manifest = self._manifest(account)
                 self.episodes = [self._info(name, account) for name in self._demos]

@@ -20,7 +20,7 @@ import numpy as np
 from orbit_core.data.episodes import ACTIONS, DONES, OBSERVED, REWARDS, STATES, Array, Episode, EpisodeInfo
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.video import write_video
-from orbit_core.files import storage_faults
+from orbit_core.files import as_path, storage_faults
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.reading.parquet import arrow_modules
 
@@ -231,7 +231,7 @@ class LeRobotWriter:
             (self.path / name).write_text(text, encoding="utf-8")
 
 
-def write_lerobot(path: Path, episodes: Iterable[Episode], manifest: Manifest | None, rate: float) -> set[str]:
+def write_lerobot(path: Path | str, episodes: Iterable[Episode], manifest: Manifest | None, rate: float) -> set[str]:
     """Write a dataset; the folder appears whole or not at all. Returns the arrays that it has no place for.
 
     Args:
@@ -244,6 +244,7 @@ def write_lerobot(path: Path, episodes: Iterable[Episode], manifest: Manifest | 
         ConfigurationError: the rate is no whole number, or there are no episodes.
         StorageError: the disk is full, or the folder cannot be written.
     """
+    path = as_path(path)
     if abs(rate - round(rate)) > 1e-6:
         raise ConfigurationError(f"LeRobot takes a whole number of steps in a second, not {rate:g}")
     partial = path.with_name(f".{path.name}.partial")

@@ -17,7 +17,7 @@ from safetensors import SafetensorError, safe_open
 
 from orbit_core.data.episodes import INITIAL, Array, Episode, EpisodeInfo
 from orbit_core.data.manifest import Manifest
-from orbit_core.files import LOCK, FolderLock, storage_faults, written_whole
+from orbit_core.files import LOCK, FolderLock, as_path, storage_faults, written_whole
 from orbit_core.interfaces import ConfigurationError
 
 _MANIFEST = "manifest.json"
@@ -32,8 +32,8 @@ class PartFolder:
         path: of the folder; it need not be there.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path | str) -> None:
+        self.path = as_path(path)
         self._lock: FolderLock | None = None
 
     @property

@@ -17,7 +17,9 @@ from orbit_core.data.hdf5 import Hdf5Dataset, write_hdf5
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.parts import PartFolder
 from orbit_core.data.recorder import DemonstrationRecorder
+from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.reading.budget import TRUSTED
 from orbit_core.reading.hdf5 import hdf5_module
 from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
 
@@ -33,8 +35,8 @@ class RecordingFile:
         path: of the HDF5 file.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path | str) -> None:
+        self.path = path = as_path(path)
         self.parts = PartFolder(path.with_name(f"{path.name}.parts"))
 
     @property
@@ -122,7 +124,7 @@ class RecordingFile:
         """All episodes in the order in which they were recorded, a file at a time; each number once."""
         numbers: set[int] = set()
         if self.path.exists():
-            dataset = Hdf5Dataset(self.path)
+            dataset = Hdf5Dataset(self.path, TRUSTED)
             numbers |= {info.number for info in dataset.episodes}
             yield from map(dataset.read, range(len(dataset.episodes)))
             dataset.close()

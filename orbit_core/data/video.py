@@ -21,14 +21,14 @@ _DECODERS = ("h264", "hevc", "libdav1d", "av1", "vp9", "mpeg4")
 """Those that datasets use, of the hundreds that the library has."""
 
 
-def write_video(path: Path, stretches: Iterable[Array], rate: int) -> None:
+def write_video(path: Path | str, stretches: Iterable[Array], rate: int) -> None:
     """Write H.264, of pictures (T, H, W, 3) uint8 one stretch after the other.
 
     Raises:
         ConfigurationError: the encoder is not installed, or the pictures' sides are odd.
     """
     av = _av()
-    with av.open(str(path), "w") as file:
+    with av.open(str(as_path(path)), "w") as file:
         stream: Any = None
         for frames in stretches:
             if stream is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 
@@ -13,23 +14,25 @@ DENSEST = 1000
 """Most bytes of an array for each byte that is stored of it, about as many as gzip makes of zeros."""
 MAX_DOCUMENT = 1 << 22
 """Most bytes of a JSON document that describes data."""
+_USUAL = 1 << 28
+"""Bytes of a file of which the budget's seconds are asked."""
 _MOST_CHARACTERS = 200
 """Most characters of a name in a file."""
 
 
 @dataclass(frozen=True)
 class ReadBudget:
-    """Limits on what reading datasets and recordings may take; more is refused before it is taken.
-
-    Memory is at most about twice ``bytes``, for a file may hold the arrays of several episodes in one table.
-    """
+    """Limits on what reading datasets and recordings may take; more is refused before it is taken."""
 
     bytes: int = 2**30
     """Most bytes of an episode's arrays, or of a recording, once unpacked."""
     pixels: int = 2**24
     """Most pixels of one picture of a video."""
     seconds: float = 10.0
-    """Longest time that opening a dataset, or reading one episode or recording, may take."""
+    """Longest time that opening a dataset, or reading one episode or recording, may take, s.
+
+    A file of HDF5 of more than 256 MiB may take as many times longer to open: it may hold as many more episodes.
+    """
 
     def __post_init__(self) -> None:
         """Check the limits.
@@ -42,19 +45,25 @@ class ReadBudget:
                 raise ConfigurationError(f"{name} of a ReadBudget must be above zero, not {getattr(self, name)}")
 
 
+TRUSTED = ReadBudget(bytes=2**62, pixels=2**62, seconds=math.inf)
+"""Budget of files that this process has written."""
+
+
 class ReadAccount:
     """Bytes and time that one reading has taken of its budget.
 
     Args:
         budget: that the reading is held to.
         where: the file, for messages.
+        size: bytes on the disk of what is opened, where the time may grow with it.
     """
 
-    def __init__(self, budget: ReadBudget, where: str) -> None:
+    def __init__(self, budget: ReadBudget, where: str, size: int = 0) -> None:
         self.budget = budget
         self.where = where
         self._left = budget.bytes
-        self._end = time.monotonic() + budget.seconds
+        self._seconds = budget.seconds * max(1.0, size / _USUAL)
+        self._end = time.monotonic() + self._seconds
 
     def take(self, name: str, size: int, stored: int | None = None) -> None:
         """Count bytes before memory is taken for them.
@@ -87,7 +96,7 @@ class ReadAccount:
         """
         if time.monotonic() > self._end:
             raise ConfigurationError(
-                f"{self.where} was not read within {self.budget.seconds:g} s: raise ReadBudget.seconds "
+                f"{self.where} was not read within {self._seconds:g} s: raise ReadBudget.seconds "
                 "(--read-seconds) if you trust it"
             )
 

@@ -1,7 +1,7 @@
 """Columns of numbers of a Parquet file, read within a budget.
 
-The library unpacks each page to as many bytes as the page's own header says, which nothing else in the file has to agree
-with. So these headers, of Thrift's compact protocol (https://parquet.apache.org/docs/file-format/), are read first.
+The library unpacks each page to as many bytes as the page's own header says, whatever the rest of the file says of it.
+So these headers, of Thrift's compact protocol (https://parquet.apache.org/docs/file-format/), are read first.
 """
 
 from __future__ import annotations

@@ -198,9 +198,7 @@ class _CheckedStore(WrapperStore[Any]):
     def _with_store(self, store: Any) -> _CheckedStore:
         return _CheckedStore(store, self._files)
 
-    async def get(
-        self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None
-    ) -> Buffer | None:
+    async def get(self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None) -> Buffer | None:
         """Return what is stored under a key, None if nothing is."""
         found = await super().get(key, prototype, byte_range)
         if found is not None and key.rpartition("/")[2] not in _DESCRIPTIONS:
