@@ -16,7 +16,7 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor
 
-from orbit_core.files import written_whole
+from orbit_core.files import as_path, written_whole
 from orbit_core.interfaces import ConfigurationError, NonFiniteError
 
 MAX_FILE = 2**30
@@ -26,27 +26,32 @@ MAX_HEADER = 2**22
 _KEY = "orbit"
 
 
-def read_bytes(path: Path) -> bytes:
-    """All of a regular file.
+def read_bytes(path: Path | str, most: int = MAX_FILE) -> bytes:
+    """Read all of a regular file.
+
+    Args:
+        path: of the file.
+        most: bytes that it may have.
 
     Raises:
-        ConfigurationError: there is no such file, it cannot be read, is no regular file, or larger than 1 GiB.
+        ConfigurationError: there is no such file, it cannot be read, is no regular file, or larger.
     """
+    path = as_path(path)
     if not path.exists():
         raise ConfigurationError(f"there is no file {path}")
     if not path.is_file():
         raise ConfigurationError(f"{path} is no regular file")
     try:
         with path.open("rb") as file:
-            data = file.read(MAX_FILE + 1)
+            data = file.read(most + 1)
     except OSError as error:
         raise ConfigurationError(f"{path} cannot be read: {error.strerror}") from error
-    if len(data) > MAX_FILE:
-        raise ConfigurationError(f"{path} is larger than {MAX_FILE:,} bytes, the most that is read")
+    if len(data) > most:
+        raise ConfigurationError(f"{path} is larger than {most:,} bytes, the most that is read")
     return data
 
 
-def read_tensors(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+def read_tensors(path: Path | str) -> tuple[dict[str, Any], dict[str, Tensor]]:
     """The document and the tensors, which lie on the CPU.
 
     Raises:
@@ -67,13 +72,14 @@ def read_tensors(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     return document, tensors
 
 
-def write_tensors(path: Path, document: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+def write_tensors(path: Path | str, document: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
     """Write what :func:`read_tensors` reads. The file appears whole or not at all.
 
     Raises:
         ConfigurationError: it would be larger than what is read.
         StorageError: the disk is full, or the folder cannot be written.
     """
+    path = as_path(path)
     text = json.dumps(document, allow_nan=False)
     # Copies, because the format refuses tensors that share memory.
     copies = {name: tensor.detach().cpu().clone().contiguous() for name, tensor in tensors.items()}

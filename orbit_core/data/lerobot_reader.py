@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -34,6 +33,7 @@ from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.reading.budget import MAX_DOCUMENT, ReadAccount, ReadBudget, check_name
 from orbit_core.reading.parquet import arrow_modules, read_columns
+from orbit_core.tensor_file import parse_json, read_bytes
 
 _OWN = {ACTION: ACTIONS, "next.reward": REWARDS, "next.done": DONES, SIMULATED: STATES}
 _PLACE = re.compile(r"\{(chunk_index|file_index|video_key)(:0?[1-9]d)?\}")
@@ -63,7 +63,7 @@ class LeRobotDataset(Dataset):
             raise ConfigurationError(f"{path} is no LeRobot dataset: it has no {INFO}")
         with self._faults():
             account = ReadAccount(budget, str(self.path))
-            self._info: dict[str, Any] = json.loads(self._document(INFO, MAX_DOCUMENT))
+            self._info = parse_json(self._document(INFO, MAX_DOCUMENT) or b"{}")
             version, self._features = self._info.get("codebase_version"), self._info["features"]
             if version != VERSION:
                 raise ConfigurationError(
@@ -114,12 +114,9 @@ class LeRobotDataset(Dataset):
         return path if path.is_file() else None
 
     def _document(self, name: str, most: int) -> bytes | None:
+        """Return what a file holds, or None if there is none."""
         path = self._file(name)
-        if path is None:
-            return None
-        if (size := path.stat().st_size) > most:
-            raise ConfigurationError(f"{path} has {size:,} bytes, and {most:,} is the most that is read")
-        return path.read_bytes()
+        return None if path is None else read_bytes(path, most)
 
     def _read_rows(self, account: ReadAccount) -> list[dict[str, Any]]:
         """Read where each episode is.

@@ -62,7 +62,7 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo, account: ReadAccount)
             raise ValueError(f"{info.filename} would have {size:,} bytes, and holds {info.file_size - file.tell():,}")
         account.take(info.filename, size, info.compress_size)
         array = np.empty(shape, dtype, order="F" if by_columns else "C")
-        place = memoryview(array.reshape(-1, order="A").view(np.uint8)) if size else memoryview(b"")
+        place = memoryview(cast(Any, array.reshape(-1, order="A").view(np.uint8))) if size else memoryview(b"")
         for begin in range(0, size, _SLAB):
             part = file.read(min(_SLAB, size - begin))
             place[begin : begin + len(part)] = part
