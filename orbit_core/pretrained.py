@@ -33,11 +33,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from orbit_core.files import as_path, read_bytes
 from orbit_core.interfaces.errors import ConfigurationError
+from orbit_core.interfaces.typed import Typed
 from orbit_core.registry import Registry
 
 GROUP = "orbit.policies"
 ABOUT = "policy.toml"
+_MOST_BYTES = 1 << 20
+"""Most bytes of that file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +123,8 @@ def policy_path(name: str | Path) -> Path:
     Raises:
         UnknownNameError: there is neither.
     """
-    return Path(name) if Path(name).exists() else pretrained_policy(str(name)).folder
+    path = as_path(name)
+    return path if path.exists() else pretrained_policy(str(name)).folder
 
 
 def policy_fields(name: str | Path) -> Mapping[str, Any]:
@@ -136,10 +141,12 @@ def policy_fields(name: str | Path) -> Mapping[str, Any]:
 
 def _read(about: Path) -> PretrainedPolicy:
     try:
-        values: dict[str, Any] = tomllib.loads(about.read_text(encoding="utf-8"))
+        values: dict[str, Any] = tomllib.loads(read_bytes(about, _MOST_BYTES).decode())
         gaps = tuple(TransferGap(**gap) for gap in values.pop("gaps", ()))
-        return PretrainedPolicy(name=about.parent.name, folder=about.parent, gaps=gaps, **values)
-    except (ValueError, TypeError) as error:
+        policy = PretrainedPolicy(name=about.parent.name, folder=about.parent, gaps=gaps, **values)
+        Typed().check(policy, "it")
+        return policy
+    except (ValueError, TypeError, RecursionError, ConfigurationError) as error:
         raise ConfigurationError(f"{about} describes no policy: {error}") from error
 
 

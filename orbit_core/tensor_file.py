@@ -16,39 +16,12 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor
 
-from orbit_core.files import as_path, written_whole
+from orbit_core.files import MAX_FILE, as_path, read_bytes, written_whole
 from orbit_core.interfaces import ConfigurationError, NonFiniteError
 
-MAX_FILE = 2**30
-"""Bytes of a whole file."""
 MAX_HEADER = 2**22
 """Bytes of a file's header, the document included."""
 _KEY = "orbit"
-
-
-def read_bytes(path: Path | str, most: int = MAX_FILE) -> bytes:
-    """Read all of a regular file.
-
-    Args:
-        path: of the file.
-        most: bytes that it may have.
-
-    Raises:
-        ConfigurationError: there is no such file, it cannot be read, is no regular file, or larger.
-    """
-    path = as_path(path)
-    if not path.exists():
-        raise ConfigurationError(f"there is no file {path}")
-    if not path.is_file():
-        raise ConfigurationError(f"{path} is no regular file")
-    try:
-        with path.open("rb") as file:
-            data = file.read(most + 1)
-    except OSError as error:
-        raise ConfigurationError(f"{path} cannot be read: {error.strerror}") from error
-    if len(data) > most:
-        raise ConfigurationError(f"{path} is larger than {most:,} bytes, the most that is read")
-    return data
 
 
 def read_tensors(path: Path | str) -> tuple[dict[str, Any], dict[str, Tensor]]:
@@ -58,7 +31,7 @@ def read_tensors(path: Path | str) -> tuple[dict[str, Any], dict[str, Tensor]]:
         ConfigurationError: there is no such file, or it is malformed or beyond the limits.
         NonFiniteError: a tensor holds NaN or infinity; names it.
     """
-    data = read_bytes(path)
+    data = read_bytes(path, MAX_FILE)
     try:
         document = parse_json(_metadata(data)[_KEY])
         tensors = safetensors.torch.load(data)
@@ -67,6 +40,8 @@ def read_tensors(path: Path | str) -> tuple[dict[str, Any], dict[str, Tensor]]:
     except (ValueError, TypeError, SafetensorError) as error:
         raise ConfigurationError(f"{path} cannot be read: {_first_line(error)}") from None
     for name, tensor in tensors.items():
+        if tensor.is_complex():
+            raise ConfigurationError(f"{path} holds complex numbers in '{name}'")
         if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
             raise NonFiniteError(f"{path} holds NaN or infinity in '{name}'")
     return document, tensors

@@ -18,14 +18,14 @@ from orbit_core.conformance.settings import Part, Settings
 from orbit_core.conformance.sources import CORE
 from orbit_core.conformance.tasks import compare_recordings
 from orbit_core.envs.registry import task_entries
-from orbit_core.files import storage_faults
+from orbit_core.files import as_path, storage_faults
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.rollout.recording import Recording
 
 _Named = TypeVar("_Named")
 
 
-def merge(folders: Sequence[Path], output: Path) -> Result:
+def merge(folders: Sequence[Path | str], output: Path | str) -> Result:
     """The result of several finished runs, with their files, written into a folder.
 
     Machines, versions and numbers of episodes may differ, and the result names each (``Header.origins``). Where two
@@ -41,6 +41,7 @@ def merge(folders: Sequence[Path], output: Path) -> Result:
         AssetError: a folder holds no result.
         StorageError: the output cannot be written.
     """
+    folders, output = [as_path(folder) for folder in folders], as_path(output)
     results = [load(folder) for folder in folders]
     if output.resolve() in [folder.resolve() for folder in folders]:
         raise ConfigurationError(f"folder {output} is one of those to be merged: give another --output")

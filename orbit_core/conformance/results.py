@@ -24,11 +24,11 @@ from orbit_core.conformance.settings import Settings
 from orbit_core.conformance.throughput import Throughput
 from orbit_core.conformance.transfer import TransferResult, learned
 from orbit_core.conformance.verdict import Status
-from orbit_core.files import as_path, written_whole
+from orbit_core.files import as_path, read_bytes, written_whole
 from orbit_core.interfaces import AssetError, ConfigurationError, Gap
 from orbit_core.interfaces.matter import NATIVE
 from orbit_core.pretrained import TransferGap, pretrained_policy
-from orbit_core.tensor_file import parse_json, read_bytes
+from orbit_core.tensor_file import parse_json
 
 SCHEMA = 1
 RESULT_FILE = "result.json"
@@ -302,13 +302,13 @@ def load(path: Path | str) -> Result:
         raise AssetError(f"{path} is no result of orbit conformance: {error}") from error
 
 
-def save(result: Result, folder: Path) -> None:
+def save(result: Result, folder: Path | str) -> None:
     """Write the result's file.
 
     Raises:
         StorageError: it cannot be written.
     """
-    with written_whole(folder / RESULT_FILE) as path:
+    with written_whole(as_path(folder) / RESULT_FILE) as path:
         path.write_text(f"{encode(result)}\n")
 
 

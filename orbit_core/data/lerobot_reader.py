@@ -29,11 +29,11 @@ from orbit_core.data.episodes import (
 from orbit_core.data.lerobot import ACTION, EPISODES, INFO, MANIFEST, PICTURE, SIMULATED, VERSION
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.video import read_video
-from orbit_core.files import as_path
+from orbit_core.files import as_path, read_bytes
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.reading.budget import MAX_DOCUMENT, ReadAccount, ReadBudget, check_name
 from orbit_core.reading.parquet import arrow_modules, read_columns
-from orbit_core.tensor_file import parse_json, read_bytes
+from orbit_core.tensor_file import parse_json
 
 _OWN = {ACTION: ACTIONS, "next.reward": REWARDS, "next.done": DONES, SIMULATED: STATES}
 _PLACE = re.compile(r"\{(chunk_index|file_index|video_key)(:0?[1-9]d)?\}")

@@ -199,9 +199,8 @@ class Manifest:
             values = msgspec.json.decode(data) if isinstance(data, str | bytes) else data
             if not isinstance(values, Mapping) or values.get("format") != FORMAT:
                 found = values.get("format") if isinstance(values, Mapping) else None
-                found = found if isinstance(found, str | float) or found in range(10**9) else type(found).__name__
                 raise ConfigurationError(
-                    f"{where} holds a manifest of format {found!r}, and {FORMAT} is the one that is read: make it "
+                    f"{where} holds a manifest of format {found!r:.40}, and {FORMAT} is the one that is read: make it "
                     "again, or read it with the version of ORBIT that wrote it"
                 )
             manifest = msgspec.convert(values, Manifest)

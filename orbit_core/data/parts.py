@@ -17,10 +17,9 @@ from safetensors import SafetensorError, safe_open
 
 from orbit_core.data.episodes import INITIAL, Array, Episode, EpisodeInfo
 from orbit_core.data.manifest import Manifest
-from orbit_core.files import LOCK, FolderLock, as_path, storage_faults, written_whole
+from orbit_core.files import LOCK, FolderLock, as_path, read_bytes, storage_faults, written_whole
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.reading.budget import MAX_DOCUMENT
-from orbit_core.tensor_file import read_bytes
 
 _MANIFEST = "manifest.json"
 _PART = re.compile(r"part_(\d{6,})\.safetensors")

@@ -11,13 +11,13 @@ from typing import Any
 
 from orbit_core.data.manifest import Manifest
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.files import storage_faults, written_whole
+from orbit_core.files import read_bytes, storage_faults, written_whole
 from orbit_core.interfaces import ConfigurationError, SimulationError
 from orbit_core.learning.checkpoint import read_checkpoint, write_checkpoint
 from orbit_core.learning.policy import Policy, PolicyDescription
 from orbit_core.learning.policy_file import SUFFIX, newest_file
 from orbit_core.learning.trainer import Progress, Trainer
-from orbit_core.tensor_file import parse_json, read_bytes
+from orbit_core.tensor_file import parse_json
 
 RECORD = "training.json"
 CURVE = "curve.jsonl"
