@@ -24,6 +24,7 @@ from orbit_core.learning.description import PolicyDescription
 from orbit_core.learning.network_registry import network_type
 from orbit_core.learning.networks import ActorNetwork, Network
 from orbit_core.learning.plain import from_plain
+from orbit_core.learning.policy_cost import limited
 from orbit_core.tensor_file import read_tensors, write_tensors
 
 SUFFIX = ".safetensors"
@@ -102,13 +103,15 @@ def check_action(module: nn.Module, description: PolicyDescription, path: Path, 
     """Refuse a policy that makes no actions of an observation of zeros.
 
     Raises:
-        ConfigurationError: it fails, or they have another shape or, where they have values, are not finite.
+        ConfigurationError: it fails or takes too much memory or time, or they have another shape or, where they have
+            values, are not finite.
     """
     try:
-        with torch.no_grad():
+        with torch.no_grad(), limited(module):
             action = module(description.zeros(2, device))
-    except (RuntimeError, TypeError, IndexError, KeyError) as error:
-        raise ConfigurationError(f"{path} cannot act: {type(error).__name__} {str(error).splitlines()[0]}") from error
+    except (RuntimeError, TypeError, IndexError, KeyError, ValueError) as error:
+        reason = (str(error).splitlines() or [""])[0]
+        raise ConfigurationError(f"{path} cannot act: {type(error).__name__} {reason}") from error
     if tuple(action.shape) != (2, description.action_size):
         raise ConfigurationError(
             f"{path} makes actions of shape {tuple(action.shape)} of 2 observations, not (2, {description.action_size})"
