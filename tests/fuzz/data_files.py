@@ -27,10 +27,11 @@ from orbit_core.learning.networks import Perceptron
 from orbit_core.learning.policy import Policy, load_policy
 from orbit_core.rollout.recording import Recording
 from tests.fuzz.mutations import bytes_flipped, cut, mutate, words_written
+from tests.fuzz.watch import contents, watched
 
 STEPS = 8
-_UNREAD = ("README.md", "stats.json", "tasks.parquet")
-"""Files of a LeRobot dataset that no reader opens."""
+SECRET = "secret"
+"""A file next to what is read, which links and references of spoilt files lead to."""
 
 
 def _episode(number: int) -> Episode:
@@ -143,6 +144,7 @@ KINDS = {
     "policies": ("policy_1.safetensors", "policy.onnx", "actuator.safetensors", "checkpoint_1.safetensors"),
     "recordings": ("joints.npz", "joints.h5", "joints.csv", "episodes.npz"),
 }
+KINDS["data"] = tuple(READERS)
 """Files by what is fuzzed."""
 
 
@@ -158,15 +160,16 @@ def spoil(folder: Path, seed: str, kind: str) -> tuple[Path, str]:
     name = rng.choice(KINDS[kind])
     folder.mkdir()
     source, path = corpus() / name, folder / name
+    (folder / SECRET).write_bytes(bytes(1000))
     (shutil.copytree if source.is_dir() else shutil.copy)(source, path)
     files = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
     target = rng.choice(files)
     if path.suffix in (".hdf5", ".h5") and rng.random() < 0.5:
         return path, f"{name}: {_restructured(path, rng)}"
     if path.is_dir() and rng.random() < 0.05:
-        (corpus() / "outside").write_bytes(target.read_bytes())
+        (folder / SECRET).write_bytes(target.read_bytes())
         target.unlink()
-        target.symlink_to(corpus() / "outside")
+        target.symlink_to(folder / SECRET)
         return path, f"{name}: {target.name} linked"
     data = target.read_bytes()
     if target.suffix == ".json" or target.name.startswith(".z"):
@@ -187,6 +190,17 @@ def spoil(folder: Path, seed: str, kind: str) -> tuple[Path, str]:
 
 def judge(path: Path) -> tuple[str, str]:
     """Read a file: whether it was ``accepted``, ``refused`` or ``failed``, and why."""
+    before = contents(path.parent)
+    with watched([each] if (each := path.parent / SECRET).exists() else []) as opened_files:
+        verdict, why = _judged(path)
+    if opened_files:
+        return "failed", f"opened {opened_files[0]}: {why}"
+    if contents(path.parent) != before:
+        return "failed", f"wrote into its folder: {why}"
+    return verdict, why
+
+
+def _judged(path: Path) -> tuple[str, str]:
     try:
         for array in READERS[path.name](path):
             if array.dtype.kind not in "fiub" or not np.isfinite(array).all():
@@ -195,8 +209,7 @@ def judge(path: Path) -> tuple[str, str]:
         return ("failed", f"its message is not one line: {error}") if "\n" in str(error) else ("refused", str(error))
     except BaseException as error:
         return "failed", f"{type(error).__name__}: {error}"
-    links = [each for each in path.rglob("*") if each.is_symlink() and each.name not in _UNREAD]
-    return ("failed", f"accepted with the link {links[0]}") if links else ("accepted", "")
+    return "accepted", ""
 
 
 _VALUES = (
@@ -252,7 +265,14 @@ def _dropped(file: h5py.File, name: str, rng: random.Random) -> None:
 
 def _linked(file: h5py.File, name: str, rng: random.Random) -> None:
     link = rng.choice(
-        (h5py.SoftLink("/data"), h5py.SoftLink(name), h5py.ExternalLink("/etc/passwd", "/"), file["/"], file[name])
+        (
+            h5py.SoftLink("/data"),
+            h5py.SoftLink(name),
+            h5py.ExternalLink(f"../{SECRET}", "/"),
+            h5py.ExternalLink(SECRET, "/"),
+            file["/"],
+            file[name],
+        )
     )
     place = rng.choice((f"{name}_too", name))
     if place in file:
@@ -267,7 +287,7 @@ def _replaced(file: h5py.File, name: str, rng: random.Random) -> None:
         {"shape": (STEPS, 10**9), "dtype": "f4", "chunks": (STEPS, 1000)},
         {"shape": (STEPS, 3), "maxshape": (None, None), "dtype": "f4", "chunks": (30_000, 30_000)},
         {"shape": (10**9,), "dtype": "u1", "chunks": (1,)},
-        {"shape": (STEPS,), "dtype": "u1", "external": [("/etc/passwd", 0, STEPS)]},
+        {"shape": (STEPS,), "dtype": "u1", "external": [(str(Path(file.filename).with_name(SECRET)), 0, STEPS)]},
         {"data": np.zeros((STEPS, 3_000_000), np.float32), "chunks": (1, 3_000_000), "compression": "gzip"},
         {"shape": (STEPS,), "dtype": h5py.vlen_dtype(np.float32)},
         {"shape": (STEPS,), "dtype": h5py.ref_dtype},

@@ -26,7 +26,7 @@ SECONDS = 20.0
 """That a file may take."""
 MEMORY = 2 * 2**30
 """Bytes that a file may take, above what the libraries take."""
-KINDS = ("assets", "hdf5", "lerobot", "zarr", "policies", "recordings")
+KINDS = ("assets", "hdf5", "lerobot", "zarr", "policies", "recordings", "data")
 """What is fuzzed."""
 Spoil = Callable[[Path, str], tuple[Path, str]]
 Judge = Callable[[Path], tuple[str, str]]
