@@ -124,7 +124,7 @@ class Hdf5Dataset(Dataset):
         where = f"{name} of {self.path}"
         with self._file.faults(name):
             account = ReadAccount(self.budget, where)
-            arrays = dict(self._arrays(self._file.child(self._data, name), "", names, account))
+            arrays = dict(self._arrays(self._file.group(self._data, name), "", names, account))
         episode = Episode(info, arrays)
         check_found(names, arrays, where)
         check_episode(episode, where, whole=names is None)
@@ -134,14 +134,14 @@ class Hdf5Dataset(Dataset):
         self._file.close()
 
     def _demonstrations(self) -> tuple[Any, list[str]]:
-        group = self._file.child(self._file.root, "data")
-        if group is None or not self._file.is_group(group):
+        group = self._file.group(self._file.root, "data")
+        if group is None:
             raise ConfigurationError(f"{self.path} is no dataset of demonstrations: it has no group 'data'")
         found = [name for name in self._file.names(group) if _DEMO.fullmatch(name)]
         return group, sorted(found, key=lambda name: int(name[5:]))
 
     def _manifest(self, account: ReadAccount) -> Manifest | None:
-        group = self._file.child(self._file.root, "orbit")
+        group = self._file.group(self._file.root, "orbit")
         if group is None:
             return None
         data = self._file.numbers(group, "manifest", account).tobytes()
@@ -149,7 +149,7 @@ class Hdf5Dataset(Dataset):
 
     def _info(self, name: str, account: ReadAccount) -> EpisodeInfo:
         account.check_time()
-        group = self._file.child(self._data, name)
+        group = self._file.group(self._data, name)
         own = self._file.text(group, _INFO, MAX_DOCUMENT)
         if own is not None:
             return msgspec.json.decode(own, type=EpisodeInfo)
@@ -159,7 +159,7 @@ class Hdf5Dataset(Dataset):
         return EpisodeInfo(number=int(name[5:]), length=length)
 
     def _masks(self, account: ReadAccount) -> dict[str, list[int]]:
-        group = self._file.child(self._file.root, "mask")
+        group = self._file.group(self._file.root, "mask")
         if group is None:
             return {}
         places = {name.encode(): place for place, name in enumerate(self._demos)}

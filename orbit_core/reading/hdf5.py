@@ -67,11 +67,22 @@ class Hdf5File:
         """Return the names in a group.
 
         Raises:
-            ConfigurationError: one cannot be printed, or is a path.
+            ConfigurationError: a name cannot be printed or is a path.
         """
         found = [*group]
         for name in found:
             check_name(name, f"'{group.name}' of {self.path}")
+        return found
+
+    def group(self, group: Any, name: str) -> Any:
+        """Return the group of that name, or None if there is none.
+
+        Raises:
+            ConfigurationError: it is a link or an array, or has another name too.
+        """
+        found = self.child(group, name)
+        if found is not None and not self.is_group(found):
+            raise ConfigurationError(f"'{found.name}' of {self.path} is an array, and no group of arrays")
         return found
 
     def child(self, group: Any, name: str) -> Any:
