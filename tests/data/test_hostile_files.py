@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -149,13 +150,22 @@ def test_a_folder_that_would_do_harm_is_refused(
         LeRobotDataset(bad).read(0)
 
 
-def test_a_manifest_of_rates_that_cannot_be_is_refused() -> None:
+def test_a_manifest_that_cannot_be_is_refused() -> None:
     made = make("Reach", 1, default_backend())
     document = Manifest.of(made, "Reach", 0).document()
     made.close()
     for name in ("step_dt", "physics_dt", "decimation", "episode_length"):
-        with pytest.raises(ConfigurationError, match=name):
-            Manifest.decode({**document, name: 0}, "it")
+        for value in (0, -1, 10**30, 1e300):
+            with pytest.raises(ConfigurationError, match=f"{name}"):
+                Manifest.decode({**document, name: value}, "it")
+    for name in document:
+        for value in (None, "text", [], {"a": 1}, 5):
+            with suppress(ConfigurationError):
+                Manifest.decode({**document, name: value}, "it")
+    wrong: tuple[Any, ...] = (None, 5, 1.5, True, [1], b"\xff", "[" * 99_999, b" " * 5_000_000)
+    for value in wrong:
+        with pytest.raises(ConfigurationError, match="it holds"):
+            Manifest.decode(value, "it")
 
 
 @pytest.mark.parametrize(

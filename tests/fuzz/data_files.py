@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import json
 import random
@@ -230,7 +231,7 @@ def _other_value(data: bytes, rng: random.Random) -> bytes:
         if rng.random() < 0.15:
             del owner[key]
         else:
-            owner[key] = rng.choice(_VALUES)
+            owner[key] = copy.deepcopy(rng.choice(_VALUES))
     return json.dumps(document).encode()
 
 
