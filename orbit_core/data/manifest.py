@@ -204,7 +204,7 @@ class Manifest:
                     "again, or read it with the version of ORBIT that wrote it"
                 )
             manifest = msgspec.convert(values, Manifest)
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError) as error:
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
             raise ConfigurationError(f"{where} holds no manifest: {error}") from None
         for name in ("step_dt", "physics_dt", "decimation", "episode_length"):
             if not _LEAST <= getattr(manifest, name) <= 1.0 / _LEAST:

@@ -145,10 +145,19 @@ class Shares:
         return ended < self._shares[end.env_ids]
 
     def left(self, infos: Mapping[int, EpisodeInfo]) -> Tensor:
-        """(N,) episodes that each environment has recorded already."""
+        """Return (N,) episodes that each environment has recorded already.
+
+        Raises:
+            ConfigurationError: one was recorded in an environment that there is not.
+        """
         done = torch.zeros_like(self._shares)
         for info in infos.values():
             if info.env_id is not None:
+                if not 0 <= info.env_id < len(done):
+                    raise ConfigurationError(
+                        f"an episode was recorded in environment {info.env_id}, and there are {len(done)}: begin "
+                        "another recording"
+                    )
                 done[info.env_id] += 1
         return done
 

@@ -101,6 +101,8 @@ BOMB = zlib.compress(bytes(1 << 29), 9)
         (lambda group: group.create_dataset("few", (STEPS,), "f4", chunks=True, scaleoffset=2), "otherwise than once"),
         (lambda group: group.__setitem__("z", np.zeros(STEPS, np.complex64)), "only numbers in the file"),
         (lambda group: group.__setitem__("[link]\x1b[31m", np.zeros(STEPS)), r"'\[link\]\\x1b\[31m', which is no name"),
+        (lambda group: group.file.__setitem__("mask/../../x", np.array([b"demo_0"])), r"'\.\.', which is no name"),
+        (lambda group: group.__setitem__("x" * 201, np.zeros(STEPS)), "which is no name"),
         (lambda group: group.__setitem__("kind", np.dtype("f4")), "neither a group nor an array"),
         (lambda group: group.parent.__setitem__("demo_9", group), "'/data/demo_0' by another name"),
         (lambda group: group.__setitem__("obs/again", group.parent["demo_1/obs/joints"]), "by another name"),
@@ -216,15 +218,31 @@ def test_a_video_is_held_to_the_budget_and_to_its_format(sources: Path, tmp_path
         with watched([secret]) as touched, pytest.raises(ConfigurationError, match="cannot be read"):
             LeRobotDataset(bad).read(0)
         assert not touched
-    with av.open(str(bad / name), "w") as file:
-        stream: Any = file.add_stream("mjpeg", rate=50)
+    for container, codec, pixels, message in (
+        ("mp4", "mjpeg", "yuvj420p", "is packed by mjpeg"),
+        ("matroska", "libx264", "yuv420p", "cannot be read"),
+    ):
+        film(bad / name, container, codec, pixels)
+        with pytest.raises(ConfigurationError, match=message):
+            LeRobotDataset(bad).read(0)
+
+
+def film(path: Path, container: str, codec: str, pixels: str) -> None:
+    with av.open(str(path), "w", format=container) as file:
+        stream: Any = file.add_stream(codec, rate=50)
         stream.width = stream.height = 32
-        stream.pix_fmt = "yuvj420p"
+        stream.pix_fmt = pixels
         for _ in range(3 * STEPS):
             file.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((32, 32, 3), np.uint8), format="rgb24")))
         file.mux(stream.encode())
-    with pytest.raises(ConfigurationError, match="is packed by mjpeg"):
-        LeRobotDataset(bad).read(0)
+
+
+def test_documents_of_a_lerobot_folder_have_a_bounded_size(sources: Path, tmp_path: Path) -> None:
+    for name, most in (("meta/info.json", 1 << 22), ("meta/orbit_episodes.json", 1 << 25)):
+        bad = shutil.copytree(sources / "folder", tmp_path / name.replace("/", "_"))
+        (bad / name).write_bytes((bad / name).read_bytes() + b" " * most)
+        with pytest.raises(ConfigurationError, match=f"larger than {most:,} bytes"):
+            LeRobotDataset(bad)
 
 
 def _with(path: Path, budget: ReadBudget) -> LeRobotDataset:
