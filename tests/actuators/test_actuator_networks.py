@@ -311,10 +311,24 @@ def test_what_is_no_archive_is_told_so(tmp_path: Path) -> None:
         read_recording(path)
 
 
-@pytest.mark.parametrize("rate", [0.0, -1.0, math.nan])
+@pytest.mark.parametrize("rate", [0.0, -1.0, math.nan, math.inf, 1e30])
 def test_a_fit_that_would_not_learn_is_refused(rate: float) -> None:
     with pytest.raises(ConfigurationError, match="learning_rate"):
         FitSettings(learning_rate=rate)
+
+
+def test_a_fit_that_cannot_be_judged_or_diverges_is_told(data: dict[str, np.ndarray], tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="more than 64 bits"):
+        FitSettings(seed=10**30)
+    np.savez(tmp_path / "short.npz", **{n: v if n == "joints" else v[:60] for n, v in data.items()})  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ConfigurationError, match=r"60 steps, of which a fifth is held out.*record more than 100"):
+        fit([read_recording(tmp_path / "short.npz")], FitSettings(passes=1))
+    np.savez(tmp_path / "whole.npz", **{n: v if n == "joints" else v[:300] for n, v in data.items()})  # pyright: ignore[reportArgumentType]
+    whole = read_recording(tmp_path / "whole.npz")
+    settings = FitSettings(passes=3)
+    object.__setattr__(settings, "learning_rate", 1e30)
+    with pytest.raises(ConfigurationError, match="the fit diverged in pass"):
+        fit([whole], settings)
 
 
 def test_the_command_writes_a_file_that_a_world_takes(
