@@ -18,7 +18,47 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from orbit_core.interfaces.errors import ConfigurationError, StorageError
+from orbit_core.interfaces.errors import ArgumentError, ConfigurationError, StorageError
+
+MAX_FILE = 2**30
+"""Most bytes of a file that is read as a whole."""
+
+
+def as_path(path: Path | str) -> Path:
+    """Return a path that a caller gave as text or as a path.
+
+    Raises:
+        ArgumentError: it is of another type, empty text, or holds a null character.
+    """
+    if isinstance(path, str | os.PathLike) and isinstance(text := os.fspath(path), str) and text and "\0" not in text:
+        return Path(path)
+    raise ArgumentError(f"{path!r} is no path of a file or folder: give text or a pathlib.Path")
+
+
+def read_bytes(path: Path | str, most: int = MAX_FILE) -> bytes:
+    """Read all of a regular file.
+
+    Args:
+        path: of the file.
+        most: bytes that it may have.
+
+    Raises:
+        ConfigurationError: there is no such file, it cannot be read, is no regular file, or larger.
+    """
+    path = as_path(path)
+    if not path.exists():
+        raise ConfigurationError(f"there is no file {path}")
+    if not path.is_file():
+        raise ConfigurationError(f"{path} is no regular file")
+    try:
+        with path.open("rb") as file:
+            data = file.read(most + 1)
+    except OSError as error:
+        raise ConfigurationError(f"{path} cannot be read: {error.strerror}") from error
+    if len(data) > most:
+        raise ConfigurationError(f"{path} is larger than {most:,} bytes, the most that is read")
+    return data
+
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Numbers of the errors by which a system says that there is no room."""

@@ -33,7 +33,9 @@ from types import ModuleType
 from typing import Any
 
 from orbit_core.configuration import read_toml
+from orbit_core.files import as_path
 from orbit_core.interfaces.errors import ConfigurationError
+from orbit_core.interfaces.typed import Typed
 from orbit_core.registry import Registry
 
 GROUP = "orbit.policies"
@@ -119,7 +121,8 @@ def policy_path(name: str | Path) -> Path:
     Raises:
         UnknownNameError: there is neither.
     """
-    return Path(name) if Path(name).exists() else pretrained_policy(str(name)).folder
+    path = as_path(name)
+    return path if path.exists() else pretrained_policy(str(name)).folder
 
 
 def policy_fields(name: str | Path) -> Mapping[str, Any]:
@@ -138,8 +141,10 @@ def _read(about: Path) -> PretrainedPolicy:
     values = read_toml(about, "description")
     try:
         gaps = tuple(TransferGap(**gap) for gap in values.pop("gaps", ()))
-        return PretrainedPolicy(name=about.parent.name, folder=about.parent, gaps=gaps, **values)
-    except (ValueError, TypeError) as error:
+        policy = PretrainedPolicy(name=about.parent.name, folder=about.parent, gaps=gaps, **values)
+        Typed().check(policy, "it")
+        return policy
+    except (ValueError, TypeError, RecursionError, ConfigurationError) as error:
         raise ConfigurationError(f"{about} describes no policy: {error}") from error
 
 

@@ -16,44 +16,22 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor
 
-from orbit_core.files import written_whole
+from orbit_core.files import MAX_FILE, as_path, read_bytes, written_whole
 from orbit_core.interfaces import ConfigurationError, NonFiniteError
 
-MAX_FILE = 2**30
-"""Bytes of a whole file."""
 MAX_HEADER = 2**22
 """Bytes of a file's header, the document included."""
 _KEY = "orbit"
 
 
-def read_bytes(path: Path) -> bytes:
-    """All of a regular file.
-
-    Raises:
-        ConfigurationError: there is no such file, it cannot be read, is no regular file, or larger than 1 GiB.
-    """
-    if not path.exists():
-        raise ConfigurationError(f"there is no file {path}")
-    if not path.is_file():
-        raise ConfigurationError(f"{path} is no regular file")
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_FILE + 1)
-    except OSError as error:
-        raise ConfigurationError(f"{path} cannot be read: {error.strerror}") from error
-    if len(data) > MAX_FILE:
-        raise ConfigurationError(f"{path} is larger than {MAX_FILE:,} bytes, the most that is read")
-    return data
-
-
-def read_tensors(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+def read_tensors(path: Path | str) -> tuple[dict[str, Any], dict[str, Tensor]]:
     """The document and the tensors, which lie on the CPU.
 
     Raises:
         ConfigurationError: there is no such file, or it is malformed or beyond the limits.
         NonFiniteError: a tensor holds NaN or infinity; names it.
     """
-    data = read_bytes(path)
+    data = read_bytes(path, MAX_FILE)
     try:
         document = parse_json(_metadata(data)[_KEY])
         tensors = safetensors.torch.load(data)
@@ -62,18 +40,21 @@ def read_tensors(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     except (ValueError, TypeError, SafetensorError) as error:
         raise ConfigurationError(f"{path} cannot be read: {_first_line(error)}") from None
     for name, tensor in tensors.items():
+        if tensor.is_complex():
+            raise ConfigurationError(f"{path} holds complex numbers in '{name}'")
         if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
             raise NonFiniteError(f"{path} holds NaN or infinity in '{name}'")
     return document, tensors
 
 
-def write_tensors(path: Path, document: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+def write_tensors(path: Path | str, document: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
     """Write what :func:`read_tensors` reads. The file appears whole or not at all.
 
     Raises:
         ConfigurationError: it would be larger than what is read.
         StorageError: the disk is full, or the folder cannot be written.
     """
+    path = as_path(path)
     text = json.dumps(document, allow_nan=False)
     # Copies, because the format refuses tensors that share memory.
     copies = {name: tensor.detach().cpu().clone().contiguous() for name, tensor in tensors.items()}

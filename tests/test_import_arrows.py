@@ -22,6 +22,7 @@ RANKS = {
     "files": 1.5,
     "registry": 1.5,
     "tensor_file": 1.6,
+    "reading": 1.6,
     "plugin_kit": 1.5,
     "configuration": 1.5,
     "backends": 2,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from orbit_core.interfaces import UnknownNameError
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.pretrained import policy_fields, policy_path, pretrained_policies, pretrained_policy
 from tests.forked import run_forked
 
@@ -87,3 +87,24 @@ def test_a_path_is_taken_before_a_name(tmp_path: Path, monkeypatch: pytest.Monke
     assert policy_path("reach") == Path("reach")
     with pytest.raises(UnknownNameError, match="did you mean 'reach'"):
         policy_path("raech")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("fields = 3", "fields"),
+        ("description = 5", "description"),
+        ("[[gaps]]\nleast_success = 'x'\nreason = 1", "describes no policy"),
+        ("x = " + "[" * 900 + "]" * 900, "describes no policy"),
+        ("x = " + "9" * 6000, "describes no policy"),
+        ("# " + "x" * (1 << 20), "larger than 1,048,576 bytes"),
+    ],
+)
+def test_a_description_of_a_policy_that_cannot_be_is_refused(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "policy.toml").write_text(f"{text}\n")
+    if text.startswith(("fields", "description")):
+        whole = {"description": "description = 'x'", "least_success": "least_success = 0.5"}
+        others = [line for name, line in whole.items() if not text.startswith(name)]
+        (tmp_path / "policy.toml").write_text("\n".join([text, *others]))
+    with pytest.raises(ConfigurationError, match=message):
+        policy_fields(tmp_path)

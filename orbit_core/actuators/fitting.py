@@ -18,6 +18,8 @@ _HELD_OUT = 0.2
 """Part of each recording, its end, that is not learned from."""
 _WINDOW, _WARM_UP = 100, 20
 """Steps of a recording that are learned from at a time, and of these, at the beginning, that do not count."""
+_FASTEST = 10.0
+"""Highest learning rate; none above one is of use."""
 _BATCH = 64
 """Windows."""
 
@@ -45,10 +47,15 @@ class FitSettings:
         """Check what a fit would not learn with.
 
         Raises:
-            ConfigurationError: the learning rate is not a number above zero, or there is no pass.
+            ConfigurationError: the learning rate is not a number above zero, at most 10; there is no pass; or the seed
+                has more than 64 bits.
         """
-        if not 0.0 < self.learning_rate < math.inf:
-            raise ConfigurationError(f"learning_rate is {self.learning_rate}: give a number above zero")
+        if not 0.0 < self.learning_rate <= _FASTEST:
+            raise ConfigurationError(
+                f"learning_rate is {self.learning_rate}: give a number above zero, {_FASTEST:g} at most"
+            )
+        if not -(2**63) <= self.seed < 2**63:
+            raise ConfigurationError("seed has more than 64 bits: give a smaller number")
         if self.passes < 1:
             raise ConfigurationError(f"passes are {self.passes}: give at least one")
 
@@ -79,10 +86,17 @@ def fit(
         report: told after each pass its number and the loss, relative to the efforts' own mean square.
 
     Raises:
-        ConfigurationError: recordings differ in rate, or are shorter than a window; or the sizes cannot be.
+        ConfigurationError: recordings differ in rate, or one is too short to hold a part of it out; the sizes cannot
+            be; or the fit diverges.
     """
     torch.manual_seed(settings.seed)
     rate = common_rate(recordings)
+    for recording in recordings:
+        if len(_part(recording, False)[1]) <= _WARM_UP:
+            raise ConfigurationError(
+                f"a recording has {len(recording.efforts)} steps, of which a fifth is held out and the first "
+                f"{_WARM_UP} of that do not count: record more than {round(_WARM_UP / _HELD_OUT)}"
+            )
     inputs, efforts = _windows([_part(recording, True) for recording in recordings])
     error, velocity, effort = (float(part.std().clamp_min(1e-9)) for part in (*inputs.unbind(-1), efforts))
     recurrent = settings.kind == "lstm"
@@ -120,6 +134,10 @@ def _learn(
             torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
             optimizer.step()
             losses.append(float(loss.detach()))
+        if not all(map(math.isfinite, losses)):
+            raise ConfigurationError(
+                f"the fit diverged in pass {number + 1}: give a learning_rate below {settings.learning_rate:g}"
+            )
         schedule.step()
         report(number, sum(losses) / len(losses))
 

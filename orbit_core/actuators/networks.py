@@ -162,7 +162,7 @@ class LstmActuator(ActuatorModule):
         return self.out(self.memory(inputs / self._in)[0]).squeeze(2) * self.description.scales[2]
 
 
-def write_network(path: Path, network: ActuatorModule) -> None:
+def write_network(path: Path | str, network: ActuatorModule) -> None:
     """Write what :func:`read_network` reads.
 
     Raises:
@@ -172,7 +172,7 @@ def write_network(path: Path, network: ActuatorModule) -> None:
     write_tensors(path, document, network.state_dict())
 
 
-def read_network(path: Path) -> ActuatorModule:
+def read_network(path: Path | str) -> ActuatorModule:
     """A network from its file.
 
     Raises:

@@ -8,21 +8,33 @@ A file is one recording at an even rate. NPZ and HDF5 hold ``time`` (T,) in seco
 from __future__ import annotations
 
 import csv
-import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from array import array as Growing
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, NonFiniteError
+from orbit_core.reading.budget import ReadAccount, ReadBudget, check_name
+from orbit_core.reading.hdf5 import Hdf5File
+from orbit_core.reading.npz import FAULTS, read_npz
 
 QUANTITIES = ("position_target", "position", "velocity", "effort")
 _LEAST_STEPS = 50
+_LARGEST = 1e12
+"""Largest number, whose square a network can still be fitted to."""
+_MOST_NAMES = 1000
+"""Most joints, and most characters of their names."""
+_LONGEST_LINE = 1 << 20
+"""Most characters of a line of a table."""
+_ROWS = 1000
+"""Rows of a table that are read at a time, after which the clock is looked at."""
 _UNEVEN = 0.02
 """Part of a step by which steps may differ in length."""
 
@@ -40,25 +52,30 @@ class Recording:
     """(T, k)"""
 
 
-def read_recording(path: Path) -> Recording:
-    """A recording from its file.
+def read_recording(path: Path | str, budget: ReadBudget = ReadBudget()) -> Recording:
+    """Read a recording from its file.
+
+    Args:
+        path: of the file.
+        budget: limits on the bytes and the time that it may take.
 
     Raises:
         ConfigurationError: there is no such file, of none of the three formats; something is missing in it or of
-            another length; it is shorter than 50 steps; or its steps are not even.
+            another length; it is shorter than 50 steps; its steps are not even; or it is beyond the budget.
         NonFiniteError: a number is NaN or infinite; names where.
     """
+    path = as_path(path)
     if not path.is_file():
         raise ConfigurationError(f"there is no recording {path}")
-    readers: Mapping[str, Callable[[Path], dict[str, Any]]] = {
-        ".csv": _read_csv, ".npz": _read_npz, ".h5": _read_hdf5, ".hdf5": _read_hdf5
+    readers: Mapping[str, Callable[[Path, ReadAccount], dict[str, Any]]] = {
+        ".csv": _read_csv, ".npz": read_npz, ".h5": _read_hdf5, ".hdf5": _read_hdf5
     }  # fmt: skip
     if path.suffix not in readers:
         raise ConfigurationError(f"recording {path} must be {', '.join(readers)}, not '{path.suffix}'")
     try:
-        data = readers[path.suffix](path)
-    except (OSError, ValueError, KeyError) as error:
-        raise ConfigurationError(f"recording {path} cannot be read: {error}") from None
+        data = readers[path.suffix](path, ReadAccount(budget, f"recording {path}"))
+    except (*FAULTS, csv.Error) as error:
+        raise ConfigurationError(f"recording {path} cannot be read: {' '.join(str(error).split())}") from None
     return _checked(path, data)
 
 
@@ -80,12 +97,14 @@ def _checked(path: Path, data: Mapping[str, Any]) -> Recording:
     missing = [name for name in ("time", "joints", *QUANTITIES) if name not in data]
     if missing:
         raise ConfigurationError(f"recording {path} lacks {', '.join(missing)}")
-    joints = tuple(str(name) for name in data["joints"])
+    joints = _names(path, data["joints"])
     if not joints:
         raise ConfigurationError(f"recording {path} names no joint")
     if len({*joints}) < len(joints):
         raise ConfigurationError(f"recording {path} names a joint twice: {', '.join(joints)}")
     time = _real(path, "time", data["time"])
+    if time.ndim != 1:
+        raise ConfigurationError(f"recording {path}: time has {time.ndim} dimensions, not one")
     arrays = {name: _real(path, name, data[name]) for name in QUANTITIES}
     for name, array in arrays.items():
         if array.shape != (len(time), len(joints)):
@@ -97,6 +116,9 @@ def _checked(path: Path, data: Mapping[str, Any]) -> Recording:
             raise NonFiniteError(
                 f"recording {path}: {name} is not finite in step {np.argwhere(~np.isfinite(array))[0][0]}"
             )
+    largest = max(float(np.abs(array).max(initial=0.0)) for array in (time, *arrays.values()))
+    if largest > _LARGEST:
+        raise ConfigurationError(f"recording {path} holds {largest:g}, which no joint reaches: use SI units")
     if len(time) < _LEAST_STEPS:
         raise ConfigurationError(f"recording {path} has {len(time)} steps: {_LEAST_STEPS} are the fewest")
     if not np.ptp(arrays["effort"]):
@@ -104,11 +126,21 @@ def _checked(path: Path, data: Mapping[str, Any]) -> Recording:
     return Recording(joints, _rate(path, time), *_tensors(arrays))
 
 
+def _names(path: Path, values: Any) -> tuple[str, ...]:
+    array = np.asarray(values)
+    if array.size and (array.ndim != 1 or array.dtype.kind not in "US" or len(array) > _MOST_NAMES):
+        raise ConfigurationError(f"recording {path}: joints are no list of names")
+    names = tuple(name.decode() if isinstance(name, bytes) else name for name in array.tolist())
+    for name in names:
+        check_name(name, f"recording {path}")
+    return names
+
+
 def _real(path: Path, name: str, values: Any) -> npt.NDArray[np.float64]:
     array = np.asarray(values)
     if array.dtype.kind not in "fiu":
         raise ConfigurationError(f"recording {path}: {name} is of {array.dtype}, and must be of real numbers")
-    return array.astype(np.float64)
+    return array.astype(np.float64, copy=False)
 
 
 def _rate(path: Path, time: npt.NDArray[np.float64]) -> float:
@@ -126,22 +158,27 @@ def _rate(path: Path, time: npt.NDArray[np.float64]) -> float:
 
 
 def _tensors(arrays: Mapping[str, npt.NDArray[np.float64]]) -> tuple[Tensor, Tensor]:
-    error = arrays["position_target"] - arrays["position"]
-    inputs = np.stack((error, arrays["velocity"]), 2)
-    return torch.as_tensor(inputs, dtype=torch.float32), torch.as_tensor(arrays["effort"], dtype=torch.float32)
+    inputs = np.empty((*arrays["position"].shape, 2), np.float32)
+    inputs[..., 0] = np.subtract(arrays["position_target"], arrays["position"])
+    inputs[..., 1] = arrays["velocity"]
+    return torch.from_numpy(inputs), torch.as_tensor(arrays["effort"], dtype=torch.float32)
 
 
-def _read_csv(path: Path) -> dict[str, Any]:
-    with path.open(newline="") as file:
-        rows = list(csv.reader(file))
-    rows = [row for row in rows if row]
-    if not rows:
-        raise ValueError("it is empty")
-    header = rows[0]
-    ragged = next((number for number, row in enumerate(rows[1:], 1) if len(row) != len(header)), None)
-    if ragged is not None:
-        raise ValueError(f"row {ragged} has {len(rows[ragged])} values, and the header names {len(header)} columns")
-    body = np.array(rows[1:], dtype=np.float64).reshape(-1, len(header))
+def _read_csv(path: Path, account: ReadAccount) -> dict[str, Any]:
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = (row for row in csv.reader(_lines(file)) if row)
+        header = next(rows, None)
+        if header is None:
+            raise ValueError("it is empty")
+        values = Growing("d")
+        for number, row in enumerate(rows, 1):
+            if len(row) != len(header):
+                raise ValueError(f"row {number} has {len(row)} values, and the header names {len(header)} columns")
+            if number % _ROWS == 1:
+                account.take("a thousand rows", _ROWS * len(header) * values.itemsize)
+                account.check_time()
+            values.extend(map(float, row))
+    body = np.frombuffer(values).reshape(-1, len(header))
     names = {name.strip(): column for column, name in enumerate(header)}
     joints = list(dict.fromkeys(name.rpartition(".")[0] for name in names if "." in name))
     found: dict[str, Any] = {"joints": joints}
@@ -154,21 +191,22 @@ def _read_csv(path: Path) -> dict[str, Any]:
     return found
 
 
-def _read_npz(path: Path) -> dict[str, Any]:
-    if not zipfile.is_zipfile(path):
-        raise ValueError("it is no NPZ archive, as numpy.savez writes them")
-    with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+def _lines(file: TextIO) -> Iterator[str]:
+    """Yield the lines of a table, none of which is longer than a row can be."""
+    while line := file.readline(_LONGEST_LINE + 1):
+        if len(line) > _LONGEST_LINE:
+            raise ValueError(f"a line has more than {_LONGEST_LINE:,} characters")
+        yield line
 
 
-def _read_hdf5(path: Path) -> dict[str, Any]:
+def _read_hdf5(path: Path, account: ReadAccount) -> dict[str, Any]:
+    file = Hdf5File(path, "recording")
     try:
-        import h5py
-    except ImportError:
-        raise ConfigurationError("reading HDF5 needs h5py: pip install h5py") from None
-    with h5py.File(path, "r") as file:
-        names = [name for name in ("time", "joints", *QUANTITIES) if isinstance(file.get(name), h5py.Dataset)]
-        data: dict[str, Any] = {name: file[name][()] for name in names}  # pyright: ignore[reportIndexIssue]
-    if "joints" in data:
-        data["joints"] = [name.decode() if isinstance(name, bytes) else str(name) for name in data["joints"]]
+        with file.faults("the file"):
+            found = [name for name in ("time", *QUANTITIES) if file.child(file.root, name) is not None]
+            data: dict[str, Any] = {name: file.numbers(file.root, name, account) for name in found}
+            if file.child(file.root, "joints") is not None:
+                data["joints"] = file.texts(file.root, "joints", _MOST_NAMES)
+    finally:
+        file.close()
     return data

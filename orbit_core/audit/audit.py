@@ -15,6 +15,7 @@ from orbit_core.audit.joints import check_joints, check_touching
 from orbit_core.audit.mjcf_reference import MujocoReference
 from orbit_core.audit.reference import Comparison, Reference, compare
 from orbit_core.audit.urdf_reference import PinocchioReference, pinocchio_installed
+from orbit_core.files import as_path
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation
 
@@ -43,12 +44,13 @@ class AssetReport:
         return tuple(finding for finding in self.findings if finding.severity is Severity.FAULT)
 
 
-def audit_file(path: Path, options: ReadOptions = ReadOptions()) -> AssetReport:
+def audit_file(path: Path | str, options: ReadOptions = ReadOptions()) -> AssetReport:
     """Read a URDF, MJCF or USD file and check what was read.
 
     Raises:
         AssetError: the file cannot be read.
     """
+    path = as_path(path)
     articulation = merge_fixed_links(load_articulation(path, merge=False, options=options))
     bodies = tuple(measure_body(link) for link in articulation.links)
     findings = [

@@ -74,7 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OrbitError as error:
         if debug:
             raise
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        from orbit_core.cli.output import printable
+
+        print(f"error: {printable(' '.join(str(error).split()))}", file=sys.stderr)
         code = 2
     except OSError as error:
         if debug or error.errno not in DISK_FULL:

@@ -13,13 +13,14 @@ from orbit_core.cli.checks import check_output, check_positive
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, progress_bar
 from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.read_budget import ReadSettings
 from orbit_core.cli.settings import EnvironmentSettings, KeyValues, Name
 from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError
 
 
 @dataclass(frozen=True, kw_only=True)
-class AugmentSettings:
+class AugmentSettings(ReadSettings):
     """Cut demonstrations at the ends of subtasks, do the pieces where things are in new episodes, keep successes."""
 
     dataset: Annotated[Positional[Path], arg(metavar="DATASET")]
@@ -67,7 +68,7 @@ def main(words: Sequence[str]) -> None:
     check_output(settings.output, ".hdf5", settings.overwrite)
     file = RecordingFile(settings.output)
     file.check_begun(resume=False, overwrite=settings.overwrite)
-    with opened(settings.dataset) as dataset:
+    with opened(settings.dataset, settings.budget) as dataset:
         manifest = dataset.known()
         chosen = [place for place, info in enumerate(dataset.episodes) if info.success][: settings.demonstrations]
         if not chosen:

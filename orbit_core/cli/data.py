@@ -14,18 +14,20 @@ from tyro.conf import Positional, arg
 from orbit_core.cli.checks import check_output, check_positive, make_folder
 from orbit_core.cli.output import console, new_table
 from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.read_budget import ReadSettings
 from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 
 if TYPE_CHECKING:
     from orbit_core.data.episodes import Dataset
+    from orbit_core.reading.budget import ReadBudget
 
 Source = Annotated[Positional[Path], arg(metavar="DATASET")]
 _HDF5 = (".hdf5", ".h5")
 
 
 @dataclass(frozen=True, kw_only=True)
-class InfoSettings:
+class InfoSettings(ReadSettings):
     """Tell what a dataset holds: task, robot, engine, versions, success, lengths, arrays."""
 
     dataset: Source
@@ -37,7 +39,7 @@ class InfoSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Written:
+class _Written(ReadSettings):
     """What is written of one dataset or several."""
 
     output: Annotated[Path, arg(metavar="PATH")]
@@ -83,7 +85,7 @@ class FilterSettings(ConvertSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SplitSettings:
+class SplitSettings(ReadSettings):
     """Divide an HDF5 dataset into the subsets train and valid, which robomimic calls filter keys."""
 
     dataset: Source
@@ -116,7 +118,7 @@ def _info(words: Sequence[str]) -> None:
 
     settings = parse_words(InfoSettings, words, "orbit data info")
     check_output(settings.card, ".md", settings.overwrite)
-    with opened(settings.dataset) as dataset:
+    with opened(settings.dataset, settings.budget) as dataset:
         table = new_table("", "value", title=str(settings.dataset))
         for name, value in facts(dataset).items():
             table.add_row(name, value)
@@ -133,7 +135,7 @@ def _info(words: Sequence[str]) -> None:
 
 def _convert(words: Sequence[str]) -> None:
     settings = parse_words(ConvertSettings, words, "orbit data convert")
-    with _opened((settings.dataset,)) as (dataset,):
+    with _opened((settings.dataset,), settings.budget) as (dataset,):
         _write(settings, (dataset,), [*range(len(dataset.episodes))])
 
 
@@ -141,7 +143,7 @@ def _merge(words: Sequence[str]) -> None:
     settings = parse_words(MergeSettings, words, "orbit data merge")
     if len(settings.datasets) < 2:
         raise ConfigurationError("name two datasets at least: orbit data merge ONE OTHER --output BOTH")
-    with _opened(settings.datasets) as datasets:
+    with _opened(settings.datasets, settings.budget) as datasets:
         _write(settings, datasets, None)
 
 
@@ -150,7 +152,7 @@ def _filter(words: Sequence[str]) -> None:
     for name in ("first", "most_steps"):
         if (value := getattr(settings, name)) is not None:
             check_positive(name, value)
-    with _opened((settings.dataset,)) as (dataset,):
+    with _opened((settings.dataset,), settings.budget) as (dataset,):
         positions = _wanted(settings, dataset)
         if not positions:
             raise ConfigurationError(f"no episode of {settings.dataset} is what is asked for: ask for less")
@@ -166,7 +168,7 @@ def _split(words: Sequence[str]) -> None:
     if settings.dataset.suffix not in _HDF5:
         raise ConfigurationError(f"{settings.dataset} has no place for subsets: convert it to HDF5 first")
     check_target(settings.dataset)
-    with _opened((settings.dataset,)) as (dataset,):
+    with _opened((settings.dataset,), settings.budget) as (dataset,):
         masks = {**dataset.masks, **divided(len(dataset.episodes), settings.valid, settings.seed)}
         episodes = map(dataset.read, range(len(dataset.episodes)))
         write_dataset(settings.dataset.resolve(), episodes, dataset.manifest, masks=masks)
@@ -191,11 +193,11 @@ _COMMANDS: dict[str, tuple[Callable[[Sequence[str]], None], str]] = {
 
 
 @contextmanager
-def _opened(paths: Sequence[Path]) -> Iterator[list[Dataset]]:
+def _opened(paths: Sequence[Path], budget: ReadBudget) -> Iterator[list[Dataset]]:
     from orbit_core.data.formats import opened
 
     with ExitStack() as stack:
-        yield [stack.enter_context(opened(path)) for path in paths]
+        yield [stack.enter_context(opened(path, budget)) for path in paths]
 
 
 def _write(settings: _Written, datasets: Sequence[Dataset], positions: Sequence[int] | None) -> None:

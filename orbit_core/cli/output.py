@@ -23,9 +23,24 @@ _WIDTH = 140
 
 
 def console() -> Console:
-    """The console that results are printed on."""
-    plain = Console()
-    return plain if plain.is_terminal else Console(width=_WIDTH)
+    """Return the console that results are printed on."""
+    plain = _PlainConsole()
+    return plain if plain.is_terminal else _PlainConsole(width=_WIDTH)
+
+
+class _PlainConsole(Console):
+    """A console that prints names and texts of files as they are: neither as markup nor as commands to the terminal."""
+
+    def __init__(self, width: int | None = None) -> None:
+        super().__init__(width=width, markup=False, emoji=False)
+
+    def render_str(self, text: str, *args: Any, **kwargs: Any) -> Text:
+        return super().render_str(printable(text), *args, **kwargs)
+
+
+def printable(text: str) -> str:
+    """Return a text with a replacement character for each that would be a command to the terminal."""
+    return "".join(each if each.isprintable() or each in "\n\t" else "\N{REPLACEMENT CHARACTER}" for each in text)
 
 
 def new_table(*headings: str, title: str | None = None) -> Table:
@@ -51,7 +66,7 @@ def findings_table(findings: Sequence[Finding]) -> Table:
 def progress_bar() -> Progress:
     """A progress bar on stderr, gone when it is done; it shows nothing where stderr is no terminal."""
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 

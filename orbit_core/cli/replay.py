@@ -14,6 +14,7 @@ from orbit_core.cli.checks import check_output, check_positive
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, new_table, write_json
 from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.read_budget import ReadSettings
 from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues
 from orbit_core.interfaces.errors import ConfigurationError
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlaySettings:
+class PlaySettings(ReadSettings):
     """Replay recorded episodes from the states that they began with, and measure how far that leads apart."""
 
     dataset: Annotated[Positional[Path], arg(metavar="DATASET")]
@@ -69,7 +70,7 @@ def main(words: Sequence[str]) -> None:
     check_positive("num_envs", settings.num_envs)
     if settings.video is not None and len(settings.backend) > 1:
         raise ConfigurationError("a video shows one engine: name one --backend")
-    with opened(settings.dataset) as dataset:
+    with opened(settings.dataset, settings.budget) as dataset:
         if not dataset.episodes:
             raise ConfigurationError(f"{settings.dataset} holds no episodes")
         backends = settings.backend or (dataset.known().backend,)

@@ -13,10 +13,11 @@ from tyro.conf import Positional, arg
 from orbit_core.cli.checks import check_output, check_positive, make_folder
 from orbit_core.cli.output import console, new_table, progress_bar
 from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.read_budget import ReadSettings
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainActuatorSettings:
+class TrainActuatorSettings(ReadSettings):
     """Fit an actuator network to recordings of joints; the last fifth of each is held out to judge it by."""
 
     recordings: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...")]
@@ -49,7 +50,7 @@ def main(words: Sequence[str]) -> None:
 
     settings = parse_words(TrainActuatorSettings, words, "orbit train-actuator")
     check_positive("passes", settings.passes)
-    recordings = [read_recording(path) for path in settings.recordings]
+    recordings = [read_recording(path, settings.budget) for path in settings.recordings]
     make_folder(settings.output)
     check_output(settings.output, ".safetensors", settings.overwrite)
     chosen = FitSettings(

@@ -29,14 +29,14 @@ from orbit_core.conformance.settings import Part, Settings
 from orbit_core.conformance.sources import CORE
 from orbit_core.conformance.tasks import compare_recordings
 from orbit_core.envs.registry import task_entries
-from orbit_core.files import LOCK, check_apart, storage_faults, sweep, written_whole
+from orbit_core.files import LOCK, as_path, check_apart, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.rollout.recording import Recording
 
 _Named = TypeVar("_Named")
 
 
-def merge(folders: Sequence[Path], output: Path, overwrite: bool = False) -> Result:
+def merge(folders: Sequence[Path | str], output: Path | str, overwrite: bool = False) -> Result:
     """Write the result of several finished runs, with their files, into a folder, which appears as a whole.
 
     Machines, versions and numbers of episodes may differ, and the result names each (``Header.origins``). Where two
@@ -54,6 +54,7 @@ def merge(folders: Sequence[Path], output: Path, overwrite: bool = False) -> Res
         AssetError: a folder holds no result.
         StorageError: the output cannot be written.
     """
+    folders, output = [as_path(folder) for folder in folders], as_path(output)
     results = [load(folder) for folder in folders]
     check_apart(output, folders)
     _check_output(output, overwrite)

@@ -23,10 +23,10 @@ class ReplayResult:
 
 
 def replay(
-    recording: Path,
+    recording: Path | str,
     backend: str,
     *,
-    replayed: Path | None = None,
+    replayed: Path | str | None = None,
     device: str = "cpu",
     settings: Mapping[str, Any] | None = None,
 ) -> ReplayResult:

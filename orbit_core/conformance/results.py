@@ -24,10 +24,11 @@ from orbit_core.conformance.settings import Settings
 from orbit_core.conformance.throughput import Throughput
 from orbit_core.conformance.transfer import TransferResult, learned
 from orbit_core.conformance.verdict import Status
-from orbit_core.files import written_whole
-from orbit_core.interfaces import AssetError, Gap
+from orbit_core.files import as_path, read_bytes, written_whole
+from orbit_core.interfaces import AssetError, ConfigurationError, Gap
 from orbit_core.interfaces.matter import NATIVE
 from orbit_core.pretrained import TransferGap, pretrained_policy
+from orbit_core.tensor_file import parse_json
 
 SCHEMA = 1
 RESULT_FILE, REPORT = "result.json", "report.html"
@@ -278,35 +279,36 @@ def decode(text: str | bytes, kind: type[_Type]) -> _Type:
     return msgspec.convert(json.loads(text), kind, strict=False)
 
 
-def load(path: Path) -> Result:
+def load(path: Path | str) -> Result:
     """The result of a finished run, from its file or its folder.
 
     Raises:
         AssetError: it cannot be read, or is of another schema.
     """
+    path = as_path(path)
     path = path / RESULT_FILE if path.is_dir() else path
     try:
-        text = path.read_text()
-        schema = json.loads(text)["header"]["schema"]
-    except OSError as error:
-        raise AssetError(f"cannot read {path}: {error.strerror}") from error
+        text = read_bytes(path)
+        schema = parse_json(text)["header"]["schema"]
+    except ConfigurationError as error:
+        raise AssetError(f"cannot read {path}: {error}") from error
     except (ValueError, KeyError, TypeError) as error:
         raise AssetError(f"{path} is no result of orbit conformance") from error
     if schema != SCHEMA:
         raise AssetError(f"{path} is of schema {schema}, and this version reads {SCHEMA}: make it anew")
     try:
         return decode(text, Result)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise AssetError(f"{path} is no result of orbit conformance: {error}") from error
 
 
-def save(result: Result, folder: Path) -> None:
+def save(result: Result, folder: Path | str) -> None:
     """Write the result's file.
 
     Raises:
         StorageError: it cannot be written.
     """
-    with written_whole(folder / RESULT_FILE) as path:
+    with written_whole(as_path(folder) / RESULT_FILE) as path:
         path.write_text(f"{encode(result)}\n")
 
 

@@ -27,6 +27,7 @@ from orbit_core.conformance.results import (
 from orbit_core.conformance.settings import Settings, scenario
 from orbit_core.conformance.sources import source_digests
 from orbit_core.conformance.tasks import compare_recordings
+from orbit_core.files import as_path
 from orbit_core.interfaces import Backend
 from orbit_core.interfaces.matter import NATIVE, MatterSolver
 from orbit_core.rollout.recording import Recording
@@ -37,7 +38,7 @@ Progress = Callable[[Record | None, int, int], None]
 
 def run(
     settings: Settings,
-    folder: Path,
+    folder: Path | str,
     pool: Pool,
     progress: Progress = lambda record, done, total: None,
     tell: Callable[[str], None] = lambda line: None,
@@ -58,6 +59,7 @@ def run(
             process writes into it.
         StorageError: the disk is full, or the folder cannot be written.
     """
+    folder = as_path(folder)
     phases = plan(settings)
     total = sum(len(phase.jobs) for phase in phases)
     try:

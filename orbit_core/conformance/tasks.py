@@ -19,7 +19,7 @@ def run_task(
     num_envs: int = 32,
     seed: int = 0,
     fields: Mapping[str, Any] | None = None,
-    recording: Path | None = None,
+    recording: Path | str | None = None,
     tracked_envs: int = 8,
     device: str = "cpu",
     settings: Mapping[str, Any] | None = None,
@@ -48,7 +48,7 @@ def run_task(
         return episodes.result()
 
 
-def compare_recordings(recording: Path, reference: Path) -> list[Divergence]:
+def compare_recordings(recording: Path | str, reference: Path | str) -> list[Divergence]:
     """How the trajectories of two runs of one task part over time.
 
     Raises:

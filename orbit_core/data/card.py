@@ -8,8 +8,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from orbit_core.data.episodes import Dataset
-from orbit_core.files import written_whole
+from orbit_core.files import as_path, written_whole
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.reading.budget import TRUSTED
 from orbit_core.rollout.estimates import proportion
 
 CARD = "README.md"
@@ -98,7 +99,7 @@ def check_card(path: Path) -> None:
         )
 
 
-def write_card(path: Path) -> Path:
+def write_card(path: Path | str) -> Path:
     """Write the card of a dataset's file next to it.
 
     Raises:
@@ -107,8 +108,9 @@ def write_card(path: Path) -> Path:
     """
     from orbit_core.data.hdf5 import Hdf5Dataset
 
+    path = as_path(path)
     check_card(path)
-    dataset = Hdf5Dataset(path)
+    dataset = Hdf5Dataset(path, TRUSTED)
     try:
         text = card(dataset)
     finally:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from orbit_core.data.manifest import Manifest
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.reading.budget import ReadAccount, check_name
 
 Array = npt.NDArray[Any]
 
@@ -114,34 +115,26 @@ def check_found(names: Sequence[str] | None, arrays: Collection[str], where: str
 
 _LONGEST = 100_000_000
 """Steps of an episode; no recording comes near."""
-_DENSEST = 1000
-"""Times that an array may be larger than what is stored of it, which is as much as gzip makes of nothing but zeros."""
-_SMALL = 1 << 24
-"""Bytes of arrays that may be as dense as they like."""
+_STRETCH = 1 << 24
+"""Bytes of an array that are checked at a time."""
+_INFO_BYTES = 512
+"""Memory of what is known of an episode."""
 
 
-def check_infos(infos: Sequence[EpisodeInfo], where: str) -> None:
-    """Refuse lengths that no episode has.
+def check_infos(infos: Sequence[EpisodeInfo], account: ReadAccount) -> None:
+    """Refuse lengths that no episode has, and more episodes than memory is allowed for.
+
+    Args:
+        infos: of all episodes of a dataset.
+        account: of its opening.
 
     Raises:
         ConfigurationError: names the episode.
     """
+    account.take("all episodes", _INFO_BYTES * len(infos))
     for position, info in enumerate(infos):
         if not 0 < info.length <= _LONGEST:
-            raise ConfigurationError(f"episode {position} of {where} would have {info.length} steps")
-
-
-def check_size(name: str, size: int, stored: int, where: str) -> None:
-    """Refuse an array of so many bytes of which next to nothing is stored, before memory is taken.
-
-    Raises:
-        ConfigurationError: names the array.
-    """
-    if size > max(_SMALL, _DENSEST * stored):
-        raise ConfigurationError(
-            f"'{name}' of {where} would be {size / 1e9:.3g} GB, of which next to nothing is stored: the file is "
-            "truncated or made to fill the memory"
-        )
+            raise ConfigurationError(f"episode {position} of {account.where} would have {info.length} steps")
 
 
 def check_episode(episode: Episode, where: str, whole: bool = True) -> None:
@@ -153,11 +146,20 @@ def check_episode(episode: Episode, where: str, whole: bool = True) -> None:
     if whole and ACTIONS not in episode.arrays:
         raise ConfigurationError(f"{where} has no actions")
     for name, array in episode.arrays.items():
+        for part in name.split("/"):
+            check_name(part, where)
         if array.dtype.kind not in "fiub":
             raise ConfigurationError(f"'{name}' of {where} is of {array.dtype}: an episode holds numbers alone")
         if not name.startswith(INITIAL) and (array.ndim < 1 or len(array) != episode.info.length):
             raise ConfigurationError(
                 f"'{name}' of {where} has shape {array.shape}, but the episode has {episode.info.length} steps"
             )
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
+        if array.dtype.kind == "f" and not all(np.isfinite(rows).all() for rows in _stretches(array)):
             raise ConfigurationError(f"'{name}' of {where} holds NaN or infinity")
+
+
+def _stretches(array: Array) -> Iterator[Array]:
+    """Yield an array some rows at a time, so that what is computed of them takes little memory."""
+    rows = array if array.ndim else array[None]
+    step = max(1, _STRETCH * len(rows) // max(1, array.nbytes))
+    yield from (rows[begin : begin + step] for begin in range(0, len(rows), step))

@@ -18,21 +18,27 @@ from orbit_core.data.lerobot_reader import LeRobotDataset
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.zarr_reader import SUFFIXES as ZARR
 from orbit_core.data.zarr_reader import ZarrDataset, is_zarr
-from orbit_core.files import sweep, written_whole
+from orbit_core.files import as_path, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.reading.budget import TRUSTED, ReadBudget
 
 _SUFFIXES = (SUFFIX, ".h5")
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Dataset]:
-    """A dataset: an HDF5 file, a folder of LeRobot's, or a Zarr replay buffer.
+def opened(path: Path | str, budget: ReadBudget = ReadBudget()) -> Iterator[Dataset]:
+    """Open a dataset: an HDF5 file, a folder of LeRobot's, or a Zarr replay buffer.
+
+    Args:
+        path: of the file or folder.
+        budget: limits on what opening it, and reading each episode, may take.
 
     Raises:
         ConfigurationError: there is none, or it cannot be read.
     """
+    path = as_path(path)
     reader = ZarrDataset if is_zarr(path) else LeRobotDataset if path.is_dir() else Hdf5Dataset
-    dataset = reader(path)
+    dataset = reader(path, budget)
     try:
         yield dataset
     finally:
@@ -40,7 +46,7 @@ def opened(path: Path) -> Iterator[Dataset]:
 
 
 def write_dataset(
-    path: Path,
+    path: Path | str,
     episodes: Iterable[Episode],
     manifest: Manifest | None,
     rate: float | None = None,
@@ -67,6 +73,7 @@ def write_dataset(
             folder or the card that would be replaced is not one that ORBIT wrote.
         StorageError: the disk is full, or the folder cannot be written.
     """
+    path = as_path(path)
     check_target(path)
     sweep(path.resolve().parent)
     if path.suffix in _SUFFIXES:
@@ -80,7 +87,7 @@ def write_dataset(
         raise ConfigurationError("nothing says how many steps a second has: give --rate, which LeRobot needs")
     with written_whole(path.resolve()) as written:
         left_out = write_lerobot(written, episodes, manifest, step_rate)
-        with opened(written) as dataset:
+        with opened(written, TRUSTED) as dataset:
             (written / CARD).write_text(card(dataset), encoding="utf-8")
         check_replaceable(path)  # again, for a person may have put something there meanwhile
     return left_out

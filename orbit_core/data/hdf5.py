@@ -30,23 +30,19 @@ from orbit_core.data.episodes import (
     check_episode,
     check_found,
     check_infos,
-    check_size,
     chosen,
 )
 from orbit_core.data.manifest import Manifest
-from orbit_core.files import storage_faults, written_whole
+from orbit_core.files import as_path, storage_faults, written_whole
 from orbit_core.interfaces import ConfigurationError, StorageError
+from orbit_core.reading.budget import MAX_DOCUMENT, ReadAccount, ReadBudget
+from orbit_core.reading.hdf5 import Hdf5File, hdf5_module
 
 SUFFIX = ".hdf5"
 _GYM = 2
 """robomimic's number for environments in Gymnasium's manner."""
 _MANIFEST = "orbit/manifest"
 _INFO = "orbit_episode"
-_FAULTS = (
-    OSError, RuntimeError, KeyError, AttributeError, ValueError, TypeError, MemoryError, OverflowError,
-    msgspec.MsgspecError,
-)  # fmt: skip
-"""What h5py raises of damaged files."""
 _REASON = re.compile(r"error message = '([^']*)'")
 _DEMO = re.compile(r"demo_[0-9]{1,9}")
 _MARGIN, _AHEAD = 1 << 20, 1 << 22
@@ -56,7 +52,7 @@ _PICTURE = {"compression": "lzf"}
 
 
 def write_hdf5(
-    path: Path,
+    path: Path | str,
     episodes: Iterable[Episode],
     manifest: Manifest | None,
     masks: Mapping[str, Sequence[int]] | None = None,
@@ -76,7 +72,7 @@ def write_hdf5(
     Raises:
         StorageError: the disk is full, or the folder cannot be written.
     """
-    h5py = hdf5_module()
+    path, h5py = as_path(path), hdf5_module()
     successes: list[int] = []
     count = total = room = 0
     with _room(path, size), written_whole(path) as written:
@@ -107,24 +103,25 @@ def write_hdf5(
 class Hdf5Dataset(Dataset):
     """A dataset in an HDF5 file, ours or robomimic's.
 
+    Args:
+        path: of the file.
+        budget: limits on what opening it, and reading each episode, may take.
+
     Raises:
         ConfigurationError: it is truncated, no HDF5, of another layout, or holds what is not read; says what.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._h5py = hdf5_module()
-        if not path.is_file():
-            raise ConfigurationError(f"there is no file {path}")
-        with self._read_faults("the file"):
-            self._file = self._h5py.File(path, "r")
+    def __init__(self, path: Path | str, budget: ReadBudget = ReadBudget()) -> None:
+        self.path, self.budget = as_path(path), budget
+        self._file = Hdf5File(self.path, "dataset")
         try:
-            with self._read_faults("the file"):
-                self._demos = self._names()
-                self.manifest = self._manifest()
-                self.episodes = [self._info(name) for name in self._demos]
-                check_infos(self.episodes, str(path))
-                self.masks = self._masks()
+            with self._file.faults("the file"):
+                account = ReadAccount(budget, str(self.path), 512 * self.path.stat().st_blocks)
+                self._data, self._demos = self._demonstrations()
+                self.manifest = self._manifest(account)
+                self.episodes = [self._info(name, account) for name in self._demos]
+                check_infos(self.episodes, account)
+                self.masks = self._masks(account)
         except BaseException:
             self._file.close()
             raise
@@ -132,8 +129,9 @@ class Hdf5Dataset(Dataset):
     def read(self, position: int, names: Sequence[str] | None = None) -> Episode:
         name, info = self._demos[position], self.episodes[position]
         where = f"{name} of {self.path}"
-        with self._read_faults(name):
-            arrays = dict(self._arrays(self._child(self._file["data"], name), "", names))
+        with self._file.faults(name):
+            account = ReadAccount(self.budget, where)
+            arrays = dict(self._arrays(self._file.group(self._data, name), "", names, account))
         episode = Episode(info, arrays)
         check_found(names, arrays, where)
         check_episode(episode, where, whole=names is None)
@@ -142,70 +140,50 @@ class Hdf5Dataset(Dataset):
     def close(self) -> None:
         self._file.close()
 
-    def _names(self) -> list[str]:
-        group: Any = self._child(self._file, "data") if "data" in self._file else ()
-        if not isinstance(group, self._h5py.Group):
+    def _demonstrations(self) -> tuple[Any, list[str]]:
+        group = self._file.group(self._file.root, "data")
+        if group is None:
             raise ConfigurationError(f"{self.path} is no dataset of demonstrations: it has no group 'data'")
-        found = [name for name in group if _DEMO.fullmatch(name)]
-        return sorted(found, key=lambda name: int(name[5:]))
+        found = [name for name in self._file.names(group) if _DEMO.fullmatch(name)]
+        return group, sorted(found, key=lambda name: int(name[5:]))
 
-    def _manifest(self) -> Manifest | None:
-        if "orbit" not in self._file:
+    def _manifest(self, account: ReadAccount) -> Manifest | None:
+        group = self._file.group(self._file.root, "orbit")
+        if group is None:
             return None
-        return Manifest.decode(self._numbers(self._child(self._file, "orbit"), "manifest").tobytes(), str(self.path))
+        data = self._file.numbers(group, "manifest", account).tobytes()
+        return Manifest.decode(data, str(self.path))
 
-    def _info(self, name: str) -> EpisodeInfo:
-        group = self._child(self._file["data"], name)
-        own = group.attrs.get(_INFO)
-        if isinstance(own, str):
+    def _info(self, name: str, account: ReadAccount) -> EpisodeInfo:
+        account.check_time()
+        group = self._file.group(self._data, name)
+        own = self._file.text(group, _INFO, MAX_DOCUMENT)
+        if own is not None:
             return msgspec.json.decode(own, type=EpisodeInfo)
-        length = group.attrs.get("num_samples")
-        if not isinstance(length, np.integer | int):
+        length = self._file.integer(group, "num_samples")
+        if length is None:
             raise ConfigurationError(f"{name} of {self.path} does not say how many steps it has (num_samples)")
-        return EpisodeInfo(number=int(name[5:]), length=int(length))
+        return EpisodeInfo(number=int(name[5:]), length=length)
 
-    def _masks(self) -> dict[str, list[int]]:
-        if "mask" not in self._file:
+    def _masks(self, account: ReadAccount) -> dict[str, list[int]]:
+        group = self._file.group(self._file.root, "mask")
+        if group is None:
             return {}
         places = {name.encode(): place for place, name in enumerate(self._demos)}
-        group = self._child(self._file, "mask")
-        masks = {name: self._numbers(group, name, "S").tolist() for name in group}
+        masks = {name: self._file.numbers(group, name, account, "S").tolist() for name in self._file.names(group)}
         return {name: [places[each] for each in listed if each in places] for name, listed in masks.items()}
 
-    def _arrays(self, group: Any, prefix: str, names: Sequence[str] | None) -> Iterator[tuple[str, Array]]:
-        for name in group:
+    def _arrays(
+        self, group: Any, prefix: str, names: Sequence[str] | None, account: ReadAccount
+    ) -> Iterator[tuple[str, Array]]:
+        for name in self._file.names(group):
             path = prefix + name
-            child = self._child(group, name)
-            if isinstance(child, self._h5py.Group):
-                yield from self._arrays(child, f"{path}/", names)
+            child = self._file.child(group, name)
+            account.check_time()
+            if self._file.is_group(child):
+                yield from self._arrays(child, f"{path}/", names, account)
             elif chosen(path, names):
-                yield path, self._numbers(group, name)
-
-    def _numbers(self, group: Any, name: str, kinds: str = "fiub") -> Array:
-        dataset = self._child(group, name)
-        what = f"'{dataset.name}' of {self.path}"
-        if dataset.dtype.kind not in kinds or dataset.is_virtual or dataset.external:
-            raise ConfigurationError(
-                f"{what} holds {dataset.dtype} or data of other files, which is not read: only numbers in the file are"
-            )
-        check_size(dataset.name, dataset.nbytes, dataset.id.get_storage_size(), str(self.path))
-        return dataset[()]
-
-    def _child(self, group: Any, name: str) -> Any:
-        """What stands there by itself; a link, which may lead to any file, is not followed."""
-        if not isinstance(group.get(name, getlink=True), self._h5py.HardLink):
-            raise ConfigurationError(f"'{group.name}/{name}' of {self.path} is a link, which is not followed")
-        return group[name]
-
-    @contextmanager
-    def _read_faults(self, what: str) -> Iterator[None]:
-        try:
-            yield
-        except _FAULTS as error:
-            reason = str(error).strip().partition("\n")[0]
-            raise ConfigurationError(
-                f"{what} of {self.path} cannot be read ({reason}): it is truncated, damaged or no HDF5 of this layout"
-            ) from None
+                yield path, self._file.numbers(group, name, account)
 
 
 @contextmanager
@@ -268,16 +246,3 @@ def _env_args(manifest: Manifest | None) -> dict[str, Any]:
         "env_version": manifest.versions.get("orbit", ""),
         "env_kwargs": kwargs,
     }
-
-
-def hdf5_module() -> Any:
-    """h5py.
-
-    Raises:
-        ConfigurationError: it is not installed.
-    """
-    try:
-        import h5py
-    except ImportError as error:
-        raise ConfigurationError("HDF5 needs h5py: pip install 'orbit-core[data]'") from error
-    return h5py

@@ -22,8 +22,9 @@ from orbit_core.data.card import CARD, is_card
 from orbit_core.data.episodes import ACTIONS, DONES, OBSERVED, REWARDS, STATES, Array, Episode, EpisodeInfo
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.video import write_video
-from orbit_core.files import storage_faults
+from orbit_core.files import as_path, storage_faults
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.reading.parquet import arrow_modules
 
 VERSION = "v3.0"
 STATE_OF_GROUP = ".state"
@@ -237,7 +238,7 @@ class LeRobotWriter:
             (self.path / name).write_text(text, encoding="utf-8")
 
 
-def write_lerobot(path: Path, episodes: Iterable[Episode], manifest: Manifest | None, rate: float) -> set[str]:
+def write_lerobot(path: Path | str, episodes: Iterable[Episode], manifest: Manifest | None, rate: float) -> set[str]:
     """Write a dataset into a new folder. Returns the arrays that it has no place for.
 
     On an error the folder is left unfinished: :func:`orbit_core.data.formats.write_dataset` writes whole ones.
@@ -252,6 +253,7 @@ def write_lerobot(path: Path, episodes: Iterable[Episode], manifest: Manifest | 
         ConfigurationError: the rate is no whole number, or there are no episodes.
         StorageError: the disk is full, or the folder cannot be written.
     """
+    path = as_path(path)
     if abs(rate - round(rate)) > 1e-6:
         raise ConfigurationError(f"LeRobot takes a whole number of steps in a second, not {rate:g}")
     robot = next((r.model for r in manifest.robots.values() if r.agent), "") if manifest else "unknown"
@@ -291,20 +293,6 @@ def _foreign(folder: Path) -> Iterator[str]:
             own = is_card(path) if inner == CARD else _LAYOUT.fullmatch(inner)
             if path.is_symlink() or not own:
                 yield inner
-
-
-def arrow_modules() -> tuple[Any, Any]:
-    """pyarrow and its parquet.
-
-    Raises:
-        ConfigurationError: it is not installed.
-    """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise ConfigurationError("LeRobot datasets need pyarrow: pip install 'orbit-core[lerobot]'") from error
-    return pyarrow, pyarrow.parquet
 
 
 def _columns_of(episode: Episode) -> dict[str, dict[str, Array]]:

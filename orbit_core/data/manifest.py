@@ -16,6 +16,7 @@ from orbit_core.envs.observation_groups import groups_of, terms_of_group
 from orbit_core.envs.terms import ObservationGroup, unit_of
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.interfaces.layout import actuator_of_joint, joint_limits
+from orbit_core.reading.budget import MAX_DOCUMENT
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 """Version of the manifest; another is refused."""
+_LEAST = 1e-9
+"""Shortest time in seconds, and the reciprocal of the longest."""
 Limits = tuple[float | None, ...]
 """Numbers of which those that are infinite are None, for JSON has no infinity."""
 
@@ -191,19 +194,21 @@ class Manifest:
             ConfigurationError: it is no manifest, or of another format; says where in it.
         """
         try:
-            values = data if isinstance(data, Mapping) else msgspec.json.decode(data)
+            if isinstance(data, str | bytes) and len(data) > MAX_DOCUMENT:
+                raise ConfigurationError(f"{where} holds no manifest: it would have {len(data):,} bytes")
+            values = msgspec.json.decode(data) if isinstance(data, str | bytes) else data
             if not isinstance(values, Mapping) or values.get("format") != FORMAT:
                 found = values.get("format") if isinstance(values, Mapping) else None
                 raise ConfigurationError(
-                    f"{where} holds a manifest of format {found!r}, and {FORMAT} is the one that is read: make it "
+                    f"{where} holds a manifest of format {found!r:.40}, and {FORMAT} is the one that is read: make it "
                     "again, or read it with the version of ORBIT that wrote it"
                 )
             manifest = msgspec.convert(values, Manifest)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
             raise ConfigurationError(f"{where} holds no manifest: {error}") from None
         for name in ("step_dt", "physics_dt", "decimation", "episode_length"):
-            if not 0.0 < getattr(manifest, name) < math.inf:
-                raise ConfigurationError(f"{where} holds no manifest: {name} is {getattr(manifest, name)}")
+            if not _LEAST <= getattr(manifest, name) <= 1.0 / _LEAST:
+                raise ConfigurationError(f"{where} holds no manifest: its {name} is not from {_LEAST} to {1 / _LEAST}")
         return manifest
 
 

@@ -18,8 +18,9 @@ from safetensors import SafetensorError, safe_open
 
 from orbit_core.data.episodes import INITIAL, Array, Episode, EpisodeInfo
 from orbit_core.data.manifest import Manifest
-from orbit_core.files import LOCK, FolderLock, storage_faults, sweep, written_whole
+from orbit_core.files import LOCK, FolderLock, as_path, read_bytes, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.reading.budget import MAX_DOCUMENT
 
 _MANIFEST = "manifest.json"
 _REPLACES = "replaces"
@@ -35,8 +36,8 @@ class PartFolder:
         path: of the folder; it need not be there.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path | str) -> None:
+        self.path = as_path(path)
         self._lock: FolderLock | None = None
 
     @property
@@ -103,7 +104,7 @@ class PartFolder:
             ConfigurationError: its file is damaged.
         """
         path = self.path / _MANIFEST
-        return Manifest.decode(path.read_bytes(), str(path)) if path.is_file() else None
+        return Manifest.decode(read_bytes(path, MAX_DOCUMENT), str(path)) if path.exists() else None
 
     def add(self, infos: Sequence[EpisodeInfo], arrays: Mapping[str, Array]) -> None:
         """Write finished episodes: arrays (sum of lengths, ...), of ``initial/`` (episodes, ...).
@@ -131,8 +132,14 @@ class PartFolder:
         """
         for path in self.files:
             infos = _header(path)
-            arrays = safetensors.numpy.load_file(path)
+            try:
+                arrays = safetensors.numpy.load(read_bytes(path))
+            except (SafetensorError, ValueError, KeyError, TypeError) as error:
+                raise ConfigurationError(
+                    f"{path} holds no episodes: {error}; remove it to go on without them"
+                ) from None
             ends = np.cumsum([info.length for info in infos])
+            _check_lengths(path, arrays, len(infos), int(ends[-1]) if len(ends) else 0)
             for row, (info, end) in enumerate(zip(infos, ends.tolist(), strict=True)):
                 own = slice(end - info.length, end)
                 yield Episode(info, {n: a[row if n.startswith(INITIAL) else own] for n, a in arrays.items()})
@@ -157,9 +164,19 @@ class PartFolder:
         self.release()
 
 
+def _check_lengths(path: Path, arrays: Mapping[str, Array], episodes: int, steps: int) -> None:
+    for name, array in arrays.items():
+        if len(array) != (episodes if name.startswith(INITIAL) else steps):
+            raise _damaged(path, f"'{name}' has shape {array.shape}, of {episodes} episodes with {steps} steps")
+
+
 def _header(path: Path) -> list[EpisodeInfo]:
     try:
         with safe_open(path, framework="np") as file:
             return msgspec.json.decode(file.metadata()[_KEY], type=list[EpisodeInfo])
     except (SafetensorError, OSError, KeyError, TypeError, msgspec.MsgspecError) as error:
-        raise ConfigurationError(f"{path} holds no episodes: {error}; remove it to go on without them") from None
+        raise _damaged(path, str(error)) from None
+
+
+def _damaged(path: Path, reason: str) -> ConfigurationError:
+    return ConfigurationError(f"{path} holds no episodes: {reason}; remove it to go on without them")

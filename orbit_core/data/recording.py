@@ -13,12 +13,14 @@ from torch import Tensor
 from orbit_core.data.card import check_card, write_card
 from orbit_core.data.compare import Kind, differences
 from orbit_core.data.episodes import Episode, EpisodeInfo
-from orbit_core.data.hdf5 import Hdf5Dataset, hdf5_module, write_hdf5
+from orbit_core.data.hdf5 import Hdf5Dataset, write_hdf5
 from orbit_core.data.manifest import Manifest
 from orbit_core.data.parts import PartFolder
 from orbit_core.data.recorder import DemonstrationRecorder
-from orbit_core.files import storage_faults, sweep
+from orbit_core.files import as_path, storage_faults, sweep
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.reading.budget import TRUSTED
+from orbit_core.reading.hdf5 import hdf5_module
 from orbit_core.rollout.stepping import Pace, StepObserver, roll_out
 
 if TYPE_CHECKING:
@@ -38,8 +40,8 @@ class RecordingFile:
         path: of the HDF5 file.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path | str) -> None:
+        self.path = path = as_path(path)
         self.parts = PartFolder(path.with_name(f"{path.name}.parts"))
 
     def check_begun(self, resume: bool, overwrite: bool) -> None:
@@ -171,7 +173,7 @@ class RecordingFile:
         """All episodes in the order in which they were recorded, a file at a time; each number once."""
         numbers: set[int] = set()
         if self._continued:
-            dataset = Hdf5Dataset(self.path)
+            dataset = Hdf5Dataset(self.path, TRUSTED)
             numbers |= {info.number for info in dataset.episodes}
             yield from map(dataset.read, range(len(dataset.episodes)))
             dataset.close()
@@ -192,10 +194,19 @@ class Shares:
         return ended < self._shares[end.env_ids]
 
     def left(self, infos: Mapping[int, EpisodeInfo]) -> Tensor:
-        """(N,) episodes that each environment has recorded already."""
+        """Return (N,) episodes that each environment has recorded already.
+
+        Raises:
+            ConfigurationError: one was recorded in an environment that there is not.
+        """
         done = torch.zeros_like(self._shares)
         for info in infos.values():
             if info.env_id is not None:
+                if not 0 <= info.env_id < len(done):
+                    raise ConfigurationError(
+                        f"an episode was recorded in environment {info.env_id}, and there are {len(done)}: begin "
+                        "another recording"
+                    )
                 done[info.env_id] += 1
         return done
 

@@ -182,8 +182,8 @@ def _check_truth(value: Any, where: str) -> None:
 
 
 def _check_array(value: Any, where: str) -> None:
-    if not isinstance(value, np.ndarray) or not np.issubdtype(value.dtype, np.number):
-        raise wrong(where, value, "an array of numbers")
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
+        raise wrong(where, value, "an array of real numbers")
     if np.isnan(value).any():
         raise ArgumentError(f"{where} holds NaN: give numbers")
 

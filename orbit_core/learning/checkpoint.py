@@ -21,7 +21,7 @@ from orbit_core.tensor_file import read_tensors, write_tensors
 FORMAT = 1
 
 
-def write_checkpoint(path: Path, library: str, state: Any) -> None:
+def write_checkpoint(path: Path | str, library: str, state: Any) -> None:
     """Write a library's state. The file appears whole or not at all.
 
     Raises:
@@ -43,7 +43,7 @@ def tensors_in(state: Any) -> list[Tensor]:
     return list(tensors.values())
 
 
-def read_checkpoint(path: Path, library: str) -> Any:
+def read_checkpoint(path: Path | str, library: str) -> Any:
     """The state that :func:`write_checkpoint` wrote, its tensors on the CPU.
 
     Raises:

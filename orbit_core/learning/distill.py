@@ -45,7 +45,7 @@ class DistillTrainer(LoopTrainer[DistillSettings]):
     name: ClassVar[str] = "distill"
     settings_type: ClassVar[type[Any]] = DistillSettings
 
-    def __init__(self, environment: Environment, settings: DistillSettings, folder: Path, seed: int) -> None:
+    def __init__(self, environment: Environment, settings: DistillSettings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
         if not settings.teacher:
             raise ConfigurationError(

@@ -20,7 +20,7 @@ from orbit_core.rollout.ends import EpisodeTally
 class LoopTrainer(Trainer[Settings]):
     """A trainer whose library does one iteration at a time."""
 
-    def __init__(self, environment: Environment, settings: Settings, folder: Path, seed: int) -> None:
+    def __init__(self, environment: Environment, settings: Settings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
         torch.manual_seed(seed)
         self.tally = EpisodeTally(environment.device)

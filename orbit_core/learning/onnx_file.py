@@ -17,20 +17,22 @@ import torch
 from torch import nn
 
 from orbit_core.data.manifest import Manifest
-from orbit_core.files import written_whole
+from orbit_core.files import as_path, read_bytes, written_whole
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_core.learning.deployment import deployment_metadata
 from orbit_core.learning.description import PolicyDescription
 from orbit_core.learning.onnx_graph import OnnxGraph
 from orbit_core.learning.picture_features import TermByTerm
 from orbit_core.learning.policy_file import check_action, manifest_document, manifest_of
-from orbit_core.tensor_file import parse_json, read_bytes
+from orbit_core.tensor_file import parse_json
 
 SUFFIX = ".onnx"
 _KEY = "orbit"
 
 
-def write_onnx(path: Path, module: nn.Module, description: PolicyDescription, manifest: Manifest | None = None) -> None:
+def write_onnx(
+    path: Path | str, module: nn.Module, description: PolicyDescription, manifest: Manifest | None = None
+) -> None:
     """Write input ``observation`` (N, O) and output ``action`` (N, A). The file appears whole or not at all.
 
     Of a policy that sees a dictionary, the inputs are its terms, (N, ...) each, by their names.
@@ -38,7 +40,7 @@ def write_onnx(path: Path, module: nn.Module, description: PolicyDescription, ma
     Raises:
         ConfigurationError: the exporter is not installed.
     """
-    onnx = _onnx()
+    onnx, path = _onnx(), as_path(path)
     example = description.zeros(2)
     exported = copy.deepcopy(module).cpu().eval()
     names = ["observation"]
@@ -64,7 +66,7 @@ def write_onnx(path: Path, module: nn.Module, description: PolicyDescription, ma
         onnx.save(model, str(written))
 
 
-def read_onnx(path: Path) -> tuple[PolicyDescription, Manifest | None, nn.Module]:
+def read_onnx(path: Path | str) -> tuple[PolicyDescription, Manifest | None, nn.Module]:
     """A policy on the CPU from a file such as :func:`write_onnx` writes.
 
     Raises:
@@ -74,6 +76,7 @@ def read_onnx(path: Path) -> tuple[PolicyDescription, Manifest | None, nn.Module
     onnx = _onnx()
     from google.protobuf.message import DecodeError  # what onnx is made of
 
+    path = as_path(path)
     data = read_bytes(path)
     try:
         model = onnx.load_model_from_string(data)

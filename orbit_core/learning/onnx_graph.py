@@ -5,7 +5,7 @@ The meaning of the operators is that of ONNX's operator set 13 and later: https:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, UnknownNameError
+from orbit_core.learning.policy_cost import depth_of
 
 _MOST_NODES = 10_000
 _MOST_NUMBERS = 2**24
@@ -83,6 +84,8 @@ class OnnxGraph(nn.Module):
 
     def __init__(self, graph: Any, onnx: Any) -> None:
         super().__init__()
+        self.watch: Callable[[Sequence[int], int], None] | None = None
+        """Told the shape of each result, and the multiplications that a number of it takes."""
         if len(graph.node) > _MOST_NODES:
             raise ConfigurationError(f"its graph has {len(graph.node):,} nodes, more than {_MOST_NODES:,}")
         weights = {weight.name: _numbers(weight, onnx) for weight in graph.initializer}
@@ -109,9 +112,14 @@ class OnnxGraph(nn.Module):
         values |= {"": None, self._input: observation}
         most = _MOST_NUMBERS * len(observation)
         for operation in self._operations:
-            result = operation.function(*(values[name] for name in operation.inputs), **operation.attributes)
+            inputs = [values[name] for name in operation.inputs]
+            result = operation.function(*inputs, **operation.attributes)
             if result.numel() > most:
                 raise RuntimeError(f"'{operation.output}' has {result.numel():,} numbers, more than {most:,}")
+            if self.watch is not None:
+                product = operation.function in (torch.matmul, _gemm)
+                depth = depth_of(product, inputs[0], bool(operation.attributes.get("transA"))) if inputs else 1
+                self.watch((1, result.numel() // len(observation)), depth)
             values[operation.output] = result
         action = values[self._output]
         assert action is not None

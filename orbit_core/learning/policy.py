@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from orbit_core.data.compare import check_manifest, renamed_group
 from orbit_core.data.manifest import Manifest
+from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, Node, Port
 from orbit_core.learning import onnx_file
 from orbit_core.learning.description import Part, PolicyDescription
@@ -49,17 +50,17 @@ class Policy:
             check_manifest(recorded, environment, f"the policy of {self.description.task}", {group})
         return group
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write weights, network and description into one safetensors file, which appears whole or not at all.
 
         Raises:
             ConfigurationError: the policy was read from ONNX, or its network is not registered.
         """
         if self.network is None:
-            raise ConfigurationError(f"a policy that was read from ONNX has no network that {path.name} could name")
+            raise ConfigurationError(f"a policy that was read from ONNX has no network that {path} could name")
         write_policy(path, ActorNetwork(self.network, self.module), self.description, self.manifest)
 
-    def export_onnx(self, path: Path) -> None:
+    def export_onnx(self, path: Path | str) -> None:
         """Write ONNX, the description in its metadata: input ``observation`` (N, O), output ``action`` (N, A).
 
         Raises:
@@ -70,12 +71,13 @@ class Policy:
         onnx_file.write_onnx(path, self.module, self.description, self.manifest)
 
 
-def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
+def load_policy(path: Path | str, device: torch.device | str = "cpu") -> Policy:
     """A policy from its file, safetensors or ONNX, or the latest of a training's folder. Nothing in it is executed.
 
     Raises:
         OrbitError: there is no such file, or it is no policy; names the file and what is wrong.
     """
+    path = as_path(path)
     if path.is_dir():
         newest = newest_file(path, "policy")
         if newest is None:
@@ -152,7 +154,7 @@ def whole_agent(environment: Environment, policy: Policy) -> AgentGraph:
 class PolicyActor:
     """A learned policy, acting in any environment of which a group shows what it was learned with."""
 
-    def __init__(self, environment: Environment, path: Path) -> None:
+    def __init__(self, environment: Environment, path: Path | str) -> None:
         policy = load_policy(path, environment.device)
         self._group = policy.fit(environment)
         self._module = policy.module

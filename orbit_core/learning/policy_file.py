@@ -18,22 +18,25 @@ import torch
 from torch import Tensor, nn
 
 from orbit_core.data.manifest import Manifest
+from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_core.learning.description import PolicyDescription
 from orbit_core.learning.network_registry import network_type
 from orbit_core.learning.networks import ActorNetwork, Network
 from orbit_core.learning.plain import from_plain
+from orbit_core.learning.policy_cost import limited
 from orbit_core.tensor_file import read_tensors, write_tensors
 
 SUFFIX = ".safetensors"
 
 
-def newest_file(folder: Path, prefix: str) -> Path | None:
+def newest_file(folder: Path | str, prefix: str) -> Path | None:
     """The file ``<prefix>_<iteration>.safetensors`` of the highest iteration; links that lead elsewhere are refused.
 
     Raises:
         ConfigurationError: that file is a link to a place outside the folder.
     """
+    folder = as_path(folder)
     pattern = re.compile(rf"{prefix}_(\d{{1,18}}){re.escape(SUFFIX)}")
     found = {int(match[1]): path for path in folder.iterdir() if (match := pattern.fullmatch(path.name))}
     if not found:
@@ -45,7 +48,7 @@ def newest_file(folder: Path, prefix: str) -> Path | None:
 
 
 def write_policy(
-    path: Path, actor: ActorNetwork, description: PolicyDescription, manifest: Manifest | None = None
+    path: Path | str, actor: ActorNetwork, description: PolicyDescription, manifest: Manifest | None = None
 ) -> None:
     """Write a policy, and the manifest of where it was learned. The file appears whole or not at all.
 
@@ -74,12 +77,13 @@ def manifest_of(document: Mapping[str, Any], path: Path) -> Manifest | None:
     return Manifest.decode(document["manifest"], str(path)) if "manifest" in document else None
 
 
-def read_policy(path: Path) -> tuple[PolicyDescription, Manifest | None, ActorNetwork]:
+def read_policy(path: Path | str) -> tuple[PolicyDescription, Manifest | None, ActorNetwork]:
     """A policy on the CPU, of which nothing was executed but the registered network that its file names.
 
     Raises:
         OrbitError: the file is malformed, or its parts do not fit each other; names which.
     """
+    path = as_path(path)
     document, tensors = read_tensors(path)
     description = PolicyDescription.of_document(document, str(path))
     network = _network(document.get("network"), str(path))
@@ -99,13 +103,15 @@ def check_action(module: nn.Module, description: PolicyDescription, path: Path, 
     """Refuse a policy that makes no actions of an observation of zeros.
 
     Raises:
-        ConfigurationError: it fails, or they have another shape or, where they have values, are not finite.
+        ConfigurationError: it fails or takes too much memory or time, or they have another shape or, where they have
+            values, are not finite.
     """
     try:
-        with torch.no_grad():
+        with torch.no_grad(), limited(module):
             action = module(description.zeros(2, device))
-    except (RuntimeError, TypeError, IndexError, KeyError) as error:
-        raise ConfigurationError(f"{path} cannot act: {type(error).__name__} {str(error).splitlines()[0]}") from error
+    except (RuntimeError, TypeError, IndexError, KeyError, ValueError) as error:
+        reason = (str(error).splitlines() or [""])[0]
+        raise ConfigurationError(f"{path} cannot act: {type(error).__name__} {reason}") from error
     if tuple(action.shape) != (2, description.action_size):
         raise ConfigurationError(
             f"{path} makes actions of shape {tuple(action.shape)} of 2 observations, not (2, {description.action_size})"

@@ -65,7 +65,7 @@ class RlGamesTrainer(LoopTrainer[PpoSettings]):
 
     name: ClassVar[str] = "rl-games"
 
-    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
+    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
         check_groups(environment, self.name)
         if self.batch % settings.minibatches:

@@ -88,7 +88,7 @@ class RslRlTrainer(Trainer[PpoSettings]):
     imitates: ClassVar[bool] = True
     begins_with_policies: ClassVar[bool] = True
 
-    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
+    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
         torch.manual_seed(seed)
         check_groups(environment, self.name)

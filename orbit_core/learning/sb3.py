@@ -108,7 +108,7 @@ class Sb3Trainer(Trainer[PpoSettings]):
 
     name: ClassVar[str] = "sb3"
 
-    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
+    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
         check_groups(environment, self.name)
         layout = environment.observation[ACTOR]

@@ -92,7 +92,7 @@ class SkrlTrainer(LoopTrainer[PpoSettings]):
 
     name: ClassVar[str] = "skrl"
 
-    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
+    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
         check_groups(environment, self.name)
         self._environment = SkrlEnvironment(environment, seed)
@@ -169,7 +169,7 @@ def _scaling(
 
 
 def _configuration(
-    settings: PpoSettings, folder: Path, groups: Mapping[str, GroupLayout], spaces: dict[str, Any]
+    settings: PpoSettings, folder: Path | str, groups: Mapping[str, GroupLayout], spaces: dict[str, Any]
 ) -> PPO_CFG:
     scaler, scaling = _scaling(groups[ACTOR], spaces["observation_space"], settings, spaces["device"])
     state_scaler, state_scaling = _scaling(groups.get(CRITIC), spaces["state_space"], settings, spaces["device"])

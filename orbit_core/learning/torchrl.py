@@ -87,7 +87,7 @@ class TorchRlTrainer(LoopTrainer[PpoSettings]):
 
     name: ClassVar[str] = "torchrl"
 
-    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path, seed: int) -> None:
+    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path | str, seed: int) -> None:
         super().__init__(environment, settings, folder, seed)
         check_groups(environment, self.name)
         environment.reset(seed)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.networks import ActorNetwork
 
@@ -82,7 +83,7 @@ class Trainer(ABC, Generic[Settings]):
     settings_type: ClassVar[type[Any]] = PpoSettings
     """Class of its algorithm's settings."""
 
-    def __init__(self, environment: Environment, settings: Settings, folder: Path, seed: int) -> None:
+    def __init__(self, environment: Environment, settings: Settings, folder: Path | str, seed: int) -> None:
         if getattr(settings, "imitation_steps", 0) and not self.imitates:
             raise ConfigurationError(
                 f"library '{self.name}' imitates no expert before it learns: use --library rsl-rl, or "
@@ -98,7 +99,7 @@ class Trainer(ABC, Generic[Settings]):
             )
         self.environment = environment
         self.settings = settings
-        self.folder = folder
+        self.folder = as_path(folder)
         self.seed = seed
 
     @abstractmethod

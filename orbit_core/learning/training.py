@@ -13,16 +13,19 @@ import torch
 
 from orbit_core.data.manifest import Manifest
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.files import append_line, storage_faults, sweep, written_whole
+from orbit_core.files import append_line, read_bytes, storage_faults, sweep, written_whole
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, SimulationError
 from orbit_core.learning.checkpoint import read_checkpoint, tensors_in, write_checkpoint
 from orbit_core.learning.policy import Policy, PolicyDescription
 from orbit_core.learning.policy_file import SUFFIX, newest_file
 from orbit_core.learning.trainer import Progress, Trainer
+from orbit_core.tensor_file import parse_json
 
 RECORD = "training.json"
 CURVE = "curve.jsonl"
 CHECKPOINT = "checkpoint"
+_MOST_CURVE = 1 << 26
+"""Most bytes of a curve, some 300 of each iteration."""
 _FEW_DIVERGED = 3
 """Environments that may diverge in any iteration; of many, one in a hundred may."""
 _LARGEST_WEIGHT = 1e12
@@ -145,20 +148,21 @@ class Training:
     def _continue_curve(self, begin: int) -> None:
         """Drop what was done after the checkpoint, for it is done again, and count on from there."""
         curve = self.trainer.folder / CURVE
-        lines = curve.read_text().splitlines(keepends=True) if curve.exists() else []
-        lines = [line for line in lines if line.endswith("\n")]  # a kill may have torn the last one
         try:
-            kept = [line for line in lines if json.loads(line)["iteration"] < begin]
-        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            lines = read_bytes(curve, _MOST_CURVE).decode().splitlines(keepends=True) if curve.exists() else []
+            lines = [line for line in lines if line.endswith("\n")]  # a kill may have torn the last one
+            done = [(line, parse_json(line)) for line in lines]
+            kept = [(line, values) for line, values in done if values["iteration"] < begin]
+            if kept:
+                last = kept[-1][1]
+                self._steps_before, self._seconds_before = int(last["env_steps"]), float(last["seconds"])
+                self._diverged_before = int(last.get("diverged", 0))
+        except (ValueError, TypeError, KeyError, OverflowError) as error:
             raise ConfigurationError(
                 f"{curve} is no curve of a training ({error}): remove it to begin another"
             ) from None
         with written_whole(curve) as shortened:
-            shortened.write_text("".join(kept))
-        if kept:
-            last = json.loads(kept[-1])
-            self._steps_before, self._seconds_before = last["env_steps"], last["seconds"]
-            self._diverged_before = last.get("diverged", 0)
+            shortened.write_text("".join(line for line, _ in kept))
 
     def _save(self, iteration: int) -> None:
         if not self.leader:

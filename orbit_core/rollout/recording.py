@@ -9,15 +9,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from orbit_core.files import written_whole
-from orbit_core.interfaces import AssetError, Object, Robot, World
+from orbit_core.files import as_path, written_whole
+from orbit_core.interfaces import AssetError, ConfigurationError, Object, Robot, World
+from orbit_core.reading.budget import ReadAccount, ReadBudget
+from orbit_core.reading.npz import FAULTS, read_npz
 from orbit_core.rollout.counter import EpisodeCounter
 from orbit_core.rollout.stepping import StepObserver
+from orbit_core.tensor_file import parse_json
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
@@ -48,7 +52,7 @@ class Recording:
     metrics: Mapping[str, npt.NDArray[np.float32]] = field(default_factory=dict)
     """(T, k) the leading metric before each step, of tasks with deformables; NaN after an episode's end."""
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write an ``.npz`` file.
 
         Raises:
@@ -59,27 +63,64 @@ class Recording:
         arrays |= {_METRIC + name: values for name, values in self.metrics.items()}
         header = json.dumps({**about, "fields": dict(self.fields)})
         arrays |= {"header": np.array(header), "actions": self.actions, "lengths": self.lengths}
-        with written_whole(path) as written:
+        with written_whole(as_path(path)) as written:
             np.savez_compressed(written, **arrays)  # pyright: ignore[reportArgumentType]
 
     @staticmethod
-    def load(path: Path) -> Recording:
+    def load(path: Path | str, budget: ReadBudget = ReadBudget()) -> Recording:
         """Read what :meth:`save` wrote.
 
+        Args:
+            path: of the file.
+            budget: limits on the bytes and the time that it may take.
+
         Raises:
-            AssetError: the file is no recording.
+            AssetError: the file is no recording, or beyond the budget.
         """
+        path = as_path(path)
         try:
-            with np.load(path) as file:
-                about = json.loads(str(file["header"]))
-                tracks, metrics = (
-                    {name.removeprefix(kind): file[name] for name in file.files if name.startswith(kind)}
-                    for kind in (_TRACK, _METRIC)
-                )
-                arrays = {name: file[name] for name in ("actions", "lengths")}
-                return Recording(**about, **arrays, tracks=tracks, metrics=metrics)
-        except (OSError, KeyError, ValueError, TypeError) as error:
+            if not path.is_file():
+                raise ValueError("it is no regular file")
+            arrays = read_npz(path, ReadAccount(budget, str(path)))
+            about = msgspec.convert(parse_json(str(arrays.pop("header"))), _Header)
+            tracks, metrics = (
+                {name.removeprefix(kind): array for name, array in arrays.items() if name.startswith(kind)}
+                for kind in (_TRACK, _METRIC)
+            )
+            actions, lengths = arrays["actions"], arrays["lengths"]
+            _check_arrays(actions, lengths, (*tracks.values(), *metrics.values()))
+        except (*FAULTS, RecursionError, ConfigurationError) as error:
             raise AssetError(f"{path} is no recording of a task's episodes: {error}") from error
+        return Recording(
+            **msgspec.structs.asdict(about), actions=actions, lengths=lengths, tracks=tracks, metrics=metrics
+        )
+
+
+class _Header(msgspec.Struct, forbid_unknown_fields=True):
+    """What a recording's file says besides its arrays."""
+
+    task: str
+    backend: str
+    seed: int
+    step_dt: float
+    fields: dict[str, Any]
+
+
+def _check_arrays(actions: npt.NDArray[Any], lengths: npt.NDArray[Any], others: tuple[npt.NDArray[Any], ...]) -> None:
+    """Refuse arrays of shapes that do not fit each other, or of other than real numbers.
+
+    Raises:
+        ValueError: says which.
+    """
+    if actions.ndim != 3 or lengths.shape != actions.shape[1:2] or not lengths.size:
+        raise ValueError(f"it has actions of shape {actions.shape} and lengths of shape {lengths.shape}")
+    if actions.dtype.kind != "f" or lengths.dtype.kind not in "iu" or any(a.dtype.kind != "f" for a in others):
+        raise ValueError("its arrays hold other than real numbers")
+    if lengths.min() < 1 or lengths.max() > len(actions):
+        raise ValueError(f"it has episodes of {lengths.min()} to {lengths.max()} steps, of {len(actions)} recorded")
+    for array in others:
+        if array.ndim < 2 or len(array) != len(actions) or array.shape[1] > len(lengths):
+            raise ValueError(f"it has a track of shape {array.shape} over {len(actions)} steps")
 
 
 class RecordedActions:

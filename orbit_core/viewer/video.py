@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from orbit_core.files import Replacement, storage_faults
+from orbit_core.files import Replacement, as_path, storage_faults
 from orbit_core.interfaces import ConfigurationError, StorageError
 from orbit_core.rollout.stepping import StepObserver
 from orbit_core.viewer.pictures import OverviewCamera
@@ -36,14 +36,14 @@ class VideoFile:
         ConfigurationError: the encoder is not installed.
     """
 
-    def __init__(self, path: Path, width: int, height: int, frames_per_second: float) -> None:
+    def __init__(self, path: Path | str, width: int, height: int, frames_per_second: float) -> None:
         if min(width, height) < _MULTIPLE or width % _MULTIPLE or height % _MULTIPLE:
             raise ConfigurationError(f"a video's size must be a multiple of {_MULTIPLE} pixels, not {width} x {height}")
         try:
             import imageio_ffmpeg
         except ImportError as error:
             raise ConfigurationError('videos need an encoder: pip install "orbit-core[video]"') from error
-        self._path = path
+        self._path = path = as_path(path)
         self._count = imageio_ffmpeg.count_frames_and_secs
         self._replacement = Replacement(path)
         self._size = (height, width, 3)
@@ -129,7 +129,7 @@ class VideoRecorder(StepObserver):
     def __init__(
         self,
         environment: Environment,
-        path: Path,
+        path: Path | str,
         environments: int = 4,
         width: int = 400,
         height: int = 304,

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import runpy
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,9 +26,11 @@ from orbit_core.dynamics.random import RandomStreams
 from orbit_core.envs import Environment
 from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.interfaces import ConfigurationError, NonFiniteError
+from orbit_core.reading.budget import ReadBudget
 from orbit_core.scene import ActuatorNetwork, DcMotor, IdealPd, Scene, Transmission, Windings
 from orbit_core.tensor_file import write_tensors
 from orbit_tasks.velocity_flat import VelocityFlat
+from tests.fuzz.watch import watched
 
 SOURCE = Path(__file__).parents[2] / "tools" / "series_elastic.py"
 Pendulums = Callable[..., Any]
@@ -189,6 +193,11 @@ def test_recordings_of_three_formats_are_the_same(data: dict[str, np.ndarray], r
         ({"joints": np.array(["a", "b", "a"])}, ConfigurationError, "names a joint twice: a, b, a"),
         ({"position": np.zeros((5000, 3), complex)}, ConfigurationError, "position is of complex128"),
         ({"effort": np.zeros((5000, 3))}, ConfigurationError, "one effort throughout"),
+        ({"time": np.float64(3.0)}, ConfigurationError, "time has 0 dimensions"),
+        ({"joints": np.arange(3)}, ConfigurationError, "no list of names"),
+        ({"joints": np.array(["a", "b\x1b[31m", "c"])}, ConfigurationError, "no name of an array"),
+        ({"velocity": np.full((5000, 3), 1e300)}, ConfigurationError, r"holds 1e\+300, which no joint reaches"),
+        ({"velocity": np.zeros((5000, 3), bool)}, ConfigurationError, "velocity is of bool"),
         ({"effort": np.full((5000, 3), np.nan)}, NonFiniteError, "effort is not finite in step 0"),
     ],
 )
@@ -209,6 +218,10 @@ def test_a_recording_that_cannot_be_is_refused(
         ("time,position,velocity,effort\n0,1,2,3\n", "names no joint"),
         ("time,a.position\n0,1\n0.005\n", "row 2 has 1 values, and the header names 2 columns"),
         ("time,a.position\n0,none\n", "could not convert string to float: 'none'"),
+        ("time,a.position\n0,\0\n", "cannot be read"),
+        ('time,a.position\n"' + 200_000 * "x", "field larger than field limit"),
+        ("1," * 600_000, "a line has more than 1,048,576 characters"),
+        ("time,a.position\n0,1+2j\n", "could not convert string to float"),
     ],
 )
 def test_a_table_that_is_broken_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
@@ -218,6 +231,79 @@ def test_a_table_that_is_broken_is_refused_in_one_line(tmp_path: Path, text: str
         read_recording(path)
 
 
+def archive(
+    path: Path, shape: tuple[int, ...], dtype: str = "<f8", data: bytes = b"", version: bytes = b"\1\0"
+) -> Path:
+    """An archive with an array whose header claims a shape."""
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": dtype, "fortran_order": False, "shape": shape})
+    text = header.getvalue()
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("time.npy", text[:6] + version + text[8:] + data)
+    return path
+
+
+def test_an_archive_that_claims_what_it_does_not_hold_is_refused(tmp_path: Path) -> None:
+    for shape, options, message in (
+        ((10**9,), {}, "would have 8,000,000,000 bytes, and holds 0"),
+        ((-1,), {}, r"has shape \(-1,\)"),
+        ((10**200,), {}, "cannot be read"),
+        ((3,), {"dtype": "|O"}, "no numbers or texts"),
+        ((3,), {"version": b"\x09\0"}, "cannot be read"),
+        ((5 * 10**6,), {"data": bytes(4 * 10**7)}, "next to nothing is stored"),
+        ((3,), {"data": bytes(24)}, "lacks joints, position_target"),
+    ):
+        path = archive(tmp_path / "bad.npz", shape, **options)  # pyright: ignore[reportArgumentType]
+        with pytest.raises(ConfigurationError, match=message):
+            read_recording(path)
+    locked = bytearray(archive(tmp_path / "locked.npz", (3,), data=bytes(24)).read_bytes())
+    locked[6] |= 1  # encrypted, as the archive's flags say, in both places
+    locked[locked.index(b"PK\1\2") + 8] |= 1
+    path.write_bytes(locked)
+    with pytest.raises(ConfigurationError, match="encrypted"):
+        read_recording(path)
+    path.write_bytes(b"PK\5\6" + bytes(5) + b"PK\3\4" + bytes(40))
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        read_recording(path)
+
+
+def test_a_recording_is_held_to_its_budget(recording: Path, tmp_path: Path) -> None:
+    for budget, message in ((ReadBudget(bytes=1000), "--read-bytes"), (ReadBudget(seconds=1e-9), "--read-seconds")):
+        with pytest.raises(ConfigurationError, match=message):
+            read_recording(recording, budget)
+
+
+@pytest.mark.parametrize("name", ["time", "position", "joints"])
+def test_a_recording_in_hdf5_opens_no_other_file(name: str, data: dict[str, np.ndarray], tmp_path: Path) -> None:
+    secret, path = tmp_path / "secret.h5", tmp_path / "a.h5"
+    for link in (h5py.ExternalLink("secret.h5", f"/{name}"), h5py.SoftLink("/velocity"), None):
+        for target in (secret, path):
+            with h5py.File(target, "w") as file:
+                for each, values in data.items():
+                    file[each] = values.astype("S") if each == "joints" else values
+        with h5py.File(path, "r+") as file:
+            del file[name]
+            if link is None:
+                file.create_dataset(name, data[name].shape, "u1", external=[(str(secret), 0, data[name].size)])
+            else:
+                file[name] = link
+        with watched([secret]) as touched, pytest.raises(ConfigurationError):
+            read_recording(path)
+        assert not touched
+
+
+def test_a_recording_in_hdf5_that_unpacks_to_more_than_it_should_is_refused(
+    data: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, values in data.items():
+            if name != "position":
+                file[name] = [str(each) for each in values] if name == "joints" else values
+        file.create_dataset("position", (5000, 100_000), "f8", chunks=(5000, 100), compression="gzip")
+    with pytest.raises(ConfigurationError, match="would be 4 GB, of which next to nothing is stored"):
+        read_recording(tmp_path / "a.h5")
+
+
 def test_what_is_no_archive_is_told_so(tmp_path: Path) -> None:
     path = tmp_path / "text.npz"
     path.write_text("hello")
@@ -225,10 +311,24 @@ def test_what_is_no_archive_is_told_so(tmp_path: Path) -> None:
         read_recording(path)
 
 
-@pytest.mark.parametrize("rate", [0.0, -1.0, math.nan])
+@pytest.mark.parametrize("rate", [0.0, -1.0, math.nan, math.inf, 1e30])
 def test_a_fit_that_would_not_learn_is_refused(rate: float) -> None:
     with pytest.raises(ConfigurationError, match="learning_rate"):
         FitSettings(learning_rate=rate)
+
+
+def test_a_fit_that_cannot_be_judged_or_diverges_is_told(data: dict[str, np.ndarray], tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="more than 64 bits"):
+        FitSettings(seed=10**30)
+    np.savez(tmp_path / "short.npz", **{n: v if n == "joints" else v[:60] for n, v in data.items()})  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ConfigurationError, match=r"60 steps, of which a fifth is held out.*record more than 100"):
+        fit([read_recording(tmp_path / "short.npz")], FitSettings(passes=1))
+    np.savez(tmp_path / "whole.npz", **{n: v if n == "joints" else v[:300] for n, v in data.items()})  # pyright: ignore[reportArgumentType]
+    whole = read_recording(tmp_path / "whole.npz")
+    settings = FitSettings(passes=3)
+    object.__setattr__(settings, "learning_rate", 1e30)
+    with pytest.raises(ConfigurationError, match="the fit diverged in pass"):
+        fit([whole], settings)
 
 
 def test_the_command_writes_a_file_that_a_world_takes(

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -70,7 +71,7 @@ def replaced(file: h5py.File, **options: Any) -> None:
         (lambda file: replaced(file, shape=(3 * 10**9,), dtype="f8", chunks=(10**7,), compression="gzip"), "fill the"),
         (lambda file: replaced(file, shape=(6,), dtype="u1", external=[("/etc/passwd", 0, 6)]), "other files"),
         (lambda file: replaced(file, data=1.0), r"shape \(\)"),
-        (lambda file: file["data/demo_0"].__setitem__("again", file["data"]), "cannot be read"),
+        (lambda file: file["data/demo_0"].__setitem__("again", file["data"]), "by another name"),
         (lambda file: file["data"].__setitem__("demo_9", h5py.SoftLink("/data/demo_0")), "is a link"),
         (lambda file: file.create_dataset("orbit/manifest", data=np.frombuffer(b"[" * 99_999, "u1")), "no manifest"),
     ],
@@ -132,7 +133,7 @@ def info_told(folder: Path, **changes: Any) -> None:
         (lambda folder: rows_told(folder, length=-5), "other episodes than|-5 steps"),
         (lambda folder: (rows_told(folder, length=10**12), (folder / "meta/orbit_episodes.json").unlink()), "steps"),
         (lambda folder: rows_told(folder, length=None), "cannot be read|other episodes"),
-        (lambda folder: rows_told(folder, dataset_from_index=-(10**9)), "cannot be read|has shape"),
+        (lambda folder: rows_told(folder, dataset_from_index=-(10**9)), "begin before the end"),
         (lambda folder: info_told(folder, data_path="{chunk_index:9999999999}"), "no pattern"),
         (lambda folder: info_told(folder, data_path=None), "cannot be read"),
         (lambda folder: (folder / "meta/info.json").write_text("[" * 99_999), "cannot be read"),
@@ -149,13 +150,22 @@ def test_a_folder_that_would_do_harm_is_refused(
         LeRobotDataset(bad).read(0)
 
 
-def test_a_manifest_of_rates_that_cannot_be_is_refused() -> None:
+def test_a_manifest_that_cannot_be_is_refused() -> None:
     made = make("Reach", 1, default_backend())
     document = Manifest.of(made, "Reach", 0).document()
     made.close()
     for name in ("step_dt", "physics_dt", "decimation", "episode_length"):
-        with pytest.raises(ConfigurationError, match=name):
-            Manifest.decode({**document, name: 0}, "it")
+        for value in (0, -1, 10**30, 1e300):
+            with pytest.raises(ConfigurationError, match=f"{name}"):
+                Manifest.decode({**document, name: value}, "it")
+    for name in document:
+        for value in (None, "text", [], {"a": 1}, 5):
+            with suppress(ConfigurationError):
+                Manifest.decode({**document, name: value}, "it")
+    wrong: tuple[Any, ...] = (None, 5, 1.5, True, [1], b"\xff", "[" * 99_999, b" " * 5_000_000)
+    for value in wrong:
+        with pytest.raises(ConfigurationError, match="it holds"):
+            Manifest.decode(value, "it")
 
 
 @pytest.mark.parametrize(

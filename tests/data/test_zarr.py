@@ -59,7 +59,7 @@ def test_what_would_run_code_or_fill_the_memory_is_refused(tmp_path: Path) -> No
         ZarrDataset(pickled)
     objects = write(tmp_path / "objects.zarr", 2)
     changed(objects / "data/action/.zarray", dtype="|O")
-    with pytest.raises(ConfigurationError, match="the codec 'objects'"):
+    with pytest.raises(ConfigurationError, match=r"holds \|O, which is not read"):
         ZarrDataset(objects)
     newer = write(tmp_path / "newer.zarr")
     changed(newer / "data/action/zarr.json", codecs=[{"name": "numcodecs.pickle", "configuration": {}}])

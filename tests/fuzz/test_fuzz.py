@@ -12,6 +12,7 @@ from tests.fuzz.run import fuzz
 
 CALLS = 120
 FILES = 300
+DATA_FILES = 60
 SECONDS_PER_CALL = 2.0
 
 
@@ -28,4 +29,9 @@ def test_bad_calls_are_refused_and_leave_the_rest_usable(backend: str, request: 
 
 def test_spoilt_files_are_refused_in_our_words_or_read_soundly() -> None:
     failures = [outcome for outcome in fuzz(FILES) if outcome.verdict == "failed"]
+    assert not failures, "\n".join(f"{failure.number}: {failure.why}" for failure in failures)
+
+
+def test_spoilt_datasets_policies_and_recordings_are_refused_in_our_words_or_read_soundly() -> None:
+    failures = [outcome for outcome in fuzz(DATA_FILES, kind="data") if outcome.verdict == "failed"]
     assert not failures, "\n".join(f"{failure.number}: {failure.why}" for failure in failures)

@@ -268,9 +268,10 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path: Path) -> None:
     learn(trainer("sb3", environment, tmp_path), 1)
     with pytest.raises(ConfigurationError, match="checkpoint of library 'sb3', not of 'skrl'"):
         learn(trainer("skrl", environment, tmp_path), 2, resume=True)
-    (tmp_path / "curve.jsonl").write_text("nothing\n")
-    with pytest.raises(ConfigurationError, match="is no curve of a training"):
-        learn(trainer("sb3", environment, tmp_path), 2, resume=True)
+    for line in ('{"iteration": 0}', '{"iteration": 0, "env_steps": "x", "seconds": 1}', "[1]", "nothing"):
+        (tmp_path / "curve.jsonl").write_text(f"{line}\n")
+        with pytest.raises(ConfigurationError, match="is no curve of a training"):
+            learn(trainer("sb3", environment, tmp_path), 2, resume=True)
     other = replace(SHORT, hidden_sizes=(32,))
     with pytest.raises(ConfigurationError, match="does not fit this training"):
         learn(trainer("sb3", environment, tmp_path, other), 2, resume=True)

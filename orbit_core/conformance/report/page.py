@@ -19,7 +19,7 @@ from orbit_core.conformance.report.robots import RobotSection, robot_section
 from orbit_core.conformance.results import REPORT, PolicyInfo, Record, Result, ScenarioInfo, load
 from orbit_core.conformance.tolerances import loose_tolerances
 from orbit_core.conformance.verdict import Status
-from orbit_core.files import written_whole
+from orbit_core.files import as_path, written_whole
 from orbit_core.interfaces.matter import NATIVE
 from orbit_core.rollout.estimates import Estimate
 
@@ -144,13 +144,14 @@ class Page:
     """Jobs that crashed, hung or raised, at any time step."""
 
 
-def write_report(folder: Path) -> Path:
+def write_report(folder: Path | str) -> Path:
     """Make the report of a finished run from its folder; the file.
 
     Raises:
         AssetError: the folder holds no result.
         StorageError: it cannot be written.
     """
+    folder = as_path(folder)
     page = render(page_of(load(folder), folder))
     with written_whole(folder / REPORT) as path:
         path.write_text(page)

@@ -1,0 +1,71 @@
+"""Limits on what a policy computes for an action, found out before it is computed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any, Protocol, runtime_checkable
+
+from torch import Tensor, nn
+
+_MOST_NUMBERS = 2**26
+"""Most numbers of one environment between observation and action, all layers together."""
+_MOST_OPERATIONS = 2**35
+"""Most multiplications for an action of one environment; kept policies of pictures take a thousandth."""
+
+
+@runtime_checkable
+class Watched(Protocol):
+    """A module that reports the shape of each of its results, and the multiplications that a number of it takes."""
+
+    watch: Callable[[Sequence[int], int], None] | None
+
+
+@contextmanager
+def limited(module: nn.Module) -> Iterator[None]:
+    """Stop a module before it computes more than any robot's policy does.
+
+    Args:
+        module: convolutions and linear layers, or :class:`Watched`.
+
+    Raises:
+        RuntimeError: it would take too much; says what.
+    """
+    numbers = operations = 0
+
+    def add(shape: Sequence[int], depth: int) -> None:
+        nonlocal numbers, operations
+        size = 1
+        for extent in shape[1:]:
+            size *= extent
+        numbers, operations = numbers + size, operations + size * depth
+        if numbers > _MOST_NUMBERS:
+            raise RuntimeError(f"it has more than {_MOST_NUMBERS:,} numbers between observation and action")
+        if operations > _MOST_OPERATIONS:
+            raise RuntimeError(f"it takes more than {_MOST_OPERATIONS:,} multiplications an action")
+
+    def before(layer: nn.Conv2d, inputs: tuple[Any, ...]) -> None:
+        (picture,) = inputs
+        sides = zip(picture.shape[2:], layer.kernel_size, layer.stride, layer.padding, strict=True)
+        shape = [(side + 2 * int(padding) - kernel) // stride + 1 for side, kernel, stride, padding in sides]
+        add((len(picture), layer.out_channels, *shape), layer.weight[0].numel())
+
+    with ExitStack() as stack:
+        if isinstance(module, Watched):
+            module.watch = add
+            stack.callback(setattr, module, "watch", None)
+        for layer in module.modules():
+            if isinstance(layer, nn.Conv2d):
+                stack.callback(layer.register_forward_pre_hook(before).remove)
+        yield
+
+
+def depth_of(product: bool, first: Tensor | None, transposed: bool) -> int:
+    """Return how many multiplications each number of a result takes.
+
+    Args:
+        product: whether it is a product of matrices.
+        first: the first factor.
+        transposed: whether that is transposed.
+    """
+    return first.shape[0 if transposed else -1] if product and first is not None and first.dim() else 1

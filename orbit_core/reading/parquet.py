@@ -1,0 +1,162 @@
+"""Columns of numbers of a Parquet file, read within a budget.
+
+The library unpacks each page to as many bytes as the page's own header says, whatever the rest of the file says of it.
+So these headers, of Thrift's compact protocol (https://parquet.apache.org/docs/file-format/), are read first.
+"""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.reading.budget import ReadAccount
+
+_SIZES = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8}
+"""Bytes of a number of each type; columns of others, such as texts, are not read."""
+_DEEPEST = 8
+"""Structures of a page's header within each other."""
+_MOST_COLUMNS = 10_000
+
+
+def read_columns(path: Path, wanted: Callable[[str], bool], account: ReadAccount) -> Any:
+    """Return a table of those columns that hold numbers, or lists of numbers.
+
+    Args:
+        path: of the file.
+        wanted: says of a column's name whether it is read.
+        account: that bytes are counted on.
+
+    Raises:
+        ConfigurationError: pyarrow is not installed, or the budget does not allow so many.
+    """
+    arrow, parquet = arrow_modules()
+    with parquet.ParquetFile(path) as file:
+        told, schema = file.metadata, file.schema_arrow
+        if told.num_columns > _MOST_COLUMNS:
+            raise ConfigurationError(f"{path} has {told.num_columns:,} columns, more than {_MOST_COLUMNS:,}")
+        names = [field.name for field in schema if wanted(field.name) and _is_numeric(arrow, field.type)]
+        with path.open("rb") as raw, mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            for number in range(told.num_row_groups):
+                group = told.row_group(number)
+                for column in map(group.column, range(told.num_columns)):
+                    account.check_time()
+                    if column.path_in_schema.split(".")[0] in {name.split(".")[0] for name in names}:
+                        _check_column(data, column, path.name, account)
+        return file.read(columns=names, use_threads=False)
+
+
+def arrow_modules() -> tuple[Any, Any]:
+    """Return pyarrow and its module for Parquet.
+
+    Raises:
+        ConfigurationError: it is not installed.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise ConfigurationError("LeRobot datasets need pyarrow: pip install 'orbit-core[lerobot]'") from error
+    return pyarrow, pyarrow.parquet
+
+
+def _is_numeric(arrow: Any, kind: Any) -> bool:
+    types = arrow.types
+    if types.is_list(kind) or types.is_fixed_size_list(kind) or types.is_large_list(kind):
+        kind = kind.value_type
+    return types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind)
+
+
+def _check_column(data: mmap.mmap, column: Any, where: str, account: ReadAccount) -> None:
+    """Count what a column of a row group takes: its values, and the largest of its pages."""
+    name = f"{column.path_in_schema} of {where}"
+    size = _SIZES.get(column.physical_type)
+    if size is None:
+        return
+    values, largest = 0, 0
+    for page in _pages(data, column):
+        account.check_time()
+        values += page.values
+        largest = max(largest, page.unpacked)
+    if values < column.num_values:
+        raise ValueError(f"{name} would have {column.num_values:,} values, and its pages have {values:,}")
+    account.take(name, size * values, column.total_compressed_size)
+    account.take(f"a page of {name}", largest, column.total_compressed_size)
+
+
+class _Page:
+    """Sizes that a page's header gives."""
+
+    def __init__(self, header: dict[int, Any]) -> None:
+        self.unpacked, self.packed = int(header[2]), int(header[3])
+        details = next((header[field] for field in (5, 7, 8) if field in header), {})
+        self.values = int(details.get(1, 0))
+        if min(self.unpacked, self.packed, self.values) < 0:
+            raise ValueError("a page has a size below zero")
+
+
+def _pages(data: mmap.mmap, column: Any) -> Iterator[_Page]:
+    starts = [column.data_page_offset]
+    if column.has_dictionary_page and column.dictionary_page_offset:
+        starts.append(column.dictionary_page_offset)
+    place = min(starts)
+    end = place + column.total_compressed_size
+    if not 0 <= place <= end <= len(data):
+        raise ValueError("a column lies outside of its file")
+    while place < end:
+        header, place = _structure(data, place, 0)
+        page = _Page(header)
+        yield page
+        place += page.packed
+
+
+def _structure(data: mmap.mmap, place: int, depth: int) -> tuple[dict[int, Any], int]:
+    """The fields of a structure, by number, and the place after it."""
+    if depth > _DEEPEST:
+        raise ValueError("a page's header nests too deeply")
+    found: dict[int, Any] = {}
+    field = 0
+    while (head := data[place]) != 0:
+        place += 1
+        if head >> 4:
+            field += head >> 4
+        else:
+            field, place = _integer(data, place)
+        found[field], place = _value(data, place, head & 15, depth)
+    return found, place + 1
+
+
+def _value(data: mmap.mmap, place: int, kind: int, depth: int) -> tuple[Any, int]:
+    if kind in (1, 2):  # true and false
+        return kind == 1, place
+    if kind == 3:
+        return data[place], place + 1
+    if kind in (4, 5, 6):
+        return _integer(data, place)
+    if kind == 7:
+        return None, place + 8
+    if kind == 8:
+        length, place = _varint(data, place)
+        return None, place + length
+    if kind == 12:
+        return _structure(data, place, depth + 1)
+    raise ValueError(f"a page's header holds a value of kind {kind}")
+
+
+def _integer(data: mmap.mmap, place: int) -> tuple[int, int]:
+    value, place = _varint(data, place)
+    return value >> 1 ^ -(value & 1), place
+
+
+def _varint(data: mmap.mmap, place: int) -> tuple[int, int]:
+    value = shift = 0
+    while True:
+        byte = data[place]
+        value |= (byte & 127) << shift
+        place, shift = place + 1, shift + 7
+        if not byte & 128:
+            return value, place
+        if shift > 63:
+            raise ValueError("a page's header holds a number that is too long")
