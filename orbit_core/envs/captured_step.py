@@ -58,7 +58,10 @@ class CapturedStep:
         def memory() -> dict[str, Tensor]:
             return {**remembered(task, cut), **cut.memory(), **world.memory()}
 
-        return PhasedFunction(StepSchedule(world, cut), lambda: CapturedFunction(world, part, memory, compile))
+        def capture() -> CapturedFunction:
+            return CapturedFunction(world, part, memory, compile, self._look)
+
+        return PhasedFunction(StepSchedule(world, cut), capture)
 
     def __call__(self) -> StepResult:
         """One step; the first makes all parts ready, and so does for no environment what resets do."""
