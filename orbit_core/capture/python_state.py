@@ -14,7 +14,7 @@ import sys
 import types
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import chain
 from typing import Any, Final
@@ -30,7 +30,9 @@ _OWN: Final = "orbit_core"
 _OTHERS: Final = frozenset({_OWN, "torch", "numpy", "builtins"} | sys.stdlib_module_names) - {"__main__"}
 """Packages whose code is not searched: it keeps no state of a task."""
 _LEAVES: Final = (bool, int, float, complex, str, bytes, Tensor, Enum, type, types.ModuleType, torch.dtype, torch.device)
+_CONTENTS: Final = operator.attrgetter("cell_contents")
 _ABSENT: Final = object()
+REMEDY: Final = "keep it in a tensor that is written in place, or give capture=False (--no-capture)"
 _SET_UP: Final = frozenset({"__init__", "__post_init__", "start"})
 """Functions that set values up, so that they are not the place where a step changes them."""
 
@@ -38,16 +40,50 @@ Change = tuple["Holder", Any]
 
 
 class Values:
-    """The values in some dictionaries and lists, compared by identity in a few microseconds."""
+    """Values that are compared by identity in a few microseconds, without a loop of Python.
 
-    def __init__(self, holders: Iterable[Any]) -> None:
-        self._views = [holder if isinstance(holder, list) else holder.values() for holder in holders]
-        self._known = list(chain.from_iterable(self._views))
+    Args:
+        whole: dictionaries and lists, all of whose values count.
+        places: dictionaries with a key each, whose value there counts.
+        cells: closure cells.
+    """
+
+    def __init__(
+        self,
+        whole: Iterable[Any],
+        places: Iterable[tuple[Any, str]] = (),
+        cells: Iterable[types.CellType] = (),
+    ) -> None:
+        self._views = [holder if isinstance(holder, list) else holder.values() for holder in whole]
+        self._mappings, self._keys = [each[0] for each in places], [each[1] for each in places]
+        self._cells = list(cells)
+        self._count = sum(map(len, self._views))
+        self._known = list(self._now())
 
     def unchanged(self) -> bool:
         """Return True if every value is the very object that it was."""
-        same = all(map(operator.is_, chain.from_iterable(self._views), self._known))
-        return same and sum(map(len, self._views)) == len(self._known)
+        try:
+            same = all(map(operator.is_, self._now(), self._known))
+        except (KeyError, ValueError):  # a variable was deleted
+            return False
+        return same and sum(map(len, self._views)) == self._count
+
+    def _now(self) -> Iterator[Any]:
+        return chain(
+            map(operator.getitem, self._mappings, self._keys), map(_CONTENTS, self._cells), chain.from_iterable(self._views)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Global:
+    """A module's variable that a function reads or writes."""
+
+    variables: dict[str, Any]
+    name: str
+
+
+_COMPARED_AT_ONCE: Final = (dict, list, types.MappingProxyType, types.CellType, _Global)
+"""Holders that :class:`Values` compares."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +137,23 @@ class PythonState:
         self._functions: dict[int, types.FunctionType] = {}
         self._seen: dict[int, object] = {}
         self._waiting: deque[tuple[str, object]] = deque(roots.items())
-        self._skipped = {id(vars(root).get(name)) for root in roots.values() for name in skipped}
+        self._skipped = {id(getattr(root, name)) for root in roots.values() for name in skipped if hasattr(root, name)}
         while self._waiting:
             self._visit(*self._waiting.popleft())
-        self._plain = Values([h.live for h in self._holders if _is_viewed(h.live)])
-        self._others = [h for h in self._holders if not _is_viewed(h.live)]
+        self._sort()
+
+    def update(self) -> None:
+        """Take the values as they are now."""
+        self._holders = [replace(holder, known=_content(holder.live)) for holder in self._holders]
+        self._sort()
+
+    def _sort(self) -> None:
+        live = [holder.live for holder in self._holders]
+        variables = [(each.variables, each.name) for each in live if isinstance(each, _Global)]
+        of_classes = [(each, name) for each in live if isinstance(each, types.MappingProxyType) for name in _data(each)]
+        cells = [each for each in live if isinstance(each, types.CellType) and _is_filled(each)]
+        self._plain = Values([each for each in live if isinstance(each, dict | list)], variables + of_classes, cells)
+        self._others = [holder for holder in self._holders if not isinstance(holder.live, _COMPARED_AT_ONCE)]
 
     def unchanged(self) -> bool:
         """Return True if every value is the very object that it was. Cheap enough for each step: some microseconds."""
@@ -129,6 +177,8 @@ class PythonState:
             self._visit_function(path, value)
         elif isinstance(value, types.MethodType):
             self._wait((path, value.__self__), (path, value.__func__))
+        elif isinstance(value, types.BuiltinMethodType):
+            self._wait((path, value.__self__))
         elif isinstance(value, functools.partial):
             self._wait((path, value.func), *_elements(path, value.args), *_elements(path, value.keywords))
         elif isinstance(value, tuple | frozenset):
@@ -155,18 +205,25 @@ class PythonState:
             if _package(kind) not in _OTHERS and id(kind) not in self._seen:
                 self._seen[id(kind)] = kind
                 self._hold(kind.__name__, vars(kind), kind)
-                self._wait(*((f"{kind.__name__}.{name}", _plain(each)) for name, each in vars(kind).items()))
+                for name, each in vars(kind).items():
+                    if not (_is_special(name) or isinstance(each, self._configuration)):  # a default is never written
+                        self._wait((f"{kind.__name__}.{name}", _plain(each)))
 
     def _visit_function(self, path: str, function: types.FunctionType) -> None:
         """Hold what a function closes over, its attributes, and the globals that it names."""
         for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
             where = f"{path}, variable '{name}'"
-            if _package(function) not in _OTHERS:
+            if _package(function) not in _OTHERS and name != "__class__":
                 self._hold(f"{path}.{name}", cell)
             self._wait((where, _content(cell)))
-        self._wait((path, function.__dict__), (path, function.__defaults__), (path, function.__kwdefaults__))
+        defaults = function.__defaults__ or ()
+        named = dict(zip(function.__code__.co_varnames[function.__code__.co_argcount - len(defaults) :], defaults))
+        named |= function.__kwdefaults__ or {}
+        self._wait(*((f"{path}.{name}", value) for name, value in named.items()))
         if _package(function) in _OTHERS:
             return
+        self._hold(path, function.__dict__, function)
+        self._wait(*_elements(path, function.__dict__))
         self._functions[id(function)] = function
         names = [name for code in _codes(function.__code__) for name in code.co_names if name in function.__globals__]
         for name in dict.fromkeys(names):
@@ -174,8 +231,10 @@ class PythonState:
             where = f"{function.__module__}.{name}"
             if not isinstance(value, types.ModuleType | type | types.FunctionType):
                 self._hold(where, _Global(function.__globals__, name))
-            elif isinstance(value, types.ModuleType) and value in (random, np.random):
+            elif value is random:
                 self._hold(where, value)
+            elif value is np.random or (value is np and "random" in names):
+                self._hold(where, np.random)
             self._wait((where, value))
 
     def _hold(self, path: str, live: Any, owner: object = None) -> None:
@@ -183,14 +242,6 @@ class PythonState:
 
     def _wait(self, *objects: tuple[str, object]) -> None:
         self._waiting.extend(objects)
-
-
-@dataclass(frozen=True, eq=False)
-class _Global:
-    """A module's variable that a function reads or writes."""
-
-    variables: dict[str, Any]
-    name: str
 
 
 def frozen_by_trace(before: PythonState) -> tuple[str, bool]:
@@ -204,14 +255,17 @@ def frozen_by_trace(before: PythonState) -> tuple[str, bool]:
     for holder, key in changes:
         known = holder.known.get(key) if isinstance(holder.known, dict) else holder.known
         if known is not None:
-            return f"{before.describe((holder, key))} changes in Python, which a captured step would freeze", False
+            what = before.describe((holder, key))
+            return f"{what} changes in Python, which a captured step would freeze: {REMEDY}", False
     return "", bool(changes)
 
 
 def _content(live: Any) -> Any:
     """Return a copy of what a holder holds now."""
-    if isinstance(live, dict | types.MappingProxyType):
+    if isinstance(live, dict):
         return dict(live)
+    if isinstance(live, types.MappingProxyType):
+        return _data(live)
     if isinstance(live, types.CellType):
         return live.cell_contents if _is_filled(live) else None
     if isinstance(live, _Global):
@@ -248,8 +302,14 @@ def _same(known: Any, now: Any) -> bool:
     return isinstance(known, int | float | str | bytes | complex | set | frozenset) and known == now
 
 
-def _is_viewed(live: Any) -> bool:
-    return isinstance(live, dict | list | types.MappingProxyType)
+def _data(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a class's attributes without its methods."""
+    return {n: v for n, v in attributes.items() if not (_is_special(n) or callable(v) or hasattr(v, "__get__"))}
+
+
+def _is_special(name: str) -> bool:
+    """Return True for what Python or dataclasses write into a class."""
+    return name.startswith("_abc_") or (name.startswith("__") and name.endswith("__") and name != "__call__")
 
 
 def _elements(path: str, collection: Any) -> Iterable[tuple[str, object]]:
@@ -266,7 +326,10 @@ def _plain(member: Any) -> Any:
 
 
 def _package(thing: Any) -> str:
-    return (getattr(thing, "__module__", None) or "builtins").partition(".")[0]
+    """Return the name of the package that a class or function was written in."""
+    code = isinstance(thing, types.FunctionType)  # a wrapper bears the module of what it wraps
+    module = thing.__globals__.get("__name__") if code else getattr(thing, "__module__", None)
+    return (module or "builtins").partition(".")[0]
 
 
 def _codes(code: types.CodeType) -> Iterator[types.CodeType]:

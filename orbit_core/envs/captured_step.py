@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import warnings
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -13,13 +15,16 @@ from torch.utils._pytree import keystr, tree_leaves_with_path
 from orbit_core.agent import Cut
 from orbit_core.capture.compile import check_compiler
 from orbit_core.capture.phases import Moment, PhasedFunction
+from orbit_core.capture.python_state import REMEDY, Holder, PythonState
 from orbit_core.capture.replay import CapturedFunction
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.observation_layout import Observation, leaves_of, observation_of
 from orbit_core.envs.step_parts import StepParts
 from orbit_core.envs.task import Task
+from orbit_core.envs.terms import ObservationGroup, RewardTerm, Term
 from orbit_core.interfaces import World
 
+_OFTEN = 8
 MOST_PHASES = 64
 """Most phases of a schedule that is captured: each costs a trace, and where asked a compilation."""
 StepResult = tuple[Observation, Tensor, Tensor, Tensor, Mapping[str, EpisodeEnd]]
@@ -48,6 +53,11 @@ class CapturedStep:
         self._leaves = len(self._observed)
         self._metrics: tuple[str, ...] = ()
         self._settles = settles
+        self._python: PythonState | None = None
+        """Python values that the captured parts took as they were; None before the first capture."""
+        self._captures: deque[int] = deque(maxlen=_OFTEN)
+        """Steps at which such values had changed."""
+        self._steps = 0
         self._ended = environment.done.numpy() if environment.device.type == "cpu" else environment.done
         parts = (self._play,) if settles else (self._play_and_renew,) if whole else (self._play, self._renew)
         self.parts = [self._phased(part, compile) for part in parts]
@@ -65,9 +75,12 @@ class CapturedStep:
 
     def __call__(self) -> StepResult:
         """One step; the first makes all parts ready, and so does for no environment what resets do."""
+        self._check_python()
         if not self.parts[0].ready:
             self._environment.cut.observe()  # in Python, acting demands it
         outputs = self.parts[0]()
+        if self._python is None:
+            self._python = self._look()
         ready = self._settles or (len(self.parts) > 1 and self.parts[1].ready)
         running = ready and not self._ended.any()
         copies = [output.clone() for output in (outputs[: self._leaves + 3] if running else outputs)]
@@ -81,6 +94,34 @@ class CapturedStep:
             end += seen
             seen = [output.clone() for output in self.parts[1]()]
         return self._tree(seen), reward, terminated, truncated, self._info(end)
+
+    def _check_python(self) -> None:
+        """Capture all parts again where a value of plain Python was changed between two steps."""
+        self._steps += 1
+        if self._python is None or self._python.unchanged():
+            return
+        changes = [change for change in self._python.changes() if not _is_weight(*change)]
+        if not changes:
+            self._python.update()
+            return
+        changed, self._python = self._python.describe(changes[0]), None
+        for part in self.parts:
+            part.forget()
+        self._captures.append(self._steps)
+        if len(self._captures) == _OFTEN and self._captures[-1] - self._captures[0] < 10 * _OFTEN:
+            self._captures.clear()
+            warnings.warn(
+                f"{changed} changes between steps, {_OFTEN} times of late, and each time the step is captured again, "
+                f"which is slow: {REMEDY}",
+                RuntimeWarning,
+                stacklevel=5,
+            )
+
+    def _look(self) -> PythonState:
+        task, cut = self._environment.task, self._environment.cut
+        nodes = {f"node '{runner.node.name}'": runner.node for runner in cut.graph.runners}
+        roots = {type(task).__name__: task, **nodes}
+        return PythonState(roots, (Term, ObservationGroup), skipped=frozenset({"cache"}))
 
     @property
     def refusal(self) -> str:
@@ -138,6 +179,10 @@ class CapturedStep:
         """What :meth:`_play` gives with the new observation in the place of the last, which comes at the end."""
         played = self._play()
         return (*self._renew(), *played[self._leaves :], *played[: self._leaves])
+
+
+def _is_weight(holder: Holder, key: object) -> bool:
+    return isinstance(holder.owner, RewardTerm) and key == "weight"  # a tensor of the reward manager's holds it
 
 
 def _where(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:

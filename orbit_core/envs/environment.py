@@ -29,6 +29,7 @@ from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.event_manager import EventManager
 from orbit_core.envs.expert_starts import ExpertStarts
+from orbit_core.envs.live_configuration import ConfigurationWatch, Modifiers
 from orbit_core.envs.lost_episodes import LostEpisodes
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
 from orbit_core.envs.observation_check import check_finite as check_observation
@@ -37,7 +38,7 @@ from orbit_core.envs.observation_layout import Observation, leaf_shapes, leaves_
 from orbit_core.envs.observation_manager import ObservationManager
 from orbit_core.envs.premises import PremiseManager
 from orbit_core.envs.reward_manager import RewardManager
-from orbit_core.envs.settings_check import check_no_backend, curriculum_of, whole_steps
+from orbit_core.envs.settings_check import check_no_backend, curriculum_of, modifiers_of, whole_steps
 from orbit_core.envs.task import Task
 from orbit_core.envs.term_values import per_environment
 from orbit_core.envs.terms import TerminationTerm, terms_of
@@ -71,6 +72,8 @@ class Environment:
         matter_settings: of the matter solver, by field name.
         reset_diverged: whether an environment that diverges begins a new episode (:class:`LostEpisodes`), rather than
             that the step raises.
+        capture: whether a step on a GPU is captured once and repeated without its Python. Without, a task's terms may
+            count and decide in plain Python, and each step waits for the device. On a CPU only ``compile`` captures.
 
     Raises:
         ConfigurationError: among others, nothing compiles here, or the task's step cannot be compiled.
@@ -95,6 +98,7 @@ class Environment:
         matter: str | None = None,
         matter_settings: Mapping[str, Any] | None = None,
         reset_diverged: bool = False,
+        capture: bool = True,
     ) -> None:
         if not isinstance(task, Task):
             raise ConfigurationError(f"an environment needs a Task, not a {type(task).__name__}: orbit_core.envs.make")
@@ -125,6 +129,9 @@ class Environment:
         self.reward_terms, self.reward_sums = self._rewards.terms, self._rewards.sums
         self.termination_terms = terms_of(task.terminations, TerminationTerm)
         self._curriculum = curriculum_of(task)
+        self._modifiers = Modifiers(task, modifiers_of(task))
+        self.steps = 0
+        """Steps made since the environment was made."""
         self.all_ids = torch.arange(num_envs, device=self.device)
         self.done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         """(N,) whose episode ended in the last step."""
@@ -147,13 +154,16 @@ class Environment:
         self.multi_agent = MultiAgentView(task, self.observation[POLICY], self.step_dt) if several else None
         """Whose each part of observation, action and reward is, where several robots act."""
         self.cut = self._build_agent()
-        self._compile = compile
+        if compile and not capture:
+            raise ConfigurationError("compile=True needs the step to be captured: leave capture=False out, or compile")
+        self._compile, self._capture = compile, capture
         self._started = False
         """Whether a step was made, and with it all that is made at first use: a trace would make it anew each time."""
         self.premises = PremiseManager(self.world, task, simulated=world is None)
         """What the task takes for granted of an episode's start, and how often it does not hold."""
         self.starts = ExpertStarts(self.world, task) if task.expert_starts else None
         """Which episodes begin on the expert's way, where the task asks for such."""
+        self._watch = ConfigurationWatch(task)
         self._closed = self._close_step()
         self._events = EventManager(self.world, task, self.step_dt, lambda: remembered(task, self.cut))
         self._events.startup()
@@ -213,6 +223,10 @@ class Environment:
 
     def _step(self, action: Tensor) -> StepResult:
         torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
+        self._modifiers.run(self.steps)
+        if self._watch.changed():
+            self._refresh()
+        self.steps += 1
         if self._closed is not None and self._started:
             return self._step_closed(self._closed)
         self._started = True
@@ -260,6 +274,19 @@ class Environment:
         edges += self.actions.edges("policy.action")
         return Cut(AgentGraph(nodes, edges, rate=1.0 / self.step_dt), "policy")
 
+    def _refresh(self) -> None:
+        """Take in the terms that the task has now."""
+        check_owners(self.task)
+        self._rewards.refresh()
+        if self.multi_agent is not None:
+            self.multi_agent.refresh()
+        self.termination_terms = terms_of(self.task.terminations, TerminationTerm)
+        self._curriculum = curriculum_of(self.task)
+        self._modifiers = Modifiers(self.task, modifiers_of(self.task))
+        self._events.refresh()
+        self.premises.refresh()
+        self.observer.refresh()
+
     # One step -------------------------------------------------------------------------------------------------------
 
     def _close_step(self) -> CapturedStep | None:
@@ -267,7 +294,7 @@ class Environment:
         reason = needs_python(self.world, self.cut, self.task.decimation)
         if self._compile and reason:
             raise ConfigurationError(f"the step cannot be compiled, for it needs Python each time: {reason}")
-        if reason or (self.device.type == "cpu" and not self._compile):
+        if reason or not self._capture or (self.device.type == "cpu" and not self._compile):
             return None
         return CapturedStep(self, self._compile, self.device.type != "cpu", settles=self.premises.settle_steps > 0)
 

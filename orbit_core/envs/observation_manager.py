@@ -35,13 +35,39 @@ class ObservationManager:
     def __init__(self, world: World, task: Task) -> None:
         self._world = world
         self._task = task
+        self._read()
+        self.layouts = {name: group.layout for name, group in self._groups.items()}
+        """What each group is like, by name."""
+
+    def _read(self) -> None:
         self._measurements: list[_Measurement] = []
         self._corruptions: list[tuple[int, Corruption]] = []
         """Corruptions of terms, each with the index of the measurement that it changes."""
         self._corrupted: list[ObservationTerm] = []
-        self._groups = {name: self._group(name, group) for name, group in groups_of(task).items()}
-        self.layouts = {name: group.layout for name, group in self._groups.items()}
-        """What each group is like, by name."""
+        self._groups = {name: self._group(name, group) for name, group in groups_of(self._task).items()}
+
+    def refresh(self) -> None:
+        """Take the terms that the task has now: function, scale, noise and bias may be others.
+
+        Raises:
+            ConfigurationError: a term is missing or new, or its shape, dtype, bounds, history or delay is another.
+        """
+        groups, corruptions = self._groups, self._corruptions
+        self._read()
+        now = {name: group.layout for name, group in self._groups.items()}
+        if now != self.layouts:
+            name = next(name for name in {**now, **self.layouts} if now.get(name) != self.layouts.get(name))
+            raise ConfigurationError(
+                f"observation group '{name}' has other terms, shapes, dtypes or bounds than when the environment was "
+                "made: change them before"
+            )
+        for name, group in self._groups.items():
+            for term_name, term, old in zip(group.layout.terms, group.terms, groups[name].terms, strict=True):
+                what = f"observation term '{term_name}' of group '{name}'"
+                self._corruptions[term.index][1].take_over(corruptions[old.index][1], what)
+            self._groups[name] = replace(group, terms=tuple(
+                replace(term, past=old.past) for term, old in zip(group.terms, groups[name].terms, strict=True)
+            ))  # fmt: skip
 
     def __call__(self) -> Observation:
         """Everything that is seen now; the tensors are new ones."""
