@@ -49,4 +49,5 @@ def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverge
     own_matter = assignments(settings.matter_setting, "the matter solver", "setting")
     matter = {"matter": settings.matter, "matter_settings": {**settings.matter_settings, **own_matter}}
     common = (settings.seed, settings.renderer, own, looks, settings.compile, settings.check_finite)
-    return make(entry.name, num_envs, name, device, *common, **matter, reset_diverged=reset_diverged, **fields)
+    own_step = {"reset_diverged": reset_diverged, "capture": settings.capture}
+    return make(entry.name, num_envs, name, device, *common, **matter, **own_step, **fields)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -33,7 +34,8 @@ class EventManager:
         self._all = torch.arange(world.num_envs, device=world.device)
         self._step_dt = step_dt
         self._timers: dict[str, _Timer] = {}
-        self._started = False
+        self._happened: list[EventTerm] | None = None
+        """Copies of the startup's terms, once they have happened."""
         self._read()
 
     def refresh(self) -> None:
@@ -42,9 +44,9 @@ class EventManager:
         Raises:
             ConfigurationError: an event of :attr:`EventTime.STARTUP` is another, or an interval cannot be.
         """
-        before, timers = self._at[EventTime.STARTUP], set(self._timers)
+        timers = set(self._timers)
         self._read()
-        if self._started and before != self._at[EventTime.STARTUP]:
+        if self._happened is not None and self._happened != self._at[EventTime.STARTUP]:
             raise ConfigurationError(
                 "an event of EventTime.STARTUP was changed after it had happened: change it before the environment is "
                 "made, or make it one of EventTime.RESET"
@@ -66,8 +68,8 @@ class EventManager:
 
     def startup(self) -> None:
         """Once, before the first episode."""
-        self._started = True
-        for term in self._at[EventTime.STARTUP]:
+        self._happened = [replace(term) for term in self._at[EventTime.STARTUP]]
+        for term in self._happened:
             term.function(self._world, self._task, self._all)
 
     def reset(self, env_ids: Tensor | None) -> None:

@@ -14,6 +14,14 @@ from orbit_core.envs.terms import ModifyTerm, Term
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 
 _COLLECTIONS = ("rewards", "terminations", "events", "curriculum", "premises", "observations")
+_FIXED = (
+    "robot", "action", "physics_dt", "decimation", "episode_length", "settle_time", "premise_time",
+    "domain_randomization", "curriculum_enabled", "expert_starts",
+)  # fmt: skip
+"""Fields that are read when an environment is made, and never again."""
+
+
+_WATCHED = _COLLECTIONS + _FIXED
 
 
 class ConfigurationWatch:
@@ -21,6 +29,9 @@ class ConfigurationWatch:
 
     Args:
         task: whose collections of terms are watched.
+
+    Raises:
+        ConfigurationError: a field that only counts when the environment is made was set; :meth:`changed` raises it.
     """
 
     def __init__(self, task: Task) -> None:
@@ -30,14 +41,22 @@ class ConfigurationWatch:
 
     def changed(self) -> bool:
         """Return True if something changed since the last call; a few microseconds where nothing did."""
-        same = all(map(operator.is_, map(self._fields, _COLLECTIONS), self._collections)) and self._values.unchanged()
-        if not same:
-            self._look()
-        return not same
+        if all(map(operator.is_, map(self._fields, _WATCHED), self._known)) and self._values.unchanged():
+            return False
+        before = dict(zip(_WATCHED, self._known, strict=True))
+        for name in _FIXED:
+            if (now := self._fields(name)) != before[name]:
+                raise ConfigurationError(
+                    f"field '{name}' of task {type(self._task).__name__} was set to {now!r}, but is read only when an "
+                    "environment is made: make another one"
+                )
+        self._look()
+        return True
 
     def _look(self) -> None:
-        self._collections = [self._fields(name) for name in _COLLECTIONS]
-        holders = [value for value in (*self._collections, *groups_of(self._task).values()) if value is not None]
+        self._known = [self._fields(name) for name in _WATCHED]
+        collections = [self._fields(name) for name in _COLLECTIONS]
+        holders = [value for value in (*collections, *groups_of(self._task).values()) if value is not None]
         terms = [term for holder in holders for term in vars(holder).values() if isinstance(term, Term)]
         self._values = Values(vars(each) for each in (*holders, *terms))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -25,7 +27,7 @@ class Corruption:
     """
 
     def __init__(self, term: ObservationTerm, value: Tensor, world: World, what: str) -> None:
-        self._term = term
+        self._term = term = replace(term)  # as it is now: it may be set later
         self._world = world
         noisy = bool(term.noise_std or term.bias_std)
         if (noisy or term.scale != 1.0) and not value.is_floating_point():

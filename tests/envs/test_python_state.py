@@ -255,7 +255,7 @@ def test_what_changes_between_all_steps_is_named() -> None:
     environment = captured(Counting(rewards=One(RewardTerm(lambda world, task: torch.zeros(2), 1.0))))
     environment.task.advance = lambda world: None
     with pytest.warns(RuntimeWarning, match=r"Counting\.limit.*changes between steps, 8 times"):
-        for number in range(20):
+        for number in range(10):
             environment.task.limit = float(number)
             rewards_of(environment, 1)
     environment.close()
