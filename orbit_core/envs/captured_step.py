@@ -23,6 +23,7 @@ from orbit_core.envs.step_parts import StepParts
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import ObservationGroup, RewardTerm, Term
 from orbit_core.interfaces import World
+from orbit_core.world.world import SimulatedWorld
 
 _OFTEN = 8
 MOST_PHASES = 64
@@ -120,7 +121,9 @@ class CapturedStep:
     def _look(self) -> PythonState:
         task, cut = self._environment.task, self._environment.cut
         nodes = {f"node '{runner.node.name}'": runner.node for runner in cut.graph.runners}
-        roots = {type(task).__name__: task, **nodes}
+        world = self._environment.world
+        laws = {**world.actuators.models, **world.active.laws} if isinstance(world, SimulatedWorld) else {}
+        roots = {type(task).__name__: task, **nodes, **laws}
         return PythonState(roots, (Term, ObservationGroup), skipped=frozenset({"cache"}))
 
     @property

@@ -103,7 +103,7 @@ class ObservationManager:
 
     def _corruption(self, term: ObservationTerm, what: str) -> int:
         """Index of the term's corruption, which an equal term may have brought already."""
-        alike = replace(term, history=None, sensors=())
+        alike = replace(term, history=None, sensors=(), camera=None)
         if alike in self._corrupted:
             return self._corrupted.index(alike)
         measurement = self._measurement(term, what)
@@ -206,7 +206,7 @@ def _layout(term: ObservationTerm, value: Tensor, steps: int, concatenated: bool
     shape = tuple(value.shape[1:])
     if concatenated:
         return TermLayout((steps * value[0].numel(),), torch.float32, low, high)
-    return TermLayout((steps, *shape) if steps > 1 else shape, value.dtype, low, high)
+    return TermLayout((steps, *shape) if steps > 1 else shape, value.dtype, low, high, term.camera)
 
 
 def _bounds(dtype: torch.dtype) -> tuple[float, float]:

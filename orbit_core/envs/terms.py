@@ -69,6 +69,8 @@ class ObservationTerm(Term):
     """What the function reads that the scene need not have by itself, such as a camera: added to the scene."""
     bounds: tuple[float, float] | None = None
     """Least and most that the term shows, where noise and bias saturate; None takes the dtype's."""
+    camera: str | None = None
+    """Name of the camera whose picture the term is: a network takes pictures of one camera as channels of one input."""
     unit: str | None = None
     """Unit of the value before it is scaled, for whoever reads it elsewhere; None takes the function's
     (:func:`measured_in`)."""

@@ -33,7 +33,7 @@ def camera_depth(camera: CameraSpec) -> ObservationTerm:
     def depth(world: World, task: Task) -> Tensor:
         return _camera(world, camera).image(Channel.DEPTH).clamp(0.0, camera.far)
 
-    return ObservationTerm(depth, sensors=(camera,), bounds=(0.0, camera.far), unit="m")
+    return ObservationTerm(depth, sensors=(camera,), bounds=(0.0, camera.far), camera=camera.name, unit="m")
 
 
 def camera_segmentation(camera: CameraSpec, channel: Channel = Channel.SEMANTIC) -> ObservationTerm:
@@ -49,7 +49,8 @@ def camera_segmentation(camera: CameraSpec, channel: Channel = Channel.SEMANTIC)
 
 def _picture(camera: CameraSpec, channel: Channel) -> ObservationTerm:
     _check_channel(camera, channel)
-    return ObservationTerm(lambda world, task: _camera(world, camera).image(channel), sensors=(camera,))
+    picture = lambda world, task: _camera(world, camera).image(channel)  # noqa: E731
+    return ObservationTerm(picture, sensors=(camera,), camera=camera.name)
 
 
 def _camera(world: World, camera: CameraSpec) -> CameraSensor:
