@@ -6,10 +6,10 @@ import dataclasses
 import datetime
 import json
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
@@ -18,6 +18,7 @@ from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console
 from orbit_core.cli.parsing import parse_words
 from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.cli.trained import training_record
 from orbit_core.files import storage_faults
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
 from orbit_core.pretrained import policy_fields, policy_path
@@ -94,7 +95,7 @@ def _present(policy: Policy, path: Path) -> Manifest:
     from orbit_core.data.compare import renamed_group
     from orbit_core.data.manifest import Manifest
 
-    learned, training = policy.description, _training(path)
+    learned, training = policy.description, training_record(path)
     installed = learned.backend in backend_names()
     told = {key: value for key in _OF_A_TRAINING if (value := training.get("settings", {}).get(key)) and installed}
     made = EnvironmentSettings(
@@ -120,18 +121,3 @@ def _present(policy: Policy, path: Path) -> Manifest:
     later = f"on {on}, of the environment that the policy fitted on that day{of}"
     return Manifest.decode(dataclasses.replace(manifest, **known, made_later=later).encode(), f"training of {path}")
 
-
-def _training(path: Path) -> Mapping[str, Any]:
-    """What the file beside a policy tells of its training, empty without one."""
-    from orbit_core.learning.training import RECORD
-
-    file = (path if path.is_dir() else path.parent) / RECORD
-    if not file.exists():
-        return {}
-    try:
-        values = json.loads(file.read_bytes())
-        if {"seed", "num_envs", "device"} <= values["settings"].keys() and isinstance(values["versions"], dict):
-            return values
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        pass
-    raise ConfigurationError(f"{file} tells of no training")
