@@ -1,4 +1,7 @@
-"""Actuators at run time: what becomes of joint targets before the engine sees them. Models of one's own: docs/actuators.md."""
+"""Actuators at run time: what becomes of joint targets before the engine sees them.
+
+Models of one's own: docs/actuators.md.
+"""
 
 from orbit_core.actuators.actuators import Actuators, ActuatorState
 from orbit_core.actuators.factory import actuator_models

@@ -21,7 +21,6 @@ from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout
 from orbit_core.interfaces.layout import actuator_of_joint
 from orbit_core.scene import ActuatorConfig, IdealPd
 
-
 _ORDER = (PdModel, DcMotorModel, NetworkModel)
 
 
@@ -130,9 +129,9 @@ class Actuators:
             if joint in explicit:
                 model, index = explicit[joint]
                 if model.gains is None:
+                    name = self._engine.layout.joints[joint].name
                     raise ConfigurationError(
-                        f"joint '{self._engine.layout.joints[joint].name}' is driven by a {type(model).__name__}, which "
-                        "has no gains: leave it out"
+                        f"joint '{name}' is driven by a {type(model).__name__}, which has no gains: leave it out"
                     )
                 for own, values in zip(model.gains, (stiffness, damping), strict=True):
                     write_rows(own[:, index], values[:, column], env_ids)

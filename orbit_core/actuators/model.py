@@ -96,6 +96,5 @@ class ActuatorModel(ABC):
 
     @classmethod
     def shared_by(cls, group: Any) -> Hashable:
-        """Return a key: groups that agree in it share one model. All groups of a class do, unless this is overridden."""
+        """Return a key: groups that agree in it share one model. All groups of a class do unless this is overridden."""
         return None
-

@@ -29,7 +29,20 @@ from orbit_core.interfaces.capture import Watched
 _OWN: Final = "orbit_core"
 _OTHERS: Final = frozenset({_OWN, "torch", "numpy", "builtins"} | sys.stdlib_module_names) - {"__main__"}
 """Packages whose code is not searched: it keeps no state of a task."""
-_LEAVES: Final = (bool, int, float, complex, str, bytes, Tensor, Enum, type, types.ModuleType, torch.dtype, torch.device)
+_LEAVES: Final = (
+    bool,
+    int,
+    float,
+    complex,
+    str,
+    bytes,
+    Tensor,
+    Enum,
+    type,
+    types.ModuleType,
+    torch.dtype,
+    torch.device,
+)
 _CONTENTS: Final = operator.attrgetter("cell_contents")
 _ABSENT: Final = object()
 REMEDY: Final = "keep it in a tensor that is written in place, or give capture=False (--no-capture)"
@@ -70,7 +83,9 @@ class Values:
 
     def _now(self) -> Iterator[Any]:
         return chain(
-            map(operator.getitem, self._mappings, self._keys), map(_CONTENTS, self._cells), chain.from_iterable(self._views)
+            map(operator.getitem, self._mappings, self._keys),
+            map(_CONTENTS, self._cells),
+            chain.from_iterable(self._views),
         )
 
 
@@ -217,7 +232,9 @@ class PythonState:
                 self._hold(f"{path}.{name}", cell)
             self._wait((where, _content(cell)))
         defaults = function.__defaults__ or ()
-        named = dict(zip(function.__code__.co_varnames[function.__code__.co_argcount - len(defaults) :], defaults))
+        named = dict(
+            zip(function.__code__.co_varnames[function.__code__.co_argcount - len(defaults) :], defaults, strict=True)
+        )
         named |= function.__kwdefaults__ or {}
         self._wait(*((f"{path}.{name}", value) for name, value in named.items()))
         if _package(function) in _OTHERS:
@@ -359,4 +376,3 @@ def _places(name: str, function: types.FunctionType) -> Iterator[tuple[int, str,
                 writes = instruction.opname.startswith("STORE")
                 rank = (0 if writes else 1) + (2 if function.__name__ in _SET_UP else 0)
                 yield rank, code.co_filename, line
-

@@ -60,9 +60,12 @@ def main(words: Sequence[str]) -> None:
         except OrbitError as error:
             told = f"the files have none either: {error}"
         warnings.warn(f"{path} holds no manifest of where it was learned: {told}", stacklevel=2)
+    elif not policy.manifest.explains:
+        policy = dataclasses.replace(policy, manifest=_explained(policy, policy.manifest, path))
     with storage_faults(settings.output):
         settings.output.mkdir(parents=True, exist_ok=True)
-        described = json.dumps(policy.description.document()["policy"], indent=2)
+        manifest = {} if policy.manifest is None else {"manifest": policy.manifest.document()}
+        described = json.dumps({**policy.description.document()["policy"], **manifest}, indent=2)
         (settings.output / "policy.json").write_text(described + "\n", encoding="utf-8")
     policy.save(settings.output / "policy.safetensors")
     policy.export_onnx(settings.output / "policy.onnx")
@@ -83,6 +86,27 @@ def _amend(policy: Policy, path: Path) -> None:
     document, tensors = read_tensors(file)
     write_tensors(file, {**document, **manifest_document(_present(policy, path))}, tensors)
     console().print(f"{file} holds the manifest of its environment as it is today", soft_wrap=True)
+
+
+def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
+    """The manifest of a file that is older than what manifests say of their numbers, with that of the environment as it
+    is today, where this has the same joints, home positions and terms; else as it was, with a warning."""
+    from orbit_core.data.compare import Kind, differences
+
+    group = policy.description.group
+    try:
+        present = _present(policy, path)
+        found = differences(recorded, present, [group])
+        wrong = [str(each) for each in found if each.kind is Kind.ERROR or each.path.endswith("home_positions")]
+        if not wrong:
+            return dataclasses.replace(recorded, observations={group: recorded.observations[group]}).explained_by(
+                present
+            )
+        told = "; ".join(wrong)
+    except OrbitError as error:
+        told = str(error)
+    warnings.warn(f"{path} does not say what its numbers mean, nor does its environment today: {told}", stacklevel=3)
+    return recorded
 
 
 def _present(policy: Policy, path: Path) -> Manifest:
@@ -120,4 +144,3 @@ def _present(policy: Policy, path: Path) -> Manifest:
     on = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     later = f"on {on}, of the environment that the policy fitted on that day{of}"
     return Manifest.decode(dataclasses.replace(manifest, **known, made_later=later).encode(), f"training of {path}")
-

@@ -94,7 +94,9 @@ def _fields(record: Mapping[str, Any], task: str) -> tuple[dict[str, Any], list[
         if name in OF_TRAINING_ALONE or (name not in words and name in by_itself and by_itself[name] == value)
     }
     fields = {name: value for name, value in {**table, **words}.items() if name not in alone}
-    lines = [f"{name} = {_told({**table, **words}[name])} left out, for it belongs to training" for name in sorted(alone)]
+    lines = [
+        f"{name} = {_told({**table, **words}[name])} left out, for it belongs to training" for name in sorted(alone)
+    ]
     return fields, lines
 
 

@@ -54,8 +54,8 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 
 __all__ = [
     "CurriculumTerm", "Environment", "EventTerm", "EventTime", "Expert", "ExpertStarts", "ModifyTerm",
-    "ObservationGroup", "ObservationTerm", "Phase", "PpoSettings", "PremiseTerm", "Retry", "RewardTerm", "Task", "TaskEntry",
-    "TaskRegistry", "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
+    "ObservationGroup", "ObservationTerm", "Phase", "PpoSettings", "PremiseTerm", "Retry", "RewardTerm", "Task",
+    "TaskEntry", "TaskRegistry", "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
 ]  # fmt: skip
 
 

@@ -103,7 +103,7 @@ class ObservationManager:
 
     def _corruption(self, term: ObservationTerm, what: str) -> int:
         """Index of the term's corruption, which an equal term may have brought already."""
-        alike = replace(term, history=None, sensors=(), camera=None)
+        alike = replace(term, history=None, sensors=(), camera=None, meaning=None)
         if alike in self._corrupted:
             return self._corrupted.index(alike)
         measurement = self._measurement(term, what)

@@ -103,6 +103,8 @@ class Task(ABC):
     """What turns actions into joint commands, in the order of the action's components."""
     action_slices: Mapping[str, slice] = field(init=False, default_factory=dict)
     """Which components of the action are each agent's."""
+    action_components: tuple[str, ...] = field(init=False, default=())
+    """Name of each component of the action: of its term, then its own."""
     last_action: Tensor = field(init=False)
     """(N, A) the action in effect; zero after a reset."""
     action_before: Tensor = field(init=False)
@@ -110,8 +112,8 @@ class Task(ABC):
     episode_step: Tensor = field(init=False)
     """(N,) int64 steps since reset."""
     difficulty: Tensor = field(init=False)
-    """(N,) in [0, 1], for terms to read. It starts at 0 where the curriculum is enabled and has a :class:`~orbit_core.envs.CurriculumTerm`, and
-    else stays 1; resets do not change it."""
+    """(N,) in [0, 1], for terms to read. It starts at 0 where the curriculum is enabled and has a
+    :class:`~orbit_core.envs.CurriculumTerm`, and else stays 1; resets do not change it."""
     cache: dict[Hashable, tuple[int, Tensor | None]] = field(init=False, default_factory=dict)
 
     def randomize(self) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from enum import Enum
@@ -22,6 +23,20 @@ TermFunction = Callable[..., Tensor]
 """(world, task) -> (N, ...); of a term that names an agent, (world, task, agent) -> (N, ...)"""
 EventFunction = Callable[["World", Any, Tensor], None]
 """(world, task, env_ids)"""
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """Description of a term's numbers, for readers who compute them without ORBIT. It stands in every manifest."""
+
+    formula: str
+    """One sentence: the quantity, before scale, noise, delay and history."""
+    frame: str = ""
+    """Frame that it is expressed in; empty where it has none, as joints have."""
+    components: tuple[str, ...] | Callable[..., Sequence[str]] = ()
+    """Name of each number, or a function of the term's arguments that gives them; empty takes names from the unit."""
+    offset: Callable[..., Tensor] | None = None
+    """Function of the term's arguments: (D,) that has been subtracted from what a sensor measures. None: nothing."""
 
 
 class Term:
@@ -74,6 +89,8 @@ class ObservationTerm(Term):
     unit: str | None = None
     """Unit of the value before it is scaled, for whoever reads it elsewhere; None takes the function's
     (:func:`measured_in`)."""
+    meaning: Meaning | None = None
+    """What the numbers are; None takes the function's (:func:`means`), or the first lines of its docstring."""
 
 
 @dataclass(kw_only=True)
@@ -185,7 +202,9 @@ def terms_of(collection: object, kind: type[_Term]) -> dict[str, _Term]:
         if term is None:
             continue
         if not isinstance(term, kind):
-            raise TypeError(f"{type(collection).__name__}.{field.name} must be a {getattr(kind, '__name__', kind)}, not {term!r}")
+            raise TypeError(
+                f"{type(collection).__name__}.{field.name} must be a {getattr(kind, '__name__', kind)}, not {term!r}"
+            )
         terms[field.name] = term if getattr(term, "agent", None) is None else _for_its_agent(term)
     return terms
 
@@ -197,6 +216,8 @@ def _for_its_agent(term: Any) -> Any:
 
 POSE = "m, quaternion (w, x, y, z)"
 """Unit of a pose (..., 7)."""
+ENVIRONMENT = "environment: axes of the world, origin of the environment"
+"""Frame of what is measured in the world."""
 
 
 def measured_in(unit: str) -> Callable[[_Function], _Function]:
@@ -207,6 +228,34 @@ def measured_in(unit: str) -> Callable[[_Function], _Function]:
         return function
 
     return mark
+
+
+def means(
+    formula: str,
+    frame: str = "",
+    components: tuple[str, ...] | Callable[..., Sequence[str]] = (),
+    offset: Callable[..., Tensor] | None = None,
+) -> Callable[[_Function], _Function]:
+    """Say what a term's function measures, :class:`Meaning`."""
+    meaning = Meaning(formula, frame, components, offset)
+
+    def mark(function: _Function) -> _Function:
+        function.meaning = meaning  # pyright: ignore[reportFunctionMemberAccess] - functions take attributes
+        return function
+
+    return mark
+
+
+def meaning_of(term: ObservationTerm) -> Meaning:
+    """Return the meaning of an observation term: its own, its function's, or that of the function's docstring."""
+    known = term.meaning or getattr(term.function, "meaning", None)
+    if known is not None:
+        return known
+    paragraph = (term.function.__doc__ or "").strip().partition("\n\n")[0]
+    return Meaning(_SHAPE.sub("", " ".join(paragraph.split())))
+
+
+_SHAPE = re.compile(r"^\(N[^)]*\)\s*")
 
 
 def unit_of(term: ObservationTerm) -> str:

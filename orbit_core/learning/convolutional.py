@@ -234,8 +234,8 @@ def _picture(part: Part, channels: int) -> Picture:
         return Picture(part.name, channels)
     if part.low is None or part.high is None:
         raise ConfigurationError(
-            f"observation '{part.name}' is a picture of {part.dtype} without bounds: give its term bounds=(least, most), "
-            "which the network scales to 0 and 1, as orbit_core.mdp.images.camera_depth does"
+            f"observation '{part.name}' is a picture of {part.dtype} without bounds: give its term bounds=(least, "
+            "most), which the network scales to 0 and 1, as orbit_core.mdp.images.camera_depth does"
         )
     return Picture(part.name, channels, part.high, part.low)
 

@@ -110,11 +110,9 @@ def test_a_class_that_adds_nothing_has_the_law_of_its_base(pendulums: Pendulums)
     assert engine.efforts[:, 0].tolist() == [1.5, 1.5]
 
 
-def test_what_is_registered_wrongly_is_named(
-    pendulums: Pendulums, registered: Callable[[str, Any], None]
-) -> None:
+def test_what_is_registered_wrongly_is_named(pendulums: Pendulums, registered: Callable[[str, Any], None]) -> None:
     registered("Unknown", dict)
-    with pytest.raises(ConfigurationError, match="this program of group orbit.actuators names .*dict.*ActuatorModel"):
+    with pytest.raises(ConfigurationError, match=r"this program of group orbit\.actuators names .*dict.*ActuatorModel"):
         actuators_of(pendulums((Unknown(joints=("joint_a",)),)))
     registered("Driven", Counting)
     with pytest.raises(ConfigurationError, match="derives from ImplicitPd, which the engine drives"):

@@ -91,7 +91,9 @@ def test_the_hint_plays_what_was_trained(trained: Trained, capsys: pytest.Captur
     folder = trained(set=("episode_length=0.4",))
     last = Progress(0, 64, 1.0, torch.nan, torch.nan)
     table = _table(TrainSettings(task="Reach", set=("curriculum_enabled=true",)), last, folder)
-    (hint,) = [cell for name, cell in zip(*(column._cells for column in table.columns), strict=True) if name == "play it"]
+    (hint,) = [
+        cell for name, cell in zip(*(column._cells for column in table.columns), strict=True) if name == "play it"
+    ]
     assert hint == f"orbit play {folder}"
     main([str(folder), "--num-envs", "1", "--episodes", "1", "--set", "settle_time=0.05"])
     shown = capsys.readouterr().out

@@ -60,12 +60,15 @@ class Curriculum:
     other: Any = None
 
 
+UNIT = Range(0.0, 1.0)
+
+
 @dataclass(kw_only=True)
 class Plain(Reach):
     """Reach with a constant reward."""
 
     rewards: Rewards = field(default_factory=Rewards)
-    reach: Range = Range(0.0, 1.0)
+    reach: Range = UNIT
 
 
 @dataclass

@@ -100,7 +100,7 @@ def drawn_globally(world: World, task: Reach) -> Tensor:
 
 
 def drawn_by_numpy_globally(world: World, task: Reach) -> Tensor:
-    return torch.full((world.num_envs,), np.random.uniform())
+    return torch.full((world.num_envs,), np.random.uniform())  # noqa: NPY002 - what users write
 
 
 def drawn_by_a_function(world: World, task: Reach) -> Tensor:
@@ -254,10 +254,14 @@ def test_what_is_set_between_steps_acts_at_the_next_captured_one() -> None:
 def test_what_changes_between_all_steps_is_named() -> None:
     environment = captured(Counting(rewards=One(RewardTerm(lambda world, task: torch.zeros(2), 1.0))))
     environment.task.advance = lambda world: None
-    with pytest.warns(RuntimeWarning, match=r"Counting\.limit.*changes between steps, 8 times"):
+
+    def change_at_each_step() -> None:
         for number in range(10):
             environment.task.limit = float(number)
             rewards_of(environment, 1)
+
+    with pytest.warns(RuntimeWarning, match=r"Counting\.limit.*changes between steps, 8 times"):
+        change_at_each_step()
     environment.close()
 
 
