@@ -232,9 +232,8 @@ class PythonState:
                 self._hold(f"{path}.{name}", cell)
             self._wait((where, _content(cell)))
         defaults = function.__defaults__ or ()
-        named = dict(
-            zip(function.__code__.co_varnames[function.__code__.co_argcount - len(defaults) :], defaults, strict=True)
-        )
+        arguments = function.__code__.co_varnames[: function.__code__.co_argcount]
+        named = dict(zip(arguments[len(arguments) - len(defaults) :], defaults, strict=True))
         named |= function.__kwdefaults__ or {}
         self._wait(*((f"{path}.{name}", value) for name, value in named.items()))
         if _package(function) in _OTHERS:

@@ -117,7 +117,7 @@ class ActionTermManifest:
     frame: str = ""
     """Frame that the components are expressed in."""
     leads: Limits = ()
-    """rad or m by which the target of each joint may lead its measured position; empty, or None, where it may by any."""
+    """rad or m by which the target of each joint may lead its measured position; empty or None: by any."""
     clip: tuple[float, float] = (-1.0, 1.0)
     """Bounds that each component is clipped to before it is decoded."""
     rate: float = 0.0

@@ -40,12 +40,16 @@ class CapturedStep:
         whole: whether the resets are in the step, so that nothing waits for the device; else they are another part, run
             only where an episode ended, which on a CPU costs nothing to know.
         settles: whether time passes in a reset, which then is Python; each step waits to know whether an episode ended.
+        renews: whether the next episode begins in the step that ends one; else it waits for a reset, and so does the
+            step.
 
     Raises:
         ConfigurationError: it should be compiled, and nothing compiles here.
     """
 
-    def __init__(self, environment: StepParts, compile: bool, whole: bool, settles: bool = False) -> None:
+    def __init__(
+        self, environment: StepParts, compile: bool, whole: bool, settles: bool = False, renews: bool = True
+    ) -> None:
         if compile:
             check_compiler(environment.device)
         self._environment = environment
@@ -53,14 +57,15 @@ class CapturedStep:
         """The last observation of all environments, for the part that renews it where episodes begin."""
         self._leaves = len(self._observed)
         self._metrics: tuple[str, ...] = ()
-        self._settles = settles
+        self._settles, self._renews = settles, renews
         self._python: PythonState | None = None
         """Python values that the captured parts took as they were; None before the first capture."""
         self._captures: deque[int] = deque(maxlen=_OFTEN)
         """Steps at which such values had changed."""
         self._steps = 0
         self._ended = environment.done.numpy() if environment.device.type == "cpu" else environment.done
-        parts = (self._play,) if settles else (self._play_and_renew,) if whole else (self._play, self._renew)
+        alone = settles or not renews
+        parts = (self._play,) if alone else (self._play_and_renew,) if whole else (self._play, self._renew)
         self.parts = [self._phased(part, compile) for part in parts]
 
     def _phased(self, part: Callable[[], tuple[Tensor, ...]], compile: bool) -> PhasedFunction:
@@ -82,13 +87,16 @@ class CapturedStep:
         outputs = self.parts[0]()
         if self._python is None:
             self._python = self._look()
-        ready = self._settles or (len(self.parts) > 1 and self.parts[1].ready)
+        ready = self._settles or not self._renews or (len(self.parts) > 1 and self.parts[1].ready)
         running = ready and not self._ended.any()
         copies = [output.clone() for output in (outputs[: self._leaves + 3] if running else outputs)]
         seen, (reward, terminated, truncated, *end) = copies[: self._leaves], copies[self._leaves :]
         if running:
             return self._tree(seen), reward, terminated, truncated, {}
-        if self._settles:
+        if not self._renews:
+            end += seen
+            self._environment.progress()
+        elif self._settles:
             end += seen
             seen = self._renew_in_python()
         elif len(self.parts) > 1:

@@ -74,6 +74,8 @@ class Environment:
             that the step raises.
         capture: whether a step on a GPU is captured once and repeated without its Python. Without, a task's terms may
             count and decide in plain Python, and each step waits for the device. On a CPU only ``compile`` captures.
+        autoreset: whether the next episode begins in the step that ends one; without, which is for one environment, the
+            world stays as it ended until :meth:`reset`, and no step is taken before.
 
     Raises:
         ConfigurationError: among others, nothing compiles here, or the task's step cannot be compiled.
@@ -99,6 +101,7 @@ class Environment:
         matter_settings: Mapping[str, Any] | None = None,
         reset_diverged: bool = False,
         capture: bool = True,
+        autoreset: bool = True,
     ) -> None:
         if not isinstance(task, Task):
             raise ConfigurationError(f"an environment needs a Task, not a {type(task).__name__}: orbit_core.envs.make")
@@ -156,7 +159,11 @@ class Environment:
         self.cut = self._build_agent()
         if compile and not capture:
             raise ConfigurationError("compile=True needs the step to be captured: leave capture=False out, or compile")
-        self._compile, self._capture = compile, capture
+        if not autoreset and num_envs > 1:
+            raise ConfigurationError(f"autoreset=False is for one environment that waits for reset, not for {num_envs}")
+        self._compile, self._capture, self._autoreset = compile, capture, autoreset
+        self._over = False
+        """Whether the episode has ended and waits for a reset."""
         self._started = False
         """Whether a step was made, and with it all that is made at first use: a trace would make it anew each time."""
         self.premises = PremiseManager(self.world, task, simulated=world is None)
@@ -188,6 +195,7 @@ class Environment:
         env_ids = self.world.masking.rows(env_ids)
         if seed is not None:
             self.world.random.seed(seed, env_ids)
+        self._over = False
         with SingleThreaded():
             self.begin(env_ids)
             if env_ids is None:
@@ -222,6 +230,8 @@ class Environment:
             return self._step(action)
 
     def _step(self, action: Tensor) -> StepResult:
+        if self._over:
+            raise ConfigurationError("the episode is over: reset the environment, then step")
         torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
         self._modifiers.run(self.steps)
         if self._watch.changed():
@@ -236,8 +246,11 @@ class Environment:
         if not bool(self.done.any()):
             return self._observe(), reward, terminated, truncated, {}
         ended = self.done.nonzero().squeeze(-1)
-        final = self._everyone(self._observe()).only(ended)
+        final = self._everyone(last := self._observe()).only(ended)
         self.progress()
+        if not self._autoreset:
+            self._over = True
+            return last, reward, terminated, truncated, {"final": final}
         self.begin(ended)
         return self._observe_new(self.done), reward, terminated, truncated, {"final": final}
 
@@ -296,7 +309,8 @@ class Environment:
             raise ConfigurationError(f"the step cannot be compiled, for it needs Python each time: {reason}")
         if reason or not self._capture or (self.device.type == "cpu" and not self._compile):
             return None
-        return CapturedStep(self, self._compile, self.device.type != "cpu", settles=self.premises.settle_steps > 0)
+        whole, settles = self.device.type != "cpu", self.premises.settle_steps > 0
+        return CapturedStep(self, self._compile, whole, settles, self._autoreset)
 
     def _step_closed(self, closed: CapturedStep) -> StepResult:
         result = closed()
@@ -305,6 +319,7 @@ class Environment:
             self._rewards.check_finite(result[1])
         if isinstance(info := result[4], StepInfo):
             self._checked_observation(info.everyone.observation)
+            self._over = not self._autoreset
         if closed.refusal:
             if self._compile:
                 raise ConfigurationError(f"the step cannot be compiled: {closed.refusal}; or leave compile out")

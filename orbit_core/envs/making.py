@@ -31,6 +31,7 @@ def make(
     matter_settings: Mapping[str, Any] | None = None,
     reset_diverged: bool = False,
     capture: bool = True,
+    autoreset: bool = True,
     **fields: Any,
 ) -> Environment:
     """The environment of a task, given by name or configured; ``fields`` set the task's own, such as ``robot``.
@@ -55,5 +56,6 @@ def make(
         matter_settings,
         reset_diverged,
         capture,
+        autoreset,
     )
     return Environment(task, num_envs, backend, *common)
