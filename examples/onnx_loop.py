@@ -62,7 +62,7 @@ class OnnxLoop:
         """Return the action (A,) in [-1, 1]."""
         observation = self.observe(measured)[None]
         (action,) = self._session.run(["action"], {"observation": observation})
-        return np.clip(action[0], -1.0, 1.0)
+        return np.clip(np.asarray(action)[0], -1.0, 1.0)
 
     def joint_targets(self, action: Array, positions: Mapping[str, float]) -> dict[str, float]:
         """Return position targets, rad or m, by joint, where they are ``offset + scale * action``.

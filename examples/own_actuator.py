@@ -26,7 +26,7 @@ class SpringMotorModel(ActuatorModel):
 
     def __init__(self, context: ActuatorContext) -> None:
         super().__init__(context)
-        self.gains = context.values("stiffness"), context.values("damping")
+        self.gains = self._gains = context.values("stiffness"), context.values("damping")
         self._limit = context.effort_limits
         self._step = context.values("motor_speed") * context.physics_dt
         self.memory["motor"] = torch.full_like(self._step, torch.nan)  # NaN: not known before the first step
@@ -35,7 +35,7 @@ class SpringMotorModel(ActuatorModel):
         return torch.nan
 
     def efforts(self, position: Tensor, velocity: Tensor, targets: Sequence[Tensor]) -> Tensor:
-        stiffness, damping = self.gains
+        stiffness, damping = self._gains
         motor = torch.where(self.memory["motor"].isnan(), position, self.memory["motor"])
         motor = motor + torch.clamp(targets[0] - motor, -self._step, self._step)
         self.memory["motor"].copy_(motor)  # in place: it lasts

@@ -60,10 +60,10 @@ class Actuators:
                 shared_by.setdefault((model, isinstance(group, IdealPd), model.shared_by(group)), []).append(joint)
         self._models: list[ActuatorModel] = []
         self._delays: list[CommandDelay | None] = []
-        for (model, delayed, _), joints in sorted(shared_by.items(), key=_place):
+        for (model, _, _), joints in sorted(shared_by.items(), key=_place):
             own = tuple(groups[joint] for joint in joints)
             self._models.append(model(ActuatorContext(tuple(joints), own, layout, engine.num_envs, engine.device)))
-            self._delays.append(_delay(own, engine.num_envs, random) if delayed else None)
+            self._delays.append(_delay(own, engine.num_envs, random))
         self.explicit = shared or bool(self._models)
         """Whether :meth:`apply` has work to do."""
         self.position_targets = engine.position_targets
@@ -194,7 +194,8 @@ def _group_of_joint(layout: SceneLayout) -> dict[int, ActuatorConfig]:
     return dict(sorted(groups.items()))
 
 
-def _delay(groups: Sequence[IdealPd], num_envs: int, random: RandomStreams) -> CommandDelay | None:
-    if all(group.min_delay == group.max_delay == 0 for group in groups):
+def _delay(groups: Sequence[ActuatorConfig], num_envs: int, random: RandomStreams) -> CommandDelay | None:
+    delayed = [group for group in groups if isinstance(group, IdealPd)]
+    if all(group.min_delay == group.max_delay == 0 for group in delayed):
         return None
-    return CommandDelay(groups, num_envs, random)
+    return CommandDelay(delayed, num_envs, random)

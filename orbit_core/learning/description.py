@@ -219,9 +219,9 @@ def group_parts(layout: GroupLayout) -> tuple[Part, ...]:
 
 
 def _part(name: str, term: TermLayout) -> Part:
-    bounds = [bound if math.isfinite(bound) else None for bound in (term.low, term.high)]
+    low, high = (bound if math.isfinite(bound) else None for bound in (term.low, term.high))
     dtype = str(term.dtype).removeprefix("torch.")
-    return Part(name, math.prod(term.shape), tuple(term.shape), dtype, *bounds, term.camera)
+    return Part(name, math.prod(term.shape), tuple(term.shape), dtype, low, high, term.camera)
 
 
 def _told(value: Any) -> str:
