@@ -44,6 +44,7 @@ _LEAVES: Final = (
     torch.device,
 )
 _CONTENTS: Final = operator.attrgetter("cell_contents")
+_END: Final = (object(),)
 _ABSENT: Final = object()
 REMEDY: Final = "keep it in a tensor that is written in place, or give capture=False (--no-capture)"
 _SET_UP: Final = frozenset({"__init__", "__post_init__", "start"})
@@ -70,22 +71,21 @@ class Values:
         self._views = [holder if isinstance(holder, list) else holder.values() for holder in whole]
         self._mappings, self._keys = [each[0] for each in places], [each[1] for each in places]
         self._cells = list(cells)
-        self._count = sum(map(len, self._views))
         self._known = list(self._now())
 
     def unchanged(self) -> bool:
         """Return True if every value is the very object that it was."""
         try:
-            same = all(map(operator.is_, self._now(), self._known))
+            return all(map(operator.is_, self._now(), self._known))
         except (KeyError, ValueError):  # a variable was deleted
             return False
-        return same and sum(map(len, self._views)) == self._count
 
     def _now(self) -> Iterator[Any]:
         return chain(
             map(operator.getitem, self._mappings, self._keys),
             map(_CONTENTS, self._cells),
             chain.from_iterable(self._views),
+            _END,  # a value that was added or removed moves it, so that lengths need no look of their own
         )
 
 

@@ -81,7 +81,6 @@ class CapturedStep:
 
     def __call__(self) -> StepResult:
         """One step; the first makes all parts ready, and so does for no environment what resets do."""
-        self._check_python()
         if not self.parts[0].ready:
             self._environment.cut.observe()  # in Python, acting demands it
         outputs = self.parts[0]()
@@ -104,10 +103,14 @@ class CapturedStep:
             seen = [output.clone() for output in self.parts[1]()]
         return self._tree(seen), reward, terminated, truncated, self._info(end)
 
-    def _check_python(self) -> None:
-        """Capture all parts again where a value of plain Python was changed between two steps."""
+    def holds(self) -> bool:
+        """Return True if every value of plain Python that was captured is the one that it was, terms included."""
         self._steps += 1
-        if self._python is None or self._python.unchanged():
+        return self._python is not None and self._python.unchanged()
+
+    def look_again(self) -> None:
+        """Capture all parts again if a value of plain Python was changed between steps, other than a weight."""
+        if self._python is None:
             return
         changes = [change for change in self._python.changes() if not _is_weight(*change)]
         if not changes:

@@ -234,11 +234,15 @@ class Environment:
             raise ConfigurationError("the episode is over: reset the environment, then step")
         torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
         self._modifiers.run(self.steps)
-        if self._watch.changed():
-            self._refresh()
+        closed = self._closed if self._started else None
+        if closed is None or not closed.holds():
+            if self._watch.changed():
+                self._refresh()
+            if closed is not None:
+                closed.look_again()
         self.steps += 1
-        if self._closed is not None and self._started:
-            return self._step_closed(self._closed)
+        if closed is not None:
+            return self._step_closed(closed)
         self._started = True
         reward, terminated, truncated = self.advance()
         if self._checks:
