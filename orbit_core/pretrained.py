@@ -133,8 +133,16 @@ def policy_fields(name: str | Path) -> Mapping[str, Any]:
         ConfigurationError: the file ``policy.toml`` describes no policy.
     """
     path = policy_path(name)
-    about = (path if path.is_dir() else path.parent) / ABOUT
-    return _read(about).fields if about.exists() else {}
+    return _read(_about(path)).fields if is_kept(path) else {}
+
+
+def is_kept(path: Path) -> bool:
+    """Return True if a policy's file or folder has a file ``policy.toml``, which says what it is played with."""
+    return _about(path).exists()
+
+
+def _about(path: Path) -> Path:
+    return (path if path.is_dir() else path.parent) / ABOUT
 
 
 def _read(about: Path) -> PretrainedPolicy:

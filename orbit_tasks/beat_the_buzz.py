@@ -29,7 +29,7 @@ from orbit_core.envs import (
     Task,
 )
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import once_per_state
+from orbit_core.envs.terms import Meaning, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, held, randomize
 from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
@@ -146,7 +146,9 @@ class BuzzState(ObservationGroup):
     way_ahead: ObservationTerm | None = ObservationTerm(way_ahead, unit="m")
     covered: ObservationTerm | None = ObservationTerm(covered, unit="m")
     touching: ObservationTerm | None = ObservationTerm(
-        lambda world, task: touching(world, task).float()[:, None], unit="1"
+        lambda world, task: touching(world, task).float()[:, None],
+        unit="1",
+        meaning=Meaning("1 where the ring touches the wire, else 0"),
     )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 

@@ -13,7 +13,7 @@ from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import EventTerm, EventTime, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
-from orbit_core.envs.terms import POSE, measured_in, once_per_state
+from orbit_core.envs.terms import POSE, Meaning, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
@@ -33,7 +33,7 @@ def opening(world: World, task: Cabinet) -> Tensor:
 
 @measured_in("m")
 def drawer_position(world: World, task: Cabinet) -> Tensor:
-    """(N, 1)"""
+    """(N, 1) opening of the drawer along its rail."""
     return opening(world, task)[:, None]
 
 
@@ -142,7 +142,9 @@ class CabinetState(ObservationGroup):
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     handle_pose: ObservationTerm | None = ObservationTerm(handle_pose)
     drawer: ObservationTerm | None = ObservationTerm(drawer_position)
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal[:, None], unit="m")
+    goal: ObservationTerm | None = ObservationTerm(
+        lambda world, task: task.goal[:, None], unit="m", meaning=Meaning("opening that the drawer is to have")
+    )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm
-from orbit_core.envs.terms import once_per_state
+from orbit_core.envs.terms import ENVIRONMENT, Meaning, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, matter
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
@@ -49,7 +49,11 @@ def at_goal(world: World, task: ClothLifting) -> Tensor:
 class ClothLiftingState(cloth.ClothState):
     """The arm's joints and hand, the cloth's key points, the last action and the goal."""
 
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal, unit="m")
+    goal: ObservationTerm | None = ObservationTerm(
+        lambda world, task: task.goal,
+        unit="m",
+        meaning=Meaning("position that the cloth is to be lifted to", ENVIRONMENT),
+    )
 
 
 @dataclass

@@ -23,7 +23,7 @@ from orbit_core.envs import (
     Task,
 )
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import TermFunction, once_per_state
+from orbit_core.envs.terms import Meaning, TermFunction, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, held, randomize
 from orbit_core.mdp.randomize import Range
@@ -57,7 +57,7 @@ def rack(world: World, task: Dishwasher) -> Tensor:
 
 
 def joints(world: World, task: Dishwasher) -> Tensor:
-    """(N, 2) rad and m."""
+    """(N, 2) positions of the door's hinge and of the rack's rail"""
     return torch.stack((door(world, task), rack(world, task)), dim=1)
 
 
@@ -87,7 +87,7 @@ def bars(world: World, task: Dishwasher) -> Tensor:
 
 
 def hand_to_bars(world: World, task: Dishwasher) -> Tensor:
-    """(N, 2, 3)"""
+    """(N, 2, 3) positions of the door's and the rack's bars minus the hand's, in the environment's axes."""
     return bars(world, task) - common.hand_pose(world, task)[:, None, :3]
 
 
@@ -166,7 +166,9 @@ class DishwasherState(ObservationGroup):
     hand_to_bars: ObservationTerm | None = ObservationTerm(hand_to_bars, unit="m")
     joints: ObservationTerm | None = ObservationTerm(joints, unit="rad, m")
     inward: ObservationTerm | None = ObservationTerm(inward, unit="1")
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal[:, None], unit="m")
+    goal: ObservationTerm | None = ObservationTerm(
+        lambda world, task: task.goal[:, None], unit="m", meaning=Meaning("travel that the rack is to have")
+    )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

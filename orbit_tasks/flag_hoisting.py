@@ -11,7 +11,7 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import SolidOptions, box
 from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm
-from orbit_core.envs.terms import POSE, once_per_state
+from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, matter
 from orbit_core.scene import Attachment, MarkerShape, MarkerSpec, Pose, Scene, look_at
@@ -83,8 +83,12 @@ def sample_goal(world: World, task: FlagHoisting, env_ids: Tensor) -> None:
 class FlagHoistingState(cloth.ClothState):
     """The arm's joints and hand, the flag's key points, the last action, the staff and the corner's place."""
 
-    staff: ObservationTerm | None = ObservationTerm(lambda world, task: world.objects[STAFF].root_pose, unit=POSE)
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal, unit="m")
+    staff: ObservationTerm | None = ObservationTerm(
+        lambda world, task: world.objects[STAFF].root_pose, unit=POSE, meaning=Meaning("pose of the staff", ENVIRONMENT)
+    )
+    goal: ObservationTerm | None = ObservationTerm(
+        lambda world, task: task.goal, unit="m", meaning=Meaning("position of the goal", ENVIRONMENT)
+    )
 
 
 @dataclass

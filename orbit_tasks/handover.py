@@ -15,7 +15,7 @@ from orbit_core.assets.objects import box, table
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import EventTerm, EventTime, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import POSE, measured_in, once_per_state
+from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, picking, randomize, tabletop
 from orbit_core.mdp.randomize import Range
@@ -33,7 +33,7 @@ HEIGHT = 0.25
 
 @measured_in(POSE)
 def rod_pose(world: World, task: Handover) -> Tensor:
-    """(N, 7)"""
+    """(N, 7) pose of the rod in the environment's frame."""
     return world.objects["rod"].root_pose
 
 
@@ -162,7 +162,11 @@ class HandoverState(ObservationGroup):
     receiver_to_grip: ObservationTerm | None = ObservationTerm(hand_to_grip, agent=RECEIVER)
     receiver_last_action: ObservationTerm | None = ObservationTerm(common.last_action, agent=RECEIVER)
     rod_pose: ObservationTerm | None = ObservationTerm(rod_pose)
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal, unit="m")
+    goal: ObservationTerm | None = ObservationTerm(
+        lambda world, task: task.goal,
+        unit="m",
+        meaning=Meaning("position that the rod is to be brought to", ENVIRONMENT),
+    )
 
 
 @dataclass

@@ -13,7 +13,7 @@ from orbit_core.assets.hockey import BLADE_HALF, DEPTH, WHITE, WIDTH, net, stick
 from orbit_core.assets.objects import box, cylinder, table
 from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import TermFunction, once_per_state
+from orbit_core.envs.terms import Meaning, TermFunction, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, held, premises, tabletop
 from orbit_core.scene import PhysicsMaterial, Pose, Scene, look_at
@@ -28,12 +28,12 @@ STRIKE = THICKNESS + BLADE_HALF[2] + 0.005
 
 
 def puck_position(world: World, task: Hockey) -> Tensor:
-    """(N, 3)"""
+    """(N, 3) position of the puck in the environment's frame."""
     return world.objects["puck"].root_pose[:, :3]
 
 
 def puck_velocity(world: World, task: Hockey) -> Tensor:
-    """(N, 3) m/s"""
+    """(N, 3) m/s velocity of the puck in the environment's frame."""
     return world.objects["puck"].root_velocity[:, :3]
 
 
@@ -66,7 +66,7 @@ def inside(world: World, task: Hockey) -> Tensor:
 
 
 def blade_to_puck(world: World, task: Hockey) -> Tensor:
-    """(N, 3)"""
+    """(N, 3) position of the puck minus the blade's, in the environment's axes."""
     return puck_position(world, task) - common.hand_pose(world, task)[:, :3]
 
 
@@ -147,7 +147,9 @@ class HockeyState(ObservationGroup):
     puck_to_inside: ObservationTerm | None = ObservationTerm(puck_to_inside, unit="m")
     net_position: ObservationTerm | None = ObservationTerm(net_position, unit="m")
     net_velocity: ObservationTerm | None = ObservationTerm(
-        lambda world, task: world.robots["net"].joint_velocities, unit="m/s"
+        lambda world, task: world.robots["net"].joint_velocities,
+        unit="m/s",
+        meaning=Meaning("measured velocity of the net along its rail"),
     )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 

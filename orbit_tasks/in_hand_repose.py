@@ -18,7 +18,7 @@ from orbit_core.assets.object_kinds import BoxConfig, ObjectConfig
 from orbit_core.dynamics import transforms
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import POSE, once_per_state
+from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
@@ -111,7 +111,11 @@ class HandState(ObservationGroup):
     finger_tips: ObservationTerm | None = ObservationTerm(finger_tips, unit="m")
     object_pose: ObservationTerm | None = ObservationTerm(object_pose, unit=POSE)
     object_velocity: ObservationTerm | None = ObservationTerm(object_velocity, unit="m/s, rad/s")
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal, unit="quaternion (w, x, y, z)")
+    goal: ObservationTerm | None = ObservationTerm(
+        lambda world, task: task.goal,
+        unit="quaternion (w, x, y, z)",
+        meaning=Meaning("orientation that the object is to have", ENVIRONMENT),
+    )
     turn: ObservationTerm | None = ObservationTerm(turn, unit="rad")
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 

@@ -67,7 +67,7 @@ def put_down(world: World, task: Jenga) -> Tensor:
 
 
 def block_to_place(world: World, task: Jenga) -> Tensor:
-    """(N, 3)"""
+    """(N, 3) position of the given block's place minus the block's, in the environment's axes."""
     return place(world, task)[:, :3] - given_pose(world, task)[:, :3]
 
 

@@ -25,7 +25,7 @@ from orbit_core.envs import (
 )
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
-from orbit_core.envs.terms import POSE, measured_in, once_per_state
+from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, means, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, picking, randomize
 from orbit_core.mdp.randomize import Range
@@ -34,6 +34,7 @@ from orbit_core.scene.pose import Vector3
 from orbit_tasks.pixels import ArmPixels
 
 
+@means("pose of the cube's origin", ENVIRONMENT)
 @measured_in(POSE)
 def cube_pose(world: World, task: Lift) -> Tensor:
     """(N, 7) of the cube in the environment's frame."""
@@ -52,6 +53,7 @@ def cube_height(world: World, task: Lift) -> Tensor:
     return cube_pose(world, task)[:, 2] - task.surface
 
 
+@means("position of the cube's origin minus that of the end effector's frame", ENVIRONMENT)
 @measured_in("m")
 @once_per_state
 def hand_to_cube(world: World, task: Lift) -> Tensor:
@@ -140,7 +142,9 @@ class LiftState(ObservationGroup):
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     cube_pose: ObservationTerm | None = ObservationTerm(cube_pose)
     hand_to_cube: ObservationTerm | None = ObservationTerm(hand_to_cube)
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal, unit="m")
+    goal: ObservationTerm | None = ObservationTerm(
+        lambda world, task: task.goal, unit="m", meaning=Meaning("position to bring the cube's origin to", ENVIRONMENT)
+    )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

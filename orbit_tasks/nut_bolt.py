@@ -53,7 +53,7 @@ def place(world: World, task: NutBolt) -> Tensor:
 
 @once_per_state
 def nut_to_place(world: World, task: NutBolt) -> Tensor:
-    """(N, 3)"""
+    """(N, 3) position of the nut's place minus the nut's, in the environment's axes."""
     return place(world, task) - nut_pose(world, task)[:, :3]
 
 

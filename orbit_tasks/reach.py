@@ -13,7 +13,7 @@ from torch.linalg import vector_norm
 from orbit_core.dynamics.transforms import pose_error, quat_from_euler, quat_multiply
 from orbit_core.envs import EventTerm, EventTime, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import POSE, once_per_state
+from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
@@ -62,7 +62,9 @@ class ReachState(ObservationGroup):
     joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal, unit=POSE)
+    goal: ObservationTerm | None = ObservationTerm(
+        lambda world, task: task.goal, unit=POSE, meaning=Meaning("pose that the end effector is to reach", ENVIRONMENT)
+    )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

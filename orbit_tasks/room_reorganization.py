@@ -21,7 +21,7 @@ from orbit_core.envs import (
     Task,
     TerminationTerm,
 )
-from orbit_core.envs.terms import measured_in, once_per_state
+from orbit_core.envs.terms import ENVIRONMENT, Meaning, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, picking
 from orbit_core.motion.planning import BasePlannerConfig
@@ -126,7 +126,11 @@ class RoomState(ObservationGroup):
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     base_pose: ObservationTerm | None = ObservationTerm(base_pose)
     positions: ObservationTerm | None = ObservationTerm(positions)
-    places: ObservationTerm | None = ObservationTerm(lambda world, task: task.places, unit="m")
+    places: ObservationTerm | None = ObservationTerm(
+        lambda world, task: task.places,
+        unit="m",
+        meaning=Meaning("positions of the places, one after the other", ENVIRONMENT),
+    )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

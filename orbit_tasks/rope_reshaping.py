@@ -12,7 +12,7 @@ from torch.linalg import vector_norm
 from orbit_core.assets.deformables import line
 from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import once_per_state
+from orbit_core.envs.terms import ENVIRONMENT, Meaning, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, matter
 from orbit_core.scene import KeyPoint, MarkerShape, MarkerSpec, Pose, Rope, Scene, look_at
@@ -113,7 +113,11 @@ class RopeReshapingState(ObservationGroup):
     joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
     hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
     key_points: ObservationTerm | None = ObservationTerm(matter.key_points(ROPE))
-    goal: ObservationTerm | None = ObservationTerm(lambda world, task: task.goal.flatten(1), unit="m")
+    goal: ObservationTerm | None = ObservationTerm(
+        lambda world, task: task.goal.flatten(1),
+        unit="m",
+        meaning=Meaning("positions that the rope's key points are to have, one after the other", ENVIRONMENT),
+    )
     last_action: ObservationTerm | None = ObservationTerm(common.last_action)
 
 

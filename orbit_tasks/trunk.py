@@ -5,12 +5,15 @@ from __future__ import annotations
 from torch import Tensor
 
 from orbit_core.envs import Task
-from orbit_core.envs.terms import measured_in, once_per_state
+from orbit_core.envs.terms import means, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_tasks import walking
 
+TRUNK = "trunk: axes of the robot's root link"
 
+
+@means("velocity of the root link's origin, turned into the trunk's axes: R^T v", frame=TRUNK)
 @measured_in("m/s")
 @once_per_state
 def linear_velocity(world: World, task: Task) -> Tensor:
@@ -18,6 +21,7 @@ def linear_velocity(world: World, task: Task) -> Tensor:
     return walking.linear_velocity(common.robot_of(world))
 
 
+@means("angular velocity of the root link, turned into the trunk's axes: R^T w", frame=TRUNK)
 @measured_in("rad/s")
 @once_per_state
 def angular_velocity(world: World, task: Task) -> Tensor:
@@ -25,6 +29,7 @@ def angular_velocity(world: World, task: Task) -> Tensor:
     return walking.angular_velocity(common.robot_of(world))
 
 
+@means("direction of gravity, turned into the trunk's axes: R^T (0, 0, -1)", frame=TRUNK, components=("x", "y", "z"))
 @measured_in("1")
 @once_per_state
 def projected_gravity(world: World, task: Task) -> Tensor:

@@ -22,18 +22,19 @@ from orbit_core.envs import (
     TerminationTerm,
 )
 from orbit_core.envs.ppo import PpoSettings
-from orbit_core.envs.terms import measured_in, once_per_state
+from orbit_core.envs.terms import means, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
 from orbit_tasks import biped, walking
 from orbit_tasks.gait import FootholdGait
-from orbit_tasks.trunk import angular_velocity, linear_velocity, projected_gravity
+from orbit_tasks.trunk import TRUNK, angular_velocity, linear_velocity, projected_gravity
 
 CONTACTS = biped.CONTACTS
 
 
+@means("velocity that is commanded", frame=TRUNK, components=("forward", "left", "yaw rate"))
 @measured_in("m/s, m/s, rad/s")
 def command(world: World, task: VelocityFlat) -> Tensor:
     """(N, 3) velocity forward and to the left in m/s, yaw rate in rad/s."""

@@ -1,5 +1,11 @@
-"""Actuators at run time: what becomes of joint targets before the engine sees them."""
+"""Actuators at run time: what becomes of joint targets before the engine sees them.
+
+Models of one's own: docs/actuators.md.
+"""
 
 from orbit_core.actuators.actuators import Actuators, ActuatorState
+from orbit_core.actuators.factory import actuator_models
+from orbit_core.actuators.model import ActuatorContext, ActuatorModel
+from orbit_core.actuators.models import PdModel
 
-__all__ = ["ActuatorState", "Actuators"]
+__all__ = ["ActuatorContext", "ActuatorModel", "ActuatorState", "Actuators", "PdModel", "actuator_models"]

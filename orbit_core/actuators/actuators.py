@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from orbit_core.actuators.delay import CommandDelay, DelayState
+from orbit_core.actuators.factory import model_of
+from orbit_core.actuators.model import ActuatorContext, ActuatorModel
 from orbit_core.actuators.models import DcMotorModel, PdModel
 from orbit_core.actuators.motors import REFERENCE
 from orbit_core.actuators.network_model import NetworkModel
@@ -16,7 +19,9 @@ from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout
 from orbit_core.interfaces.layout import actuator_of_joint
-from orbit_core.scene import ActuatorConfig, ActuatorNetwork, DcMotor, IdealPd, ImplicitPd
+from orbit_core.scene import ActuatorConfig, IdealPd
+
+_ORDER = (PdModel, DcMotorModel, NetworkModel)
 
 
 @dataclass(frozen=True)
@@ -24,12 +29,10 @@ class ActuatorState:
     """A snapshot of the actuators; what the engine's buffers hold is in the engine's."""
 
     effort_targets: Tensor
-    gains: tuple[tuple[Tensor, Tensor], ...]
+    gains: tuple[tuple[Tensor, ...], ...]
     delays: tuple[DelayState | None, ...]
-    pasts: tuple[Tensor, ...]
-    """Of actuator networks."""
-    temperatures: tuple[Tensor, ...]
-    """Of motors."""
+    memory: tuple[dict[str, Tensor], ...]
+    """What each model remembers."""
 
 
 class Actuators:
@@ -42,29 +45,26 @@ class Actuators:
 
     Raises:
         ConfigurationError: a group's delay or torque-speed line cannot be, or its network does not fit.
+        UnknownNameError: nothing drives groups of a class; names the class and the remedy.
     """
 
     def __init__(self, engine: Engine, layout: SceneLayout, random: RandomStreams, shared: bool = False) -> None:
         self._engine = engine
         groups = _group_of_joint(layout)
-        self._implicit = {joint for joint, group in groups.items() if isinstance(group, ImplicitPd)}
-        ideal = {j: g for j, g in groups.items() if isinstance(g, IdealPd) and not isinstance(g, DcMotor)}
-        motors = {j: g for j, g in groups.items() if isinstance(g, DcMotor)}
-        parts = (layout.joint_parameters, engine.num_envs, engine.device)
-        self._models: list[PdModel] = []
-        if ideal:
-            self._models.append(PdModel(list(ideal), list(ideal.values()), *parts))
-        if motors:
-            self._models.append(DcMotorModel(list(motors), list(motors.values()), *parts, layout.scene.physics_dt))
-        motor_models = [model for model in self._models if isinstance(model, DcMotorModel)]
-        self._windings = [(model.columns, model.windings) for model in motor_models if model.windings is not None]
-        self._delays = [_delay([groups[joint] for joint in m.joints], engine.num_envs, random) for m in self._models]
-        networks = {joint: group for joint, group in groups.items() if isinstance(group, ActuatorNetwork)}
-        self._networks = [
-            NetworkModel([j for j, g in networks.items() if g.file == file], file, layout, *parts[1:])
-            for file in dict.fromkeys(group.file for group in networks.values())
-        ]
-        self.explicit = shared or bool(self._models or self._networks)
+        models = {joint: model_of(group, layout.joints_by_name[joint][0]) for joint, group in groups.items()}
+        self._implicit = {joint for joint, model in models.items() if model is None}
+        shared_by: dict[Any, list[int]] = {}
+        for joint, model in models.items():
+            if model is not None:
+                group = groups[joint]
+                shared_by.setdefault((model, isinstance(group, IdealPd), model.shared_by(group)), []).append(joint)
+        self._models: list[ActuatorModel] = []
+        self._delays: list[CommandDelay | None] = []
+        for (model, _, _), joints in sorted(shared_by.items(), key=_place):
+            own = tuple(groups[joint] for joint in joints)
+            self._models.append(model(ActuatorContext(tuple(joints), own, layout, engine.num_envs, engine.device)))
+            self._delays.append(_delay(own, engine.num_envs, random))
+        self.explicit = shared or bool(self._models)
         """Whether :meth:`apply` has work to do."""
         self.position_targets = engine.position_targets
         """(N, J) rad or m"""
@@ -78,8 +78,7 @@ class Actuators:
         engine = self._engine
         engine.efforts.copy_(self.effort_targets)
         positions, velocities = engine.joint_positions, engine.joint_velocities
-        delays = (*self._delays, *(None for _ in self._networks))
-        for model, delay in zip((*self._models, *self._networks), delays, strict=True):
+        for model, delay in zip(self._models, self._delays, strict=True):
             columns = model.columns
             targets: Sequence[Tensor] = (
                 self.position_targets[:, columns],
@@ -90,18 +89,26 @@ class Actuators:
                 targets = delay.push(torch.stack(tuple(targets))).unbind(0)
             engine.efforts[:, columns] = model.efforts(positions[:, columns], velocities[:, columns], targets)
 
+    @property
+    def models(self) -> Mapping[str, ActuatorModel]:
+        """Models that are computed before each physics step, by class and first joint."""
+        joints = self._engine.layout.joints
+        return {f"{type(model).__name__} of joint '{joints[model.joints[0]].name}'": model for model in self._models}
+
     def memory(self) -> dict[str, Tensor]:
-        """What actuator networks and windings remember from step to step, by name."""
-        heat = {f"windings {number}": windings.temperatures for number, (_, windings) in enumerate(self._windings)}
-        return heat | {f"actuator network {number}": network.past for number, network in enumerate(self._networks)}
+        """What models remember from step to step, by name."""
+        own = {f"{name}, {number}": model for number, (name, model) in enumerate(self.models.items())}
+        return {f"{part} of {name}": value for name, model in own.items() for part, value in model.memory.items()}
 
     def temperatures(self) -> Tensor | None:
         """(N, J) degrees Celsius of the motors' windings, 25 where none are described; None where there are none."""
-        if not self._windings:
+        warm = [(model.columns, model.temperatures) for model in self._models]
+        if all(values is None for _, values in warm):
             return None
         temperatures = torch.full_like(self.effort_targets, REFERENCE)
-        for columns, windings in self._windings:
-            temperatures[:, columns] = windings.temperatures
+        for columns, values in warm:
+            if values is not None:
+                temperatures[:, columns] = values
         return temperatures
 
     def set_gains(
@@ -121,12 +128,15 @@ class Actuators:
         for column, joint in enumerate(joints):
             if joint in explicit:
                 model, index = explicit[joint]
-                write_rows(model.stiffness[:, index], stiffness[:, column], env_ids)
-                write_rows(model.damping[:, index], damping[:, column], env_ids)
+                if model.gains is None:
+                    name = self._engine.layout.joints[joint].name
+                    raise ConfigurationError(
+                        f"joint '{name}' is driven by a {type(model).__name__}, which has no gains: leave it out"
+                    )
+                for own, values in zip(model.gains, (stiffness, damping), strict=True):
+                    write_rows(own[:, index], values[:, column], env_ids)
             elif joint not in self._implicit:
                 name = self._engine.layout.joints[joint].name
-                if any(joint in network.joints for network in self._networks):
-                    raise ConfigurationError(f"joint '{name}' is driven by a network, which has no gains: leave it out")
                 raise ConfigurationError(f"joint '{name}' has no actuator whose gains could be set: give it a group")
 
     def reset(self, env_ids: Tensor | None = None) -> None:
@@ -136,40 +146,42 @@ class Actuators:
         for delay in self._delays:
             if delay is not None:
                 delay.reset(env_ids)
-        for network in self._networks:
-            network.reset(env_ids)
-        for _, windings in self._windings:
-            windings.reset(env_ids)
+        for model in self._models:
+            model.reset(env_ids)
 
     def copy(self, origin: Actuators, source: int, rows: Tensor | None) -> None:
         """Give some environments efforts and temperatures of environment ``source`` of an equal scene, no more."""
         self.reset(rows)
         if self.explicit:
             write_rows(self.effort_targets, origin.effort_targets[source].clone(), rows)
-        for (_, own), (_, other) in zip(self._windings, origin._windings, strict=True):
-            write_rows(own.temperatures, other.temperatures[source].clone(), rows)
+        for own, other in zip(self._models, origin._models, strict=True):
+            if own.temperatures is not None and other.temperatures is not None:
+                write_rows(own.temperatures, other.temperatures[source].clone(), rows)
 
     def save_state(self) -> ActuatorState:
         """A detached copy."""
-        gains = tuple((model.stiffness.clone(), model.damping.clone()) for model in self._models)
+        gains = tuple(tuple(part.clone() for part in model.gains or ()) for model in self._models)
         delays = tuple(None if delay is None else delay.save_state() for delay in self._delays)
-        pasts = tuple(network.past.clone() for network in self._networks)
-        temperatures = tuple(windings.temperatures.clone() for _, windings in self._windings)
-        return ActuatorState(self.effort_targets.clone(), gains, delays, pasts, temperatures)
+        memory = tuple({name: value.clone() for name, value in model.memory.items()} for model in self._models)
+        return ActuatorState(self.effort_targets.clone(), gains, delays, memory)
 
     def load_state(self, state: ActuatorState) -> None:
         """Return to a saved state."""
         self.effort_targets.copy_(state.effort_targets)
-        for model, (stiffness, damping) in zip(self._models, state.gains, strict=True):
-            model.stiffness.copy_(stiffness)
-            model.damping.copy_(damping)
+        for model, gains, memory in zip(self._models, state.gains, state.memory, strict=True):
+            for own, saved in zip(model.gains or (), gains, strict=True):
+                own.copy_(saved)
+            for name, saved in memory.items():
+                model.memory[name].copy_(saved)
         for delay, saved in zip(self._delays, state.delays, strict=True):
             if delay is not None and saved is not None:
                 delay.load_state(saved)
-        for network, past in zip(self._networks, state.pasts, strict=True):
-            network.past.copy_(past)
-        for (_, windings), temperatures in zip(self._windings, state.temperatures, strict=True):
-            windings.temperatures.copy_(temperatures)
+
+
+def _place(shared: tuple[Any, list[int]]) -> int:
+    """Return where a model stands among the others: delays are drawn in this order, which must not change."""
+    (model, *_), _ = shared
+    return _ORDER.index(model) if model in _ORDER else len(_ORDER)
 
 
 def _group_of_joint(layout: SceneLayout) -> dict[int, ActuatorConfig]:

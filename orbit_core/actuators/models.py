@@ -8,42 +8,27 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from orbit_core.actuators.model import ActuatorContext, ActuatorModel
 from orbit_core.actuators.motors import Ratios, WindingModel
-from orbit_core.dynamics.indexing import columns_of
-from orbit_core.interfaces import ConfigurationError, JointParameters
-from orbit_core.scene import DcMotor, IdealPd
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.scene import DcMotor
 
 _STANDSTILL = 1e-6
 """rad/s or m/s, below which power is not looked at."""
 
 
-class PdModel:
+class PdModel(ActuatorModel):
     """``effort = stiffness (q* - q) + damping (v* - v) + effort target``, limited to the joints' effort limits.
 
     Args:
-        joints: indices (k,) of the model's joints in the scene.
-        groups: the actuator group of each joint.
-        parameters: of all joints of the scene.
-        num_envs: N.
-        device: where tensors live.
+        context: joints whose groups are :class:`~orbit_core.scene.IdealPd`.
     """
 
-    def __init__(
-        self,
-        joints: Sequence[int],
-        groups: Sequence[IdealPd],
-        parameters: JointParameters,
-        num_envs: int,
-        device: torch.device,
-    ) -> None:
-        self.joints = list(joints)
-        self.columns = columns_of(self.joints, device)
-        limits = torch.as_tensor(parameters.effort_limit[self.joints], dtype=torch.float32, device=device)
-        self._lower, self._upper = -limits, limits
-        self.stiffness = torch.tensor([group.stiffness for group in groups], device=device).repeat(num_envs, 1)
-        """(N, k)"""
-        self.damping = torch.tensor([group.damping for group in groups], device=device).repeat(num_envs, 1)
-        """(N, k)"""
+    def __init__(self, context: ActuatorContext) -> None:
+        super().__init__(context)
+        self._upper = context.effort_limits
+        self._lower = -self._upper
+        self.stiffness, self.damping = self.gains = context.values("stiffness"), context.values("damping")
 
     def efforts(self, position: Tensor, velocity: Tensor, targets: Sequence[Tensor]) -> Tensor:
         """(N, k) from measured state (N, k) and position, velocity and effort targets (N, k) each."""
@@ -59,23 +44,16 @@ class DcMotorModel(PdModel):
     """A PD law through a DC motor's torque-speed line, :class:`orbit_core.scene.DcMotor`.
 
     Args:
-        joints, groups, parameters, num_envs, device: as of :class:`PdModel`.
-        physics_dt: seconds, over which windings warm at each turn.
+        context: joints whose groups are :class:`~orbit_core.scene.DcMotor`.
 
     Raises:
         ConfigurationError: a motor has no no-load speed, or its power limit is not above zero.
     """
 
-    def __init__(
-        self,
-        joints: Sequence[int],
-        groups: Sequence[DcMotor],
-        parameters: JointParameters,
-        num_envs: int,
-        device: torch.device,
-        physics_dt: float,
-    ) -> None:
-        super().__init__(joints, groups, parameters, num_envs, device)
+    def __init__(self, context: ActuatorContext) -> None:
+        super().__init__(context)
+        groups: Sequence[DcMotor] = context.groups
+        parameters, device = context.layout.joint_parameters, context.device
         speeds = [
             parameters.velocity_limit[joint] if group.no_load_speed is None else group.no_load_speed
             for joint, group in zip(self.joints, groups, strict=True)
@@ -104,13 +82,23 @@ class DcMotorModel(PdModel):
         self._ratios = Ratios(through, device) if any(through) else None
         self._ratio: Tensor | None = None
         windings = [group.windings for group in groups]
-        self.windings = WindingModel(windings, num_envs, physics_dt, device) if any(windings) else None
+        self._windings = WindingModel(windings, context.num_envs, context.physics_dt, device) if any(windings) else None
+        if self._windings is not None:
+            self.memory["temperatures"] = self._windings.temperatures
+
+    @property
+    def temperatures(self) -> Tensor | None:
+        return None if self._windings is None else self._windings.temperatures
+
+    def fresh(self, name: str) -> Tensor | float:
+        assert self._windings is not None
+        return self._windings.ambient
 
     def efforts(self, position: Tensor, velocity: Tensor, targets: Sequence[Tensor]) -> Tensor:
         self._ratio = None if self._ratios is None else self._ratios.at(position)
         efforts = super().efforts(position, velocity, targets)
-        if self.windings is not None:
-            self.windings.warm(efforts, self._ratio)
+        if self._windings is not None:
+            self._windings.warm(efforts, self._ratio)
         return efforts
 
     def _limited(self, efforts: Tensor, velocity: Tensor) -> Tensor:
@@ -122,7 +110,7 @@ class DcMotorModel(PdModel):
         most = self._power / velocity.abs().clamp_min(_STANDSTILL)  # along the motion
         upper = torch.where(velocity > 0.0, torch.minimum(upper, most), upper)
         lower = torch.where(velocity < 0.0, torch.maximum(lower, -most), lower)
-        if self.windings is not None:
-            derating = self.windings.derating()
+        if self._windings is not None:
+            derating = self._windings.derating()
             upper, lower = derating * upper, derating * lower
         return torch.clamp(efforts, lower, upper)

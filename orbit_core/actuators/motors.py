@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.indexing import write_rows
 from orbit_core.scene import Transmission, Windings
 
 _DIRECT = Transmission(ratios=(1.0,))
@@ -59,10 +58,11 @@ class WindingModel:
         )  # K over the surroundings, at rest, of a squared effort
         self._growth = row([w.resistance_rise for w in told])
         self._share = row([-math.expm1(-physics_dt / w.time_constant) for w in told])
-        self._ambient = row([w.ambient for w in told])
+        self.ambient = row([w.ambient for w in told])
+        """(k,) degrees Celsius of what surrounds the motors."""
         self._highest = row([w.highest for w in told])
         self._span = row([w.highest - w.derating_from for w in told])
-        self.temperatures = self._ambient.repeat(num_envs, 1)
+        self.temperatures = self.ambient.repeat(num_envs, 1)
         """(N, k) degrees Celsius."""
 
     def derating(self) -> Tensor:
@@ -73,9 +73,5 @@ class WindingModel:
         """Pass one physics step in which motors exert ``efforts`` (N, k) at their joints, through ``ratios`` (N, k)."""
         own = efforts if ratios is None else efforts / ratios.clamp_min(_TINY)
         resistance = 1.0 + self._growth * (self.temperatures - REFERENCE)
-        target = self._ambient + self._rise_per_effort * own.square() * resistance
+        target = self.ambient + self._rise_per_effort * own.square() * resistance
         self.temperatures += self._share * (target - self.temperatures)
-
-    def reset(self, env_ids: Tensor | None) -> None:
-        """Let motors of some environments, by index or mask, be as cold as what surrounds them."""
-        write_rows(self.temperatures, self._ambient, env_ids)

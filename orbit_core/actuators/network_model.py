@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from orbit_core.actuators.model import ActuatorContext, ActuatorModel
 from orbit_core.actuators.networks import check_rate, read_network
-from orbit_core.dynamics.indexing import columns_of, write_rows
-from orbit_core.interfaces import ConfigurationError, SceneLayout
-from orbit_core.scene import JointType
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.scene import ActuatorNetwork, JointType
 
 
-class NetworkModel:
+class NetworkModel(ActuatorModel):
     """Efforts (N, k) of the joints that share an actuator network's file.
 
     Args:
-        joints: indices (k,) in the scene.
-        file: path of the network.
-        layout: of the scene.
-        num_envs: N.
-        device: where tensors live.
+        context: joints whose groups are :class:`~orbit_core.scene.ActuatorNetwork`, of one file.
 
     Raises:
         ConfigurationError: the file cannot be read; or the network is of another rate, or for joints of another unit.
     """
 
-    def __init__(
-        self, joints: Sequence[int], file: str, layout: SceneLayout, num_envs: int, device: torch.device
-    ) -> None:
-        self.joints = list(joints)
-        self.columns = columns_of(self.joints, device)
+    def __init__(self, context: ActuatorContext) -> None:
+        super().__init__(context)
+        file, layout, num_envs, device = context.groups[0].file, context.layout, context.num_envs, context.device
         self._network = read_network(Path(file)).to(device)
         description = self._network.description
         check_rate(file, description, layout.scene.physics_dt)
@@ -46,8 +40,13 @@ class NetworkModel:
         self._size = (num_envs, len(self.joints))
         self.past = self._network.past(num_envs * len(self.joints), device)
         """(depth, N k, ...) what the network remembers."""
-        limits = torch.as_tensor(layout.joint_parameters.effort_limit[self.joints], dtype=torch.float32, device=device)
-        self._lower, self._upper = -limits, limits
+        self.memory["past"] = self.past.unflatten(1, self._size).transpose(0, 1)
+        self._upper = context.effort_limits
+        self._lower = -self._upper
+
+    @classmethod
+    def shared_by(cls, group: ActuatorNetwork) -> Hashable:
+        return group.file
 
     def efforts(self, position: Tensor, velocity: Tensor, targets: Sequence[Tensor]) -> Tensor:
         """(N, k) from measured state (N, k) and position, velocity and effort targets (N, k) each."""
@@ -56,8 +55,3 @@ class NetworkModel:
             efforts, past = self._network.step(inputs, self.past)
         self.past.copy_(past)
         return torch.clamp(efforts.view(self._size) + targets[2], self._lower, self._upper)
-
-    def reset(self, env_ids: Tensor | None) -> None:
-        """Forget the past of some environments, by index or mask."""
-        rows = self.past.unflatten(1, self._size).transpose(0, 1)
-        write_rows(rows, 0.0, env_ids)

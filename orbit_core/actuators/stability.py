@@ -7,7 +7,7 @@ import numpy as np
 from orbit_core.dynamics.drive_stability import ExplicitGains, UnstableDrive, unstable_drive
 from orbit_core.interfaces import Backend, ConfigurationError, DriveIntegration, EntityLayout, SceneLayout
 from orbit_core.interfaces.layout import actuator_of_joint
-from orbit_core.scene import IdealPd
+from orbit_core.scene import ImplicitPd
 
 
 def check_drives(layout: SceneLayout, backend: Backend) -> None:
@@ -39,7 +39,7 @@ def _gains(layout: SceneLayout, entity: EntityLayout, integration: DriveIntegrat
     stiffness, damping = np.zeros(len(joints)), np.zeros(len(joints))
     implicit = layout.joint_parameters.damping[entity.joints].copy()
     for index, group in actuator_of_joint(entity.spec).items():
-        if isinstance(group, IdealPd) or integration is DriveIntegration.EXPLICIT:
+        if not isinstance(group, ImplicitPd) or integration is DriveIntegration.EXPLICIT:
             stiffness[index], damping[index] = group.stiffness, group.damping
         else:
             implicit[index] += group.damping
@@ -48,7 +48,7 @@ def _gains(layout: SceneLayout, entity: EntityLayout, integration: DriveIntegrat
 
 def _told(drive: UnstableDrive, layout: SceneLayout, entity: EntityLayout, backend: Backend) -> str:
     index = entity.spec.articulation.joint_names.index(drive.joint)
-    explicit = isinstance(actuator_of_joint(entity.spec)[index], IdealPd)
+    explicit = not isinstance(actuator_of_joint(entity.spec)[index], ImplicitPd)
     remedy = ""
     if explicit and backend.drive_integration is DriveIntegration.IMPLICIT:
         remedy = ", or the engine's own drive, ImplicitPd, which is stable at any gain"

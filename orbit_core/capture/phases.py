@@ -57,6 +57,10 @@ class PhasedFunction:
         """What was captured, a function for each phase."""
         return tuple(function for function, _ in self._known.values())
 
+    def forget(self) -> None:
+        """Capture every phase again when it is next met."""
+        self._known.clear()
+
     @property
     def ready(self) -> bool:
         """Whether the operations are known in the present phase."""

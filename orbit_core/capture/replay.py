@@ -9,6 +9,7 @@ from torch import Tensor, fx
 
 from orbit_core.capture.compile import compiled
 from orbit_core.capture.fusion import fusing
+from orbit_core.capture.python_state import PythonState, frozen_by_trace
 from orbit_core.capture.stages import Trace
 from orbit_core.capture.trace import NotTraceable, Tracer
 from orbit_core.interfaces import World
@@ -25,6 +26,7 @@ class CapturedFunction:
         operations: on tensors and on the world; what they give are tensors.
         memory: the tensors that stand for the past, by name; they must be written in place.
         compile: whether to compile what lies between uses of the engine.
+        python: the values of plain Python that the operations read; they must not change them.
     """
 
     def __init__(
@@ -33,10 +35,12 @@ class CapturedFunction:
         operations: Callable[[], tuple[Tensor, ...]],
         memory: Callable[[], Mapping[str, Tensor]],
         compile: bool,
+        python: Callable[[], PythonState] = lambda: PythonState({}),
     ) -> None:
         self._world = world
         self._operations = operations
         self._memory = memory
+        self._python = python
         self._build = compiled if compile else _as_it_is
         self._compiles = compile
         self.replay: Callable[[], tuple[Tensor, ...]] | None = None
@@ -47,7 +51,7 @@ class CapturedFunction:
         return self._traced() if self.replay is None else self.replay()
 
     def _traced(self) -> tuple[Tensor, ...]:
-        world, before = self._world, self._memory()
+        world, before, python = self._world, self._memory(), self._python()
         tracer = Tracer(world.engine)
         world.touch()  # what was derived before must not be taken for part of the step
         world.masking.traced = True
@@ -57,8 +61,9 @@ class CapturedFunction:
         finally:
             world.masking.traced = False
         after = self._memory()
-        self.refusal = tracer.refusal or _rebound(before, after)
-        if not self.refusal and before.keys() == after.keys():  # else there is memory now that a next trace will find
+        frozen, set_up = frozen_by_trace(python)
+        self.refusal = tracer.refusal or _rebound(before, after) or frozen
+        if not self.refusal and not set_up and before.keys() == after.keys():  # else a next trace finds what is new
             try:
                 trace = Trace(world.engine, tracer.stages, outputs, self._build)
                 self.replay = _recorded(trace, world.engine.capture.record)

@@ -15,6 +15,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map_only
 
@@ -22,6 +23,7 @@ from orbit_core.dynamics.indexing import is_mask
 from orbit_core.interfaces import Engine
 from orbit_core.interfaces.capture import Use, Watched, watched_by
 
+_HOST_READS = frozenset({Tensor.numpy, Tensor.tolist, Tensor.__array__, Tensor.__dlpack__})
 _DECIDING = (torch.Tag.data_dependent_output, torch.Tag.dynamic_output_shape)
 
 
@@ -95,19 +97,19 @@ class Tracer(TorchDispatchMode):
         self.refusal = ""
         """What no trace can repeat; empty if nothing."""
         self._engine = engine
-        self._paused = False
+        self.paused = False
 
     @contextmanager
     def tracing(self) -> Iterator[None]:
         """Note torch's operations, and the uses of the engine in the place of the operations within them."""
-        with watched_by(self), self:
+        with watched_by(self), self, _HostReads(self):
             yield
 
     def __torch_dispatch__(
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
     ) -> Any:
         keywords = kwargs or {}
-        if self._paused:
+        if self.paused:
             return func(*args, **keywords)
         if _decides(func, args):
             self.refusal = f"{func} looks at a tensor's values"
@@ -119,7 +121,7 @@ class Tracer(TorchDispatchMode):
 
     def read(self, owner: Watched, name: str, function: Callable[[], Tensor]) -> Tensor:
         """Note what is read of the engine, once between two calls: it shows the state since the last."""
-        if self._paused:
+        if self.paused:
             return function()
         if owner is not self._engine:
             self.refusal = f"the state of another engine, its {name}, is read"
@@ -136,7 +138,7 @@ class Tracer(TorchDispatchMode):
 
     def call(self, use: Use) -> Any:
         """Make a call, and end the stage with it."""
-        if self._paused:
+        if self.paused:
             return use.function(**use.arguments)
         with self._silence():
             on_host = by_index(use)
@@ -155,11 +157,26 @@ class Tracer(TorchDispatchMode):
 
     @contextmanager
     def _silence(self) -> Iterator[None]:
-        before, self._paused = self._paused, True
+        before, self.paused = self.paused, True
         try:
             yield
         finally:
-            self._paused = before
+            self.paused = before
+
+
+class _HostReads(TorchFunctionMode):
+    """Notes that Python takes a tensor's values past torch's dispatcher, which a trace could not repeat."""
+
+    def __init__(self, tracer: Tracer) -> None:
+        super().__init__()
+        self._tracer = tracer
+
+    def __torch_function__(
+        self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
+    ) -> Any:
+        if func in _HOST_READS and not self._tracer.paused:
+            self._tracer.refusal = f"Tensor.{func.__name__} looks at a tensor's values"
+        return func(*args, **(kwargs or {}))
 
 
 def tensors_of(tree: Any) -> list[Tensor]:

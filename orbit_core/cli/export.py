@@ -6,10 +6,10 @@ import dataclasses
 import datetime
 import json
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
@@ -19,6 +19,7 @@ from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console
 from orbit_core.cli.parsing import parse_words
 from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.cli.trained import training_record
 from orbit_core.files import check_apart, written_whole
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
 from orbit_core.pretrained import policy_fields, policy_path
@@ -67,9 +68,13 @@ def main(words: Sequence[str]) -> None:
         except OrbitError as error:
             told = f"the files have none either: {error}"
         warnings.warn(f"{path} holds no manifest of where it was learned: {told}", stacklevel=2)
+    elif not policy.manifest.explains:
+        policy = dataclasses.replace(policy, manifest=_explained(policy, policy.manifest, path))
+    manifest = {} if policy.manifest is None else {"manifest": policy.manifest.document()}
+    document = json.dumps({**policy.description.document()["policy"], **manifest}, indent=2)
     # All three are written before the first takes its place, so that they are of one policy whatever goes wrong.
     with written_whole(described) as text, written_whole(weights) as tensors, written_whole(onnx) as graph:
-        text.write_text(json.dumps(policy.description.document()["policy"], indent=2) + "\n", encoding="utf-8")
+        text.write_text(document + "\n", encoding="utf-8")
         policy.save(tensors)
         policy.export_onnx(graph)
     console().print(f"policy.safetensors, policy.onnx and policy.json are in {settings.output}", soft_wrap=True)
@@ -91,6 +96,27 @@ def _amend(policy: Policy, path: Path) -> None:
     console().print(f"{file} holds the manifest of its environment as it is today", soft_wrap=True)
 
 
+def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
+    """The manifest of a file that is older than what manifests say of their numbers, with that of the environment as it
+    is today, where this has the same joints, home positions and terms; else as it was, with a warning."""
+    from orbit_core.data.compare import Kind, differences
+
+    group = policy.description.group
+    try:
+        present = _present(policy, path)
+        found = differences(recorded, present, [group])
+        wrong = [str(each) for each in found if each.kind is Kind.ERROR or each.path.endswith("home_positions")]
+        if not wrong:
+            return dataclasses.replace(recorded, observations={group: recorded.observations[group]}).explained_by(
+                present
+            )
+        told = "; ".join(wrong)
+    except OrbitError as error:
+        told = str(error)
+    warnings.warn(f"{path} does not say what its numbers mean, nor does its environment today: {told}", stacklevel=3)
+    return recorded
+
+
 def _present(policy: Policy, path: Path) -> Manifest:
     """The manifest of the environment that a policy fits today, for files of before there were manifests. What
     the training's record beside the file tells, it tells too.
@@ -101,7 +127,7 @@ def _present(policy: Policy, path: Path) -> Manifest:
     from orbit_core.data.compare import renamed_group
     from orbit_core.data.manifest import Manifest
 
-    learned, training = policy.description, _training(path)
+    learned, training = policy.description, training_record(path)
     installed = learned.backend in backend_names()
     told = {key: value for key in _OF_A_TRAINING if (value := training.get("settings", {}).get(key)) and installed}
     made = EnvironmentSettings(
@@ -126,19 +152,3 @@ def _present(policy: Policy, path: Path) -> Manifest:
     on = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     later = f"on {on}, of the environment that the policy fitted on that day{of}"
     return Manifest.decode(dataclasses.replace(manifest, **known, made_later=later).encode(), f"training of {path}")
-
-
-def _training(path: Path) -> Mapping[str, Any]:
-    """What the file beside a policy tells of its training, empty without one."""
-    from orbit_core.learning.training import RECORD
-
-    file = (path if path.is_dir() else path.parent) / RECORD
-    if not file.exists():
-        return {}
-    try:
-        values = json.loads(file.read_bytes())
-        if {"seed", "num_envs", "device"} <= values["settings"].keys() and isinstance(values["versions"], dict):
-            return values
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        pass
-    raise ConfigurationError(f"{file} tells of no training")

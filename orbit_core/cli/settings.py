@@ -35,6 +35,9 @@ class EnvironmentSettings:
     """Torch device that holds all state, such as 'cpu' or 'cuda:0'."""
     compile: bool = False
     """Compile the layer's part of a step: seconds at the first steps, and less time in all that follow."""
+    capture: bool = True
+    """Capture the step once on a GPU and repeat it without its Python; without, a task may count in plain Python, and
+    each step waits for the device."""
     check_finite: bool = False
     """Stop at an observation that is NaN or infinite on a GPU too; each step then waits for the device."""
     seed: int = 0

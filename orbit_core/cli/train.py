@@ -196,5 +196,5 @@ def _table(settings: TrainSettings, last: Progress, folder: Path) -> Table:
         table.add_row("episodes that diverged, and were begun anew", f"{last.diverged:,}")
     if not math.isnan(last.loss):
         table.add_row("mean loss of the last iteration", f"{last.loss:.5f}")
-    table.add_row("play it", " ".join((f"orbit play {folder}", *(f"--set {pair}" for pair in settings.set))))
+    table.add_row("play it", f"orbit play {folder}")
     return table

@@ -35,6 +35,7 @@ class Kind(Enum):
 # The first that matches a path counts.
 _RULES: tuple[tuple[str, Kind], ...] = (
     (r"(action_terms|observations)(\..*)?\.(low|high)", Kind.WARNING),
+    (r"(action_terms|observations)\..*\.(formula|frame|order|decoding|rate|clip|leads)", Kind.NOTE),
     (r"action_terms(\..*)?|observations(\..*)?|step_dt", Kind.ERROR),
     (r"robots\.[^.]*|robots\..*\.(joint_names|agent)", Kind.ERROR),
     (r"robots\..*|assets(\..*)?|gravity|physics_dt|decimation|matter|task", Kind.WARNING),
@@ -132,7 +133,9 @@ def _same(old: Any, new: Any) -> bool:
 
 
 def _comparable(path: str, old: Any, new: Any) -> bool:
-    """Not digests of assets of which one is of every bit, as they were before: nothing tells whether these agree."""
+    """Not what manifests did not say before, nor digests of assets of which one is of every bit, as they were."""
+    if re.fullmatch(r"observations\..*\.(components|offset)", path) and not old:
+        return False
     digests = path.startswith("assets.") and isinstance(old, str) and isinstance(new, str)
     return not digests or old.startswith(ROUNDED) == new.startswith(ROUNDED)
 

@@ -6,29 +6,31 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
 from orbit_core.backends import renderer_names, versions_of
 from orbit_core.data.plain import as_plain, digest
 from orbit_core.envs.observation_groups import groups_of, terms_of_group
-from orbit_core.envs.terms import ObservationGroup, unit_of
+from orbit_core.envs.terms import POSE, ObservationGroup, ObservationTerm, meaning_of, unit_of
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.interfaces.layout import actuator_of_joint, joint_limits
+from orbit_core.motion.term import ActionTerm
 from orbit_core.reading.budget import MAX_DOCUMENT
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
-    from orbit_core.envs.observation_layout import GroupLayout
+    from orbit_core.envs.observation_layout import GroupLayout, TermLayout
     from orbit_core.interfaces import Object, Robot
-    from orbit_core.motion import ActionTerm, MotionGenerator
+    from orbit_core.motion import MotionGenerator
     from orbit_core.scene import Scene
 
 FORMAT = 1
 """Version of the manifest; another is refused."""
 _LEAST = 1e-9
 """Shortest time in seconds, and the reciprocal of the longest."""
+_POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 Limits = tuple[float | None, ...]
 """Numbers of which those that are infinite are None, for JSON has no infinity."""
 
@@ -73,6 +75,16 @@ class ObservationTermManifest:
     low: float | None
     """Least that it shows; None where nothing bounds it."""
     high: float | None
+    formula: str = ""
+    """The quantity, in a sentence; what is seen is ``scale * (measured - offset)``."""
+    frame: str = ""
+    """Frame that it is expressed in; empty where it has none, as joints have, and where the task does not say."""
+    components: tuple[str, ...] = ()
+    """Name of each number of one step, in order; none of pictures, whose order is row, column, channel."""
+    offset: tuple[float, ...] = ()
+    """What is subtracted from each of these numbers as it is measured, in ``unit``."""
+    order: str = ""
+    """Order of the numbers where several steps are seen."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +115,19 @@ class ActionTermManifest:
     upper_limits: Limits
     settings: dict[str, Any]
     """All fields of the term's configuration."""
+    decoding: str = ""
+    """What a command does, with the formulas; names in it are those of ``settings``."""
+    frame: str = ""
+    """Frame that the components are expressed in."""
+    leads: Limits = ()
+    """rad or m by which the target of each joint may lead its measured position; empty or None: by any."""
+    clip: tuple[float, float] = (-1.0, 1.0)
+    """Bounds that each component is clipped to before it is decoded."""
+    rate: float = 0.0
+    """Hz at which commands are taken."""
+
+
+_Term = TypeVar("_Term", ObservationTermManifest, ActionTermManifest)
 
 
 @dataclass(frozen=True)
@@ -157,8 +182,10 @@ class Manifest:
             task=task,
             configuration=configuration,
             robots={name: _robot(robot, name in own.agents) for name, robot in world.robots.items()},
-            observations={n: _group(groups[n], layout) for n, layout in environment.observation.items()},
-            action_terms={name: _action(name, term, generator) for (name, term), generator in terms},
+            observations={n: _group(environment, groups[n], layout) for n, layout in environment.observation.items()},
+            action_terms={
+                name: _action(name, term, generator, environment.step_dt) for (name, term), generator in terms
+            },
             step_dt=environment.step_dt,
             physics_dt=own.physics_dt,
             decimation=own.decimation,
@@ -173,6 +200,24 @@ class Manifest:
             seed=seed,
             assets=_assets(scene),
         )
+
+    @property
+    def explains(self) -> bool:
+        """True if every term says what its numbers mean, which manifests did not from the beginning."""
+        seen = [term for group in self.observations.values() for term in group.terms.values()]
+        return all(term.formula for term in seen) and all(term.decoding for term in self.action_terms.values())
+
+    def explained_by(self, present: Manifest) -> Manifest:
+        """The manifest with what it does not say of its terms' numbers taken from another one of the same terms."""
+        groups = {
+            name: dataclasses.replace(
+                group,
+                terms={n: _explained(term, present.observations[name].terms[n]) for n, term in group.terms.items()},
+            )
+            for name, group in self.observations.items()
+        }
+        actions = {name: _explained(term, present.action_terms[name]) for name, term in self.action_terms.items()}
+        return dataclasses.replace(self, observations=groups, action_terms=actions)
 
     def encode(self) -> bytes:
         """As JSON."""
@@ -238,26 +283,49 @@ def _robot(robot: Robot | Object, agent: bool) -> RobotManifest:
     )
 
 
-def _group(group: ObservationGroup, layout: GroupLayout) -> GroupManifest:
+def _group(environment: Environment, group: ObservationGroup, layout: GroupLayout) -> GroupManifest:
     terms = terms_of_group(group)
     return GroupManifest(
         concatenated=layout.concatenated,
-        terms={
-            name: ObservationTermManifest(
-                shape=tuple(shown.shape),
-                dtype=str(shown.dtype).removeprefix("torch."),
-                unit=unit_of(terms[name]),
-                scale=terms[name].scale,
-                history=group.history if (own := terms[name].history) is None else own,
-                low=_limit(shown.low),
-                high=_limit(shown.high),
-            )
-            for name, shown in layout.terms.items()
-        },
+        terms={name: _term(environment, group, terms[name], shown) for name, shown in layout.terms.items()},
     )
 
 
-def _action(name: str, term: ActionTerm, generator: MotionGenerator) -> ActionTermManifest:
+def _term(
+    environment: Environment, group: ObservationGroup, term: ObservationTerm, shown: TermLayout
+) -> ObservationTermManifest:
+    history = group.history if term.history is None else term.history
+    meaning, size = meaning_of(term), math.prod(shown.shape) // history
+    given = (environment.world, environment.task, *(() if term.agent is None else (term.agent,)))
+    picture = len(shown.shape) - (history > 1 and not group.concatenate) >= 3
+    components = meaning.components(*given) if callable(meaning.components) else meaning.components
+    offset = [0.0] * size if meaning.offset is None else meaning.offset(*given).flatten().tolist()
+    return ObservationTermManifest(
+        shape=tuple(shown.shape),
+        dtype=str(shown.dtype).removeprefix("torch."),
+        unit=unit_of(term),
+        scale=term.scale,
+        history=history,
+        low=_limit(shown.low),
+        high=_limit(shown.high),
+        formula=meaning.formula,
+        frame=meaning.frame,
+        components=() if picture else tuple(components) or _named(size, unit_of(term)),
+        offset=() if picture else tuple(offset),
+        order="oldest step first, the numbers of a step together" if history > 1 else "",
+    )
+
+
+def _named(size: int, unit: str) -> tuple[str, ...]:
+    """Return names for numbers whose task gives none: those of a pose or a vector, or else their places."""
+    for names, units in ((_POSE, (POSE,)), (_POSE[:3], ("m", "m/s", "rad/s", "m/s^2", "N"))):
+        if unit in units and size % len(names) == 0:
+            several = size > len(names)
+            return tuple(f"{row} {n}" if several else n for row in range(size // len(names)) for n in names)
+    return tuple(map(str, range(size)))
+
+
+def _action(name: str, term: ActionTerm, generator: MotionGenerator, step_dt: float) -> ActionTermManifest:
     spec = generator.robot.spec
     offset, scale = generator.affine or (None, None)
     lower, upper = generator.position_range.cpu().unbind(1)
@@ -271,7 +339,24 @@ def _action(name: str, term: ActionTerm, generator: MotionGenerator) -> ActionTe
         lower_limits=_limits(lower.tolist()),
         upper_limits=_limits(upper.tolist()),
         settings={field.name: as_plain(getattr(term, field.name)) for field in dataclasses.fields(term)},
+        decoding=_decoding(type(term)),
+        frame=term.reference,
+        leads=() if generator.lead is None else _limits(generator.lead.tolist()),
+        rate=1.0 / step_dt,
     )
+
+
+def _decoding(kind: type[ActionTerm]) -> str:
+    """Return what the docstrings of an action term's classes say of its command."""
+    own = [base for base in kind.__mro__[: kind.__mro__.index(ActionTerm)] if base.__doc__]
+    return " ".join(" ".join(base.__doc__.split()) for base in own if base.__doc__)
+
+
+def _explained(term: _Term, present: _Term) -> _Term:
+    """Return a term whose fields that are empty, as those are that were added later, hold what another's hold."""
+    own = {field.name: getattr(term, field.name) for field in dataclasses.fields(term)}
+    missing = {name: getattr(present, name) for name, value in own.items() if value in ("", (), 0.0)}
+    return dataclasses.replace(term, **missing)
 
 
 def _limits(values: Sequence[float]) -> Limits:

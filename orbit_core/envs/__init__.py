@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         CurriculumTerm,
         EventTerm,
         EventTime,
+        ModifyTerm,
         ObservationGroup,
         ObservationTerm,
         PremiseTerm,
@@ -40,6 +41,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "CurriculumTerm",
         "EventTerm",
         "EventTime",
+        "ModifyTerm",
         "ObservationGroup",
         "ObservationTerm",
         "PremiseTerm",
@@ -51,9 +53,9 @@ _MODULES: dict[str, tuple[str, ...]] = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "CurriculumTerm", "Environment", "EventTerm", "EventTime", "Expert", "ExpertStarts", "ObservationGroup",
-    "ObservationTerm", "Phase", "PpoSettings", "PremiseTerm", "Retry", "RewardTerm", "Task", "TaskEntry",
-    "TaskRegistry", "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
+    "CurriculumTerm", "Environment", "EventTerm", "EventTime", "Expert", "ExpertStarts", "ModifyTerm",
+    "ObservationGroup", "ObservationTerm", "Phase", "PpoSettings", "PremiseTerm", "Retry", "RewardTerm", "Task",
+    "TaskEntry", "TaskRegistry", "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
 ]  # fmt: skip
 
 

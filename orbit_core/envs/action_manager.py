@@ -37,6 +37,8 @@ class ActionManager:
         """Motion generators in the order of the action's components."""
         self.slices = task.action_slices = _slices_by_agent(self.generators)
         """Which components of the action are each agent's."""
+        named = {name: term.components(world.robots[term.robot].spec, name) for name, term in terms.items()}
+        task.action_components = tuple(f"{name}: {component}" for name, own in named.items() for component in own)
         self.size = sum(generator.command_size for generator in self.generators)
         """Components of the action."""
         self._sizes = [generator.command_size for generator in self.generators]

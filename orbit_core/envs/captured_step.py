@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import warnings
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -13,13 +15,17 @@ from torch.utils._pytree import keystr, tree_leaves_with_path
 from orbit_core.agent import Cut
 from orbit_core.capture.compile import check_compiler
 from orbit_core.capture.phases import Moment, PhasedFunction
+from orbit_core.capture.python_state import REMEDY, Holder, PythonState
 from orbit_core.capture.replay import CapturedFunction
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.observation_layout import Observation, leaves_of, observation_of
 from orbit_core.envs.step_parts import StepParts
 from orbit_core.envs.task import Task
+from orbit_core.envs.terms import ObservationGroup, RewardTerm, Term
 from orbit_core.interfaces import World
+from orbit_core.world.world import SimulatedWorld
 
+_OFTEN = 8
 MOST_PHASES = 64
 """Most phases of a schedule that is captured: each costs a trace, and where asked a compilation."""
 StepResult = tuple[Observation, Tensor, Tensor, Tensor, Mapping[str, EpisodeEnd]]
@@ -34,12 +40,16 @@ class CapturedStep:
         whole: whether the resets are in the step, so that nothing waits for the device; else they are another part, run
             only where an episode ended, which on a CPU costs nothing to know.
         settles: whether time passes in a reset, which then is Python; each step waits to know whether an episode ended.
+        renews: whether the next episode begins in the step that ends one; else it waits for a reset, and so does the
+            step.
 
     Raises:
         ConfigurationError: it should be compiled, and nothing compiles here.
     """
 
-    def __init__(self, environment: StepParts, compile: bool, whole: bool, settles: bool = False) -> None:
+    def __init__(
+        self, environment: StepParts, compile: bool, whole: bool, settles: bool = False, renews: bool = True
+    ) -> None:
         if compile:
             check_compiler(environment.device)
         self._environment = environment
@@ -47,9 +57,15 @@ class CapturedStep:
         """The last observation of all environments, for the part that renews it where episodes begin."""
         self._leaves = len(self._observed)
         self._metrics: tuple[str, ...] = ()
-        self._settles = settles
+        self._settles, self._renews = settles, renews
+        self._python: PythonState | None = None
+        """Python values that the captured parts took as they were; None before the first capture."""
+        self._captures: deque[int] = deque(maxlen=_OFTEN)
+        """Steps at which such values had changed."""
+        self._steps = 0
         self._ended = environment.done.numpy() if environment.device.type == "cpu" else environment.done
-        parts = (self._play,) if settles else (self._play_and_renew,) if whole else (self._play, self._renew)
+        alone = settles or not renews
+        parts = (self._play,) if alone else (self._play_and_renew,) if whole else (self._play, self._renew)
         self.parts = [self._phased(part, compile) for part in parts]
 
     def _phased(self, part: Callable[[], tuple[Tensor, ...]], compile: bool) -> PhasedFunction:
@@ -58,26 +74,68 @@ class CapturedStep:
         def memory() -> dict[str, Tensor]:
             return {**remembered(task, cut), **cut.memory(), **world.memory()}
 
-        return PhasedFunction(StepSchedule(world, cut), lambda: CapturedFunction(world, part, memory, compile))
+        def capture() -> CapturedFunction:
+            return CapturedFunction(world, part, memory, compile, self._look)
+
+        return PhasedFunction(StepSchedule(world, cut), capture)
 
     def __call__(self) -> StepResult:
         """One step; the first makes all parts ready, and so does for no environment what resets do."""
         if not self.parts[0].ready:
             self._environment.cut.observe()  # in Python, acting demands it
         outputs = self.parts[0]()
-        ready = self._settles or (len(self.parts) > 1 and self.parts[1].ready)
+        if self._python is None:
+            self._python = self._look()
+        ready = self._settles or not self._renews or (len(self.parts) > 1 and self.parts[1].ready)
         running = ready and not self._ended.any()
         copies = [output.clone() for output in (outputs[: self._leaves + 3] if running else outputs)]
         seen, (reward, terminated, truncated, *end) = copies[: self._leaves], copies[self._leaves :]
         if running:
             return self._tree(seen), reward, terminated, truncated, {}
-        if self._settles:
+        if not self._renews:
+            end += seen
+            self._environment.progress()
+        elif self._settles:
             end += seen
             seen = self._renew_in_python()
         elif len(self.parts) > 1:
             end += seen
             seen = [output.clone() for output in self.parts[1]()]
         return self._tree(seen), reward, terminated, truncated, self._info(end)
+
+    def holds(self) -> bool:
+        """Return True if every value of plain Python that was captured is the one that it was, terms included."""
+        self._steps += 1
+        return self._python is not None and self._python.unchanged()
+
+    def look_again(self) -> None:
+        """Capture all parts again if a value of plain Python was changed between steps, other than a weight."""
+        if self._python is None:
+            return
+        changes = [change for change in self._python.changes() if not _is_weight(*change)]
+        if not changes:
+            self._python.update()
+            return
+        changed, self._python = self._python.describe(changes[0]), None
+        for part in self.parts:
+            part.forget()
+        self._captures.append(self._steps)
+        if len(self._captures) == _OFTEN and self._captures[-1] - self._captures[0] < 10 * _OFTEN:
+            self._captures.clear()
+            warnings.warn(
+                f"{changed} changes between steps, {_OFTEN} times of late, and each time the step is captured again, "
+                f"which is slow: {REMEDY}",
+                RuntimeWarning,
+                stacklevel=5,
+            )
+
+    def _look(self) -> PythonState:
+        task, cut = self._environment.task, self._environment.cut
+        nodes = {f"node '{runner.node.name}'": runner.node for runner in cut.graph.runners}
+        world = self._environment.world
+        laws = {**world.actuators.models, **world.active.laws} if isinstance(world, SimulatedWorld) else {}
+        roots = {type(task).__name__: task, **nodes, **laws}
+        return PythonState(roots, (Term, ObservationGroup), skipped=frozenset({"cache"}))
 
     @property
     def refusal(self) -> str:
@@ -135,6 +193,10 @@ class CapturedStep:
         """What :meth:`_play` gives with the new observation in the place of the last, which comes at the end."""
         played = self._play()
         return (*self._renew(), *played[self._leaves :], *played[: self._leaves])
+
+
+def _is_weight(holder: Holder, key: object) -> bool:
+    return isinstance(holder.owner, RewardTerm) and key == "weight"  # a tensor of the reward manager's holds it
 
 
 def _where(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:

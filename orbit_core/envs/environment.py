@@ -29,6 +29,7 @@ from orbit_core.envs.captured_step import CapturedStep, StepResult, needs_python
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.event_manager import EventManager
 from orbit_core.envs.expert_starts import ExpertStarts
+from orbit_core.envs.live_configuration import ConfigurationWatch, Modifiers
 from orbit_core.envs.lost_episodes import LostEpisodes
 from orbit_core.envs.multi_agent import MultiAgentView, check_owners
 from orbit_core.envs.observation_check import check_finite as check_observation
@@ -37,7 +38,7 @@ from orbit_core.envs.observation_layout import Observation, leaf_shapes, leaves_
 from orbit_core.envs.observation_manager import ObservationManager
 from orbit_core.envs.premises import PremiseManager
 from orbit_core.envs.reward_manager import RewardManager
-from orbit_core.envs.settings_check import check_no_backend, curriculum_of, whole_steps
+from orbit_core.envs.settings_check import check_no_backend, curriculum_of, modifiers_of, whole_steps
 from orbit_core.envs.task import Task
 from orbit_core.envs.term_values import per_environment
 from orbit_core.envs.terms import TerminationTerm, terms_of
@@ -71,6 +72,10 @@ class Environment:
         matter_settings: of the matter solver, by field name.
         reset_diverged: whether an environment that diverges begins a new episode (:class:`LostEpisodes`), rather than
             that the step raises.
+        capture: whether a step on a GPU is captured once and repeated without its Python. Without, a task's terms may
+            count and decide in plain Python, and each step waits for the device. On a CPU only ``compile`` captures.
+        autoreset: whether the next episode begins in the step that ends one; without, which is for one environment, the
+            world stays as it ended until :meth:`reset`, and no step is taken before.
 
     Raises:
         ConfigurationError: among others, nothing compiles here, or the task's step cannot be compiled.
@@ -95,6 +100,8 @@ class Environment:
         matter: str | None = None,
         matter_settings: Mapping[str, Any] | None = None,
         reset_diverged: bool = False,
+        capture: bool = True,
+        autoreset: bool = True,
     ) -> None:
         if not isinstance(task, Task):
             raise ConfigurationError(f"an environment needs a Task, not a {type(task).__name__}: orbit_core.envs.make")
@@ -125,6 +132,9 @@ class Environment:
         self.reward_terms, self.reward_sums = self._rewards.terms, self._rewards.sums
         self.termination_terms = terms_of(task.terminations, TerminationTerm)
         self._curriculum = curriculum_of(task)
+        self._modifiers = Modifiers(task, modifiers_of(task))
+        self.steps = 0
+        """Steps made since the environment was made."""
         self.all_ids = torch.arange(num_envs, device=self.device)
         self.done = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         """(N,) whose episode ended in the last step."""
@@ -147,13 +157,20 @@ class Environment:
         self.multi_agent = MultiAgentView(task, self.observation[POLICY], self.step_dt) if several else None
         """Whose each part of observation, action and reward is, where several robots act."""
         self.cut = self._build_agent()
-        self._compile = compile
+        if compile and not capture:
+            raise ConfigurationError("compile=True needs the step to be captured: leave capture=False out, or compile")
+        if not autoreset and num_envs > 1:
+            raise ConfigurationError(f"autoreset=False is for one environment that waits for reset, not for {num_envs}")
+        self._compile, self._capture, self._autoreset = compile, capture, autoreset
+        self._over = False
+        """Whether the episode has ended and waits for a reset."""
         self._started = False
         """Whether a step was made, and with it all that is made at first use: a trace would make it anew each time."""
         self.premises = PremiseManager(self.world, task, simulated=world is None)
         """What the task takes for granted of an episode's start, and how often it does not hold."""
         self.starts = ExpertStarts(self.world, task) if task.expert_starts else None
         """Which episodes begin on the expert's way, where the task asks for such."""
+        self._watch = ConfigurationWatch(task)
         self._closed = self._close_step()
         self._events = EventManager(self.world, task, self.step_dt, lambda: remembered(task, self.cut))
         self._events.startup()
@@ -178,6 +195,7 @@ class Environment:
         env_ids = self.world.masking.rows(env_ids)
         if seed is not None:
             self.world.random.seed(seed, env_ids)
+        self._over = False
         with SingleThreaded():
             self.begin(env_ids)
             if env_ids is None:
@@ -212,9 +230,19 @@ class Environment:
             return self._step(action)
 
     def _step(self, action: Tensor) -> StepResult:
+        if self._over:
+            raise ConfigurationError("the episode is over: reset the environment, then step")
         torch.clamp(self._checked(action), -1.0, 1.0, out=self._action)
-        if self._closed is not None and self._started:
-            return self._step_closed(self._closed)
+        self._modifiers.run(self.steps)
+        closed = self._closed if self._started else None
+        if closed is None or not closed.holds():
+            if self._watch.changed():
+                self._refresh()
+            if closed is not None:
+                closed.look_again()
+        self.steps += 1
+        if closed is not None:
+            return self._step_closed(closed)
         self._started = True
         reward, terminated, truncated = self.advance()
         if self._checks:
@@ -222,8 +250,11 @@ class Environment:
         if not bool(self.done.any()):
             return self._observe(), reward, terminated, truncated, {}
         ended = self.done.nonzero().squeeze(-1)
-        final = self._everyone(self._observe()).only(ended)
+        final = self._everyone(last := self._observe()).only(ended)
         self.progress()
+        if not self._autoreset:
+            self._over = True
+            return last, reward, terminated, truncated, {"final": final}
         self.begin(ended)
         return self._observe_new(self.done), reward, terminated, truncated, {"final": final}
 
@@ -260,6 +291,19 @@ class Environment:
         edges += self.actions.edges("policy.action")
         return Cut(AgentGraph(nodes, edges, rate=1.0 / self.step_dt), "policy")
 
+    def _refresh(self) -> None:
+        """Take in the terms that the task has now."""
+        check_owners(self.task)
+        self._rewards.refresh()
+        if self.multi_agent is not None:
+            self.multi_agent.refresh()
+        self.termination_terms = terms_of(self.task.terminations, TerminationTerm)
+        self._curriculum = curriculum_of(self.task)
+        self._modifiers = Modifiers(self.task, modifiers_of(self.task))
+        self._events.refresh()
+        self.premises.refresh()
+        self.observer.refresh()
+
     # One step -------------------------------------------------------------------------------------------------------
 
     def _close_step(self) -> CapturedStep | None:
@@ -267,9 +311,10 @@ class Environment:
         reason = needs_python(self.world, self.cut, self.task.decimation)
         if self._compile and reason:
             raise ConfigurationError(f"the step cannot be compiled, for it needs Python each time: {reason}")
-        if reason or (self.device.type == "cpu" and not self._compile):
+        if reason or not self._capture or (self.device.type == "cpu" and not self._compile):
             return None
-        return CapturedStep(self, self._compile, self.device.type != "cpu", settles=self.premises.settle_steps > 0)
+        whole, settles = self.device.type != "cpu", self.premises.settle_steps > 0
+        return CapturedStep(self, self._compile, whole, settles, self._autoreset)
 
     def _step_closed(self, closed: CapturedStep) -> StepResult:
         result = closed()
@@ -278,6 +323,7 @@ class Environment:
             self._rewards.check_finite(result[1])
         if isinstance(info := result[4], StepInfo):
             self._checked_observation(info.everyone.observation)
+            self._over = not self._autoreset
         if closed.refusal:
             if self._compile:
                 raise ConfigurationError(f"the step cannot be compiled: {closed.refusal}; or leave compile out")

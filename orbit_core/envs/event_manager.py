@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -31,20 +32,49 @@ class EventManager:
         self._task = task
         self._memory = memory
         self._all = torch.arange(world.num_envs, device=world.device)
-        terms = terms_of(task.events, EventTerm)
+        self._step_dt = step_dt
+        self._timers: dict[str, _Timer] = {}
+        self._happened: list[EventTerm] | None = None
+        """Copies of the startup's terms, once they have happened."""
+        self._read()
+
+    def refresh(self) -> None:
+        """Take the terms that the task has now; an interval holds from an environment's next draw on.
+
+        Raises:
+            ConfigurationError: an event of :attr:`EventTime.STARTUP` is another, or an interval cannot be.
+        """
+        timers = set(self._timers)
+        self._read()
+        if self._happened is not None and self._happened != self._at[EventTime.STARTUP]:
+            raise ConfigurationError(
+                "an event of EventTime.STARTUP was changed after it had happened: change it before the environment is "
+                "made, or make it one of EventTime.RESET"
+            )
+        for name in self._timers.keys() - timers:
+            self._timers[name].draw(None)
+
+    def _read(self) -> None:
+        terms = terms_of(self._task.events, EventTerm)
         self._at = {time: [term for term in terms.values() if term.time is time] for time in EventTime}
-        self._timers = [
-            _Timer(name, term, step_dt, world) for name, term in terms.items() if term.time is EventTime.INTERVAL
-        ]
+        known = self._timers
+        self._timers = {
+            name: _Timer(name, term, self._step_dt, self._world)
+            for name, term in terms.items()
+            if term.time is EventTime.INTERVAL
+        }
+        for name in known.keys() & self._timers.keys():
+            self._timers[name].left = known[name].left
 
     def startup(self) -> None:
         """Once, before the first episode."""
-        for term in self._at[EventTime.STARTUP]:
+        self._happened = [replace(term) for term in self._at[EventTime.STARTUP]]
+        for term in self._happened:
             term.function(self._world, self._task, self._all)
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Run the events of an episode's beginning, in environments by index or mask."""
-        for timer in self._timers:
+        for timer in self._timers.values():
             timer.draw(env_ids)
         terms = self._at[EventTime.RESET]
         if is_mask(env_ids):
@@ -54,7 +84,7 @@ class EventManager:
 
     def advance(self) -> None:
         """Run the events that are due at the beginning of a step."""
-        for timer in self._timers:
+        for timer in self._timers.values():
             due = timer.left == 0
             if self._world.masking.traced:
                 self._run_where(due, [timer.term])

@@ -30,6 +30,8 @@ def make(
     matter: str | None = None,
     matter_settings: Mapping[str, Any] | None = None,
     reset_diverged: bool = False,
+    capture: bool = True,
+    autoreset: bool = True,
     **fields: Any,
 ) -> Environment:
     """The environment of a task, given by name or configured; ``fields`` set the task's own, such as ``robot``.
@@ -53,5 +55,7 @@ def make(
         matter,
         matter_settings,
         reset_diverged,
+        capture,
+        autoreset,
     )
     return Environment(task, num_envs, backend, *common)

@@ -12,6 +12,7 @@ from orbit_core.dynamics.arguments import check_shape
 from orbit_core.envs.observation_groups import POLICY, groups_of, terms_of_group
 from orbit_core.envs.observation_layout import GroupLayout, Observation
 from orbit_core.envs.task import Task
+from orbit_core.envs.term_values import weight_of
 from orbit_core.envs.terms import RewardTerm, terms_of
 from orbit_core.interfaces import UnknownNameError
 
@@ -31,7 +32,7 @@ class MultiAgentView:
     def __init__(self, task: Task, layout: GroupLayout, step_dt: float) -> None:
         self.agents = task.agents
         self._actions = task.action_slices
-        rewards = terms_of(task.rewards, RewardTerm).values()
+        self._task, self._step_dt = task, step_dt
         owners = {name: term.agent for name, term in terms_of_group(groups_of(task)[POLICY]).items()}
         self.layouts = {
             agent: replace(layout, terms={n: t for n, t in layout.terms.items() if owners[n] in (None, agent)})
@@ -41,11 +42,21 @@ class MultiAgentView:
         self._columns = {
             agent: _columns(layout, own).to(task.device) for agent, own in self.layouts.items() if layout.concatenated
         }
-        weights = [
-            [term.weight * step_dt if term.agent in (None, agent) else 0.0 for term in rewards] for agent in self.agents
-        ]
-        self._weights = torch.tensor(weights, device=task.device)
+        self._weights = torch.tensor(self._weights_now(), device=task.device)
         self._rewards = torch.zeros(len(self.agents), task.num_envs, device=task.device)
+
+    def refresh(self) -> None:
+        """Take the weights that the task has now; a captured step sees them too."""
+        self._weights.copy_(torch.tensor(self._weights_now()))
+
+    def _weights_now(self) -> list[list[float]]:
+        """Return (agents, terms) what each agent earns of each term."""
+        terms = terms_of(self._task.rewards, RewardTerm)
+        scaled = {name: weight_of(name, term) * self._step_dt for name, term in terms.items()}
+        return [
+            [weight if terms[name].agent in (None, agent) else 0.0 for name, weight in scaled.items()]
+            for agent in self.agents
+        ]
 
     @property
     def action_sizes(self) -> dict[str, int]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -25,7 +27,7 @@ class Corruption:
     """
 
     def __init__(self, term: ObservationTerm, value: Tensor, world: World, what: str) -> None:
-        self._term = term
+        self._term = term = replace(term)  # as it is now: it may be set later
         self._world = world
         noisy = bool(term.noise_std or term.bias_std)
         if (noisy or term.scale != 1.0) and not value.is_floating_point():
@@ -49,6 +51,23 @@ class Corruption:
         if self._saturation is not None:
             value = value.clamp(*self._saturation)
         return value if self._delay is None else self._delay(value)
+
+    def take_over(self, before: Corruption, what: str) -> None:
+        """Go on with what another corruption of the same measurement remembers; a new bias is drawn now.
+
+        Raises:
+            ConfigurationError: the delay is another.
+        """
+        if self._term.delay != before._term.delay:
+            raise ConfigurationError(
+                f"the delay of {what} is {self._term.delay}, but was {before._term.delay} when the environment was "
+                "made: change it before"
+            )
+        self._delay = before._delay
+        if self._bias is not None and self._term.bias_std == before._term.bias_std:
+            self._bias = before._bias
+        else:
+            self.draw_bias(None)
 
     def draw_bias(self, env_ids: Tensor | None) -> None:
         """Draw the errors that an episode keeps, by index or mask."""

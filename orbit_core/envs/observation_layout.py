@@ -24,6 +24,8 @@ class TermLayout:
     dtype: torch.dtype
     low: float
     high: float
+    camera: str | None = None
+    """Camera whose picture the term is."""
 
 
 @dataclass(frozen=True)

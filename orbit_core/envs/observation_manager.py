@@ -35,13 +35,39 @@ class ObservationManager:
     def __init__(self, world: World, task: Task) -> None:
         self._world = world
         self._task = task
+        self._read()
+        self.layouts = {name: group.layout for name, group in self._groups.items()}
+        """What each group is like, by name."""
+
+    def _read(self) -> None:
         self._measurements: list[_Measurement] = []
         self._corruptions: list[tuple[int, Corruption]] = []
         """Corruptions of terms, each with the index of the measurement that it changes."""
         self._corrupted: list[ObservationTerm] = []
-        self._groups = {name: self._group(name, group) for name, group in groups_of(task).items()}
-        self.layouts = {name: group.layout for name, group in self._groups.items()}
-        """What each group is like, by name."""
+        self._groups = {name: self._group(name, group) for name, group in groups_of(self._task).items()}
+
+    def refresh(self) -> None:
+        """Take the terms that the task has now: function, scale, noise and bias may be others.
+
+        Raises:
+            ConfigurationError: a term is missing or new, or its shape, dtype, bounds, history or delay is another.
+        """
+        groups, corruptions = self._groups, self._corruptions
+        self._read()
+        now = {name: group.layout for name, group in self._groups.items()}
+        if now != self.layouts:
+            name = next(name for name in {**now, **self.layouts} if now.get(name) != self.layouts.get(name))
+            raise ConfigurationError(
+                f"observation group '{name}' has other terms, shapes, dtypes or bounds than when the environment was "
+                "made: change them before"
+            )
+        for name, group in self._groups.items():
+            for term_name, term, old in zip(group.layout.terms, group.terms, groups[name].terms, strict=True):
+                what = f"observation term '{term_name}' of group '{name}'"
+                self._corruptions[term.index][1].take_over(corruptions[old.index][1], what)
+            self._groups[name] = replace(group, terms=tuple(
+                replace(term, past=old.past) for term, old in zip(group.terms, groups[name].terms, strict=True)
+            ))  # fmt: skip
 
     def __call__(self) -> Observation:
         """Everything that is seen now; the tensors are new ones."""
@@ -77,7 +103,7 @@ class ObservationManager:
 
     def _corruption(self, term: ObservationTerm, what: str) -> int:
         """Index of the term's corruption, which an equal term may have brought already."""
-        alike = replace(term, history=None, sensors=())
+        alike = replace(term, history=None, sensors=(), camera=None, meaning=None)
         if alike in self._corrupted:
             return self._corrupted.index(alike)
         measurement = self._measurement(term, what)
@@ -180,7 +206,7 @@ def _layout(term: ObservationTerm, value: Tensor, steps: int, concatenated: bool
     shape = tuple(value.shape[1:])
     if concatenated:
         return TermLayout((steps * value[0].numel(),), torch.float32, low, high)
-    return TermLayout((steps, *shape) if steps > 1 else shape, value.dtype, low, high)
+    return TermLayout((steps, *shape) if steps > 1 else shape, value.dtype, low, high, term.camera)
 
 
 def _bounds(dtype: torch.dtype) -> tuple[float, float]:

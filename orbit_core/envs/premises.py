@@ -13,7 +13,7 @@ from torch import Tensor
 from orbit_core.dynamics.arguments import MOST_STEPS
 from orbit_core.dynamics.indexing import take_rows, write_rows
 from orbit_core.envs.task import Task
-from orbit_core.envs.term_values import per_environment
+from orbit_core.envs.term_values import check_same_names, per_environment
 from orbit_core.envs.terms import PremiseTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, PremiseError, World
 
@@ -49,7 +49,7 @@ class PremiseManager:
 
     def __init__(self, world: World, task: Task, simulated: bool) -> None:
         self._world, self._task = world, task
-        self.terms = {} if task.premises is None else terms_of(task.premises, PremiseTerm)
+        self.terms = terms_of(task.premises, PremiseTerm)
         steps = _steps(task, "settle_time"), _steps(task, "premise_time")
         self.settle_steps, self._sampled_steps = steps if simulated else (0, 0)
         """Physics steps that pass before an episode's first observation."""
@@ -58,6 +58,16 @@ class PremiseManager:
         """(P, N) which premises held when each environment's episode began."""
         self.checks: tuple[PremiseCheck, ...] = ()
         """What the starts sampled at build were like; empty without premises."""
+
+    def refresh(self) -> None:
+        """Take the terms that the task has now.
+
+        Raises:
+            ConfigurationError: there are other terms than before.
+        """
+        now = terms_of(self._task.premises, PremiseTerm)
+        check_same_names("premise", self.terms, now, "give it a function that returns True")
+        self.terms.update(now)
 
     def begin(self, env_ids: Tensor | None) -> None:
         """After the events of a reset: let time pass, then note which premises hold.

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.envs.task import Task
-from orbit_core.envs.term_values import per_environment
+from orbit_core.envs.term_values import check_same_names, per_environment, weight_of
 from orbit_core.envs.terms import RewardTerm, terms_of
 from orbit_core.interfaces import ConfigurationError, NonFiniteError, World, first_few
 
@@ -26,11 +26,25 @@ class RewardManager:
     def __init__(self, world: World, task: Task, step_dt: float) -> None:
         self._world = world
         self._task = task
+        self._step_dt = step_dt
         self.terms = terms_of(task.rewards, RewardTerm)
-        self._weights = torch.tensor([term.weight * step_dt for term in self.terms.values()], device=world.device)
+        self._weights = torch.tensor(self._scaled(), device=world.device)
         self._column = self._weights[:, None]
         self.sums = torch.zeros(len(self.terms), world.num_envs, device=world.device)
         """(terms, N) each term's contribution to the episode so far."""
+
+    def refresh(self) -> None:
+        """Take the terms and weights that the task has now; a captured step sees them too.
+
+        Raises:
+            ConfigurationError: a weight is no finite number, or there are other terms than before.
+        """
+        check_same_names("reward", self.terms, now := terms_of(self._task.rewards, RewardTerm), "set its weight to 0")
+        self.terms.update(now)
+        self._weights.copy_(torch.tensor(self._scaled()))
+
+    def _scaled(self) -> list[float]:
+        return [weight_of(name, term) * self._step_dt for name, term in self.terms.items()]
 
     def values(self) -> Tensor:
         """(terms, N) of this step, unweighted; they are added to :attr:`sums`.
@@ -38,6 +52,8 @@ class RewardManager:
         Raises:
             ConfigurationError, ShapeError: a term gives something else than (N,) numbers; names it.
         """
+        if not self.terms:
+            return self.sums
         values = torch.stack([self._value(name, term) for name, term in self.terms.items()])
         self.sums.addcmul_(values, self._column)
         return values

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 from orbit_core.dynamics.arguments import MOST_STEPS, whole_number
 from orbit_core.envs.task import Task
-from orbit_core.envs.terms import CurriculumTerm, terms_of
+from orbit_core.envs.terms import CurriculumTerm, ModifyTerm, terms_of
 from orbit_core.interfaces import ConfigurationError
 
 _LONGEST_EPISODE = 2**31 - 1
@@ -38,9 +39,21 @@ def curriculum_of(task: Task) -> dict[str, CurriculumTerm]:
     if task.curriculum is None:
         raise ConfigurationError(
             f"task {type(task).__name__} has no curriculum: leave curriculum_enabled out, or give it a dataclass of "
-            "CurriculumTerm"
+            "CurriculumTerm or ModifyTerm"
         )
-    return terms_of(task.curriculum, CurriculumTerm)
+    return {n: term for n, term in _curriculum_terms(task).items() if isinstance(term, CurriculumTerm)}
+
+
+def modifiers_of(task: Task) -> dict[str, ModifyTerm]:
+    """Terms of the task's curriculum that change its configuration; empty where it is not enabled."""
+    if not task.curriculum_enabled:
+        return {}
+    return {n: term for n, term in _curriculum_terms(task).items() if isinstance(term, ModifyTerm)}
+
+
+def _curriculum_terms(task: Task) -> dict[str, CurriculumTerm | ModifyTerm]:
+    kinds: Any = CurriculumTerm | ModifyTerm
+    return terms_of(task.curriculum, kinds)
 
 
 def whole_steps(task: Task) -> int:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.terms import CurriculumTerm
 from orbit_core.interfaces import ConfigurationError, Node
 from orbit_core.scene import Pose, RobotSpec, Scene, look_at
 
@@ -102,6 +103,8 @@ class Task(ABC):
     """What turns actions into joint commands, in the order of the action's components."""
     action_slices: Mapping[str, slice] = field(init=False, default_factory=dict)
     """Which components of the action are each agent's."""
+    action_components: tuple[str, ...] = field(init=False, default=())
+    """Name of each component of the action: of its term, then its own."""
     last_action: Tensor = field(init=False)
     """(N, A) the action in effect; zero after a reset."""
     action_before: Tensor = field(init=False)
@@ -109,8 +112,8 @@ class Task(ABC):
     episode_step: Tensor = field(init=False)
     """(N,) int64 steps since reset."""
     difficulty: Tensor = field(init=False)
-    """(N,) in [0, 1], for terms to read. It starts at 0 where ``curriculum_enabled``, and else stays 1; resets do not
-    change it."""
+    """(N,) in [0, 1], for terms to read. It starts at 0 where the curriculum is enabled and has a
+    :class:`~orbit_core.envs.CurriculumTerm`, and else stays 1; resets do not change it."""
     cache: dict[Hashable, tuple[int, Tensor | None]] = field(init=False, default_factory=dict)
 
     def randomize(self) -> None:
@@ -160,7 +163,9 @@ class Task(ABC):
         self.num_envs = world.num_envs
         self.device = world.device
         self.episode_step = torch.zeros(world.num_envs, dtype=torch.int64, device=world.device)
-        self.difficulty = torch.full((world.num_envs,), float(not self.curriculum_enabled), device=world.device)
+        curriculum = () if self.curriculum is None else vars(self.curriculum).values()
+        easy = self.curriculum_enabled and any(isinstance(term, CurriculumTerm) for term in curriculum)
+        self.difficulty = torch.full((world.num_envs,), float(not easy), device=world.device)
 
     def reset(self, env_ids: Tensor | None) -> None:
         """Forget some environments' past. Extend where a subclass remembers more than its events set anew."""

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from functools import wraps
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from torch import Tensor
+
+from orbit_core.interfaces import ConfigurationError
 
 if TYPE_CHECKING:
     from orbit_core.envs.task import Task
@@ -22,7 +26,41 @@ EventFunction = Callable[["World", Any, Tensor], None]
 
 
 @dataclass(frozen=True)
-class ObservationTerm:
+class Meaning:
+    """Description of a term's numbers, for readers who compute them without ORBIT. It stands in every manifest."""
+
+    formula: str
+    """One sentence: the quantity, before scale, noise, delay and history."""
+    frame: str = ""
+    """Frame that it is expressed in; empty where it has none, as joints have."""
+    components: tuple[str, ...] | Callable[..., Sequence[str]] = ()
+    """Name of each number, or a function of the term's arguments that gives them; empty takes names from the unit."""
+    offset: Callable[..., Tensor] | None = None
+    """Function of the term's arguments: (D,) that has been subtracted from what a sensor measures. None: nothing."""
+
+
+class Term:
+    """Base of all terms. Fields may be set, and act at the next step; a collection's default is shared, and may not."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        vars(self)["_default_of"] = f"{owner.__name__}.{name}"
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if (default := vars(self).get("_default_of")) is not None:
+            raise ConfigurationError(
+                f"{default} is the default of every task that has none of its own, so its {name} cannot be set: give "
+                f"the task another term, dataclasses.replace(term, {name}=...), or set it in an environment's own task "
+                "(env.task)"
+            )
+        super().__setattr__(name, value)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        fields_of = {field.name: deepcopy(getattr(self, field.name), memo) for field in fields(self)}  # pyright: ignore[reportArgumentType]
+        return memo.setdefault(id(self), type(self)(**fields_of))
+
+
+@dataclass(unsafe_hash=True)
+class ObservationTerm(Term):
     """``function`` gives (N, ...) of any shape, as float32, uint8, int32, int64 or bool.
 
     ``scale`` comes first, and all that follows is in the scaled value's unit. Noise, bias and delay are drawn from each
@@ -46,9 +84,13 @@ class ObservationTerm:
     """What the function reads that the scene need not have by itself, such as a camera: added to the scene."""
     bounds: tuple[float, float] | None = None
     """Least and most that the term shows, where noise and bias saturate; None takes the dtype's."""
+    camera: str | None = None
+    """Name of the camera whose picture the term is: a network takes pictures of one camera as channels of one input."""
     unit: str | None = None
     """Unit of the value before it is scaled, for whoever reads it elsewhere; None takes the function's
     (:func:`measured_in`)."""
+    meaning: Meaning | None = None
+    """What the numbers are; None takes the function's (:func:`means`), or the first lines of its docstring."""
 
 
 @dataclass(kw_only=True)
@@ -65,8 +107,8 @@ class ObservationGroup:
     """Steps that each term shows, where it does not say itself: (N, k, ...), or flattened if concatenated."""
 
 
-@dataclass(frozen=True)
-class RewardTerm:
+@dataclass(unsafe_hash=True)
+class RewardTerm(Term):
     """``weight`` times ``function`` (N,) is added to the reward of each step, times the step's length in seconds."""
 
     function: TermFunction
@@ -75,15 +117,15 @@ class RewardTerm:
     """Who earns it, where several robots act; the name is the function's third argument. None: each does, in full."""
 
 
-@dataclass(frozen=True)
-class TerminationTerm:
+@dataclass(unsafe_hash=True)
+class TerminationTerm(Term):
     """``function`` (N,) bool ends an episode. The time limit is the environment's own and needs no term."""
 
     function: TermFunction
 
 
-@dataclass(frozen=True)
-class PremiseTerm:
+@dataclass(unsafe_hash=True)
+class PremiseTerm(Term):
     """``function`` (N,) bool must hold when an episode begins, after the reset has settled
     (:attr:`Task.settle_time`); what a run makes of starts in which it does not hold is worth nothing."""
 
@@ -103,8 +145,8 @@ class EventTime(Enum):
     """Again and again, at times that each environment draws for itself."""
 
 
-@dataclass(frozen=True)
-class EventTerm:
+@dataclass(unsafe_hash=True)
+class EventTerm(Term):
     """``function`` changes some environments: where things start, what they weigh, what the goal is.
 
     An event of :attr:`EventTime.INTERVAL` happens at the beginning of a step. ``interval`` is the least and the most
@@ -116,14 +158,28 @@ class EventTerm:
     interval: tuple[float, float] = (0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class CurriculumTerm:
+@dataclass(unsafe_hash=True)
+class CurriculumTerm(Term):
     """``function`` gives (N,), by how much an episode that has ended changes the difficulty of the next.
 
     It sees the episode's last state. The terms of a task are added up, and :attr:`Task.difficulty` stays in [0, 1].
     """
 
     function: TermFunction
+
+
+@dataclass(unsafe_hash=True)
+class ModifyTerm(Term):
+    """Curriculum term that changes one value of the task's configuration while it runs.
+
+    ``function(steps, value)`` returns the value that holds from the next step on, given the environment's steps so far
+    and the value now. It runs in Python before each step. A reward's weight changes at no cost; after another change a
+    step that is compiled, or recorded on a GPU, is captured again.
+    """
+
+    address: str
+    """Path of the value in the task: ``"rewards.lift.weight"``, ``"events.push.interval"``, ``"max_forward"``."""
+    function: Callable[[int, Any], Any]
 
 
 _Term = TypeVar("_Term")
@@ -133,18 +189,22 @@ _Function = TypeVar("_Function", bound=TermFunction)
 def terms_of(collection: object, kind: type[_Term]) -> dict[str, _Term]:
     """The terms in a dataclass's fields, in order, each with a function of (world, task) alone.
 
-    A field set to None is left out: a term switched off.
+    A field set to None is left out: a term switched off. A collection that is None has no terms.
 
     Raises:
         TypeError: a field holds something else.
     """
     terms: dict[str, _Term] = {}
+    if collection is None:
+        return terms
     for field in fields(collection):  # pyright: ignore[reportArgumentType]
         term = getattr(collection, field.name)
         if term is None:
             continue
         if not isinstance(term, kind):
-            raise TypeError(f"{type(collection).__name__}.{field.name} must be a {kind.__name__}, not {term!r}")
+            raise TypeError(
+                f"{type(collection).__name__}.{field.name} must be a {getattr(kind, '__name__', kind)}, not {term!r}"
+            )
         terms[field.name] = term if getattr(term, "agent", None) is None else _for_its_agent(term)
     return terms
 
@@ -156,6 +216,8 @@ def _for_its_agent(term: Any) -> Any:
 
 POSE = "m, quaternion (w, x, y, z)"
 """Unit of a pose (..., 7)."""
+ENVIRONMENT = "environment: axes of the world, origin of the environment"
+"""Frame of what is measured in the world."""
 
 
 def measured_in(unit: str) -> Callable[[_Function], _Function]:
@@ -166,6 +228,34 @@ def measured_in(unit: str) -> Callable[[_Function], _Function]:
         return function
 
     return mark
+
+
+def means(
+    formula: str,
+    frame: str = "",
+    components: tuple[str, ...] | Callable[..., Sequence[str]] = (),
+    offset: Callable[..., Tensor] | None = None,
+) -> Callable[[_Function], _Function]:
+    """Say what a term's function measures, :class:`Meaning`."""
+    meaning = Meaning(formula, frame, components, offset)
+
+    def mark(function: _Function) -> _Function:
+        function.meaning = meaning  # pyright: ignore[reportFunctionMemberAccess] - functions take attributes
+        return function
+
+    return mark
+
+
+def meaning_of(term: ObservationTerm) -> Meaning:
+    """Return the meaning of an observation term: its own, its function's, or that of the function's docstring."""
+    known = term.meaning or getattr(term.function, "meaning", None)
+    if known is not None:
+        return known
+    paragraph = (term.function.__doc__ or "").strip().partition("\n\n")[0]
+    return Meaning(_SHAPE.sub("", " ".join(paragraph.split())))
+
+
+_SHAPE = re.compile(r"^\(N[^)]*\)\s*")
 
 
 def unit_of(term: ObservationTerm) -> str:

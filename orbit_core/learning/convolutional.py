@@ -6,6 +6,7 @@ control through deep reinforcement learning (2015), which policies that reach fo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -18,9 +19,6 @@ from orbit_core.learning.description import Part
 from orbit_core.learning.networks import ActorNetwork, activation_type, layer_weights, perceptron
 
 _MOST_PIXELS, _MOST_FILTERS, _MOST_UNITS = 2**22, 4096, 2**16
-_COLOR_DEPTH = ("color", "depth")
-_FAR = 2.0
-"""Metres at which depth is cut off."""
 MOST_DEVIATIONS = 10.0
 """Standard deviations at which vectors are cut off: a joint that is hit moves faster than any that was learned from."""
 
@@ -33,13 +31,15 @@ class Picture:
     channels: int
     """C."""
     far: float | None = None
-    """Metres at which depth is cut off, and which count as 1. None: the picture is uint8, and 255 counts as 1."""
+    """Value that counts as 1, in metres for depth; more is cut off. None: the picture is uint8, and 255 counts as 1."""
+    near: float = 0.0
+    """Value that counts as 0; less is cut off."""
 
     def __post_init__(self) -> None:
         if not 0 < self.channels <= _MOST_FILTERS:
             raise ValueError(f"picture '{self.term}' has 1 to {_MOST_FILTERS} channels, not {self.channels}")
-        if self.far is not None and self.far <= 0.0:
-            raise ValueError(f"far of picture '{self.term}' is positive, not {self.far}")
+        if self.far is not None and not self.near < self.far < math.inf:
+            raise ValueError(f"far of picture '{self.term}' is finite and above {self.near:g}, not {self.far}")
 
 
 @dataclass(frozen=True)
@@ -197,17 +197,17 @@ def convolutional_actor(
 def convolutional(parts: Sequence[Part], hidden_sizes: Sequence[int]) -> Convolutional:
     """The network for a group of such terms.
 
-    uint8 terms (N, H, W, C) are colours and floating-point ones are depth in metres. ``hand_color`` and ``hand_depth``
-    of one size are the channels of one picture, as are the colour and depth of any other camera.
+    uint8 terms (N, H, W, C) are colours, and floating-point ones, such as depth in metres, are scaled from their bounds
+    to [0, 1]. Terms of one camera and size are the channels of one picture.
 
     Args:
         parts: the terms.
         hidden_sizes: units of the layers behind the encoders.
 
     Raises:
-        ConfigurationError: a picture is neither colour nor depth, or there is none; names the terms.
+        ConfigurationError: a picture is neither colour nor depth, has no bounds, or there is none; names the terms.
     """
-    cameras: dict[tuple[str, int, int], list[Picture]] = {}
+    cameras: dict[tuple[str | None, str, int, int], list[Picture]] = {}
     for part in parts:
         if not part.is_picture:
             continue
@@ -218,20 +218,30 @@ def convolutional(parts: Sequence[Part], hidden_sizes: Sequence[int]) -> Convolu
                 f"observation '{part.name}' is a picture of {part.dtype}: the network 'convolutional' takes colours "
                 "(uint8) and depth (float32); give segmentation as one picture of 0 and 1 for each label"
             )
-        stem, _, kind = part.name.rpartition("_")
-        key = (stem if kind in _COLOR_DEPTH else part.name, height, width)
-        cameras.setdefault(key, []).append(Picture(part.name, channels, None if part.dtype == "uint8" else _FAR))
+        key = (part.camera, "" if part.camera else part.name, height, width)
+        cameras.setdefault(key, []).append(_picture(part, channels))
     if not cameras:
         raise ConfigurationError(
             f"a dictionary of terms without pictures ({', '.join(part.name for part in parts)}) needs no convolutions: "
             "give the observation group concatenate=True"
         )
-    encoders = tuple(PictureEncoder(tuple(seen), height, width) for (_, height, width), seen in cameras.items())
+    encoders = tuple(PictureEncoder(tuple(seen), height, width) for (*_, height, width), seen in cameras.items())
     return Convolutional(encoders, tuple(part for part in parts if not part.is_picture), tuple(hidden_sizes))
+
+
+def _picture(part: Part, channels: int) -> Picture:
+    if part.dtype == "uint8":
+        return Picture(part.name, channels)
+    if part.low is None or part.high is None:
+        raise ConfigurationError(
+            f"observation '{part.name}' is a picture of {part.dtype} without bounds: give its term bounds=(least, "
+            "most), which the network scales to 0 and 1, as orbit_core.mdp.images.camera_depth does"
+        )
+    return Picture(part.name, channels, part.high, part.low)
 
 
 def _scaled(value: Tensor, picture: Picture) -> Tensor:
     """(N, H, W, C) in [0, 1]."""
     if picture.far is None:
         return value.float() / 255.0
-    return value.float().clamp(0.0, picture.far) / picture.far
+    return (value.float().clamp(picture.near, picture.far) - picture.near) / (picture.far - picture.near)

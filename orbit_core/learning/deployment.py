@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from orbit_core.data.manifest import Manifest, ObservationTermManifest, RobotManifest
+from orbit_core.data.manifest import Manifest, ObservationTermManifest
 
 
 def deployment_metadata(manifest: Manifest, group: str, name: str) -> dict[str, str]:
-    """Metadata by key for the first robot that acts; joints with an actuator, in the robot's order, have gains.
+    """Metadata by key for the first robot that acts; lists of joints have its order, and gain 0 without an actuator.
 
     ``command_names`` is empty, for commands are observation terms here. ``action_scale`` is left out where targets are
     no ``default + scale * action`` of joint positions, for there is no such number then.
@@ -28,8 +28,8 @@ def deployment_metadata(manifest: Manifest, group: str, name: str) -> dict[str, 
     concatenated = manifest.observations[group].concatenated
     values: dict[str, Iterable[object]] = {
         "joint_names": robot.joint_names,
-        "joint_stiffness": _driven(robot, robot.stiffness),
-        "joint_damping": _driven(robot, robot.damping),
+        "joint_stiffness": robot.stiffness,
+        "joint_damping": robot.damping,
         "default_joint_pos": robot.home_positions,
         "command_names": (),
         "observation_names": terms,
@@ -42,10 +42,6 @@ def deployment_metadata(manifest: Manifest, group: str, name: str) -> dict[str, 
     if scales:
         values["action_scale"] = scales
     return {"run_path": name, **{key: ",".join(map(_text, value)) for key, value in values.items()}}
-
-
-def _driven(robot: RobotManifest, gains: Iterable[float]) -> list[float]:
-    return [gain for gain, actuator in zip(gains, robot.actuators, strict=True) if actuator]
 
 
 def _scales(manifest: Manifest, robot: str) -> list[float]:

@@ -15,7 +15,7 @@ from orbit_core.learning.plain import from_plain
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
-    from orbit_core.envs.observation_layout import GroupLayout
+    from orbit_core.envs.observation_layout import GroupLayout, TermLayout
 
 FORMAT = 1
 """Version of the documents in policies' files; another is refused."""
@@ -38,6 +38,12 @@ class Part:
     """Shape of one environment's value; (size,) if None."""
     dtype: str = "float32"
     """Name of the dtype in torch."""
+    low: float | None = field(default=None, compare=False)
+    """Least that it shows; None where it is unbounded."""
+    high: float | None = field(default=None, compare=False)
+    """Most that it shows; None where it is unbounded."""
+    camera: str | None = field(default=None, compare=False)
+    """Camera whose picture it is."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.size <= _MOST_COMPONENTS:
@@ -209,10 +215,13 @@ class PolicyDescription:
 
 def group_parts(layout: GroupLayout) -> tuple[Part, ...]:
     """The terms of a group as a description lists them."""
-    return tuple(
-        Part(name, math.prod(term.shape), tuple(term.shape), str(term.dtype).removeprefix("torch."))
-        for name, term in layout.terms.items()
-    )
+    return tuple(_part(name, term) for name, term in layout.terms.items())
+
+
+def _part(name: str, term: TermLayout) -> Part:
+    low, high = (bound if math.isfinite(bound) else None for bound in (term.low, term.high))
+    dtype = str(term.dtype).removeprefix("torch.")
+    return Part(name, math.prod(term.shape), tuple(term.shape), dtype, low, high, term.camera)
 
 
 def _told(value: Any) -> str:

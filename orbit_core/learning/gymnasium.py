@@ -107,12 +107,15 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor])
 
 
 class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
-    """One environment, with NumPy arrays; it waits for ``reset`` after an episode, as Gymnasium's do."""
+    """One environment, with NumPy arrays; it waits for ``reset`` after an episode, as Gymnasium's do.
+
+    Until then it shows how the episode ended, and a step raises a ConfigurationError.
+    """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
 
     def __init__(self, task: str | Task, render_mode: str | None = None, **keywords: Any) -> None:
-        self.environment = make(task, num_envs=1, **keywords)
+        self.environment = make(task, num_envs=1, autoreset=False, **keywords)
         self.metadata = _metadata(self.environment, AutoresetMode.DISABLED)
         self.render_mode = checked_mode(render_mode)
         self.observation_space: spaces.Space[Arrays] = observation_space(self.environment)  # pyright: ignore
@@ -128,10 +131,7 @@ class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Arrays, float, bool, bool, dict[str, Any]]:
         batch = as_tensor(action, torch.float32, self.environment.device, "action")[None]
         observation, reward, terminated, truncated, info = self.environment.step(batch)
-        end: EpisodeEnd | None = info.get("final")
-        if end is not None:  # the batch has begun the next episode already: show the end of this one
-            observation = end.observation
-        return arrays_of(observation), float(reward), bool(terminated), bool(truncated), outcome(end, 0)
+        return arrays_of(observation), float(reward), bool(terminated), bool(truncated), outcome(info.get("final"), 0)
 
     def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         pictures = self._spectator.pictures()

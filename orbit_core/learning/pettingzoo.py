@@ -41,7 +41,7 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
 
     def __init__(self, task: str | Task, render_mode: str | None = None, **keywords: Any) -> None:
         self.render_mode = checked_mode(render_mode)
-        self.environment = make(task, num_envs=1, **keywords)
+        self.environment = make(task, num_envs=1, autoreset=False, **keywords)
         name = type(self.environment.task).__name__
         if self.environment.multi_agent is None:
             self.environment.close()
@@ -89,14 +89,12 @@ class ParallelEnvironment(ParallelEnv[str, Array, Array]):
         }
         observation, _, terminated, truncated, info = self.environment.step(self._shares.action(batch))
         end: EpisodeEnd | None = info.get("final")
-        # The batch has begun the next episode already where one ended: show the end of this one.
-        seen = observation if end is None else end.observation
         rewards = {agent: float(reward) for agent, reward in self._shares.rewards().items()}
         terminations, truncations = (dict.fromkeys(self.agents, bool(over)) for over in (terminated, truncated))
         infos = {agent: outcome(end, 0) for agent in self.agents}
         if end is not None:
             self.agents = []
-        return self._observed(seen), rewards, terminations, truncations, infos
+        return self._observed(observation), rewards, terminations, truncations, infos
 
     def state(self) -> Any:
         """The whole group ``"policy"``: (O,), or its terms by name.

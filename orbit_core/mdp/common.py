@@ -13,7 +13,7 @@ from orbit_core.assets.catalogue import robot
 from orbit_core.assets.objects import table
 from orbit_core.audit.robots.postures import gripper_positions
 from orbit_core.envs.task import ROBOT, Task
-from orbit_core.envs.terms import POSE, ObservationGroup, measured_in, once_per_state
+from orbit_core.envs.terms import ENVIRONMENT, POSE, ObservationGroup, means, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.scene import ObjectSpec, Plane, Pose, RobotSpec, Shape
 from orbit_core.scene.pose import Vector3
@@ -85,6 +85,19 @@ def workspace(world: World, agent: str = ROBOT) -> tuple[Vector3, Vector3]:
     return box.low, box.high
 
 
+def _joint_names(world: World, task: Task, agent: str = ROBOT) -> Sequence[str]:
+    return robot_of(world, agent).joint_names
+
+
+def _home_positions(world: World, task: Task, agent: str = ROBOT) -> Tensor:
+    return robot_of(world, agent).home_positions
+
+
+def _action_components(world: World, task: Task, agent: str | None = None) -> Sequence[str]:
+    return task.action_components if agent is None else task.action_components[task.action_slices[agent]]
+
+
+@means("measured position of each joint minus its home position", components=_joint_names, offset=_home_positions)
 @measured_in("rad or m")
 def joint_positions(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     """(N, J) relative to the home pose."""
@@ -92,24 +105,31 @@ def joint_positions(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     return body.joint_positions - body.home_positions
 
 
+@means("measured velocity of each joint", components=_joint_names)
 @measured_in("rad/s or m/s")
 def joint_velocities(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     """(N, J)"""
     return robot_of(world, agent).joint_velocities
 
 
+@means("temperature of each joint's motor windings, 25 where they are not described", components=_joint_names)
 @measured_in("degrees Celsius")
 def motor_temperatures(world: World, task: Task, agent: str = ROBOT) -> Tensor:
     """(N, J) of the windings, 25 where a motor's are not described."""
     return robot_of(world, agent).motor_temperatures
 
 
+@means(
+    "action that was given at the last step, clipped to [-1, 1], before it is decoded; zero when an episode begins",
+    components=_action_components,
+)
 @measured_in("1")
 def last_action(world: World, task: Task, agent: str | None = None) -> Tensor:
     """(N, A) the action in effect; an agent's own part of it where one is named."""
     return task.last_action if agent is None else task.last_action[:, task.action_slices[agent]]
 
 
+@means("pose of the end effector's frame", frame=ENVIRONMENT)
 @measured_in(POSE)
 @once_per_state
 def hand_pose(world: World, task: Task, agent: str = ROBOT) -> Tensor:

@@ -7,7 +7,7 @@ from typing import cast
 from torch import Tensor
 
 from orbit_core.envs.task import Task
-from orbit_core.envs.terms import ObservationTerm
+from orbit_core.envs.terms import Meaning, ObservationTerm
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.scene import CameraSpec, Channel
 from orbit_core.sensors.camera import CameraSensor
@@ -33,7 +33,9 @@ def camera_depth(camera: CameraSpec) -> ObservationTerm:
     def depth(world: World, task: Task) -> Tensor:
         return _camera(world, camera).image(Channel.DEPTH).clamp(0.0, camera.far)
 
-    return ObservationTerm(depth, sensors=(camera,), bounds=(0.0, camera.far), unit="m")
+    meaning = _meaning(camera, f"distance of each pixel along the optical axis, {camera.far:g} where nothing is seen")
+    bounds = (0.0, camera.far)
+    return ObservationTerm(depth, sensors=(camera,), bounds=bounds, camera=camera.name, unit="m", meaning=meaning)
 
 
 def camera_segmentation(camera: CameraSpec, channel: Channel = Channel.SEMANTIC) -> ObservationTerm:
@@ -49,7 +51,20 @@ def camera_segmentation(camera: CameraSpec, channel: Channel = Channel.SEMANTIC)
 
 def _picture(camera: CameraSpec, channel: Channel) -> ObservationTerm:
     _check_channel(camera, channel)
-    return ObservationTerm(lambda world, task: _camera(world, camera).image(channel), sensors=(camera,))
+    picture = lambda world, task: _camera(world, camera).image(channel)  # noqa: E731
+    meaning = _meaning(camera, _PICTURES[channel])
+    return ObservationTerm(picture, sensors=(camera,), camera=camera.name, meaning=meaning)
+
+
+_PICTURES = {
+    Channel.RGB: "red, green and blue of each pixel, 0 to 255",
+    Channel.SEMANTIC: "semantic label of each pixel",
+    Channel.INSTANCE: "number of the entity in each pixel",
+}
+
+
+def _meaning(camera: CameraSpec, formula: str) -> Meaning:
+    return Meaning(formula, f"camera '{camera.name}': rows from the top, columns from the left")
 
 
 def _camera(world: World, camera: CameraSpec) -> CameraSensor:

@@ -14,7 +14,7 @@ from torch import Tensor
 from orbit_core.audit.robots.postures import gripper_positions, gripper_posture, gripping_links, shapes_in_frame
 from orbit_core.dynamics.transforms import quat_multiply, quat_rotate
 from orbit_core.envs.task import Task
-from orbit_core.envs.terms import EventFunction, TermFunction, measured_in
+from orbit_core.envs.terms import ENVIRONMENT, EventFunction, TermFunction, means, measured_in
 from orbit_core.interfaces import World
 from orbit_core.interfaces.names import match_names
 from orbit_core.mdp.common import turned
@@ -65,6 +65,7 @@ def _jaw_travel(robot: RobotSpec, gripper: Gripper, joints: list[Joint]) -> floa
 def key_points(name: str) -> TermFunction:
     """Term: (N, 3 K) key points of a deformable, in the environment's frame."""
 
+    @means(f"positions of the key points of '{name}', one after the other", ENVIRONMENT)
     @measured_in("m")
     def observe(world: World, task: Task) -> Tensor:
         return world.deformables[name].key_points.flatten(1)

@@ -7,7 +7,7 @@ from typing import cast
 from torch import Tensor
 
 from orbit_core.envs.task import Task
-from orbit_core.envs.terms import ObservationTerm
+from orbit_core.envs.terms import Meaning, ObservationTerm
 from orbit_core.interfaces import World
 from orbit_core.scene import RayCasterSpec
 from orbit_core.sensors.rays import RayCaster
@@ -19,4 +19,8 @@ def height_scan(rays: RayCasterSpec) -> ObservationTerm:
     def distances(world: World, task: Task) -> Tensor:
         return cast(RayCaster, world.sensors[rays.name]).distances.clamp(0.0, rays.max_distance)
 
-    return ObservationTerm(distances, sensors=(rays,), bounds=(0.0, rays.max_distance), unit="m")
+    cast_from = [f"ray from ({x:g}, {y:g}, {z:g})" for x, y, z in rays.origins]
+    formula = f"distance along each ray of '{rays.name}' to what it hits, {rays.max_distance:g} where it hits nothing"
+    frame = "sensor: origins of the rays in its axes" + (", turned by the yaw of its link alone" * rays.yaw_only)
+    meaning = Meaning(formula, frame, tuple(cast_from))
+    return ObservationTerm(distances, sensors=(rays,), bounds=(0.0, rays.max_distance), unit="m", meaning=meaning)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, PremiseTerm, TerminationTerm
 from orbit_core.envs.task import ROBOT, Task
-from orbit_core.envs.terms import TermFunction, measured_in, once_per_state
+from orbit_core.envs.terms import TermFunction, meaning_of, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, picking, premises, randomize
 from orbit_core.mdp.randomize import Range
@@ -36,7 +36,9 @@ def dropped(world: World, task: TabletopTask) -> Tensor:
 
 def fine(term: TermFunction, scale: float = 0.01) -> ObservationTerm:
     """The term in [-1, 1]: its hyperbolic tangent in units of ``scale``, for what is to be told apart near zero."""
-    return ObservationTerm(lambda world, task: torch.tanh(term(world, task) / scale), unit="1")
+    own = meaning_of(ObservationTerm(term))
+    meaning = replace(own, formula=f"tanh(x / {scale:g}), where x is: {own.formula}")
+    return ObservationTerm(lambda world, task: torch.tanh(term(world, task) / scale), unit="1", meaning=meaning)
 
 
 def put(world: World, names: Sequence[str], poses: Tensor, env_ids: Tensor) -> None:

@@ -96,6 +96,12 @@ class MotionGenerator(Node):
         return None
 
     @property
+    def lead(self) -> Tensor | None:
+        """(k,) rad or m by which a position target may lead the measured position, where the generator holds it to
+        that; infinite for a joint that it does not hold."""
+        return None
+
+    @property
     def base_limits(self) -> Tensor | None:
         """(3,) m/s forward, m/s to the left, rad/s that a command of 1 stands for, where a command is the velocity of
         what carries the robot, in its own axes; None elsewhere. On two wheels the second is zero, and a command has no

@@ -51,6 +51,10 @@ class BaseVelocityConfig(ActionTerm):
             raise ConfigurationError(f"robot '{spec.name}' has no planar base: name the joints of its x, y and yaw")
         return (base.x, base.y, base.yaw)
 
+    @property
+    def reference(self) -> str:
+        return "the base's own axes: x forward, y to the left, z up"
+
     def components(self, spec: RobotSpec, name: str) -> tuple[str, ...]:
         return ("forward", "left", "turn")
 

@@ -83,6 +83,10 @@ class DifferentialDriveConfig(ActionTerm):
         base = differential_base_of(spec)
         return (base.left, base.right)
 
+    @property
+    def reference(self) -> str:
+        return "the base's own axes: x forward, y to the left, z up"
+
     def components(self, spec: RobotSpec, name: str) -> tuple[str, ...]:
         return ("forward", "turn")
 

@@ -62,6 +62,13 @@ class PoseTermConfig(ActionTerm):
     def components(self, spec: RobotSpec, name: str) -> tuple[str, ...]:
         return COMPONENTS
 
+    @property
+    def reference(self) -> str:
+        if self.mode is CommandMode.ABSOLUTE:
+            return "the robot's root frame, axes of the root, from the moving frame's pose at home"
+        start = "measured pose" if self.mode is CommandMode.RELATIVE else "last pose asked for"
+        return f"axes of the world, from the moving frame's {start}"
+
     def frame_of(self, robot: Robot) -> str:
         """The frame that moves.
 

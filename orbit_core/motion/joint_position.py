@@ -84,6 +84,10 @@ class JointPosition(MotionGenerator):
         return torch.stack((low.maximum(self._home - self._below), high.minimum(self._home + self._above)), 1)
 
     @property
+    def lead(self) -> Tensor | None:
+        return self._lead
+
+    @property
     def affine(self) -> tuple[Tensor, Tensor] | None:
         straight = torch.allclose(self._above, self._below)
         return (self._home, self._above) if straight and self.config.mode is CommandMode.ABSOLUTE else None

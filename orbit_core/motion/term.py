@@ -84,6 +84,11 @@ class ActionTerm(ABC):
         """What each component of the command is called; as a rule by its joint."""
         return tuple(spec.articulation.joint_names[joint] for joint in self.joint_indices(spec, name))
 
+    @property
+    def reference(self) -> str:
+        """The frame that the command's components are expressed in."""
+        return "each joint's own axis, as the robot's model defines it"
+
     def joint_indices(self, spec: RobotSpec, name: str) -> list[int]:
         """Indices of the joints that move. Joints that follow another move with it, and are left out.
 

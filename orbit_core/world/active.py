@@ -36,6 +36,8 @@ class ActiveModels:
     def __init__(self, objects: Mapping[str, SimulatedObject], engine: Engine, masking: Masking) -> None:
         self._engine = engine
         self._laws: list[ActiveLaw] = []
+        self.laws: dict[str, ActiveLaw] = {}
+        """Laws by the names of model and object."""
         names: list[NamedThings] = []
         for thing in objects.values():
             models = {model.name: model for model in thing.active_specs}
@@ -44,6 +46,7 @@ class ActiveModels:
             laws = {n: create_law(m, thing, engine.num_envs, engine.device, masking) for n, m in models.items()}
             thing.active = NamedThings(laws, "active model", f"'{thing.name}'", names)
             self._laws += laws.values()
+            self.laws |= {f"active model '{name}' of '{thing.name}'": law for name, law in laws.items()}
         device = engine.device
         self._joints = [_indices([_layout(law).joints.start + j for j in law.joints], device) for law in self._laws]
         pushed = sorted({_layout(law).links.start + link for law in self._laws for link in law.links})

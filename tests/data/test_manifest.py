@@ -159,7 +159,7 @@ def test_a_policy_and_its_onnx_carry_the_manifest(environment: Environment, mani
         assert read.encode() == manifest.encode()
     own = {entry.key: entry.value for entry in onnx.load(str(tmp_path / "policy.onnx")).metadata_props}
     assert own["joint_names"].split(",") == [*manifest.robots["robot"].joint_names]
-    assert own["joint_stiffness"] == ",".join(["400.000"] * 7 + ["2000.000"])
+    assert own["joint_stiffness"] == ",".join(["400.000"] * 7 + ["2000.000", "0.000"])
     assert own["observation_names"].split(",")[2] == "cube_pose"
     assert own["observation_terms_clip"].split(",")[0] == "-inf;inf"
     assert "action_scale" not in own  # the gripper's command is no scaled position

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,17 +12,21 @@ import pytest
 import torch
 from torch import Tensor
 
+from orbit_core.envs import Environment, ObservationGroup, ObservationTerm
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.learning.convolutional import Convolutional, Picture, PictureEncoder, convolutional
-from orbit_core.learning.description import Part, PolicyDescription
+from orbit_core.learning.description import Part, PolicyDescription, group_parts
 from orbit_core.learning.networks import ActorNetwork
 from orbit_core.learning.policy import Policy, PolicyNode, load_policy
+from orbit_core.mdp.images import camera_color, camera_depth
+from orbit_core.scene import CameraSpec, Channel
+from orbit_tasks.reach import Reach
 
 PARTS = (
     Part("joints", 3),
-    Part("hand_color", 9 * 8 * 3, (9, 8, 3), "uint8"),
-    Part("hand_depth", 9 * 8, (9, 8, 1)),
-    Part("front_color", 6 * 5 * 3, (6, 5, 3), "uint8"),
+    Part("hand_color", 9 * 8 * 3, (9, 8, 3), "uint8", 0.0, 255.0, "hand"),
+    Part("hand_depth", 9 * 8, (9, 8, 1), "float32", 0.0, 2.0, "hand"),
+    Part("front_color", 6 * 5 * 3, (6, 5, 3), "uint8", 0.0, 255.0, "front"),
 )
 DESCRIPTION = PolicyDescription(
     "A-Task", "a_robot", "joint_position", PARTS, (Part("moved", 2),), 0.02, "an_engine", "distill", 3,
@@ -80,6 +85,42 @@ def test_depth_beyond_the_far_end_is_as_at_it() -> None:
     assert not torch.equal(made.module({**seen, "hand_depth": torch.full((2, 9, 8, 1), 1.0)}), far)
 
 
+@pytest.mark.parametrize("far", [0.5, 10.0])
+def test_depth_is_scaled_by_the_bounds_of_its_term(far: float) -> None:
+    network = convolutional((replace(PARTS[2], high=far),), (16,))
+    module = network.build(0, 2)
+    seen = [module({"hand_depth": torch.full((1, 9, 8, 1), share * far)}) for share in (0.2, 0.3, 0.8, 1.0, 2.0)]
+    assert all(not torch.equal(a, b) for a, b in pairwise(seen[:4])), "within the bounds all differ"
+    assert torch.equal(seen[3], seen[4])
+
+
+def test_pictures_form_one_input_by_their_camera_not_by_their_names() -> None:
+    renamed = (replace(PARTS[1], name="what_is_seen"), replace(PARTS[2], name="how_far"))
+    (both,) = convolutional(renamed, (16,)).encoders
+    assert [picture.term for picture in both.pictures] == ["what_is_seen", "how_far"]
+    strangers = (replace(PARTS[1], camera=None), replace(PARTS[2], camera=None))
+    assert len(convolutional(strangers, (16,)).encoders) == 2
+
+
+def test_terms_of_cameras_say_whose_picture_they_are_and_how_far_they_see() -> None:
+    camera = CameraSpec(name="scan", width=4, height=4, far=7.0, channels=(Channel.RGB, Channel.DEPTH))
+
+    @dataclass(kw_only=True)
+    class Seen(ObservationGroup):
+        near: ObservationTerm | None = camera_depth(camera)
+        red: ObservationTerm | None = camera_color(camera)
+        concatenate: bool = False
+
+    @dataclass
+    class Observations:
+        policy: Seen = field(default_factory=Seen)
+
+    environment = Environment(Reach(observations=Observations()), 1)
+    depth, color = group_parts(environment.observation["policy"])
+    assert (depth.low, depth.high, depth.camera, color.camera) == (0.0, 7.0, "scan", "scan")
+    environment.close()
+
+
 def test_a_node_reads_the_terms_from_ports_of_their_own() -> None:
     made, seen = policy(), observation(2)
     node = PolicyNode(made)
@@ -91,7 +132,7 @@ def test_a_node_reads_the_terms_from_ports_of_their_own() -> None:
 def test_settings_that_cannot_be_are_refused(tmp_path: Path) -> None:
     picture = Picture("hand_color", 3)
     for build, told in (
-        (lambda: Picture("hand_depth", 1, far=0.0), "far of picture 'hand_depth' is positive"),
+        (lambda: Picture("hand_depth", 1, far=0.0), "far of picture 'hand_depth' is finite and above 0"),
         (lambda: Picture("hand_color", 0), "'hand_color' has 1 to 4096 channels, not 0"),
         (lambda: PictureEncoder((picture,), 8, 8, filters=()), "1 to 8 convolutions"),
         (lambda: PictureEncoder((picture,), 8, 8, features=0), "1 to 65536 features"),
@@ -105,6 +146,8 @@ def test_settings_that_cannot_be_are_refused(tmp_path: Path) -> None:
     labels = replace(PARTS[2], name="labels", dtype="int32")
     with pytest.raises(ConfigurationError, match="'labels' is a picture of int32"):
         convolutional((*PARTS, labels), (16,))
+    with pytest.raises(ConfigurationError, match="'hand_depth' is a picture of float32 without bounds"):
+        convolutional((replace(PARTS[2], high=None),), (16,))
     made = policy()
     assert made.network is not None
     unfit = replace(DESCRIPTION, observation_parts=PARTS[:3])

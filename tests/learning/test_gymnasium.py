@@ -17,7 +17,8 @@ from stable_baselines3 import PPO
 import orbit_core.learning.gymnasium
 from orbit_core.assets.terrain import Rough, TerrainGrid
 from orbit_core.backends import default_backend
-from orbit_core.envs import RewardTerm, task_entries
+from orbit_core.envs import RewardTerm, make, task_entries
+from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.mdp import common
 from orbit_tasks.reach import Reach
@@ -107,6 +108,35 @@ def test_a_single_environment_shows_the_end_of_its_episode() -> None:
     assert observation["policy"].dtype == np.float32
     assert {"success", "position_error_m", "rotation_error_rad"} <= set(info)
     environment.close()
+
+
+@pytest.mark.parametrize("captured", [False, True])
+def test_a_single_environment_waits_for_reset_and_skips_no_episode(captured: bool) -> None:
+    """As one of a batch begins its episodes, so does it; in between it shows how the last one ended."""
+    kept = {"backend": BACKEND, "episode_length": 0.06, "seed": 3}
+    single = orbit_core.learning.gymnasium.SingleEnvironment("Reach", render_mode="rgb_array", **kept)
+    inner = single.environment
+    inner._closed = CapturedStep(inner, compile=False, whole=False, renews=False) if captured else None
+    batch = make("Reach", num_envs=1, **kept)
+    begun, action = batch.reset()[0], np.ones(single.action_space.shape, np.float32)
+    for _ in range(3):
+        seen, _ = single.reset()
+        np.testing.assert_allclose(seen["policy"], begun["policy"][0], atol=1e-5)
+        for _ in range(batch.max_episode_steps):
+            seen, _, _, truncated, info = single.step(action)
+            begun, *_, ended = batch.step(torch.as_tensor(action)[None])
+        assert truncated
+        assert info["success"] == bool(ended["final"].success)
+        np.testing.assert_allclose(seen["policy"], ended["final"].observation["policy"][0], atol=1e-5)
+        np.testing.assert_allclose(single.environment.observe()["policy"][0], seen["policy"], atol=1e-5)
+        with pytest.raises(ConfigurationError, match="the episode is over: reset the environment, then step"):
+            single.step(action)
+    before = single.render()
+    single.reset()
+    assert (single.render() != before).any(), "the last frame was that of the episode's end"
+    single.close(), batch.close()
+    with pytest.raises(ConfigurationError, match="autoreset=False is for one environment"):
+        make("Reach", num_envs=2, backend=BACKEND, autoreset=False)
 
 
 def test_pictures_are_drawn() -> None:

@@ -16,7 +16,7 @@ from orbit_core.dynamics.drive_stability import ExplicitGains, unstable_drive
 from orbit_core.dynamics.kinematics import mimic_matrix
 from orbit_core.dynamics.rigid_body import RigidBodyModel
 from orbit_core.interfaces.layout import JointParameters, SceneLayout, actuator_of_joint
-from orbit_core.scene import IdealPd, RobotSpec, Scene
+from orbit_core.scene import ImplicitPd, RobotSpec, Scene
 
 _SLOW = 1.0
 """Hz: a joint of a lower natural frequency is left hanging."""
@@ -93,7 +93,7 @@ def check_stability(spec: RobotSpec, time_step: float) -> Iterator[Finding]:
     stiffness, damping = np.zeros(len(parameters.damping)), np.zeros(len(parameters.damping))
     implicit = parameters.damping.copy()
     for index, group in groups.items():
-        if isinstance(group, IdealPd):
+        if not isinstance(group, ImplicitPd):
             stiffness[index], damping[index] = group.stiffness, group.damping
         else:
             implicit[index] += group.damping

@@ -1,0 +1,106 @@
+"""What a training recorded beside its policies, and what of it holds where the policy is played."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from orbit_core.backends import backend_names, renderer_names
+from orbit_core.cli.settings import PlaySettings
+from orbit_core.configuration import Text, assignments
+from orbit_core.envs.registry import task_entry
+from orbit_core.interfaces.errors import ConfigurationError
+
+OF_TRAINING_ALONE = ("curriculum_enabled", "expert_starts")
+"""Fields of a task that only learning is for: a curriculum begins with the easiest episodes again, and an expert's way
+is no start that a policy is measured from. So are those that a task sets in training by itself."""
+_TASKS = "the task's own"
+_RECORD = "training.json"
+
+
+def training_record(path: Path) -> Mapping[str, Any]:
+    """Return what the file beside a policy says of its training; empty without one.
+
+    Args:
+        path: of the policy's file, or of its folder.
+
+    Raises:
+        ConfigurationError: the file is no record of a training.
+    """
+    file = (path if path.is_dir() else path.parent) / _RECORD
+    if not file.exists():
+        return {}
+    try:
+        values = json.loads(file.read_bytes())
+        if {"seed", "num_envs", "device"} <= values["settings"].keys() and isinstance(values["versions"], dict):
+            return values
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        pass
+    raise ConfigurationError(f"{file} tells of no training")
+
+
+@dataclass(frozen=True)
+class Restored:
+    """Settings that play a policy as it was learned, and what differs, a line each."""
+
+    settings: PlaySettings
+    differences: tuple[str, ...]
+
+
+def restore(settings: PlaySettings, record: Mapping[str, Any], task: str) -> Restored:
+    """Fill what the settings leave open with what a training was done with.
+
+    Args:
+        settings: of playing; what they say wins.
+        record: the settings of the training, as ``training.json`` has them.
+        task: the task that is played.
+    """
+    if not record:
+        return Restored(settings, ())
+    if record["task"] != task:
+        return Restored(settings, (f"task {task} in place of {record['task']}, whose fields are not restored",))
+    fields, differences = _fields(record, task)
+    chosen = {**settings.fields, **assignments(settings.set, f"task {task}")}
+    differences += [
+        f"{name} = {_told(value)} in place of {_told(fields.get(name, _TASKS))}"
+        for name, value in chosen.items()
+        if name not in fields or _told(value) != _told(fields[name])
+    ]
+    played = replace(settings, fields={**fields, **settings.fields})
+    for name, installed in (("backend", backend_names()), ("renderer", renderer_names()), ("matter", None)):
+        learned, own = record.get(name), getattr(settings, name)
+        if own is None and learned is not None and (installed is None or learned in installed):
+            played, own = replace(played, **{name: learned}), learned
+        words, table = ("setting", "settings") if name == "backend" else (f"{name}_setting", f"{name}_settings")
+        given = {**record.get(table, {}), **assignments(record.get(words, ()), name, "setting")}
+        if own == learned:
+            played = replace(played, **{table: {**given, **getattr(settings, table)}})
+        elif learned is not None or own is not None:
+            lost = f", without its settings ({', '.join(given)})" if given else ""
+            differences.append(f"{name} {own or 'left open'} in place of {learned or 'the backend itself'}{lost}")
+    return Restored(played, tuple(differences))
+
+
+def _fields(record: Mapping[str, Any], task: str) -> tuple[dict[str, Any], list[str]]:
+    """Return the fields that a training set, less those of training alone, and a line for each of these."""
+    words, table = assignments(record.get("set", ()), f"task {task}"), record.get("fields", {})
+    by_itself = task_entry(task).task_type().training
+    alone = {
+        name
+        for name, value in {**table, **words}.items()
+        if name in OF_TRAINING_ALONE or (name not in words and name in by_itself and by_itself[name] == value)
+    }
+    fields = {name: value for name, value in {**table, **words}.items() if name not in alone}
+    lines = [
+        f"{name} = {_told({**table, **words}[name])} left out, for it belongs to training" for name in sorted(alone)
+    ]
+    return fields, lines
+
+
+def _told(value: Any) -> str:
+    if isinstance(value, Text):
+        return value.text
+    return str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,0 +1,280 @@
+"""Plain Python that a step changes is never frozen in silence: the step is refused from capture, or captured again."""
+
+from __future__ import annotations
+
+import random
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from random import gauss
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from orbit_core.backends import default_backend
+from orbit_core.envs import Environment, EventTerm, RewardTerm
+from orbit_core.envs.captured_step import CapturedStep
+from orbit_core.interfaces import ConfigurationError, World
+from orbit_tasks.reach import Reach
+
+BACKEND = default_backend()
+calls = 0
+
+
+def late(count: float) -> bool:
+    return count > 5
+
+
+def ramp(world: World, task: Counting) -> Tensor:
+    return torch.full((world.num_envs,), float(late(task.total)), device=world.device)
+
+
+def in_a_global(world: World, task: Reach) -> Tensor:
+    global calls
+    calls += 1
+    return torch.full((world.num_envs,), float(calls))
+
+
+def in_a_closure() -> Callable[..., Tensor]:
+    count = 0
+
+    def term(world: World, task: Reach) -> Tensor:
+        nonlocal count
+        count += 1
+        return torch.full((world.num_envs,), float(count))
+
+    return term
+
+
+def in_a_default(world: World, task: Reach, counts: list[int] = []) -> Tensor:  # noqa: B006 - what users write
+    counts.append(1)
+    return torch.full((world.num_envs,), float(len(counts)))
+
+
+def in_an_attribute_of_the_function(world: World, task: Reach) -> Tensor:
+    term: Any = in_an_attribute_of_the_function
+    term.count = getattr(term, "count", 0) + 1
+    return torch.full((world.num_envs,), float(term.count))
+
+
+class InAnObject:
+    total = 0
+
+    def __init__(self, where: str) -> None:
+        self.where, self.count, self.seen = where, 0, {"steps": [0]}
+        self.array, self.rng, self.random = np.zeros(2), np.random.default_rng(0), random.Random(0)
+
+    def __call__(self, world: World, task: Reach) -> Tensor:
+        return torch.full((world.num_envs,), float(getattr(self, self.where)()))
+
+    def attribute(self) -> int:
+        self.count += 1
+        return self.count
+
+    def nested(self) -> int:
+        self.seen["steps"][0] += 1
+        return self.seen["steps"][0]
+
+    def of_the_class(self) -> int:
+        InAnObject.total += 1
+        return InAnObject.total
+
+    def in_an_array(self) -> float:
+        self.array[0] += 1.0
+        return self.array[0]
+
+    def drawn_by_numpy(self) -> float:
+        return self.rng.uniform()
+
+    def drawn_by_python(self) -> float:
+        return self.random.random()
+
+
+def drawn_globally(world: World, task: Reach) -> Tensor:
+    return torch.full((world.num_envs,), random.random())
+
+
+def drawn_by_numpy_globally(world: World, task: Reach) -> Tensor:
+    return torch.full((world.num_envs,), np.random.uniform())  # noqa: NPY002 - what users write
+
+
+def drawn_by_a_function(world: World, task: Reach) -> Tensor:
+    return torch.full((world.num_envs,), gauss(0.0, 1.0))
+
+
+def as_numpy(world: World, task: Reach) -> Tensor:
+    return torch.from_numpy(task.goal.numpy()[:, 0] * 2.0)
+
+
+def as_a_list(world: World, task: Reach) -> Tensor:
+    return torch.tensor(task.goal[:, 0].tolist())
+
+
+def as_an_array(world: World, task: Reach) -> Tensor:
+    return torch.as_tensor(np.asarray(task.goal)[:, 0] + 1.0)
+
+
+@dataclass
+class One:
+    """A reward that changes in Python."""
+
+    term: RewardTerm | None = None
+
+
+@dataclass(kw_only=True)
+class Counting(Reach):
+    """Counts its steps as mjlab's and Isaac Lab's tasks do."""
+
+    rewards: One = field(default_factory=lambda: One(RewardTerm(ramp, 50.0)))
+    limit: float = 1.0
+
+    def start(self, world: World) -> None:
+        super().start(world)
+        self.total = 0
+
+    def advance(self, world: World) -> None:
+        super().advance(world)
+        self.total += 1
+
+
+def captured(task: Reach, whole: bool = True) -> Environment:
+    environment = Environment(task, 2, BACKEND)
+    environment._closed = CapturedStep(environment, compile=False, whole=whole)
+    return environment
+
+
+def rewards_of(environment: Environment, steps: int = 8) -> list[float]:
+    action = torch.zeros(2, environment.action_size)
+    return [float(environment.step(action)[1][0]) for _ in range(steps)]
+
+
+def line_of(text: str) -> int:
+    with open(__file__) as file:
+        return next(number for number, line in enumerate(file, 1) if text in line)
+
+
+def test_a_counter_of_the_task_is_refused_by_name_file_and_line_and_counts_on() -> None:
+    plain = Environment(Counting(), 2, BACKEND)
+    other = captured(Counting())
+    line = line_of("self.total += 1")
+    what = rf"Counting\.total \({re.escape(__file__)}:{line}\).*in a tensor that is written in place.*capture=False"
+    with pytest.warns(RuntimeWarning, match=what):
+        assert rewards_of(other) == rewards_of(plain) == [0.0] * 5 + [pytest.approx(50.0 * plain.step_dt)] * 3
+    plain.close(), other.close()
+
+
+@pytest.mark.parametrize(
+    ("term", "name"),
+    [
+        (in_a_global, "calls"),
+        (in_a_closure(), "count"),
+        (in_a_default, "counts"),
+        (in_an_attribute_of_the_function, "count"),
+        (partial(InAnObject("attribute")), "count"),
+        (InAnObject("nested"), "steps"),
+        (InAnObject("of_the_class"), r"InAnObject\.total"),
+        (InAnObject("in_an_array"), "array"),
+        (InAnObject("drawn_by_numpy"), "rng"),
+        (InAnObject("drawn_by_python"), "random"),
+        (drawn_globally, "random"),
+        (drawn_by_numpy_globally, "np"),
+        (drawn_by_a_function, "gauss"),
+        (as_numpy, r"Tensor\.numpy"),
+        (as_a_list, r"Tensor\.tolist"),
+        (as_an_array, r"Tensor\.(numpy|__array__)"),
+    ],
+)
+def test_python_of_every_kind_in_a_term_is_refused(term: Callable[..., Tensor], name: str) -> None:
+    environment = captured(Reach(rewards=One(RewardTerm(term, 1.0))))
+    with pytest.warns(RuntimeWarning, match=rf"each step waits for the device: .*({name})"):
+        seen = rewards_of(environment)
+    if "numpy" not in name and "tolist" not in name:
+        assert len(set(seen)) == len(seen), "each step has its own value"
+    environment.close()
+
+
+def test_a_counter_in_a_reset_event_is_refused() -> None:
+    counts = {"episodes": 0}
+
+    def count(world: World, task: Reach, env_ids: Tensor) -> None:
+        counts["episodes"] += 1
+
+    task = Reach(episode_length=0.2)
+    task.events.sample_goal = EventTerm(count)
+    environment = captured(task, whole=False)
+    with pytest.warns(RuntimeWarning, match=r"episodes.*changes in Python"):
+        rewards_of(environment, environment.max_episode_steps + 2)
+    environment.close()
+
+
+def test_a_counter_is_refused_from_a_compiled_step_with_the_remedy() -> None:
+    environment = captured(Counting())
+    environment._compile = True
+    with pytest.raises(ConfigurationError, match=r"cannot be compiled: Counting\.total.*leave compile out"):
+        rewards_of(environment)
+    environment.close()
+    with pytest.raises(ConfigurationError, match="compile=True needs the step to be captured"):
+        Environment(Counting(), 1, BACKEND, compile=True, capture=False)
+
+
+def test_a_counter_in_a_tensor_is_captured() -> None:
+    class InATensor(Counting):
+        def start(self, world: World) -> None:
+            super().start(world)
+            self.total = torch.zeros((), device=world.device)
+
+    task = InATensor(rewards=One(RewardTerm(lambda world, task: (task.total > 5).float().expand(2), 50.0)))
+    environment = captured(task)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        assert rewards_of(environment) == [0.0] * 5 + [pytest.approx(50.0 * environment.step_dt)] * 3
+    assert environment._closed is not None
+    environment.close()
+
+
+def test_what_is_set_between_steps_acts_at_the_next_captured_one() -> None:
+    term = RewardTerm(lambda world, task: torch.full((2,), task.limit), 1.0)
+    environment = captured(Counting(rewards=One(term)))
+    environment.task.advance = lambda world: None  # the counter stands still
+    assert rewards_of(environment, 4) == [pytest.approx(environment.step_dt)] * 4
+    environment.task.limit = 3.0
+    assert rewards_of(environment, 2) == [pytest.approx(3.0 * environment.step_dt)] * 2
+    other = replace(environment.task.rewards.term, function=lambda world, task: torch.full((2,), 7.0))
+    environment.task.rewards.term = other
+    assert rewards_of(environment, 2) == [pytest.approx(7.0 * environment.step_dt)] * 2
+    assert environment._closed is not None, "the step is still captured"
+    environment.close()
+
+
+def test_what_changes_between_all_steps_is_named() -> None:
+    environment = captured(Counting(rewards=One(RewardTerm(lambda world, task: torch.zeros(2), 1.0))))
+    environment.task.advance = lambda world: None
+
+    def change_at_each_step() -> None:
+        for number in range(10):
+            environment.task.limit = float(number)
+            rewards_of(environment, 1)
+
+    with pytest.warns(RuntimeWarning, match=r"Counting\.limit.*changes between steps, 8 times"):
+        change_at_each_step()
+    environment.close()
+
+
+def test_what_is_looked_up_at_first_use_is_captured_by_the_next_trace() -> None:
+    class Lazy(Counting):
+        def advance(self, world: World) -> None:
+            if self.episode_step[0] is not None and not hasattr(self, "found"):
+                self.found = [world.num_envs]
+
+    environment = captured(Lazy(rewards=One(RewardTerm(lambda world, task: torch.zeros(2), 1.0))))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        rewards_of(environment, 5)
+    assert environment._closed is not None
+    assert environment._closed.parts[0].ready
+    environment.close()
