@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +11,10 @@ from orbit_core.backends import backend_names, renderer_names
 from orbit_core.cli.settings import PlaySettings
 from orbit_core.configuration import Text, assignments
 from orbit_core.envs.registry import task_entry
+from orbit_core.files import read_bytes
 from orbit_core.interfaces.errors import ConfigurationError
+from orbit_core.reading.budget import MAX_DOCUMENT
+from orbit_core.tensor_file import parse_json
 
 OF_TRAINING_ALONE = ("curriculum_enabled", "expert_starts")
 """Fields of a task that only learning is for: a curriculum begins with the easiest episodes again, and an expert's way
@@ -34,12 +36,12 @@ def training_record(path: Path) -> Mapping[str, Any]:
     if not file.exists():
         return {}
     try:
-        values = json.loads(file.read_bytes())
+        values = parse_json(read_bytes(file, MAX_DOCUMENT))
         if {"seed", "num_envs", "device"} <= values["settings"].keys() and isinstance(values["versions"], dict):
             return values
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         pass
-    raise ConfigurationError(f"{file} tells of no training")
+    raise ConfigurationError(f"{file} describes no training")
 
 
 @dataclass(frozen=True)

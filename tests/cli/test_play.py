@@ -104,5 +104,5 @@ def test_the_hint_plays_what_was_trained(trained: Trained, capsys: pytest.Captur
 def test_a_record_that_is_none_is_named(trained: Trained) -> None:
     folder = trained()
     (folder / "training.json").write_text("[]")
-    with pytest.raises(ConfigurationError, match=r"training\.json tells of no training"):
+    with pytest.raises(ConfigurationError, match=r"training\.json describes no training"):
         restored_settings(replace(PlaySettings(policy=folder), num_envs=1))
