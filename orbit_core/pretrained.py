@@ -146,8 +146,8 @@ def _about(path: Path) -> Path:
 
 
 def _read(about: Path) -> PretrainedPolicy:
-    values = read_toml(about, "description")
     try:
+        values = read_toml(about, "description")
         gaps = tuple(TransferGap(**gap) for gap in values.pop("gaps", ()))
         policy = PretrainedPolicy(name=about.parent.name, folder=about.parent, gaps=gaps, **values)
         Typed().check(policy, "it")

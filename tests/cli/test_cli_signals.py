@@ -34,7 +34,7 @@ def test_a_command_that_is_told_to_end_cleans_up(tmp_path: Path, number: signal.
         env={**os.environ, "TMPDIR": str(temporary)}, start_new_session=True,
     )  # fmt: skip
     try:
-        _await(lambda: list(tmp_path.glob(".*mp4")), process)  # the video has begun: all is made
+        _await(lambda: list(tmp_path.glob(".orbit-*.partial/*.mp4")), process)  # the video has begun: all is made
         workers = psutil.Process(process.pid).children(recursive=True)
         assert len(workers) >= 2
         process.send_signal(number)

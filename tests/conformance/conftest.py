@@ -103,10 +103,11 @@ def _made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path]
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / name
     with folder.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / "made").exists():
+        made = folder.with_suffix(".made")
+        if not made.exists():
             folder.mkdir(exist_ok=True)
             make(folder)
-            (folder / "made").touch()
+            made.touch()
     return folder
 
 
@@ -123,24 +124,16 @@ def broken_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a command's run on backends that die, hang and work; ``told`` holds its output."""
 
     def make(folder: Path) -> None:
-        words = [
-            "--quick",
-            "--scenario",
-            "projectile",
-            "--episodes",
-            "2",
-            "--time-limit",
-            "20",
-            "--output",
-            str(folder),
-        ]
-        words += ["--backend", "dying", "hanging", PAIR[0]]
-        environment = os.environ | {"OMP_NUM_THREADS": "1"} | broken_plugin.install(folder)
+        output, plugin = folder / "run", folder / "plugin"
+        plugin.mkdir()
+        words = ["--quick", "--scenario", "projectile", "--backend", "dying", "hanging", PAIR[0]]
+        words += ["--episodes", "2", "--time-limit", "20", "--output", str(output)]
+        environment = os.environ | {"OMP_NUM_THREADS": "1"} | broken_plugin.install(plugin)
         done = subprocess.run([*PROGRAM, *words], capture_output=True, text=True, timeout=600, env=environment)
         assert done.returncode == 1, done.stderr
-        (folder / "told").write_text(done.stdout)
+        (output / "told").write_text(done.stdout)
 
-    return _made_once(tmp_path_factory, "broken-run", make)
+    return _made_once(tmp_path_factory, "broken-run", make) / "run"
 
 
 @pytest.fixture(scope="session")

@@ -50,7 +50,7 @@ def test_the_matrix_tells_status_and_reason(page: Page) -> None:
     page.keyboard.press("Enter")
     assert "its process died of SIGABRT" in failing.locator(".more").inner_text()
     passing.locator("summary").click()
-    assert "0.0001 m/s" in passing.locator("tr", has_text="velocity").inner_text()
+    assert "0.0001 rad/s" in passing.locator("tr", has_text="spin").inner_text()
 
 
 def test_a_link_opens_its_scenario_with_the_plots(page: Page) -> None:

@@ -10,7 +10,6 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import h5py
@@ -205,18 +204,6 @@ def test_an_address_that_is_nobodys_is_told(capsys: pytest.CaptureFixture[str], 
     words = ["--backend", default_backend(), "--host", "nobody.invalid", "--output", str(tmp_path / "x.hdf5")]
     assert main(["teleop", "Reach", *words]) == 2
     assert "cannot listen at 'nobody.invalid'" in capsys.readouterr().err
-
-
-def test_a_disk_that_is_nearly_full_is_told_before_a_library_fails(
-    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    free = iter((10**9, 10**9, 100))
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=next(free)))
-    assert main(["data", "convert", str(whole), "--output", str(tmp_path / "x.hdf5")]) == 2
-    error = capsys.readouterr().err
-    assert "No space left on device" in error
-    assert error.count("\n") == 1
-    assert [*tmp_path.iterdir()] == []
 
 
 def test_a_file_that_may_not_grow_is_one_error(whole: Path, tmp_path: Path) -> None:

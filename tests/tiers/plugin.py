@@ -13,7 +13,7 @@ from tests.tiers.selection import Selection, select
 from tests.tiers.slow_list import SLOW_SECONDS, read_slow_list
 from tests.tiers.touched import touched_tests
 
-_GROWN = 1.5
+_GROWN = 3.0
 """A test is called grown from this many times the threshold on, so that a busy machine names none."""
 _OF_MANY = 0.5
 """Seconds that a test of many alike counts in its turn, where it is not slow."""
