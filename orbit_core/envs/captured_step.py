@@ -23,7 +23,6 @@ from orbit_core.envs.step_parts import StepParts
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import ObservationGroup, RewardTerm, Term
 from orbit_core.interfaces import World
-from orbit_core.world.world import SimulatedWorld
 
 _OFTEN = 8
 MOST_PHASES = 64
@@ -132,9 +131,7 @@ class CapturedStep:
     def _look(self) -> PythonState:
         task, cut = self._environment.task, self._environment.cut
         nodes = {f"node '{runner.node.name}'": runner.node for runner in cut.graph.runners}
-        world = self._environment.world
-        laws = {**world.actuators.models, **world.active.laws} if isinstance(world, SimulatedWorld) else {}
-        roots = {type(task).__name__: task, **nodes, **laws}
+        roots = {type(task).__name__: task, **nodes, **self._environment.world.python_laws}
         return PythonState(roots, (Term, ObservationGroup), skipped=frozenset({"cache"}))
 
     @property

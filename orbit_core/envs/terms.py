@@ -15,7 +15,6 @@ from torch import Tensor
 from orbit_core.interfaces import ConfigurationError
 
 if TYPE_CHECKING:
-    from orbit_core.envs.task import Task
     from orbit_core.interfaces import World
     from orbit_core.scene import SensorSpec
 
@@ -267,7 +266,7 @@ def once_per_state(function: _Function) -> _Function:
     """Compute a term once per state of the world, and for each agent's name if it takes one, whoever asks for it."""
 
     @wraps(function)
-    def cached(world: World, task: Task, *agent: str) -> Tensor:
+    def cached(world: World, task: Any, *agent: str) -> Tensor:
         key = (function, *agent)
         version, value = task.cache.get(key, (-1, None))
         if value is None or version != world.clock.version:

@@ -231,6 +231,11 @@ class World(ABC):
         return ()
 
     @property
+    def python_laws(self) -> Mapping[str, object]:
+        """Actuator models and active models that compute in Python during a step, by name."""
+        return {}
+
+    @property
     def engine(self) -> Engine:
         """The physics engine, past this interface: for measurements of engines, not for tasks."""
         raise self._unsupported("engine")

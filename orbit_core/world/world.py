@@ -204,6 +204,11 @@ class SimulatedWorld(World):
         return self.painting.add(with_matter(renderer, self._solver, self._engine, self.layout))
 
     @property
+    def python_laws(self) -> Mapping[str, object]:
+        """Actuator models and active models that compute in Python during a step, by name."""
+        return {**self.actuators.models, **self.active.laws}
+
+    @property
     def build_report(self) -> tuple[Approximation, ...]:
         """What differs from the scene as asked: in the models first, then in the engine."""
         notes = tuple(

@@ -79,13 +79,17 @@ def test_a_base_on_two_wheels_drives_the_arc_that_is_asked_for(backend: str) -> 
 )
 def test_base_and_arm_go_together_to_what_the_arm_cannot_reach(backend: str, name: str) -> None:
     config = WholeBodyIkConfig(damping=0.02, weights=(1.0,) * 3 + (0.3,) * 3)
-    robot = held(config, backend, name=name, num_envs=1, physics_dt=0.005, terrain=GROUND)
+    robot = held(config, backend, name=name, num_envs=5, physics_dt=0.005, terrain=GROUND)
     goal = robot.hand()
     goal[:, :3] += torch.tensor([1.2, 0.3, 0.05])
+    goal[:, 0] += torch.tensor([-1e-3, -1e-4, 0.0, 1e-4, 1e-3])
     for _ in range(150):
-        robot.run(robot.generator.encode(goal, torch.ones(1, dtype=torch.bool)), 8, decimation=8)
-    # TIAGo's drives sag under its arm, whose weight nothing cancels.
-    assert pose_error(robot.hand(), goal)[:, :3].abs().max() < (0.03 if name == "tiago" else 0.01)
+        robot.run(robot.generator.encode(goal, torch.ones(5, dtype=torch.bool)), 8, decimation=8)
+    # TIAGo's drives sag under its arm, whose weight nothing cancels, and wheels on the ground leave its base where the
+    # last bits say: between 1.6 and 3.6 cm for goals that are a tenth of a millimetre apart, on any processor.
+    away = pose_error(robot.hand(), goal)[:, :3].abs().amax(1)
+    assert away.median() < (0.03 if name == "tiago" else 0.01)
+    assert away.max() < (0.05 if name == "tiago" else 0.01)
     base = robot.robot.link_poses[:, robot.robot.link_names.index(robot.robot.spec.base_link)]
     assert 0.4 < float(base[0, 0]) < 1.6
     robot.world.close()
