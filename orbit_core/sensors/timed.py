@@ -241,13 +241,22 @@ def period_in_steps(spec: SensorSpec, physics_dt: float) -> int | None:
     return steps
 
 
+_MOST_PERIODS = 10_000
+"""Longest delay in periods of a sensor, for each of which a value is kept."""
+
+
 def _delay_in_periods(spec: SensorSpec) -> int:
     if spec.delay == 0.0:
         return 0
     if spec.rate is None:
         raise ConfigurationError(f"sensor '{spec.name}' has a delay but no rate: give it a rate to delay by")
+    if not 0.0 <= spec.delay * spec.rate <= _MOST_PERIODS:
+        raise ConfigurationError(
+            f"sensor '{spec.name}' has a delay of {spec.delay:g} s, which must be from 0 to "
+            f"{_MOST_PERIODS / spec.rate:g} s, {_MOST_PERIODS} of its periods, whose values are kept"
+        )
     periods = round(spec.delay * spec.rate)
-    if periods < 0 or abs(spec.delay * spec.rate - periods) > _RATE_TOLERANCE * max(periods, 1):
+    if abs(spec.delay * spec.rate - periods) > _RATE_TOLERANCE * max(periods, 1):
         raise ConfigurationError(
             f"sensor '{spec.name}' has a delay of {spec.delay:g} s, which must be a multiple of its period "
             f"of {1.0 / spec.rate:g} s"

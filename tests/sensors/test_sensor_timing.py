@@ -47,6 +47,12 @@ def test_a_rate_that_does_not_divide_is_refused_with_the_nearest_that_do(make_ri
         make_rig(drift_scene(tracker(rate=0.0)))
 
 
+@pytest.mark.parametrize("delay", [1e9, 1e308, float("inf"), float("nan"), -0.02])
+def test_a_delay_beyond_what_is_kept_is_refused(delay: float, make_rig):
+    with pytest.raises(ConfigurationError, match=r"'tracker' has a delay of .* from 0 to 200 s, 10000 of its periods"):
+        make_rig(drift_scene(tracker(rate=50.0, delay=delay)))
+
+
 def test_a_delay_must_be_a_multiple_of_the_period(make_rig):
     with pytest.raises(ConfigurationError, match=r"delay of 0\.03 s.*period of 0\.02 s"):
         make_rig(drift_scene(tracker(rate=50.0, delay=0.03)))
