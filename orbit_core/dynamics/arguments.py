@@ -86,7 +86,7 @@ def usable_device(device: object) -> torch.device:
     """
     try:
         return torch.empty(0, device=device).device  # pyright: ignore[reportCallIssue, reportArgumentType]
-    except (RuntimeError, TypeError, AssertionError) as error:
+    except (RuntimeError, TypeError, ValueError, AssertionError) as error:
         reason = str(error).partition("\n")[0]
         raise ConfigurationError(f"device {device!r} cannot be used: {reason}; 'cpu' always can") from None
 

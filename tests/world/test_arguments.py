@@ -265,7 +265,7 @@ def test_worlds_beyond_memory_say_how_many_fit() -> None:
         simulate(replace(SCENE, sensors=(camera,)), 1000, default_backend())
 
 
-@pytest.mark.parametrize("device", ["quantum", "cuda:99", 3.5])
+@pytest.mark.parametrize("device", ["quantum", "cuda:99", 3.5, 2**80])
 def test_devices_that_are_not_there_are_refused(device: Any) -> None:
     with pytest.raises(ConfigurationError, match=r"device .* cannot be used"):
         simulate(SCENE, 1, default_backend(), device=device)
