@@ -51,5 +51,5 @@ def make_environment(settings: EnvironmentSettings, num_envs: int, reset_diverge
     matter = {"matter": settings.matter, "matter_settings": {**settings.matter_settings, **own_matter}}
     common = (settings.seed, settings.renderer, own, looks, settings.compile, settings.check_finite)
     task = configure(entry.task_type(), fields)  # a field may bear the name of an argument of make
-    own_step = {"reset_diverged": reset_diverged, "capture": settings.capture}
-    return make(task, num_envs, name, device, *common, **matter, **own_step)
+    capture = settings.capture
+    return make(task, num_envs, name, device, *common, **matter, reset_diverged=reset_diverged, capture=capture)
