@@ -32,7 +32,7 @@ class ActuatorState:
     gains: tuple[tuple[Tensor, ...], ...]
     delays: tuple[DelayState | None, ...]
     memory: tuple[dict[str, Tensor], ...]
-    """What each model remembers."""
+    """Memory of each model."""
 
 
 class Actuators:
@@ -96,7 +96,7 @@ class Actuators:
         return {f"{type(model).__name__} of joint '{joints[model.joints[0]].name}'": model for model in self._models}
 
     def memory(self) -> dict[str, Tensor]:
-        """What models remember from step to step, by name."""
+        """Memory of the models between steps, by name."""
         own = {f"{name}, {number}": model for number, (name, model) in enumerate(self.models.items())}
         return {f"{part} of {name}": value for name, model in own.items() for part, value in model.memory.items()}
 

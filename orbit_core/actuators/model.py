@@ -23,7 +23,7 @@ from orbit_core.interfaces import SceneLayout
 
 @dataclass(frozen=True)
 class ActuatorContext:
-    """What a model is built for."""
+    """Joints and settings that a model is built for."""
 
     joints: tuple[int, ...]
     """Indices (k,) of the model's joints in the scene."""

@@ -1,4 +1,4 @@
-"""What a training recorded beside its policies, and what of it holds where the policy is played."""
+"""Record of a training next to its policies, and the settings that playing a policy restores from it."""
 
 from __future__ import annotations
 

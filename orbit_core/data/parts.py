@@ -48,12 +48,12 @@ class PartFolder:
 
     @property
     def begun(self) -> bool:
-        """Whether a recording has begun here."""
+        """True if a recording has begun here."""
         return (self.path / _MANIFEST).is_file() or bool(self.files)
 
     @property
     def replaces(self) -> bool:
-        """Whether the recording takes the dataset's place in the end; else it goes on with it."""
+        """True if the recording replaces the dataset in the end; otherwise it extends it."""
         return (self.path / _REPLACES).is_file()
 
     def begin_replacing(self) -> None:

@@ -142,7 +142,7 @@ class RecordingFile:
 
     @property
     def _continued(self) -> bool:
-        """Whether the recording goes on with a dataset that is there."""
+        """True if the recording extends a dataset that is there."""
         return self.path.exists() and not self.parts.replaces
 
     def _set_aside(self) -> list[tuple[int, Path]]:

@@ -18,7 +18,7 @@ _EVERY_OTHER = {"g": "2", "crf": "18"}
 
 
 _DECODERS = ("h264", "hevc", "libdav1d", "av1", "vp9", "mpeg4")
-"""Those that datasets use, of the hundreds that the library has."""
+"""Decoders that datasets use, of the hundreds that the library has."""
 
 
 def write_video(path: Path | str, stretches: Iterable[Array], rate: int) -> None:

@@ -163,7 +163,7 @@ class Environment:
             raise ConfigurationError(f"autoreset=False is for one environment that waits for reset, not for {num_envs}")
         self._compile, self._capture, self._autoreset = compile, capture, autoreset
         self._over = False
-        """Whether the episode has ended and waits for a reset."""
+        """True if the episode has ended and waits for a reset."""
         self._started = False
         """Whether a step was made, and with it all that is made at first use: a trace would make it anew each time."""
         self.premises = PremiseManager(self.world, task, simulated=world is None)

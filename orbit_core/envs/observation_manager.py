@@ -37,7 +37,7 @@ class ObservationManager:
         self._task = task
         self._read()
         self.layouts = {name: group.layout for name, group in self._groups.items()}
-        """What each group is like, by name."""
+        """Layout of each group, by name."""
 
     def _read(self) -> None:
         self._measurements: list[_Measurement] = []

@@ -25,7 +25,7 @@ _FAULTS = (
     OSError, RuntimeError, KeyError, AttributeError, ValueError, TypeError, MemoryError, OverflowError, IndexError,
     NotImplementedError, RecursionError, zlib.error,
 )  # fmt: skip
-"""What h5py raises of damaged files."""
+"""Errors that h5py raises for damaged files."""
 _GZIP, _SHUFFLE, _CHECKSUM, _LZF = 1, 2, 3, 32000
 _RATIOS = {_GZIP: 1032, _LZF: 90}
 """Most bytes that each compression makes of one."""
