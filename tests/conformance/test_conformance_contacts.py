@@ -195,15 +195,13 @@ def test_who_may_touch_within_an_articulation(
 
 
 def test_links_that_a_compound_joint_connects_never_touch(make_engine: MakeEngine, needs: Needs) -> None:
-    """They overlap at their hip, with links without mass and shapes between them."""
+    """They overlap beside their hip, with links without mass and shapes between them."""
     needs(Capability.SELF_COLLISIONS, Capability.MASSLESS_LINKS)
-    ball = Shape(Sphere(0.1))
-    links = (
-        Link("pelvis", 5.0, (0.0, 0.0, 0.0), np.eye(3) * 0.02, (ball,)),
-        Link("thigh", 1.0, (0.0, 0.0, 0.0), np.eye(3) * 0.004, (ball,)),
-    )
+    pelvis = Link("pelvis", 5.0, inertia=np.eye(3) * 0.02, collisions=(Shape(Sphere(0.1)),))
+    aside = Shape(Sphere(0.1), Pose((0.05, 0.0, 0.0)))
+    thigh = Link("thigh", 1.0, inertia=np.eye(3) * 0.004, collisions=(aside,))
     between, joints = compound(Joint("hip", JointType.CONTINUOUS, "pelvis", "thigh", Pose((0.0, 0.0, -0.05))), BALL)
-    articulation = Articulation("walker", (links[0], *between, links[1]), joints, self_collisions=True)
+    articulation = Articulation("walker", (pelvis, *between, thigh), joints, self_collisions=True)
     engine = make_engine(scene(RobotSpec(name="walker", articulation=articulation), gravity=WEIGHTLESS, terrain=()))
     engine.step(5)
     assert_near(engine.joint_velocities, torch.zeros(1, 3), atol=1e-6)
