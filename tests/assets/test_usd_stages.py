@@ -37,6 +37,18 @@ def robot(name: str, at: tuple[float, float, float]) -> str:
     }}"""
 
 
+def test_a_reference_in_other_units_counts_in_the_stages_and_is_noted(tmp_path: Path) -> None:
+    """As in USD itself, which converts nothing: a box of 100 cm becomes one of 100 m."""
+    box = 'def Cube "cube" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n    double size = 100\n}'
+    stage(tmp_path, body("a", box), CENTIMETRES, "part.usda")
+    content = '    def "part" (prepend references = @part.usda@)\n    {\n    }'
+    got = load_articulation(stage(tmp_path, content))
+    assert got.root.collisions[0].geometry == Box((50.0, 50.0, 50.0))
+    told = " ".join(got.notes)
+    assert "part.usda has metersPerUnit 0.01, and the stage 1.0: its numbers count in the stage's" in told
+    assert "part.usda has upAxis Y, and the stage Z" in told
+
+
 def test_one_of_several_articulations_is_read_by_name_or_path(tmp_path: Path) -> None:
     path = stage(tmp_path, robot("left", (1, 0, 0)) + robot("right", (-1, 0, 0)) + body("cup", CUBE, at=(0, 0, 2)))
     with pytest.raises(AssetError, match=r"holds 3 articulations, 'left' \(/top/left\), 'right' \(/top/right\), 'cup'"):

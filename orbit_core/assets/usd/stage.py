@@ -22,6 +22,9 @@ from orbit_core.assets.usd.library import pxr
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Pose
 
+_METRICS = ("metersPerUnit", "upAxis", "kilogramsPerUnit")
+"""Metadata of a layer that say in which units and axes its numbers are."""
+
 
 @dataclass(frozen=True)
 class Units:
@@ -103,11 +106,24 @@ def opened(path: Path | str, options: ReadOptions) -> Iterator[Reading]:
             stage = open_stage(path, options)
             trap.Clear()
             reading = Reading(path, stage, Units.of(stage), options, [])
+            _note_other_units(reading)
             yield reading
             for warning in trap.GetWarnings():
                 reading.note(f"USD remarks: {one_line(warning.commentary)}")
         finally:
             trap.Clear()
+
+
+def _note_other_units(reading: Reading) -> None:
+    """Tell of layers in other units than the stage's: USD composes their numbers as they are."""
+    own = reading.stage.GetRootLayer()
+    for layer in reading.stage.GetUsedLayers():
+        for name in _METRICS:
+            theirs = layer.pseudoRoot.GetInfo(name) if layer.pseudoRoot.HasInfo(name) else None
+            ours = reading.stage.GetMetadata(name)
+            if layer != own and theirs is not None and theirs != ours:
+                called = Path(layer.identifier).name
+                reading.note(f"{called} has {name} {theirs}, and the stage {ours}: its numbers count in the stage's")
 
 
 def attribute(prim: Any, name: str, default: Any = None) -> Any:
