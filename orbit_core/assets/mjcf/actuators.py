@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from orbit_core.assets.actuator_law import ActuatorLaw
 from orbit_core.assets.mjcf.joints import ball_angles
 from orbit_core.assets.mjcf.model import Compiled
 from orbit_core.scene import DriveGains
@@ -96,37 +97,23 @@ class Actuators:
 
     def _gains(self, actuator: int) -> tuple[float, float] | None:
         """Stiffness and damping at the joint; ``None`` for another law than a spring and a damper."""
-        model, kinds = self.compiled.model, self.compiled.mujoco
-        gear = float(model.actuator_gear[actuator, 0])
-        gain, bias = np.asarray(model.actuator_gainprm[actuator]), np.asarray(model.actuator_biasprm[actuator])
-        motor = model.actuator_biastype[actuator] == int(kinds.mjtBias.mjBIAS_NONE)
-        affine = model.actuator_biastype[actuator] == int(kinds.mjtBias.mjBIAS_AFFINE)
-        plain = model.actuator_gaintype[actuator] == int(kinds.mjtGain.mjGAIN_FIXED)
-        odd = np.any(model.actuator_dampingpoly[actuator]) or not np.isin(
-            model.actuator_dyntype[actuator], self._plain_dynamics()
-        )
-        if not plain or odd or not (motor or affine):
-            return None
-        own = gear**2 * float(model.actuator_damping[actuator])
-        if motor:
-            return 0.0, own
-        if bias[0] or bias[1] > 0 or bias[2] > 0:
-            return None
-        position = math.isclose(gain[0], -bias[1], rel_tol=1e-9)
-        velocity = not bias[1] and math.isclose(gain[0], -bias[2], rel_tol=1e-9)
-        if not (position or velocity):
-            return None
-        return -(gear**2) * float(bias[1]) + 0.0, -(gear**2) * float(bias[2]) + own
+        model = self.compiled.model
+        return None if np.any(model.actuator_dampingpoly[actuator]) else self._law(actuator).gains()
 
-    def _plain_dynamics(self) -> list[int]:
-        """Those whose activation is, in the end, the command or its integral."""
-        kinds = self.compiled.mujoco.mjtDyn
-        return [
-            int(kinds.mjDYN_NONE),
-            int(kinds.mjDYN_INTEGRATOR),
-            int(kinds.mjDYN_FILTER),
-            int(kinds.mjDYN_FILTEREXACT),
-        ]
+    def _law(self, actuator: int) -> ActuatorLaw:
+        model, kinds = self.compiled.model, self.compiled.mujoco
+        forces, commands = model.actuator_forcerange[actuator], model.actuator_ctrlrange[actuator]
+        return ActuatorLaw(
+            gain_type=_word(kinds.mjtGain(model.actuator_gaintype[actuator])),
+            bias_type=_word(kinds.mjtBias(model.actuator_biastype[actuator])),
+            dynamics=_word(kinds.mjtDyn(model.actuator_dyntype[actuator])),
+            gain=tuple(model.actuator_gainprm[actuator].tolist()),
+            bias=tuple(model.actuator_biasprm[actuator].tolist()),
+            gear=float(model.actuator_gear[actuator, 0]),
+            force_range=tuple(forces.tolist()) if model.actuator_forcelimited[actuator] else None,
+            command_range=tuple(commands.tolist()) if model.actuator_ctrllimited[actuator] else None,
+            damping=float(model.actuator_damping[actuator]),
+        )
 
     def _limit(self, actuator: int) -> float:
         """The largest effort at the joint."""
@@ -142,6 +129,11 @@ class Actuators:
 
     def _called(self, actuator: int) -> str:
         return f"'{self.names[actuator] or actuator}'"
+
+
+def _word(kind: Any) -> str:
+    """A kind of MuJoCo's as MJCF has it: ``affine`` of ``mjBIAS_AFFINE``."""
+    return kind.name.partition("_")[2].lower()
 
 
 def _largest(limits: Any) -> float:
