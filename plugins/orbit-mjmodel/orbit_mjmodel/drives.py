@@ -35,6 +35,26 @@ VELOCITY_IMPLICIT = (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.m
 _Array = TypeVar("_Array", npt.NDArray, Tensor)
 
 
+def implicit_bounds(model: mujoco.MjModel) -> npt.NDArray[np.float64]:
+    """(J,) size of a drive's force at and beyond which a step applies it as it was at the step's beginning.
+
+    Below it an implicit integrator takes the drive's damping at the end of the step; others never do.
+    """
+    implicit = model.opt.integrator in (*VELOCITY_IMPLICIT, mujoco.mjtIntegrator.mjINT_DISCRETE)
+    limits = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], np.inf)
+    return np.where((model.actuator_gainprm[:, 0] > 0) & implicit, limits, 0.0)
+
+
+def adds_damping(model: mujoco.MjModel) -> bool:
+    """Return True if the integrator adds damping after the accelerations that sensors are computed with."""
+    return model.opt.integrator in (*VELOCITY_IMPLICIT, mujoco.mjtIntegrator.mjINT_EULER)
+
+
+def spring_lead(model: mujoco.MjModel) -> float:
+    """Seconds by which an integrator that takes damping at the end of a step takes a drive's spring earlier."""
+    return model.opt.timestep if model.opt.integrator in VELOCITY_IMPLICIT else 0.0
+
+
 def damping_bias(bias: _Array, inverse_inertia: _Array, time_step: float) -> _Array:
     """Minus the damping (..., J) that drives need to be stable, at least what they were asked to have.
 

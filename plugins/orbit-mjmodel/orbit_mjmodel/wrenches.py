@@ -35,3 +35,56 @@ def held_up_beyond(model: mujoco.MjModel, bodies: npt.NDArray[np.int64]) -> npt.
             beyond[bodies == above, body] = model.body_gravcomp[body]
             above = model.body_parentid[above]
     return beyond
+
+
+class CompositeInertias:
+    """Wrenches that accelerate the bodies beyond joints, from rates of the generalised velocities.
+
+    A wrench is ``crb[b] sum(cdof_j a_j)`` over the degrees of freedom j that move body b, plus ``crb[b_j] cdof_j a_j``
+    over those j of bodies b_j that hang on b; all about the centre of mass of the tree, in world axes.
+    """
+
+    def __init__(self, model: mujoco.MjModel, bodies: npt.NDArray[np.int64]) -> None:
+        self.roots = model.body_rootid[bodies]
+        """(W,) body whose centre of mass the wrenches refer to."""
+        above = [set(_ancestors(model, int(body))) for body in range(model.nbody)]
+        self.carrier = np.array(
+            [[self._carrier(int(b), int(of), above) for of in model.dof_bodyid] for b in bodies], dtype=np.int64
+        ).reshape(len(bodies), model.nv)
+        """(W, nv) body whose composite inertia each degree of freedom accelerates, -1 for none."""
+
+    @staticmethod
+    def _carrier(body: int, moved: int, above: list[set[int]]) -> int:
+        if moved in above[body]:
+            return body
+        return moved if body in above[moved] else -1
+
+    def wrenches(
+        self, inertias: npt.NDArray[np.float64], motions: npt.NDArray[np.float64], rates: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """(N, W, 6) torques and forces from ``crb`` (N, bodies, 10), ``cdof`` (N, nv, 6) and rates (N, nv)."""
+        moving = motions * rates[..., None]
+        found = np.zeros((len(rates), len(self.carrier), 6))
+        for column, carrier in enumerate(self.carrier):
+            taking = np.flatnonzero(carrier >= 0)
+            found[:, column] = _times_inertia(inertias[:, carrier[taking]], moving[:, taking]).sum(1)
+        return found
+
+
+def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return the body and all that it hangs on, but for the world."""
+    found = []
+    while body:
+        found.append(body)
+        body = model.body_parentid[body]
+    return found
+
+
+def _times_inertia(inertia: npt.NDArray[np.float64], motion: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Multiply spatial motions (..., 6) by inertias (..., 10) as MuJoCo keeps them: moments, mass times offset, mass."""
+    spin, speed = motion[..., :3], motion[..., 3:]
+    xx, yy, zz, xy, xz, yz = np.moveaxis(inertia[..., :6], -1, 0)
+    x, y, z = np.moveaxis(spin, -1, 0)
+    turned = np.stack((xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z), -1)
+    offset, mass = inertia[..., 6:9], inertia[..., 9:]
+    return np.concatenate((turned + np.cross(offset, speed), mass * speed - np.cross(offset, spin)), -1)
