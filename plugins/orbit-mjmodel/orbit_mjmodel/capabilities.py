@@ -61,6 +61,7 @@ def shared_support(engine: str) -> dict[Capability, Support]:
         Capability.HEIGHT_FIELDS: EXACT,
         Capability.CONTACT_FORCES: EXACT,
         Capability.JOINT_WRENCHES: EXACT,
+        Capability.LOOP_WRENCHES: EXACT,
         Capability.EXTERNAL_WRENCHES: EXACT,
         Capability.RAY_CASTS: EXACT,
         Capability.RANDOMIZE_MASS: EXACT,
