@@ -147,7 +147,7 @@ SCENARIOS = (
         name="applied_effort",
         group="Joints",
         question="Is the effort that a joint reports the one that its drive applied, whatever the drive's gains?",
-        truth="effort = (I + armature) (v1 - v0) / h + d (q1 - q0) / h, d of the joint itself; of a chain, its equations",
+        truth="effort = (I + armature) (v1 - v0) / h + d (q1 - q0) / h, d of the joint; of a chain, its equations",
         source=_MOMENTUM,
         run=_applied,
         needs=(Capability.IMPLICIT_DRIVES, Capability.EFFORT_LIMITS, Capability.ARMATURE, Capability.JOINT_DAMPING),

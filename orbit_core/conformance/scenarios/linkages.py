@@ -329,7 +329,7 @@ SCENARIOS = (
                 name="swinging",
                 unit="",
                 tolerance=0.03,
-                meaning="largest torque about a free hinge, or beyond the effort, while it swings; to the largest effort",
+                meaning="largest torque about a free hinge, or beyond the effort, while it swings; relative",
                 looser_because=FIRST_ORDER,
             ),
         ),

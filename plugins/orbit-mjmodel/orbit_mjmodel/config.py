@@ -17,7 +17,8 @@ class ModelConfig:
 
     integrator: str = "implicitfast"
     """``implicitfast`` and ``implicit`` integrate drive and joint damping implicitly, ``euler`` joint damping only.
-    ``discrete`` solves the constraints with the drives as well: mimic joints and loops hold under stiff ones."""
+    ``discrete`` solves the constraints with the drives as well: mimic joints, loops and contacts hold under stiff ones.
+    It is taken in any case with cloth and rope, and with strong velocity drives of wheels without an effort limit."""
     iterations: int = 100
     """Most iterations of the solver per step."""
     ls_iterations: int = 50

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from torch import Tensor
 
 from orbit_core.interfaces import Approximation, SceneLayout
+from orbit_core.scene import JointType
 from orbit_mjmodel.addresses import Addresses
 
 STIFFNESS, DAMPING, ASKED_DAMPING = 1, 2, 3
@@ -100,6 +101,33 @@ def hold_springs(model: mujoco.MjModel, addresses: Addresses, layout: SceneLayou
         spring = f"a spring of stiffness {stiffness[number]:.4g} and damping {asked[number]:.4g}"
         report.append(Approximation(_subject(int(number), layout), spring, f"damping {needed[number]:.4g}", why))
     return report
+
+
+def throwing_wheels(layout: SceneLayout) -> list[str]:
+    """Return the joints of wheels whose velocity drives are strong in a step, and which no effort limit bounds.
+
+    A wheel turns without end and has collision shapes; its drive is strong where its damping over a step exceeds the
+    wheel's own inertia about the joint.
+    """
+    parameters, step = layout.joint_parameters, layout.scene.physics_dt
+    velocity = (parameters.drive_stiffness == 0) & (parameters.drive_damping > 0)
+    found: list[str] = []
+    for entity in layout.entities:
+        articulation = entity.spec.articulation
+        for number, joint in zip(
+            range(entity.joints.start, entity.joints.stop), articulation.movable_joints, strict=True
+        ):
+            wheel = articulation.links[articulation.link_names.index(joint.child)]
+            if not velocity[number] or np.isfinite(parameters.effort_limit[number]):
+                continue
+            if joint.type is not JointType.CONTINUOUS or not wheel.collisions:
+                continue
+            axis = joint.child_pose.rotation_matrix() @ joint.axis
+            arm = np.cross(axis, wheel.center_of_mass - np.asarray(joint.child_pose.position))
+            inertia = axis @ wheel.inertia @ axis + wheel.mass * arm @ arm + parameters.armature[number]
+            if step * parameters.drive_damping[number] > inertia:
+                found.append(_subject(number, layout))
+    return found
 
 
 def _subject(number: int, layout: SceneLayout) -> str:

@@ -23,7 +23,7 @@ from orbit_core.plugin_kit.massless import stand_in_approximations, with_stand_i
 from orbit_core.scene import Joint, JointType, Link, LoopJoint, LoopType, Shape
 from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
-from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, hold_drives, hold_springs
+from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, hold_drives, hold_springs, throwing_wheels
 from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
 from orbit_mjmodel.materials import contact_parameters, material_approximations
 from orbit_mjmodel.matter import (
@@ -165,11 +165,22 @@ class _Builder:
 
     @property
     def _integrator(self) -> str:
-        """The one that is asked for; with cloth and rope the one that solves contacts with their elasticity."""
+        """The requested one, or ``discrete`` where contacts must be solved with cloth's elasticity or with a drive."""
         asked, wanted = self.config.integrator, "discrete"
-        if not self.layout.scene.deformables or asked == wanted:
+        if asked == wanted:
             return asked
-        why = "MuJoCo integrates cloth in no other way, and rope that rests on something jitters and creeps in others"
+        if self.layout.scene.deformables:
+            why = (
+                "MuJoCo integrates cloth in no other way, and rope that rests on something jitters and creeps in others"
+            )
+        elif thrown := throwing_wheels(self.layout):
+            why = (
+                f"contacts are solved without the damping of the velocity drive of {thrown[0]}, which has no effort "
+                "limit: it would strike the ground with all of it and throw its base; give the drive an effort limit "
+                "to keep the integrator"
+            )
+        else:
+            return asked
         self.report.append(Approximation("the integrator", asked, wanted, why))
         return wanted
 

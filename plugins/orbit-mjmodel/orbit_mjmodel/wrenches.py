@@ -81,7 +81,7 @@ def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _times_inertia(inertia: npt.NDArray[np.float64], motion: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Multiply spatial motions (..., 6) by inertias (..., 10) as MuJoCo keeps them: moments, mass times offset, mass."""
+    """Multiply motions (..., 6) by inertias (..., 10) as MuJoCo keeps them: moments, mass times offset, mass."""
     spin, speed = motion[..., :3], motion[..., 3:]
     xx, yy, zz, xy, xz, yz = np.moveaxis(inertia[..., :6], -1, 0)
     x, y, z = np.moveaxis(spin, -1, 0)
