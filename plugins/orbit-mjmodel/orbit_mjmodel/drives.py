@@ -84,6 +84,26 @@ def hold_drives(model: mujoco.MjModel, addresses: Addresses, layout: SceneLayout
     return [_told(int(number), model, layout, held) for number in np.flatnonzero(concerned)]
 
 
+def report_swings(model: mujoco.MjModel, addresses: Addresses, layout: SceneLayout) -> list[Approximation]:
+    """Report drives that swing about their targets once they were at their effort limit.
+
+    A drive at its limit is applied without its damping. The speed that it gives in a step is more than its damping
+    lets it lose again where that, over a step, exceeds twice the inertia: the drive goes from one limit to the other.
+    """
+    step, bias = model.opt.timestep, model.actuator_biasprm
+    gain = step * model.dof_invweight0[addresses.joint_velocities]
+    swings = model.actuator_forcelimited.astype(bool) & (-bias[:, DAMPING] * gain > 2.0)
+    report: list[Approximation] = []
+    for number in np.flatnonzero(swings):
+        limit = float(model.actuator_forcerange[number, 1])
+        unit = "m/s" if layout.joints[number].type is JointType.PRISMATIC else "rad/s"
+        asked = f"a drive of damping {-bias[number, DAMPING]:.4g} with an effort limit of {limit:.4g}"
+        got = f"one that swings by {limit * gain[number]:.2g} {unit} once it was at its limit"
+        why = "MuJoCo applies a drive at its limit undamped: armature, less damping or a smaller physics_dt prevent it"
+        report.append(Approximation(_subject(int(number), layout), asked, got, why))
+    return report
+
+
 def least_damping(stiffness: _Array, inverse_inertia: _Array, time_step: float) -> _Array:
     """Damping (..., J) that joints need at least, for their own springs (..., J) are as stiff."""
     return (time_step * stiffness - 1.0 / (time_step * inverse_inertia)).clip(min=0.0)

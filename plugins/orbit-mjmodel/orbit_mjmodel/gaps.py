@@ -38,7 +38,18 @@ _LATE_STOP = (
 )
 _RETURN = "what passed a limit is pushed back, and keeps some of that speed: a sixteenth of the speed of the impact"
 
+_SWITCHED = (
+    "a drive at its limit is applied without its damping, and swings by limit * h / inertia about a target that it "
+    "does not meet by chance: armature, a smaller step or less damping than twice the inertia over a step end it"
+)
+_STRUCK = (
+    "a drive is held to its limit by the effort that a step begins with: what strikes it meets its whole damping for "
+    "one step, 0.084 of the speed after ten steps"
+)
+
 MOTION = (
+    Gap("effort_limits", "settling", 0.13, _SWITCHED),
+    Gap("effort_limits", "struck", 0.1, _STRUCK),
     Gap("joint_stops", "passed", 0.11, _LATE_STOP),
     Gap("joint_stops", "rebound", 0.07, _RETURN),
     Gap("projectile", "range", 7e-3, _ORIGIN),

@@ -23,7 +23,15 @@ from orbit_core.plugin_kit.massless import stand_in_approximations, with_stand_i
 from orbit_core.scene import Joint, JointType, Link, LoopJoint, LoopType, Shape
 from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
-from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, hold_drives, hold_springs, throwing_wheels
+from orbit_mjmodel.drives import (
+    ASKED_DAMPING,
+    DAMPING,
+    STIFFNESS,
+    hold_drives,
+    hold_springs,
+    report_swings,
+    throwing_wheels,
+)
 from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
 from orbit_mjmodel.materials import contact_parameters, material_approximations
 from orbit_mjmodel.matter import (
@@ -113,6 +121,7 @@ def _compiled(builder: _Builder) -> BuiltModel:
     firm_contacts(model.body_invweight0, model.dof_invweight0, matter)
     report = (*builder.report, *hold_drives(model, addresses, builder.layout))
     report = (*report, *hold_springs(model, addresses, builder.layout))
+    report = (*report, *report_swings(model, addresses, builder.layout))
     absent = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(ABSENT)]
     model.geom_rgba[absent, 3] = 0.0  # which rays take for not there
     return BuiltModel(model, addresses, report, np.array(absent, dtype=np.int64), matter)
