@@ -184,7 +184,7 @@ _HOLDING = ImplicitPd(joints=(".*",), damping=100.0, effort_limit=0.5)
 
 
 def _strong_drives(trial: Trial) -> Mapping[str, float]:
-    """A drive that leaves its limit reaches its target, and one at rest that a load strikes gives its limit and no more."""
+    """A drive leaves its limit and reaches its target; one that a load strikes at rest gives its limit and no more."""
     world = trial.world(scene(named("settling", rotor(inertia=0.1, actuators=(_STRONG,))), gravity=WEIGHTLESS))
     robot = world.robots["settling"]
     wanted = 2.25
