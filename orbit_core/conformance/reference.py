@@ -111,7 +111,8 @@ class PlanarChain:
     def derivative(self, state: FloatArray) -> FloatArray:
         """The time derivative of the state."""
         matrix, push = self._equations(state)
-        return np.concatenate((state[self.links :], np.linalg.solve(matrix, push)))
+        rates = np.linalg.solve(matrix, push).astype(np.float64)
+        return np.concatenate((state[self.links :], rates))
 
     def efforts(self, state: FloatArray, accelerations: FloatArray) -> FloatArray:
         """Efforts (links,) on the joints that give them the accelerations (links,)."""
