@@ -136,8 +136,8 @@ class Engine(Watched, ABC):
     def joint_wrenches(self) -> Tensor:
         """(N, W, 6) force and torque that each of ``layout.wrench_links`` receives from its parent (or the world).
 
-        About the link frame's origin, in the link's axes, over the last physics step. The torque about a hinge's axis is
-        the joint's effort, less what its damping, friction, spring and armature take.
+        About the link frame's origin, in the link's axes, over the last physics step. The torque about a hinge's axis
+        is the joint's effort, less what its damping, friction, spring and armature take.
         """
         raise self._unsupported("joint wrenches")
 

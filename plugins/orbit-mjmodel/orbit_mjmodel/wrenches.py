@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import SceneLayout
+from orbit_core.plugin_kit.rotations import cross
 from orbit_mjmodel.addresses import body_name
 
 
@@ -52,6 +53,12 @@ class CompositeInertias:
             [[self._carrier(int(b), int(of), above) for of in model.dof_bodyid] for b in bodies], dtype=np.int64
         ).reshape(len(bodies), model.nv)
         """(W, nv) body whose composite inertia each degree of freedom accelerates, -1 for none."""
+        pairs = sorted({(w, int(body)) for w, row in enumerate(self.carrier) for body in row if body >= 0})
+        self._moved = np.array([self.carrier[w] == body for w, body in pairs], dtype=float).reshape(
+            len(pairs), model.nv
+        )
+        self._accelerated = np.array([body for _, body in pairs], dtype=np.int64)
+        self._summed = np.array([[w == column for w, _ in pairs] for column in range(len(bodies))], dtype=float)
 
     @staticmethod
     def _carrier(body: int, moved: int, above: list[set[int]]) -> int:
@@ -63,12 +70,8 @@ class CompositeInertias:
         self, inertias: npt.NDArray[np.float64], motions: npt.NDArray[np.float64], rates: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
         """(N, W, 6) torques and forces from ``crb`` (N, bodies, 10), ``cdof`` (N, nv, 6) and rates (N, nv)."""
-        moving = motions * rates[..., None]
-        found = np.zeros((len(rates), len(self.carrier), 6))
-        for column, carrier in enumerate(self.carrier):
-            taking = np.flatnonzero(carrier >= 0)
-            found[:, column] = _times_inertia(inertias[:, carrier[taking]], moving[:, taking]).sum(1)
-        return found
+        moving = self._moved @ (motions * rates[..., None])
+        return self._summed @ _times_inertia(inertias[:, self._accelerated], moving)
 
 
 def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
@@ -83,8 +86,8 @@ def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
 def _times_inertia(inertia: npt.NDArray[np.float64], motion: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Multiply motions (..., 6) by inertias (..., 10) as MuJoCo keeps them: moments, mass times offset, mass."""
     spin, speed = motion[..., :3], motion[..., 3:]
-    xx, yy, zz, xy, xz, yz = np.moveaxis(inertia[..., :6], -1, 0)
-    x, y, z = np.moveaxis(spin, -1, 0)
-    turned = np.stack((xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z), -1)
+    turned = inertia[..., :3] * spin
+    turned += inertia[..., (3, 3, 4)] * spin[..., (1, 0, 0)]
+    turned += inertia[..., (4, 5, 5)] * spin[..., (2, 2, 1)]
     offset, mass = inertia[..., 6:9], inertia[..., 9:]
-    return np.concatenate((turned + np.cross(offset, speed), mass * speed - np.cross(offset, spin)), -1)
+    return np.concatenate((turned + cross(offset, speed), mass * speed - cross(offset, spin)), -1)

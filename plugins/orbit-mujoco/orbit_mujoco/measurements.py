@@ -14,6 +14,7 @@ import torch
 from mujoco.batch import Batch
 
 from orbit_core.interfaces import TERRAIN, ContactQuery, SceneLayout
+from orbit_core.plugin_kit.rotations import cross
 from orbit_core.scene import Rope
 from orbit_mjmodel.addresses import Addresses, body_name, columns
 from orbit_mjmodel.drives import adds_damping, implicit_bounds, spring_lead
@@ -207,7 +208,7 @@ class WrenchMeter:
         spatial = self._composite.wrenches(inertias, motions, rates)
         force = spatial[..., 3:]
         arms = origins[:, self._bodies] - centers[:, self._composite.roots]
-        self._add(force, spatial[..., :3] - np.cross(arms, force), axes)
+        self._add(force, spatial[..., :3] - cross(arms, force), axes)
 
     def _add(
         self, force: npt.NDArray[np.float64], torque: npt.NDArray[np.float64], axes: npt.NDArray[np.float64]
