@@ -50,7 +50,8 @@ AddSensors = Callable[[mujoco.MjSpec, SceneLayout], None]
 _UNLIMITED = 1e10
 """The value in the place of infinity where only one side of a joint is limited."""
 _STIFF_COUPLING = (0.99, 0.999, 0.001, 0.5, 2.0)
-"""Impedance of mimic joints, of loops and of joint limits."""
+"""Impedance of mimic joints, of loops and of joint limits. With MuJoCo's own, 0.95, a joint that 100 N m push against
+its limit is 19 mrad beyond it, and with this less than one."""
 _TORQUE_SCALE = 10
 """Among a weld's data, the weight of its angles beside its distances."""
 _NO_WIDTH = 5e-7
@@ -311,7 +312,7 @@ class _Builder:
             axis=joint.child_pose.rotation_matrix() @ joint.axis,
             limited=limited,
             range=(max(lower, -_UNLIMITED), min(upper, _UNLIMITED)) if limited else (0.0, 0.0),
-            solref_limit=self._stop,
+            solref_limit=self.config.limit_solref,
             solimp_limit=_STIFF_COUPLING,
             damping=[float(parameters.damping[number]), 0.0, 0.0],
             frictionloss=float(parameters.friction[number]),
@@ -375,15 +376,6 @@ class _Builder:
     def _stiffest(self) -> tuple[float, float]:
         """Time constant and damping ratio of the stiffest constraint that MuJoCo integrates safely."""
         return 2 * self.layout.scene.physics_dt, 1.0
-
-    @property
-    def _stop(self) -> tuple[float, float]:
-        """Time constant and damping ratio of joint limits: a stop takes the speed within the step that meets it.
-
-        MuJoCo's own, 20 ms, let a joint of 20 rad/s pass by 157 mrad and a pushed one by 19 mrad. At a damping ratio of
-        one a joint that has passed by the way of one step returns four times as fast.
-        """
-        return self._stiffest[0], 2.0
 
     def _add_drive(self, number: int) -> None:
         parameters = self.layout.joint_parameters
