@@ -34,8 +34,8 @@ _UNDAMPED = (
 
 _SOFT_STOP = (
     "limits are springs and dampers of 20 ms, on which learned gaits depend: a joint of 20 rad/s passes by 0.157 rad "
-    "in any step; with limit_solref=(0.01, 2.0) by the way of one step of 5 ms, 0.1 rad, and it returns at a sixteenth of "
-    "its speed in the place of a sixth"
+    "in any step; with limit_solref=(0.01, 2.0) by the way of one step of 5 ms, 0.1 rad, and it returns at a sixteenth "
+    "of its speed in the place of a sixth"
 )
 
 _SWITCHED = (
