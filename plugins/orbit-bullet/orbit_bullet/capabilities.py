@@ -50,6 +50,7 @@ CAPABILITIES = Capabilities(
         Capability.HEIGHT_FIELDS: EXACT,
         Capability.CONTACT_FORCES: EXACT,
         Capability.JOINT_WRENCHES: EXACT,
+        Capability.LOOP_WRENCHES: EXACT,
         Capability.EXTERNAL_WRENCHES: EXACT,
         Capability.RAY_CASTS: approximate(
             "Bullet's search for where a ray meets a convex shape ends some millimetres off the surface"

@@ -84,6 +84,20 @@ def write_scene(layout: SceneLayout, folder: Path) -> SceneFiles:
     return SceneFiles(folder, tuple(paths), tuple(terrain))
 
 
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """A ball joint that closes a loop in one environment."""
+
+    slot: int
+    constraint: int
+    """Number of Bullet's constraint, whose force is that on the second link."""
+    first: int
+    second: int
+    """Links of the layout."""
+    point: npt.NDArray[np.float64]
+    """Its place in the first link's frame."""
+
+
 class Stage:
     """K environments: which body and which link is what."""
 
@@ -102,6 +116,7 @@ class Stage:
         self.joints: list[list[int]] = [[] for _ in layout.entities]
         """Bullet's number of each movable joint of each entity."""
         self.places: dict[tuple[int, int], tuple[int, int]] = {}
+        self.loops: list[ClosedLoop] = []
         """Slot and layout link (or TERRAIN) of each body and Bullet link."""
         self.root_inertials = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(layout.entities), 1))
         """For each entity the base's centre of mass and principal axes in the root link's frame (E, 7)."""
@@ -224,7 +239,7 @@ class Stage:
         self._set_up_links(slot, body, entity)
         self._set_up_joints(body, entity)
         for loop in articulation.loops:
-            self._add_loop(body, entity, loop)
+            self._add_loop(slot, body, entity, loop)
 
     def _number_links(self, body: int, entity: EntityLayout) -> None:
         client, number = self.client, entity.index
@@ -298,7 +313,7 @@ class Stage:
                 driver = self.joints[entity.index][names.index(joint.mimic.joint)]
                 self._add_mimic(body, driver, number, joint.mimic.multiplier, joint.mimic.offset)
 
-    def _add_loop(self, body: int, entity: EntityLayout, loop: LoopJoint) -> None:
+    def _add_loop(self, slot: int, body: int, entity: EntityLayout, loop: LoopJoint) -> None:
         """Bullet takes the points in the frames of the centres of mass and principal axes."""
         client, names = self.client, entity.spec.articulation.link_names
         links, points = [], []
@@ -309,6 +324,8 @@ class Stage:
             points.append((inertial.inverse() @ child_poses(entity.spec)[offset] @ Pose(point)).position)
         ball = client.createConstraint(body, links[0], body, links[1], client.JOINT_POINT2POINT, [0] * 3, *points)
         client.changeConstraint(ball, maxForce=_GEAR_FORCE)
+        first, second = (entity.links.start + names.index(name) for name in (loop.first, loop.second))
+        self.loops.append(ClosedLoop(slot, ball, first, second, np.array(loop.first_point)))
 
     def _add_mimic(self, body: int, driver: int, follower: int, multiplier: float, offset: float) -> None:
         """A gear holds ``q_driver - q_follower / multiplier`` at ``- offset / multiplier``."""

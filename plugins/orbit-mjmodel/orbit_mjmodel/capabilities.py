@@ -14,7 +14,11 @@ def shared_support(engine: str) -> dict[Capability, Support]:
             "a weakly damped drive above one radian of natural frequency per physics step is damped further, to be "
             "stable; the build report names its joint"
         ),
-        Capability.EFFORT_LIMITS: EXACT,
+        Capability.EFFORT_LIMITS: approximate(
+            "a drive is held to its limit by the effort that a step begins with, and a drive at its limit is applied "
+            "without its damping: it swings about its target where its damping over a step exceeds twice the inertia, "
+            "and a load that comes within a step meets a drive without limit for that step"
+        ),
         Capability.VELOCITY_LIMITS: unsupported(f"{engine} does not limit the velocity of a joint"),
         Capability.JOINT_DAMPING: EXACT,
         Capability.JOINT_SPRINGS: approximate(
@@ -61,6 +65,7 @@ def shared_support(engine: str) -> dict[Capability, Support]:
         Capability.HEIGHT_FIELDS: EXACT,
         Capability.CONTACT_FORCES: EXACT,
         Capability.JOINT_WRENCHES: EXACT,
+        Capability.LOOP_WRENCHES: EXACT,
         Capability.EXTERNAL_WRENCHES: EXACT,
         Capability.RAY_CASTS: EXACT,
         Capability.RANDOMIZE_MASS: EXACT,

@@ -72,6 +72,7 @@ def cube(name: str = "cube", height: float = 0.05) -> ObjectSpec:
         ({"threads": -1}, "threads must be 0"),
         ({"iterations": 0}, "iterations must be positive"),
         ({"contact_solref": (0.02,)}, "contact_solref takes 2 numbers, not 1"),
+        ({"limit_solref": (0.02,)}, "limit_solref takes 2 numbers, not 1"),
     ],
 )
 def test_settings_are_checked(settings: dict[str, object], message: str) -> None:

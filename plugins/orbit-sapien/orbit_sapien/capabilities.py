@@ -102,6 +102,9 @@ CAPABILITIES = Capabilities(
         Capability.JOINT_WRENCHES: approximate(
             "PhysX's joint force is of the beginning of a step, in axes that have turned by omega dt at its end"
         ),
+        Capability.LOOP_WRENCHES: unsupported(
+            "PhysX's joint forces leave out those of joints that close loops, which SAPIEN does not report either"
+        ),
         Capability.EXTERNAL_WRENCHES: EXACT,
         Capability.RAY_CASTS: approximate("PhysX has no cylinders: SAPIEN's are prisms of 32 sides"),
         Capability.RANDOMIZE_MASS: EXACT,
