@@ -37,10 +37,10 @@ class GeomBuilder:
         self._fields: dict[Mesh, str] = {}
         self._numbers = itertools.count()  # of meshes: a specification lists all of its own to tell how many they are
 
-    def add(self, body: mujoco.MjsBody, part: Part, contact: ContactParameters, name: str = "") -> None:
+    def add(self, body: mujoco.MjsBody, part: Part, contact: ContactParameters, name: str = "") -> mujoco.MjsGeom:
         """Add ``part`` to ``body``, under a name or none."""
         kind, size, asset, pose = part
-        body.add_geom(
+        return body.add_geom(
             name=name,
             type=kind,
             size=size,

@@ -35,6 +35,7 @@ from orbit_mjmodel.matter import (
     slow_spins,
     spare_holders,
 )
+from orbit_mjmodel.rebounds import Collider, add_rebound_pairs, rebounds_in_one_step
 from orbit_mjmodel.variants import ABSENT, Slot, slots
 from orbit_mjmodel.wrenches import add_wrench_sensors
 
@@ -133,13 +134,21 @@ class _Builder:
         if config.cone == "pyramidal":
             why = "the setting 'cone' asks for a pyramid: friction is up to 30 % weaker between a contact's axes"
             self.report.append(Approximation("contacts", "the same friction in every direction", "a pyramid", why))
+        if self._integrator != config.integrator:
+            why = "MuJoCo integrates cloth in no other way, and rope that rests on something jitters in others"
+            self.report.append(Approximation("the integrator", config.integrator, self._integrator, why))
         self._geoms = GeomBuilder(self.spec)
+        self._colliders: list[Collider] = []
+        self._one_step = rebounds_in_one_step(self._integrator, config.cone)
         for shape in layout.scene.terrain:
             self._add_shape(self.spec.worldbody, shape, 1.0, False, f"terrain shape '{shape.name}'")
         for entity in layout.entities:
             self._add_entity(entity)
         for index in range(len(layout.joints)):
             self._add_drive(index)
+        if self._one_step and any(collider.material.restitution for collider in self._colliders):
+            excluded = {frozenset((pair.bodyname1, pair.bodyname2)) for pair in self.spec.excludes}
+            add_rebound_pairs(self.spec, self._colliders, excluded, layout.scene.physics_dt)
         self.report += add_matter(self.spec, layout)
         self.spec.add_key(name="home")
 
@@ -166,12 +175,7 @@ class _Builder:
     @property
     def _integrator(self) -> str:
         """The one that is asked for; with cloth and rope the one that solves contacts with their elasticity."""
-        asked, wanted = self.config.integrator, "discrete"
-        if not self.layout.scene.deformables or asked == wanted:
-            return asked
-        why = "MuJoCo integrates cloth in no other way, and rope that rests on something jitters and creeps in others"
-        self.report.append(Approximation("the integrator", asked, wanted, why))
-        return wanted
+        return "discrete" if self.layout.scene.deformables else self.config.integrator
 
     # Bodies ----------------------------------------------------------------------------------------------------------
 
@@ -229,9 +233,12 @@ class _Builder:
             self._add_slots(body, link, kinds, rolls, subject)
 
     def _add_shape(self, body: mujoco.MjsBody, shape: Shape, mass: float, rolls: bool, subject: str) -> None:
+        movable = not (body.mocap or body == self.spec.worldbody)
         for slot in self._slots(body, shape, mass, rolls, subject):
-            self._geoms.add(body, slot.part, slot.contact)
-        self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject)
+            geom = self._geoms.add(body, slot.part, slot.contact)
+            self._colliders.append(Collider(geom, body.name, movable, shape.material))
+        self.report += geometry_approximations(shape, subject)
+        self.report += material_approximations(shape, subject, self._one_step)
 
     def _slots(self, body: mujoco.MjsBody, shape: Shape, mass: float, rolls: bool, subject: str) -> list[Slot]:
         dt = self.layout.scene.physics_dt
@@ -249,7 +256,7 @@ class _Builder:
             name = f"{ABSENT}{len(self.spec.geoms)}" if slot.absent else ""
             self._geoms.add(body, slot.part, slot.contact, name)
         for shape in link.collisions:
-            self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject)
+            self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject, False)
 
     def _report_inertia(self, inertia: npt.NDArray[np.float64], subject: str) -> None:
         a, b, c = np.linalg.eigvalsh(inertia)
