@@ -8,7 +8,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -63,6 +63,15 @@ def few_faces(field: HeightField) -> list[FloatArray] | None:
     planes = np.column_stack((slopes, corners[:, 0, 2] - (slopes * corners[:, 0, :2]).sum(-1)))
     few = len(np.unique(planes.round(_DIGITS), axis=0)) <= _FEW
     return convex_faces(vertices, triangles) if few else None
+
+
+def fans(faces: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
+    """Return vertices (V, 3) and triangles (T, 3) of convex faces, each a fan around its first corner."""
+    starts = np.cumsum([0, *map(len, faces)])
+    triangles = [
+        (start, start + k, start + k + 1) for start, face in zip(starts[:-1], faces, strict=True) for k in range(1, len(face) - 1)
+    ]
+    return np.concatenate((np.zeros((0, 3)), *faces)), np.array(triangles, np.int64).reshape(-1, 3)
 
 
 def _neighbours(places: IntArray) -> IntArray:
