@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -46,11 +45,9 @@ def convex_faces(vertices: FloatArray, triangles: IntArray) -> list[FloatArray]:
     flat = np.linalg.norm(np.cross(normals[pairs[:, 0]], normals[pairs[:, 1]]), axis=-1) < _SAME_PLANE
     flat &= (normals[pairs[:, 0]] * normals[pairs[:, 1]]).sum(-1) > 0.0
     found: list[FloatArray] = []
-    for members, edges in _patches(len(corners), pairs[flat]):
-        if len(members) == 1:
-            found.append(corners[members[0]])
-        else:
-            found += _join(corners[members], normals[members].mean(0), edges)
+    for members in _patches(len(corners), pairs[flat]):
+        single = len(members) == 1
+        found += [corners[members[0]]] if single else _join(corners[members], places[members], normals[members].mean(0))
     return found
 
 
@@ -83,8 +80,8 @@ def _neighbours(places: IntArray) -> IntArray:
     return shared.reshape(-1, 2) // 3
 
 
-def _patches(count: int, pairs: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
-    """Yield the triangles of each connected patch, and its pairs by their places among these."""
+def _patches(count: int, pairs: IntArray) -> list[IntArray]:
+    """Return the triangles of each connected patch, given the neighbours (P, 2) in one plane."""
     root = np.arange(count)
     while True:  # labels spread to neighbours, and along chains of them in doubling steps
         least = np.minimum(root[pairs[:, 0]], root[pairs[:, 1]])
@@ -96,59 +93,69 @@ def _patches(count: int, pairs: IntArray) -> Iterator[tuple[IntArray, IntArray]]
             break
         root = spread
     order = np.argsort(root, kind="stable")
-    starts = np.flatnonzero(np.diff(root[order], prepend=-1))
-    place = np.empty(count, np.int64)
-    place[order] = np.arange(count)
-    by_patch = pairs[np.argsort(root[pairs[:, 0]], kind="stable")]
-    owners = root[by_patch[:, 0]]
-    for start, end in zip(starts, (*starts[1:], count), strict=True):
-        own = slice(*np.searchsorted(owners, (root[order[start]], root[order[start]] + 1)))
-        yield order[start:end], place[by_patch[own]] - start
+    return np.split(order, np.flatnonzero(np.diff(root[order])) + 1)
 
 
-def _join(corners: FloatArray, normal: FloatArray, edges: IntArray) -> list[FloatArray]:
-    """Return the fewest convex polygons that a greedy search finds for a flat patch of triangles (T, 3, 3)."""
+def _join(corners: FloatArray, places: IntArray, normal: FloatArray) -> list[FloatArray]:
+    """Return the convex polygons that a greedy search finds for a flat patch.
+
+    Args:
+        corners: (T, 3, 3) of its triangles.
+        places: (T, 3) numbers of the corners, equal where corners are in one place.
+        normal: (3,) of any length.
+    """
     normal = normal / np.linalg.norm(normal)
     across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     across /= np.linalg.norm(across)
     axes = np.stack((across, np.cross(normal, across)))
     flat = (corners - corners[0, 0]) @ axes.T
     lift = corners[0, 0] + ((corners - corners[0, 0]) @ normal).mean() * normal
-    triangles = [[(x, y) for x, y in triangle] for triangle in flat.tolist()]
-    whole = _hull([point for triangle in triangles for point in triangle])
-    one = _area(whole) <= sum(map(_area, triangles)) * (1.0 + _FULL)
-    return [lift + np.array(polygon) @ axes for polygon in ([whole] if one else _grow(triangles, edges))]
+    point_of = dict(zip(places.ravel().tolist(), map(tuple, flat.reshape(-1, 2).tolist()), strict=True))
+    triangles: list[Polygon] = [[point_of[place] for place in triangle] for triangle in places.tolist()]
+    whole = _hull(list(point_of.values()))
+    convex = _area(whole) <= sum(map(_area, triangles)) * (1.0 + _FULL)
+    return [lift + np.array(polygon) @ axes for polygon in ([whole] if convex else _grow(triangles))]
 
 
-def _grow(polygons: list[Polygon], edges: IntArray) -> list[Polygon]:
-    """Join neighbours whose union is convex, first those that share most of their outlines."""
-    neighbours: dict[int, set[int]] = defaultdict(set)
-    areas, outlines = list(map(_area, polygons)), list(map(_outline, polygons))
-    queue: list[tuple[float, int, int, Polygon]] = []
+def _grow(polygons: list[Polygon]) -> list[Polygon]:
+    """Join neighbours whose union is convex, the largest first.
 
-    def offer(one: int, other: int) -> None:
-        neighbours[one].add(other)
-        neighbours[other].add(one)
-        hull = _hull(polygons[one] + polygons[other])
-        if _area(hull) <= (areas[one] + areas[other]) * (1.0 + _FULL):
-            heapq.heappush(queue, (_outline(hull) - outlines[one] - outlines[other], one, other, hull))
+    A face so grows along a row of cells to its end, then rows of one length join: what is left of edges lies between
+    rectangles as wide as the patch, and seldom in the midst of it. The union of two convex polygons is convex only if
+    they share one side from end to end.
+    """
+    owner = {side: number for number, polygon in enumerate(polygons) for side in _sides(polygon)}
+    areas, joined = list(map(_area, polygons)), set[int]()
+    queue: list[tuple[float, float, int, int, Polygon]] = []
 
-    for one, other in edges.tolist():
-        offer(one, other)
-    joined: set[int] = set()
+    def offer(one: int) -> None:
+        for a, b in _sides(polygons[one]):
+            other = owner.get((b, a))
+            if other is None:
+                continue
+            hull, area = _hull(polygons[one] + polygons[other]), areas[one] + areas[other]
+            if _area(hull) <= area * (1.0 + _FULL):
+                heapq.heappush(queue, (-area, -math.dist(a, b), one, other, hull))
+
+    for number in range(len(polygons)):
+        offer(number)
     while queue:
-        _, one, other, hull = heapq.heappop(queue)
+        *_, one, other, hull = heapq.heappop(queue)
         if one in joined or other in joined:
             continue
         joined |= {one, other}
-        around = neighbours.pop(one) | neighbours.pop(other)
+        for gone in (one, other):
+            for side in _sides(polygons[gone]):
+                owner.pop(side, None)
+        owner |= dict.fromkeys(_sides(hull), len(polygons))
         polygons.append(hull)
         areas.append(_area(hull))
-        outlines.append(_outline(hull))
-        for near in sorted(around - {one, other}):
-            neighbours[near] -= {one, other}
-            offer(near, len(polygons) - 1)
+        offer(len(polygons) - 1)
     return [polygon for number, polygon in enumerate(polygons) if number not in joined]
+
+
+def _sides(polygon: Polygon) -> Iterator[tuple[Point, Point]]:
+    return zip(polygon, polygon[1:] + polygon[:1], strict=True)
 
 
 def _hull(points: Polygon) -> Polygon:
@@ -172,10 +179,5 @@ def _turn(a: Point, b: Point, c: Point) -> float:
 
 
 def _area(polygon: Polygon) -> float:
-    (x, y) = polygon[0]
-    sides = zip(polygon, polygon[1:] + polygon[:1], strict=True)
-    return 0.5 * abs(sum((a[0] - x) * (b[1] - y) - (b[0] - x) * (a[1] - y) for a, b in sides))
-
-
-def _outline(polygon: Polygon) -> float:
-    return sum(math.dist(a, b) for a, b in zip(polygon, polygon[1:] + polygon[:1], strict=True))
+    x, y = polygon[0]
+    return 0.5 * abs(sum((a[0] - x) * (b[1] - y) - (b[0] - x) * (a[1] - y) for a, b in _sides(polygon)))
