@@ -66,7 +66,9 @@ def fans(faces: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
     """Return vertices (V, 3) and triangles (T, 3) of convex faces, each a fan around its first corner."""
     starts = np.cumsum([0, *map(len, faces)])
     triangles = [
-        (start, start + k, start + k + 1) for start, face in zip(starts[:-1], faces, strict=True) for k in range(1, len(face) - 1)
+        (start, start + k, start + k + 1)
+        for start, face in zip(starts[:-1], faces, strict=True)
+        for k in range(1, len(face) - 1)
     ]
     return np.concatenate((np.zeros((0, 3)), *faces)), np.array(triangles, np.int64).reshape(-1, 3)
 

@@ -185,7 +185,13 @@ SCENARIOS = (
         judges=(Capability.FRICTION, Capability.RESTITUTION),
         run=_resting,
         metrics=(
-            Metric(name="creep", unit="m/s", tolerance=1e-3, meaning="speed of a box that should hold"),
+            Metric(
+                name="creep",
+                unit="m/s",
+                tolerance=1e-3,
+                meaning="speed of a box that should hold",
+                looser_because="a millimetre in a second is not seen; the best engines err by rounding alone",
+            ),
             Metric(
                 name="distance",
                 unit="",

@@ -76,4 +76,3 @@ def add_rebound_pairs(
             solreffriction=(0.0, -_GRIP / dt),
             solimp=_IMPEDANCE,
         )
-
