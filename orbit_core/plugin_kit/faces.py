@@ -27,7 +27,7 @@ _FULL = 1e-6
 """Share of its convex hull's area that two faces may lack to be taken for a convex one."""
 
 
-def convex_faces(vertices: FloatArray, triangles: IntArray) -> list[FloatArray]:
+def convex_faces(vertices: npt.NDArray[np.floating], triangles: npt.NDArray[np.integer]) -> list[FloatArray]:
     """Return convex polygons, each (corners, 3), that cover the same surface.
 
     Args:

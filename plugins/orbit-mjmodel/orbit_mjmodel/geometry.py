@@ -159,7 +159,7 @@ def geometry_approximations(shape: Shape, subject: str) -> list[Approximation]:
 
 def _wide_faces(mesh: Mesh) -> Iterator[tuple[FloatArray, FloatArray]]:
     """The flat faces (corners, 3) of a surface, with their outward normals; slivers are left out."""
-    for face in convex_faces(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)):
+    for face in convex_faces(mesh.vertices, mesh.faces):
         sides = np.roll(face, -1, axis=0) - face
         area = np.cross(face - face[0], sides).sum(0)
         if np.linalg.norm(area) > _LEAST_WIDTH * np.linalg.norm(sides, axis=-1).max():

@@ -75,7 +75,7 @@ def material_approximations(shape: Shape, subject: str, one_step: bool) -> list[
         got = "a rebound within a step, faster where a low friction lets it slide on"
         why = "MuJoCo's convex friction cone pushes what slides off the surface"
         if not one_step:
-            got = f"a rebound of {STEPS_PER_BOUNCE} steps with little friction; where both shapes ask for one, the weaker"
+            got = f"a rebound of {STEPS_PER_BOUNCE} steps with little friction; of two restitutions, the weaker"
             why = "MuJoCo's contacts are spring-dampers"
         found.append(Approximation(subject, f"restitution {material.restitution}", got, why))
     return found
