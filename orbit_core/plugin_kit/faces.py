@@ -58,8 +58,10 @@ def few_faces(field: HeightField) -> list[FloatArray] | None:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     slopes = -normals[:, :2] / normals[:, 2:]
     planes = np.column_stack((slopes, corners[:, 0, 2] - (slopes * corners[:, 0, :2]).sum(-1)))
-    few = len(np.unique(planes.round(_DIGITS), axis=0)) <= _FEW
-    return convex_faces(vertices, triangles) if few else None
+    planes = planes.round(_DIGITS)
+    if any(len(np.unique(column)) > _FEW for column in planes.T):  # an eighth of the time of whole rows
+        return None
+    return convex_faces(vertices, triangles) if len(np.unique(planes, axis=0)) <= _FEW else None
 
 
 def fans(faces: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
