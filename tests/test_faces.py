@@ -75,6 +75,19 @@ def test_a_curved_surface_keeps_its_triangles() -> None:
     assert len(convex_faces(ball.vertices, ball.faces)) == len(ball.faces)
 
 
+def test_a_surface_that_bends_by_little_at_each_edge_keeps_its_triangles() -> None:
+    x = np.linspace(-1.0, 1.0, 41)
+    dome = field(np.tile(1000.0 - np.sqrt(1000.0**2 - x**2), (3, 1)))  # 5e-5 rad at each edge, 0.5 mm in all
+    vertices, triangles = height_field_mesh(dome)
+    assert len(convex_faces(vertices, triangles)) == len(triangles)
+
+
+def test_vertices_in_single_precision_lie_in_one_plane() -> None:
+    vertices, triangles = height_field_mesh(field(level()))
+    tilt = trimesh.transformations.rotation_matrix(0.4, (1.0, 2.0, 3.0))[:3, :3]
+    assert len(convex_faces((vertices @ tilt.T).astype(np.float32), triangles)) == 1
+
+
 def test_triangles_without_an_area_are_left_out() -> None:
     corners = np.array(((0.0, 0, 0), (1.0, 0, 0), (2.0, 0, 0), (0.0, 1, 0)))
     (face,) = convex_faces(corners, np.array(((0, 1, 2), (0, 2, 3))))

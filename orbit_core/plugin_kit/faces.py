@@ -21,8 +21,9 @@ _FEW, _DIGITS = 8, 5
 Point = tuple[float, float]
 Polygon = list[Point]
 IntArray = npt.NDArray[np.int64]
-_SAME_PLANE = 1e-6
-"""Largest sine of the angle between neighbours in one plane; vertices in single precision keep within it."""
+_SAME_PLANE, _FLAT = 1e-4, 1e-5
+"""Largest sine of the angle between neighbours in one plane, which vertices in single precision keep within, and
+largest share of a patch's width by which its corners leave their plane."""
 _FULL = 1e-6
 """Share of its convex hull's area that two faces may lack to be taken for a convex one."""
 
@@ -113,7 +114,10 @@ def _join(corners: FloatArray, places: IntArray, normal: FloatArray) -> list[Flo
     across /= np.linalg.norm(across)
     axes = np.stack((across, np.cross(normal, across)))
     flat = (corners - corners[0, 0]) @ axes.T
-    lift = corners[0, 0] + ((corners - corners[0, 0]) @ normal).mean() * normal
+    heights = (corners - corners[0, 0]) @ normal
+    if np.ptp(heights) > _FLAT * np.ptp(flat.reshape(-1, 2), axis=0).max():  # bent by little at each of many edges
+        return list(corners)
+    lift = corners[0, 0] + heights.mean() * normal
     point_of = dict(zip(places.ravel().tolist(), map(tuple, flat.reshape(-1, 2).tolist()), strict=True))
     triangles: list[Polygon] = [[point_of[place] for place in triangle] for triangle in places.tolist()]
     whole = _hull(list(point_of.values()))

@@ -20,14 +20,15 @@ import numpy as np
 from orbit_core.scene import PhysicsMaterial
 
 _LIFT = 0.005
-"""Share of an overlap that the spring of a rebound turns into speed within a step, in overlaps per step. An impact
-sinks in by up to one step's way, which adds as much to the restitution."""
+"""Stiffness of the spring that lifts what has sunk in, as a share of ``1 / dt^2``. An impact sinks in by up to one
+step's way, so that the spring adds up to this to the restitution; half of it is taken off in advance."""
 _GRIP = 0.9
 """Share of the speed of slip that friction may remove in a step, up to Coulomb's limit. The larger it is, the more of
 an impact's slip is stopped, and the higher hops what slides on: MuJoCo's convex cone adds ``mu`` times the share that
 friction could not remove to the speed along the normal."""
 _ONE_STEP = ("implicitfast", "implicit", "euler")
 """Integrators that turn the acceleration at the beginning of a step into the speed at its end."""
+# Less, and a box on four contacts rebounds too fast; more, and single precision loses momentum.
 _IMPEDANCE = (0.997, 0.997, 0.001, 0.5, 2.0)
 
 
@@ -37,6 +38,8 @@ class Collider:
 
     geom: mujoco.MjsGeom
     body: str
+    welded_to: str
+    """The body that carries it by fixed joints, itself if none: two on one never meet."""
     movable: bool
     material: PhysicsMaterial
 
@@ -63,7 +66,7 @@ def add_rebound_pairs(
         restitution = max(one.material.restitution, other.material.restitution)
         if restitution == 0.0 or one.material.compliance or other.material.compliance:
             continue
-        apart = one.body == other.body or frozenset((one.body, other.body)) in excluded
+        apart = one.welded_to == other.welded_to or frozenset((one.body, other.body)) in excluded
         if apart or not (one.movable or other.movable):
             continue
         sliding, torsional, rolling = np.maximum(one.geom.friction, other.geom.friction)
