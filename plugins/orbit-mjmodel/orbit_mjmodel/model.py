@@ -139,8 +139,6 @@ class _Builder:
             self.report.append(Approximation("the integrator", config.integrator, self._integrator, why))
         self._geoms = GeomBuilder(self.spec)
         self._colliders: list[Collider] = []
-        self._carriers: dict[str, mujoco.MjsBody] = {}
-        """The body that carries each one on a fixed joint, through any number of them."""
         self._one_step = rebounds_in_one_step(self._integrator, config.cone)
         for shape in layout.scene.terrain:
             self._add_shape(self.spec.worldbody, shape, 1.0, False, f"terrain shape '{shape.name}'")
@@ -195,9 +193,6 @@ class _Builder:
                 bodies[link.name] = self._add_child(bodies[joint.parent], joint, number)
                 if joint.movable:
                     self._add_joint(bodies[link.name], entity, joint, next(joints))
-                else:
-                    parent = bodies[joint.parent]
-                    self._carriers[bodies[link.name].name] = self._carriers.get(parent.name, parent)
             self._fill_body(bodies[link.name], entity, link, [kind.links[number] for kind in self.kinds])
         for loop in articulation.loops:
             self._add_loop(f"{entity.index}_{loop.name}", loop, bodies)
@@ -238,11 +233,10 @@ class _Builder:
             self._add_slots(body, link, kinds, rolls, subject)
 
     def _add_shape(self, body: mujoco.MjsBody, shape: Shape, mass: float, rolls: bool, subject: str) -> None:
-        carrier = self._carriers.get(body.name, body)
-        movable = not (carrier.mocap or carrier == self.spec.worldbody)
+        movable = not (body.mocap or body == self.spec.worldbody)
         for slot in self._slots(body, shape, mass, rolls, subject):
             geom = self._geoms.add(body, slot.part, slot.contact)
-            self._colliders.append(Collider(geom, body.name, carrier.name, movable, shape.material))
+            self._colliders.append(Collider(geom, body.name, movable, shape.material))
         self.report += geometry_approximations(shape, subject)
         self.report += material_approximations(shape, subject, self._one_step)
 

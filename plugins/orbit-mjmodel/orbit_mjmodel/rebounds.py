@@ -38,8 +38,6 @@ class Collider:
 
     geom: mujoco.MjsGeom
     body: str
-    welded_to: str
-    """The body that carries it by fixed joints, itself if none: two on one never meet."""
     movable: bool
     material: PhysicsMaterial
 
@@ -66,7 +64,7 @@ def add_rebound_pairs(
         restitution = max(one.material.restitution, other.material.restitution)
         if restitution == 0.0 or one.material.compliance or other.material.compliance:
             continue
-        apart = one.welded_to == other.welded_to or frozenset((one.body, other.body)) in excluded
+        apart = one.body == other.body or frozenset((one.body, other.body)) in excluded
         if apart or not (one.movable or other.movable):
             continue
         sliding, torsional, rolling = np.maximum(one.geom.friction, other.geom.friction)

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from orbit_core.assets.objects import box, sphere
 from orbit_core.backends import backend_names
 from orbit_core.interfaces import World
-from orbit_core.scene import ObjectSpec, PhysicsMaterial, Plane, Pose, Scene, Shape
+from orbit_core.scene import (
+    Articulation,
+    Joint,
+    JointType,
+    Link,
+    ObjectSpec,
+    PhysicsMaterial,
+    Plane,
+    Pose,
+    Scene,
+    Shape,
+    Sphere,
+)
 from orbit_core.world import simulate
 
 BACKENDS = [name for name in ("mujoco", "warp") if name in backend_names()]
@@ -68,6 +82,20 @@ def test_what_varies_and_the_fourth_order_integrator_rebound_by_a_spring_and_say
         assert line.got.startswith("a rebound of 8 steps")
         world.step(40)
         assert world.objects["ball"].root_velocity[:, 2].cpu() == pytest.approx(1.6, abs=0.15)
+
+
+def test_links_that_pass_through_each_other_make_no_pair() -> None:
+    shape = Shape(Sphere(RADIUS), material=material(0.5))
+    links = [Link(name, 1.0, inertia=1e-3 * np.eye(3), collisions=(shape,)) for name in "abcd"]
+    joints = [
+        Joint(one.name + other.name, JointType.CONTINUOUS, one.name, other.name)
+        for one, other in itertools.pairwise(links)
+    ]
+    for self_collisions, pairs in ((False, 4), (True, 7)):  # each with the floor; then a with c and d, b with d
+        robot = Articulation("robot", tuple(links), tuple(joints), self_collisions=self_collisions)
+        spec = ObjectSpec(name="robot", articulation=robot, pose=Pose((0.0, 0.0, 1.0)))
+        world = simulate(Scene(objects=(spec,), terrain=(floor(0.0),)), 1, "mujoco")
+        assert world.native[0].npair == pairs
 
 
 @pytest.mark.parametrize("restitution", [0.5, 0.95])
