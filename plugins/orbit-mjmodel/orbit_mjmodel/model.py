@@ -43,6 +43,7 @@ from orbit_mjmodel.matter import (
     slow_spins,
     spare_holders,
 )
+from orbit_mjmodel.rebounds import Collider, add_rebound_pairs, rebounds_in_one_step
 from orbit_mjmodel.variants import ABSENT, Slot, slots
 from orbit_mjmodel.wrenches import add_wrench_sensors
 
@@ -143,13 +144,21 @@ class _Builder:
         if config.cone == "pyramidal":
             why = "the setting 'cone' asks for a pyramid: friction is up to 30 % weaker between a contact's axes"
             self.report.append(Approximation("contacts", "the same friction in every direction", "a pyramid", why))
+        self._integrator, why = self._chosen_integrator()
+        if self._integrator != config.integrator:
+            self.report.append(Approximation("the integrator", config.integrator, self._integrator, why))
         self._geoms = GeomBuilder(self.spec)
+        self._colliders: list[Collider] = []
+        self._one_step = rebounds_in_one_step(self._integrator, config.cone)
         for shape in layout.scene.terrain:
             self._add_shape(self.spec.worldbody, shape, 1.0, False, f"terrain shape '{shape.name}'")
         for entity in layout.entities:
             self._add_entity(entity)
         for index in range(len(layout.joints)):
             self._add_drive(index)
+        if self._one_step and any(collider.material.restitution for collider in self._colliders):
+            excluded = {frozenset((pair.bodyname1, pair.bodyname2)) for pair in self.spec.excludes}
+            add_rebound_pairs(self.spec, self._colliders, excluded, layout.scene.physics_dt)
         self.report += add_matter(self.spec, layout)
         self.spec.add_key(name="home")
 
@@ -173,26 +182,22 @@ class _Builder:
         # Which links may touch is written out pair by pair.
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT) | disabled
 
-    @property
-    def _integrator(self) -> str:
-        """The requested one, or ``discrete`` where contacts must be solved with cloth's elasticity or with a drive."""
-        asked, wanted = self.config.integrator, "discrete"
-        if asked == wanted:
-            return asked
-        if self.layout.scene.deformables:
-            why = (
-                "MuJoCo integrates cloth in no other way, and rope that rests on something jitters and creeps in others"
-            )
-        elif thrown := throwing_wheels(self.layout):
-            why = (
+    def _chosen_integrator(self) -> tuple[str, str]:
+        """Return the integrator and, where it is not the requested one, why not.
+
+        It is ``discrete`` where contacts must be solved together with cloth's elasticity or with a drive.
+        """
+        asked, together = self.config.integrator, "discrete"
+        if asked != together and self.layout.scene.deformables:
+            why = "MuJoCo integrates cloth in no other way, and rope that rests on something jitters and creeps in others"
+            return together, why
+        if asked != together and (thrown := throwing_wheels(self.layout)):
+            return together, (
                 f"contacts are solved without the damping of the velocity drive of {thrown[0]}, which has no effort "
                 "limit: it would strike the ground with all of it and throw its base; give the drive an effort limit "
                 "to keep the integrator"
             )
-        else:
-            return asked
-        self.report.append(Approximation("the integrator", asked, wanted, why))
-        return wanted
+        return asked, ""
 
     # Bodies ----------------------------------------------------------------------------------------------------------
 
@@ -250,9 +255,12 @@ class _Builder:
             self._add_slots(body, link, kinds, rolls, subject)
 
     def _add_shape(self, body: mujoco.MjsBody, shape: Shape, mass: float, rolls: bool, subject: str) -> None:
+        movable = not (body.mocap or body == self.spec.worldbody)
         for slot in self._slots(body, shape, mass, rolls, subject):
-            self._geoms.add(body, slot.part, slot.contact)
-        self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject)
+            geom = self._geoms.add(body, slot.part, slot.contact)
+            self._colliders.append(Collider(geom, body.name, movable, shape.material))
+        self.report += geometry_approximations(shape, subject)
+        self.report += material_approximations(shape, subject, self._one_step)
 
     def _slots(self, body: mujoco.MjsBody, shape: Shape, mass: float, rolls: bool, subject: str) -> list[Slot]:
         dt = self.layout.scene.physics_dt
@@ -270,7 +278,7 @@ class _Builder:
             name = f"{ABSENT}{len(self.spec.geoms)}" if slot.absent else ""
             self._geoms.add(body, slot.part, slot.contact, name)
         for shape in link.collisions:
-            self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject)
+            self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject, False)
 
     def _report_inertia(self, inertia: npt.NDArray[np.float64], subject: str) -> None:
         a, b, c = np.linalg.eigvalsh(inertia)

@@ -19,4 +19,17 @@ _MATTER = (
     Gap("rope_edge", "slid", 0.25, _CORNERS),
 )
 
-GAPS: tuple[Gap, ...] = (*MOTION, *CONTACT, *_MATTER)
+_PRISMS = (
+    "MuJoCo collides a height field prism by prism, and feels the sides between them; fields of up to eight planes in "
+    "all are made of their flat faces and are as level as a plane"
+)
+
+_FIELDS = (
+    Gap("level_height_field", "speed", 0.1, _PRISMS),
+    Gap("level_height_field", "turn", 0.1, _PRISMS),
+    Gap("level_height_field", "way", 0.3, _PRISMS),
+    Gap("level_height_field", "aside", 0.05, _PRISMS),
+    Gap("height_field_bowl", "amplitude", 0.3, _PRISMS),
+)
+
+GAPS: tuple[Gap, ...] = (*MOTION, *CONTACT, *_FIELDS, *_MATTER)
