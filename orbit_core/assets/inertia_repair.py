@@ -11,6 +11,7 @@ import numpy.typing as npt
 from orbit_core.assets.inertia import MassProperties, combine, mass_properties
 from orbit_core.assets.merge import link_hosts
 from orbit_core.scene import Articulation, Link, Pose, Sphere
+from orbit_core.scene.inertias import raised_moments
 
 _LEAST = 1e-3
 """Least principal moment as a share of the largest; a thin rod's smallest one is about that."""
@@ -48,9 +49,7 @@ def balanced(inertia: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """
     tensor = np.asarray(inertia, dtype=float)
     moments, axes = np.linalg.eigh((tensor + tensor.T) / 2.0)
-    small, middle, large = np.maximum(moments, _LEAST * moments[2])
-    lacking = max(0.0, large - small - middle) / 2.0
-    return axes @ np.diag((small + lacking, middle + lacking, large)) @ axes.T
+    return axes @ np.diag(raised_moments(np.maximum(moments, _LEAST * moments[2]))) @ axes.T
 
 
 def _bodies(articulation: Articulation) -> list[list[tuple[Link, Pose]]]:

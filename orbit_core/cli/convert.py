@@ -61,12 +61,16 @@ def main(words: Sequence[str]) -> None:
     write = _writer(settings.target)
     check_apart(settings.target, (settings.source,))
     check_output(settings.target, settings.target.suffix, settings.overwrite)
+    from orbit_core.assets.options import ReadOptions, Unsupported
+    from orbit_core.assets.written import check_written
+
     articulation = _read(settings)
     lost = write(articulation, settings.target)
+    unchecked = check_written(articulation, settings.target, ReadOptions(unsupported=Unsupported.DROP))
     out = console()
     body = f"{articulation.mass:.4g} kg, links: {len(articulation.links)}, joints: {len(articulation.joint_names)}"
     out.print(f"{settings.target}: {articulation.name}, {body}", markup=False, highlight=False)
-    for kind, lines in (("changed", articulation.notes), ("not held", lost)):
+    for kind, lines in (("changed", articulation.notes), ("not held", lost), ("not checked", unchecked)):
         for line in lines:
             out.print(f"{kind}: {line}", markup=False, highlight=False)
 

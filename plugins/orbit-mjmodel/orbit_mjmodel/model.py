@@ -19,8 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, AssetError, EntityLayout, SceneLayout
-from orbit_core.plugin_kit.massless import stand_in_approximations, with_stand_in
+from orbit_core.plugin_kit.inertias import inertia_approximations
+from orbit_core.plugin_kit.massless import is_massless
 from orbit_core.scene import Joint, JointType, Link, LoopJoint, LoopType, Shape
+from orbit_core.scene.inertias import solid_moments
 from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
 from orbit_mjmodel.drives import (
@@ -50,6 +52,8 @@ from orbit_mjmodel.wrenches import add_wrench_sensors
 AddSensors = Callable[[mujoco.MjSpec, SceneLayout], None]
 _UNLIMITED = 1e10
 """The value in the place of infinity where only one side of a joint is limited."""
+_COMPILED_MASS = 1e-3
+"""kg, and kg m^2, of a body without mass while its model is compiled."""
 _STIFF_COUPLING = (0.99, 0.999, 0.001, 0.5, 2.0)
 """Impedance of mimic joints, of loops and of joint limits. With MuJoCo's own, 0.95, a joint that 100 N m push against
 its limit is 19 mrad beyond it, and with this less than one."""
@@ -114,6 +118,8 @@ def _compiled(builder: _Builder) -> BuiltModel:
         model = builder.spec.compile()
     except ValueError as error:
         raise AssetError(f"MuJoCo refuses the scene: {str(error).replace(chr(10), ' ').strip()}") from error
+    if builder.massless:
+        _take_mass_away(model, [model.body(name).id for name in builder.massless])
     addresses = Addresses.of(builder.layout, model)
     matter = matter_addresses(model, builder.layout)
     _set_home(builder.layout, model, addresses)
@@ -129,6 +135,16 @@ def _compiled(builder: _Builder) -> BuiltModel:
     return BuiltModel(model, addresses, report, np.array(absent, dtype=np.int64), matter)
 
 
+def _take_mass_away(model: mujoco.MjModel, bodies: list[int]) -> None:
+    """Give bodies the mass and inertia of none, and compute again what follows from them.
+
+    MuJoCo's compiler wants some of every body that moves. Its dynamics do not: a body without takes the part that one
+    of several joints on the same body does.
+    """
+    model.body_mass[bodies], model.body_inertia[bodies] = 0.0, 0.0
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
 class _Builder:
     """Builds the model of ``layout``, one of the ``kinds`` of environments."""
 
@@ -140,6 +156,8 @@ class _Builder:
         self.config = config
         self.spec = mujoco.MjSpec()
         self.report: list[Approximation] = []
+        self.massless: list[str] = []
+        """Names of bodies without mass that joints move."""
         self._least_friction = least_friction
         if config.cone == "pyramidal":
             why = "the setting 'cone' asks for a pyramid: friction is up to 30 % weaker between a contact's axes"
@@ -168,7 +186,6 @@ class _Builder:
         spec.compiler.degree = False
         spec.compiler.fusestatic = False
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
-        spec.compiler.balanceinertia = True
         option = spec.option
         option.timestep = self.layout.scene.physics_dt
         option.gravity = self.layout.scene.gravity
@@ -220,7 +237,7 @@ class _Builder:
             self._add_loop(f"{entity.index}_{loop.name}", loop, bodies)
         self._exclude_pairs(entity)
         self._report_joints(entity)
-        self.report += stand_in_approximations(entity, "MuJoCo")
+        self.report += inertia_approximations(entity, "MuJoCo")
 
     def _add_root(self, entity: EntityLayout, number: int) -> mujoco.MjsBody:
         pose = entity.spec.pose
@@ -240,13 +257,16 @@ class _Builder:
         subject = f"link '{link.name}' of '{entity.name}'"
         body.gravcomp = float(entity.spec.gravity_compensation)
         body.simple = False  # a body compiled as simple cannot have its centre of mass moved
-        solid = with_stand_in(entity.spec.articulation, link)
-        if solid.mass > 0:
+        if link.mass > 0:
+            # MuJoCo takes principal moments as they are, but finds those of a tensor only to 1e-12 kg m^2.
+            moments, axes = solid_moments(link.inertia)
             body.explicitinertial = True
-            body.mass, body.ipos = solid.mass, solid.center_of_mass
-            inertia = np.asarray(solid.inertia)
-            body.fullinertia = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
-            self._report_inertia(inertia, subject)
+            body.mass, body.ipos = link.mass, link.center_of_mass
+            body.inertia, body.iquat = moments, axes.orientation
+        elif is_massless(entity.spec.articulation, link):
+            body.explicitinertial = True
+            body.mass, body.inertia = _COMPILED_MASS, [_COMPILED_MASS] * 3
+            self.massless.append(body.name)
         rolls = len(entity.spec.articulation.links) == 1 and not entity.spec.fixed_base
         if all(kind is link for kind in kinds):
             for shape in link.collisions:
@@ -279,13 +299,6 @@ class _Builder:
             self._geoms.add(body, slot.part, slot.contact, name)
         for shape in link.collisions:
             self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject, False)
-
-    def _report_inertia(self, inertia: npt.NDArray[np.float64], subject: str) -> None:
-        a, b, c = np.linalg.eigvalsh(inertia)
-        if a + b < c * (1 - 1e-9):
-            moments = f"principal moments {a:.4g}, {b:.4g}, {c:.4g} kg m^2"
-            why = "no solid has them (two must add up to at least the third), and MuJoCo takes none such"
-            self.report.append(Approximation(subject, moments, "their mean for all three", why))
 
     def _exclude_pairs(self, entity: EntityLayout) -> None:
         articulation = entity.spec.articulation
