@@ -9,6 +9,7 @@ import struct
 import zipfile
 from pathlib import Path
 
+import mujoco
 import pytest
 
 from orbit_core.assets import load_articulation
@@ -129,6 +130,39 @@ def test_meshes_of_included_mjcf_are_found_as_mujoco_finds_them_and_held_to_the_
             load_articulation(main)
     else:
         assert load_articulation(main).mass == pytest.approx(1000 * found**2 / 6.0)
+
+
+@pytest.mark.parametrize(
+    ("included", "main", "found"),
+    [
+        ('assetdir=""', 'meshdir="m"', 2.0),
+        ('meshdir=""', 'assetdir="n"', 1.5),
+        ('meshdir="m"', 'assetdir="n"', 2.0),
+        ('assetdir="m"', 'meshdir="n"', 1.5),
+        ('meshdir="n"', 'assetdir=""', 1.0),
+        ('meshdir="n"', 'assetdir="k"', None),
+        ('strippath="true" meshdir="m"', 'assetdir="n"', 1.5),
+    ],
+)
+def test_meshes_of_included_mjcf_are_found_whatever_compilers_say(
+    tmp_path: Path, included: str, main: str, found: float | None
+) -> None:
+    """MuJoCo looks for them by other folders than it opens them from where several compilers name folders."""
+    for name, size in {"mesh.obj": 1.0, "n/mesh.obj": 1.5, "sub/mesh.obj": 2.0}.items():
+        solid(tmp_path / name, size)
+    part = INCLUDED.format("mesh.obj").replace("<asset>", f"<compiler {included}/><asset>")
+    (tmp_path / "sub" / "part.xml").write_text(part)
+    path = tmp_path / "main.xml"
+    path.write_text(INCLUDING.format(f'<include file="sub/part.xml"/><compiler {main}/>'))
+    if found is None:
+        with pytest.raises(ValueError, match="Error opening file"):
+            mujoco.MjModel.from_xml_path(str(path))
+        with pytest.raises(AssetError, match="does not exist"):
+            load_articulation(path)
+        return
+    mass = 1000 * found**2 / 6.0
+    assert mujoco.MjModel.from_xml_path(str(path)).body_mass.sum() == pytest.approx(mass)
+    assert load_articulation(path).mass == pytest.approx(mass)
 
 
 @pytest.mark.parametrize(
