@@ -11,6 +11,7 @@ import numpy as np
 from orbit_core.assets.compound_joints import BALL, chain, compound
 from orbit_core.assets.couplings import resolve_chains
 from orbit_core.assets.findings import Findings
+from orbit_core.assets.inertia_repair import repaired
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.sdf.frames import MODEL, WORLD
 from orbit_core.assets.sdf.sources import SdfSource
@@ -43,6 +44,7 @@ class SdfModelReader:
 
     def __init__(self, source: SdfSource, findings: Findings, options: ReadOptions) -> None:
         self.findings = findings
+        self.options = options
         self.structure = SdfStructure(findings, options, MODEL)
         self.structure.add_outermost(source)
         self.source = source
@@ -78,7 +80,7 @@ class SdfModelReader:
             loops=tuple(self.loops),
         )
         articulation = sort_links(resolve_chains(articulation))
-        return replace(articulation, notes=(*articulation.notes, *self.findings.notes))
+        return repaired(replace(articulation, notes=(*articulation.notes, *self.findings.notes)), self.options)
 
     def placement(self) -> Pose:
         """The pose, in the model, of the frame that stands where the model is placed.
@@ -119,6 +121,7 @@ class SdfModelReader:
         pose = self._placed(inertial, name, scope, where)
         entries = inertial.find("inertia")
         if entries is None:
+            self.findings.note("an <inertial> without <inertia> has SDFormat's default, 1 kg m^2")
             entries = Element("inertia")
         xx, yy, zz = (number(entries, key, where, 1.0) for key in ("ixx", "iyy", "izz"))
         xy, xz, yz = (number(entries, key, where, 0.0) for key in ("ixy", "ixz", "iyz"))
