@@ -145,6 +145,15 @@ def test_shapes_with_friction_and_colour(tmp_path: Path) -> None:
     assert root.visuals[0].color == (1.0, 0.0, 0.0, 1.0)
 
 
+def test_a_shape_without_size_is_left_out_where_it_is_only_drawn(tmp_path: Path) -> None:
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "box.stl")
+    solids = ("<sphere><radius>0</radius></sphere>", "<mesh><uri>box.stl</uri><scale>0 0 0</scale></mesh>")
+    drawn = "".join(f"<visual name='v'><geometry>{solid}</geometry></visual>" for solid in solids)
+    articulation = read(tmp_path, link("a", drawn))
+    assert articulation.root.visuals == ()
+    assert articulation.notes == ("a <visual> of size zero, which shows nothing, is left out of link 'a'",)
+
+
 def test_compound_joints_and_loops(tmp_path: Path) -> None:
     links = link("base") + link("arm", "<pose>1 0 0 0 0 0</pose>") + link("rod", "<pose>2 0 0 0 0 0</pose>")
     second = AXIS.replace("axis>", "axis2>").replace("0 0 1", "0 1 0")
