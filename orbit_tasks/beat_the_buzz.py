@@ -238,7 +238,7 @@ class BeatTheBuzz(Task):
         self.bound(penalty=(0.0, 1e3))
         ring = ring_on_handle(RING, RADIUS, BAR, REACH)
         robot = held.with_tool(common.arm(self.robot, gripper=False), ring, f"{RING}_middle")
-        box = robot.end_effector.workspace.placed(robot.pose)
+        box = common.placed_workspace(robot)
         course = course_of(self.rod)
         self.place = (0.5 * (box.low[0] + box.high[0]), 0.5 * (box.low[1] + box.high[1]), HEIGHT)
         start = rings_along(course.part(MARGIN))[0]

@@ -119,7 +119,7 @@ def distance_to_cabinet(robot: RobotSpec) -> float:
     The handle is 8 cm within the far side of the workspace, for it must be in reach 30 cm nearer as well; and as high
     as a shoulder, for the arm reaches it with a level hand only there.
     """
-    return robot.end_effector.workspace.high[0] + 0.23
+    return common.workspace_of(robot).high[0] + 0.23
 
 
 PULLING = (

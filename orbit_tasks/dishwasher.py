@@ -249,7 +249,7 @@ class Dishwasher(Task):
     def scene(self) -> Scene:
         self.bound(door_goal=(0.1, 1.45), tolerance=(1e-6, 0.1))
         robot = common.arm(self.robot)
-        box = robot.end_effector.workspace.placed(robot.pose)
+        box = common.placed_workspace(robot)
         # The door's bar as far as the hand reaches: it comes nearer by its height, and the rack's by a hand's breadth.
         pose = Pose((box.high[0] - 0.03 - FRONT, 0.5 * (box.low[1] + box.high[1]), 0.0))
         stations = common.pointing_down(torch.tensor([(forward, 0.0, up) for forward, up in STATIONS]))

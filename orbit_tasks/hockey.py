@@ -225,7 +225,7 @@ class Hockey(tabletop.TabletopTask):
 
     def scene(self) -> Scene:
         robot = held.with_tool(common.arm(self.robot, gripper=False), stick(), "blade")
-        near, line = robot.end_effector.workspace.low[0], robot.end_effector.workspace.high[0] + 0.08
+        near, line = common.workspace_of(robot).low[0], common.workspace_of(robot).high[0] + 0.08
         end = line + DEPTH + 0.05
         ice = (end - near + 0.1, 1.0, THICKNESS)
         middle = Pose((0.5 * (end + near - 0.1), 0.0, 0.5 * THICKNESS))

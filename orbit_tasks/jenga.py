@@ -152,7 +152,7 @@ def place_tower(world: World, task: Jenga, env_ids: Tensor) -> None:
 
 def distance_of_tower(robot: RobotSpec) -> float:
     """Metres from the robot to the tower's middle."""
-    return robot.end_effector.workspace.low[0] + 0.22
+    return common.workspace_of(robot).low[0] + 0.22
 
 
 @dataclass
