@@ -116,8 +116,8 @@ def workspace_of(spec: RobotSpec) -> Workspace:
     """
     if spec.end_effector.workspace is None:
         raise ConfigurationError(
-            f"robot '{spec.name}' has no workspace: take it through orbit_core.motion.workspace.with_workspace, or "
-            "give its end effector one"
+            f"robot '{spec.articulation.name}' has no workspace: take it through "
+            "orbit_core.motion.workspace.with_workspace, or give its end effector one"
         )
     return spec.end_effector.workspace
 

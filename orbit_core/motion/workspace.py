@@ -135,25 +135,29 @@ class _Arm:
 
     def reached(self, places: Tensor, tilt: float, yaw: float) -> Tensor:
         """Return (M,) bool: places (M, 3) at which the hand takes every extreme of tilt and yaw."""
-        turns = sorted({*itertools.product((-tilt, tilt), (-tilt, tilt), (-yaw, yaw))})
-        roll, pitch, turn = torch.tensor(turns).unbind(1)
-        zero = torch.zeros_like(roll)
-        down = torch.stack((zero, (0.5 * turn).cos(), (0.5 * turn).sin(), zero), dim=1)
-        rotations = quat_multiply(quat_from_euler(roll, pitch, zero), down)
-        rotations = quat_multiply(self.turn.expand_as(rotations), rotations)
+        rotations = {*itertools.product((-tilt, tilt), (-tilt, tilt), (-yaw, yaw))}
         places = quat_rotate(self.turn.expand(len(places), 4), places)
-        poses = torch.cat((places.repeat_interleave(len(turns), 0), rotations.repeat(len(places), 1)), dim=1)
-        found = self.solver.solve(poses, self.home.repeat(len(poses), 1))
-        return found.converged.view(len(places), len(turns)).all(1)
+        zero = torch.zeros(())
+        good = torch.ones(len(places), dtype=torch.bool)
+        for roll, pitch, turn in torch.tensor(sorted(rotations)):
+            left = good.nonzero()[:, 0]  # a place that one rotation rules out is tried no more
+            if not len(left):
+                break
+            down = quat_from_euler(zero + math.pi, zero, turn)
+            tilted = quat_multiply(quat_from_euler(roll, pitch, zero), down)
+            rotation = quat_multiply(self.turn, tilted).expand(len(left), 4)
+            poses = torch.cat((places[left], rotation), dim=1)
+            good[left] = self.solver.solve(poses, self.home.repeat(len(left), 1)).converged
+        return good
 
 
 def _none_found(spec: RobotSpec) -> ConfigurationError:
     """Return the error of a robot whose hand points down over no stretch of the table."""
     return ConfigurationError(
-        f"robot '{spec.name}' has no workspace, and none was found: ahead of it, along x, '{spec.end_effector.frame}' "
-        "points straight down over no stretch of the table. Turn the robot's pose if its arm faces another way, check "
-        "the frame's axes and the home pose ('orbit check-robot'), give its end effector a workspace, or choose "
-        "another robot"
+        f"robot '{spec.articulation.name}' has no workspace, and none was found: ahead of it, along x, "
+        f"'{spec.end_effector.frame}' points straight down over no stretch of the table. Turn the robot's pose if its "
+        "arm faces another way, check the frame's axes and the home pose ('orbit check-robot'), give its end effector a "
+        "workspace, or choose another robot"
     )
 
 
