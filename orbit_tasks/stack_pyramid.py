@@ -16,6 +16,7 @@ from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, Retry, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, picking, stages, tabletop
@@ -213,6 +214,9 @@ class StackPyramid(tabletop.TabletopTask):
     ``tolerance`` of its place and the hand has let go. Metric: the sum of the distances between blocks and places.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "pyramids and hand leave cells of 4 x 3 cm for the other blocks"),
+    )
     observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {
         "semantic": tabletop.sensed(ArmLabels, StackState)  # whose labels tell the blocks' colours
     }
@@ -346,6 +350,7 @@ class Stack(StackPyramid):
     The kept policy ``stack`` was learned with ``starts="corners"``, which its own fields say.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = ()
     training: ClassVar[Mapping[str, Any]] = {"expert_starts": 0.5, "action": "ik_relative"}
     episode_length: float = 8.0
     ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.4, entropy_weight=0.002)

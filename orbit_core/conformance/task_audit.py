@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from orbit_core.conformance.task_starts import Coverage, sample_starts
-from orbit_core.envs import Environment, make
+from orbit_core.envs import Environment, Task, make
 from orbit_core.envs.actors import scripted_actor
 from orbit_core.envs.task_checks import TaskCheck
 from orbit_core.interfaces import Robot
@@ -28,7 +28,7 @@ MOST_BEYOND = 0.01
 """Largest share of an expert's samples beyond a limit: contacts throw a joint about for a moment."""
 _ROUNDING = 1e-3
 """Relative excess over a limit that counts as rounding."""
-LEAST_AREA = 0.01
+LEAST_AREA = 0.02
 """m^2 that the starts of the widest-spread thing cover at least."""
 LEAST_YAW = 0.25
 """Share of a whole turn that the starts of the thing turned most cover at least."""
@@ -93,7 +93,7 @@ class TaskAudit:
     start_samples: int
     seconds: float
     """Wall time of the audit."""
-    verdicts: tuple[Verdict, ...] = field(default=())
+    verdicts: tuple[Verdict, ...] = ()
 
     @property
     def faults(self) -> tuple[Verdict, ...]:
@@ -102,7 +102,7 @@ class TaskAudit:
 
 
 def audit_task(
-    task: str,
+    task: str | Task,
     backend: str | None = None,
     *,
     episodes: int = 16,
@@ -114,7 +114,7 @@ def audit_task(
     """Run a task's agents and sample its starts.
 
     Args:
-        task: name of a registered task.
+        task: name of a registered task, or one that is configured.
         backend: name of an installed backend; the default one if None.
         episodes: of each agent, one in each environment.
         start_samples: number of starts to sample, rounded up to whole resets of all environments.
@@ -137,7 +137,7 @@ def audit_task(
         }
         resets = max(1, math.ceil(start_samples / episodes)) if start_samples else 0
         audit = TaskAudit(
-            task=task,
+            task=task if isinstance(task, str) else type(task).__name__,
             backend=environment.world.backend,
             episodes=episodes,
             agents=agents,
@@ -153,12 +153,12 @@ def audit_task(
 
 
 class _LimitMeter(StepObserver):
-    """Joint speeds and efforts of all robots over their limits, one histogram-free list of samples each."""
+    """Samples of the speeds and efforts of all robots' joints, over their limits."""
 
     def __init__(self, environment: Environment) -> None:
         self._task = environment.task
         self._joints = [
-            (robot, *(_finite_limits(robot, name) for name in ("velocity_limit", "effort_limit")))
+            (robot, _finite_limits(robot, "velocity_limit"), _finite_limits(robot, "effort_limit"))
             for robot in environment.world.robots.values()
         ]
         self.counter: EpisodeCounter | None = None
@@ -182,7 +182,7 @@ class _LimitMeter(StepObserver):
         return LimitUse(float((values > 1.0 + _ROUNDING).float().mean()), float(values.max()))
 
 
-def _finite_limits(robot: Robot, name: Any) -> Tensor:
+def _finite_limits(robot: Robot, name: Literal["velocity_limit", "effort_limit"]) -> Tensor:
     """Return the limits (J,) of a robot's joints, NaN where a joint has none."""
     limits = joint_limits(robot.spec, name)
     usable = np.isfinite(limits) & (limits > 0.0)
@@ -214,7 +214,7 @@ def _judged(audit: TaskAudit, environment: Environment) -> TaskAudit:
             verdicts.append(Verdict(check, Status.STALE if held else Status.DECLARED, figure, declared[check]))
         else:
             verdicts.append(Verdict(check, Status.HOLDS if held else Status.FAILS, figure))
-    return TaskAudit(**{**vars(audit), "verdicts": tuple(verdicts)})
+    return replace(audit, verdicts=tuple(verdicts))
 
 
 def _measured(check: TaskCheck, audit: TaskAudit, has_rewards: bool) -> tuple[bool | None, str]:

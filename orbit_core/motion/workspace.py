@@ -156,8 +156,8 @@ def _none_found(spec: RobotSpec) -> ConfigurationError:
     return ConfigurationError(
         f"robot '{spec.articulation.name}' has no workspace, and none was found: ahead of it, along x, "
         f"'{spec.end_effector.frame}' points straight down over no stretch of the table. Turn the robot's pose if its "
-        "arm faces another way, check the frame's axes and the home pose ('orbit check-robot'), give its end effector a "
-        "workspace, or choose another robot"
+        "arm faces another way, check the frame's axes and the home pose ('orbit check-robot'), give its end effector "
+        "a workspace, or choose another robot"
     )
 
 
