@@ -34,8 +34,8 @@ def sample_starts(environment: Environment, resets: int) -> tuple[Coverage, ...]
     """Reset all environments some times and measure what their starts cover.
 
     Returns:
-        The coverage of each robot, object and marker whose place or yaw differs, the widest first. Things with the same
-        coverage in all but name, such as the blocks of a tower, are listed too.
+        The coverage of each robot, object, deformable (by the middle of its points) and marker whose place or yaw
+        differs, the widest first.
     """
     world = environment.world
     drawn: dict[str, list[Tensor]] = {}
@@ -43,6 +43,12 @@ def sample_starts(environment: Environment, resets: int) -> tuple[Coverage, ...]
         environment.reset()
         for name, entity in {**world.robots, **world.objects}.items():
             drawn.setdefault(name, []).append(entity.root_pose.clone())
+        for name, deformable in world.deformables.items():
+            middle = deformable.positions.mean(dim=1)
+            poses = torch.cat(
+                (middle, torch.tensor([1.0, 0.0, 0.0, 0.0], device=middle.device).expand(len(middle), 4)), 1
+            )
+            drawn.setdefault(name, []).append(poses)
         for index, marker in enumerate(world.scene.markers):
             drawn.setdefault(f"marker {marker.name}", []).append(world.marker_poses[:, index].clone())
     found = [coverage(name, torch.cat(poses)) for name, poses in drawn.items()]
