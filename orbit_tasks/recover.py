@@ -153,9 +153,7 @@ class Recover(Task):
     exceptions: ClassVar[tuple[TaskException, ...]] = (
         TaskException(TaskCheck.EXPERT_BEATS_ZERO, "the expert drives joints home, as zero actions do"),
         TaskException(TaskCheck.START_AREA, "the plane is the same everywhere"),
-        TaskException(
-            TaskCheck.TRIVIAL_AGENTS, "who lies on its feet stands up when its joints go home, as zero actions do"
-        ),
+        TaskException(TaskCheck.TRIVIAL_AGENTS, "a robot that lies on its feet stands up as its joints go home"),
     )
     expert_success: ClassVar[float] = 0.0  # the home posture turns nobody over
     robot: str = "anymal_c"
