@@ -524,13 +524,17 @@ def pull_bend(p: Particles, b: Bends, env: int, c: int, change: wp.vec3):
 
 @wp.func
 def solve_bend(p: Particles, b: Bends, h: float, env: int, c: int):
-    curvature, w = wp.vec3(), float(0.0)
+    curvature, was, w = wp.vec3(), wp.vec3(), float(0.0)
     for k in range(4):
         i = b.particles[c, k]
         weight = b.weights[c, k]
         curvature += at(p, env, i) * weight
+        was += p.x[env, i] * weight
         w += p.w[env, i] * weight * weight
     soft = b.weights[c, 4] / (h * h * p.parameters[env, b.owner[c], 2])
+    if b.weights[c, 3] == 0.0:  # of a rope
+        soft = soft / LATE
+        curvature += was * ((1.0 - LATE) / LATE)
     pull_bend(p, b, env, c, -curvature / (w + soft))
 
 
