@@ -244,9 +244,9 @@ class Part:
             wp.launch(rows.solve_triangles, n, inputs=inputs)
         if self._model.bends.ranges:
             wp.launch(rows.solve_bends, n, inputs=[self._particles, self._bends, h])
-        self._launch_edges()
         if self._neighbours is not None:
             wp.launch(rows.separate, n, inputs=[self._particles, self._neighbours, h])
+        self._launch_edges()
         self._launch_correction()
         wp.launch(rows.finish, n, inputs=contacts)
 
@@ -260,15 +260,15 @@ class Part:
                 wp.launch(kernels.solve_triangles, (n, stop - first), inputs=inputs)
         for first, stop in self._model.bends.ranges:
             wp.launch(kernels.solve_bends, (n, stop - first), inputs=[self._particles, self._bends, first, h])
-        self._launch_edges()
         if self._neighbours is not None:
             wp.launch(self_contact.separate, shape, inputs=[self._particles, self._neighbours, h])
             wp.launch(self_contact.move, shape, inputs=[self._particles, self._neighbours])
+        self._launch_edges()
         self._launch_correction()
         wp.launch(contact.finish, shape, inputs=contacts)
 
     def _launch_edges(self) -> None:
-        """Last of what holds matter together, so that nothing makes ropes longer again."""
+        """Solve for ropes last, so that nothing makes them longer again, whose stretch would be energy from nowhere."""
         if ropes := len(self._model.edges.ranges):
             inputs = [self._particles, self._edges, self._stepping.h]
             wp.launch(kernels.solve_edges, (self._n, ropes), inputs=inputs)
