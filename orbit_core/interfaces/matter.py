@@ -100,7 +100,7 @@ class Matter(ABC):
     @property
     @abstractmethod
     def wrenches(self) -> Tensor:
-        """(N, L, 6) force and torque about the link frame's origin, world axes, that the engine applies in its next step.
+        """(N, L, 6) wrench about the link frame's origin, world axes, that the engine applies in its next step.
 
         Of links that the solver moves with its own equations it is the wrench that makes the engine's follow; of
         others the mean that matter exerted in the last step.

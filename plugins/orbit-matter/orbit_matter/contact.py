@@ -108,7 +108,7 @@ def exempt_inside(p: Particles, links: Links, shapes: Shapes, felt: Felt, chosen
     p.exempt[env, i] = FREE
     for s in range(shapes.kind.shape[1]):
         link = shapes.link[kind, s]
-        if link < felt.holds.shape[2]:
+        if link < felt.holds.shape[2]:  # noqa: SIM102 - Warp evaluates both sides of an `and`
             if felt.holds[env, p.owner[i], link] == 1:
                 pose = pose_between(links.end, links.end, env, link, 0.0) * shapes.pose[kind, s]
                 local = wp.transform_point(wp.transform_inverse(pose), p.x[env, i])
@@ -123,8 +123,10 @@ def find_near(p: Particles, links: Links, shapes: Shapes, felt: Felt, step: floa
     count, kind, moved = int(0), env % shapes.kind.shape[0], range_of(p, step, env, i)
     for s in range(shapes.kind.shape[1]):
         own = p.exempt[env, i] == shapes.link[kind, s]
-        if count < NEAREST and not own and is_near(
-            shapes, kind, s, links.shape[env, s], links.reach[env, s], p.x[env, i], p.radius[i], moved
+        if (
+            count < NEAREST
+            and not own
+            and is_near(shapes, kind, s, links.shape[env, s], links.reach[env, s], p.x[env, i], p.radius[i], moved)
         ):
             felt.near[env, i, count] = s
             count += 1

@@ -31,10 +31,14 @@ WORLD = wp.constant(-1)
 TAUT = wp.constant(3.0)
 """``(w h)^2`` of the fastest wave across a rope up to which its edges pull along their directions at the beginning."""
 LATE = wp.constant(0.52)
+"""Part of a rope's elastic forces, of edges and of bending, that is taken from the end of the substep and not from its
+beginning: a half keeps the energy of its vibrations, and what is more damps those that the substep cannot follow."""
 ATTEMPTS = wp.constant(4)
 """Steps of Newton's method at most, for all edges of a rope in a substep."""
 PRECISE = wp.constant(1.0e-5)
 """Part of its length that an edge may be off after them."""
+ROUNDING = wp.constant(3.0e-7)
+"""Part of a particle's position that single precision does not resolve in an edge."""
 LOOSE = wp.constant(1.0e-2)
 """The same, above which they are taken for not to converge."""
 SWEEPS = wp.constant(20)
@@ -60,7 +64,7 @@ class Particles:
     solved: wp.array2d[int]
     """(N, P) 1 where it is attached to a free body, which the solve moves together with it."""
     exempt: wp.array2d[int]
-    """(N, P) link with which a particle does not collide, for it was inside of it when its matter was attached there."""
+    """(N, P) link with which a particle does not collide: it was inside of it when its matter was attached there."""
     mass: wp.array[float]
     held: wp.array[float]
     """(P,) times its mass that it counts in constraints where a link holds it."""
@@ -339,6 +343,7 @@ class Edge:
     n: wp.vec3
     now: wp.vec3
     length: float
+    """Metres, now and at the beginning of the substep."""
     was: float
 
 
@@ -372,7 +377,7 @@ def soften(p: Particles, e: Edges, env: int, first: int, stop: int):
     """
     k_behind = float(0.0)
     for c in range(first, stop + 1):
-        i, k = int(0), float(0.0)
+        i, k = int(0), float(0.0)  # noqa: RUF046
         if c < stop:
             i = int(e.particles[c, 0])
             k = lateness(p, e, env, c) * wp.max(-e.total[env, c], 0.0) / e.weights[c, 0]
@@ -451,7 +456,8 @@ def pull_edges(p: Particles, e: Edges, h: float, env: int, first: int, stop: int
     for c in range(first, stop):
         edge = edge_of(p, e, env, c)
         found = unmet(p, e, env, c, edge.length, edge.was, softness(p, e, env, c, h))
-        left = wp.max(left, wp.abs(found) / e.weights[c, 0])
+        noise = ROUNDING * wp.length(p.x[env, e.particles[c, 0]])
+        left = wp.max(left, (wp.abs(found) - noise) / e.weights[c, 0])
     return left
 
 
@@ -490,7 +496,7 @@ def solve_edges(p: Particles, e: Edges, h: float):
         e.total[env, c] = 0.0
         e.moved[env, e.particles[c, 0]] = p.d[env, e.particles[c, 0]]
     e.moved[env, e.particles[stop - 1, 1]] = p.d[env, e.particles[stop - 1, 1]]
-    attempt, left, tautest = int(0), float(1.0), float(0.0)
+    attempt, left, tautest = int(0), float(1.0), float(0.0)  # noqa: RUF046
     while attempt < ATTEMPTS and left > PRECISE:
         left = pull_edges(p, e, h, env, first, stop)
         attempt += 1

@@ -234,7 +234,8 @@ class ParticleMatter(Matter):
     @property
     def build_report(self) -> tuple[Approximation, ...]:
         of_substeps = substeps.report(self._layout.scene, self._stepping.h, self._stepping.sweeps)
-        return of_substeps + stability.sinking(self._layout, self._config.contact_stiffness)
+        of_contacts = stability.sinking(self._layout, self._config.contact_stiffness)
+        return of_substeps + of_contacts + stability.late_links(self._layout) + stability.folding(self._layout)
 
     @property
     def wrenches(self) -> Tensor:

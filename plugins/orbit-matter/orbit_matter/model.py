@@ -88,7 +88,7 @@ def build(scene: Scene) -> Model:
         np.concatenate([part.touches for part in parts]),
         np.concatenate([part.owners for part in parts]),
         np.concatenate([part.damping for part in parts]),
-        np.concatenate([np.where(p.mates < 0, -1, p.mates + start) for p, start in zip(parts, starts)], dtype=np.int32),
+        np.concatenate([_moved(part.mates, start) for part, start in zip(parts, starts[:-1], strict=True)]),
         *(
             _joined([getattr(part, kind) for part in parts], starts, columns, width)
             for kind, columns, width in (("triangles", 3, 6), ("edges", 2, 2), ("bends", 4, 5))
@@ -158,6 +158,11 @@ def _part(
         _mates(count) if isinstance(spec, Rope) else np.full((count, 2), -1, np.int32),
         **made,
     )
+
+
+def _moved(mates: IntArray, start: np.int64) -> IntArray:
+    """Neighbours as columns of the whole scene."""
+    return np.where(mates < 0, -1, mates + start).astype(np.int32)
 
 
 def _mates(count: int) -> IntArray:

@@ -116,12 +116,11 @@ class Part:
         made.known, made.seen = wp.from_torch(memory["known"]), wp.from_torch(memory["seen"])
         made.x, made.q = wp.from_torch(memory["body_x"], wp.vec3), wp.from_torch(memory["body_q"], wp.quat)
         made.v, made.w = wp.from_torch(memory["body_v"], wp.vec3), wp.from_torch(memory["body_w"], wp.vec3)
-        kinds = {int: "first count", float: "held mobility", wp.mat33: "inertia turning"}
-        kinds[wp.vec3] = (
-            "pull twist had_pull had_twist odd_pull odd_twist begin_v begin_w drift spin force torque felt_force felt_torque"
-        )
-        for kind, names in kinds.items():
-            for name in names.split():
+        names = {int: "first count", float: "held mobility", wp.mat33: "inertia turning"}
+        motion = "pull twist had_pull had_twist odd_pull odd_twist begin_v begin_w drift spin"
+        names[wp.vec3] = f"{motion} force torque felt_force felt_torque"
+        for kind, row in names.items():
+            for name in row.split():
                 setattr(made, name, wp.zeros(shape, dtype=kind))
         return made
 
