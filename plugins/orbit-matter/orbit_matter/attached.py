@@ -51,7 +51,7 @@ class Attached:
     count: wp.array2d[int]
     """(N, B) of particles that are attached to it."""
     known: wp.array2d[int]
-    """(N, B) 1 where the state below holds: the body was attached in the last step too."""
+    """(N, B) 1 where the state below holds, 2 where it was taken over from the engine in this step, 0 where none is."""
     x: wp.array2d[wp.vec3]
     """(N, B) m of the centre of mass, its orientation, and their velocities: as the matter has solved them."""
     q: wp.array2d[wp.quat]
@@ -159,12 +159,14 @@ def begin(a: Attached, b: Bodies, links: Links, p: Particles, gravity: wp.array[
     x0, x1 = three(links.start, env, link, 0) + arm0, three(links.end, env, link, 0) + arm1
     w0, w1 = three(b.before, env, i, 3), three(b.after, env, i, 3)
     v0, v1 = three(b.before, env, i, 0) + wp.cross(w0, arm0), three(b.after, env, i, 0) + wp.cross(w1, arm1)
+    known = 1
     if a.known[env, i] == 0 or was_written(a, env, i, x0, q0, v0, w0):
+        known = 2
         a.x[env, i] = x0
         a.q[env, i] = q0
         a.v[env, i] = v0
         a.w[env, i] = w0
-    a.known[env, i] = 1
+    a.known[env, i] = known
     for k in range(3):
         a.seen[env, i, k] = x1[k]
         a.seen[env, i, 3 + k] = q1[k]
@@ -350,6 +352,8 @@ def conclude(a: Attached, b: Bodies, felt: Felt, gravity: wp.array[wp.vec3], dt:
         follow = ((v - v1) / dt - g - a.odd_pull[env, i]) * mass - asked
         turn = inertia * ((w - w1) / dt - a.odd_twist[env, i]) + wp.cross(w1, inertia * w1) - asked_turn
         held = a.held[env, i]
+        if a.known[env, i] == 2:  # to follow a state that is written again and again would overshoot, ever further
+            held = float(1.0)
         force = follow + (a.force[env, i] - follow) * held
         torque = turn + (a.torque[env, i] - turn) * held + wp.cross(wp.quat_rotate(q1, center), force)
     for k in range(3):
