@@ -200,13 +200,12 @@ _ROPE_LENGTH, _ROPE_COUNT, _ROPE_STIFFNESS = 0.5, 26, 1e5
 
 
 def _bobs(trial: Trial) -> Mapping[str, float]:
-    taut, longest = _swung(trial, _TAUT)
-    folding, longest_folding = _swung(trial, _FOLDING)
-    last = folding[-5:].mean(0)
+    changes, longest = _swung(trial, (*_TAUT, *_FOLDING))
+    taut, folding = changes[:, : len(_TAUT)], changes[-5:, len(_TAUT) :]
     return {
         "energy": float(taut.abs().max()),
-        "length": float(max(longest.max(), longest_folding.max())),
-        "folding": float(last.abs().max()),
+        "length": float(longest.max()),
+        "folding": float(folding.mean(0).abs().max()),
     }
 
 
@@ -252,7 +251,7 @@ def _rope_of(bob: Bob, number: int) -> Rope:
 def _ball_of(bob: Bob, number: int) -> ObjectSpec:
     rope, name, radius = _rope_of(bob, number), f"bob_{number}", 0.03
     shapes = (Shape(Sphere(radius)),) if bob.collides else ()
-    link = Link(name, bob.mass, np.zeros(3), np.eye(3) * (0.4 * bob.mass * radius**2), shapes)
+    link = Link(name, bob.mass, (0.0, 0.0, 0.0), np.eye(3) * (0.4 * bob.mass * radius**2), shapes)
     end = rope.pose.transform(rope.rest_positions[-1:])[0]
     return ObjectSpec(name=name, articulation=Articulation(name, (link,)), pose=Pose(tuple(end.tolist())))
 
