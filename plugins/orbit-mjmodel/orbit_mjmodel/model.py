@@ -206,8 +206,9 @@ class _Builder:
         """
         asked, together = self.config.integrator, "discrete"
         if asked != together and self.layout.scene.deformables:
-            why = "MuJoCo integrates cloth in no other way, and rope that rests on something jitters and creeps in others"
-            return together, why
+            return together, (
+                "MuJoCo integrates cloth in no other way, and rope that rests on something jitters and creeps in others"
+            )
         if asked != together and (thrown := throwing_wheels(self.layout)):
             return together, (
                 f"contacts are solved without the damping of the velocity drive of {thrown[0]}, which has no effort "
