@@ -77,14 +77,6 @@ def combine(bodies: Iterable[MassProperties]) -> MassProperties:
     return MassProperties(total, _vector(center), sum((part.about(center) for part in parts), np.zeros((3, 3))))
 
 
-def principal_axes(inertia: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Principal moments (3,), ascending, and the rotation (3, 3) whose columns are the principal axes."""
-    moments, axes = np.linalg.eigh(np.asarray(inertia, dtype=float))
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] = -axes[:, 0]
-    return moments, axes
-
-
 def _solid(geometry: Geometry) -> tuple[float, FloatArray, FloatArray]:
     """Volume, centre of mass, and inertia about it per unit of mass."""
     match geometry:

@@ -10,7 +10,9 @@ import numpy.typing as npt
 
 from orbit_core.assets.inertia import MassProperties, combine, mass_properties
 from orbit_core.assets.merge import link_hosts
+from orbit_core.assets.options import ReadOptions, Repair
 from orbit_core.scene import Articulation, Link, Pose, Sphere
+from orbit_core.scene.inertias import raised_moments
 
 _LEAST = 1e-3
 """Least principal moment as a share of the largest; a thin rod's smallest one is about that."""
@@ -18,6 +20,11 @@ _TRIANGLE_TOLERANCE = 1e-3
 """As in :mod:`orbit_core.assets.validation`: published models round their inertias to three digits."""
 _WATER = 1000.0
 """kg/m^3, of the ball that stands in for an inertia of zero."""
+
+
+def repaired(articulation: Articulation, options: ReadOptions) -> Articulation:
+    """Return the articulation as read, or with its inertias balanced where the caller has it so."""
+    return balance_inertias(articulation) if options.repair is Repair.BALANCE else articulation
 
 
 def balance_inertias(articulation: Articulation) -> Articulation:
@@ -48,9 +55,7 @@ def balanced(inertia: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """
     tensor = np.asarray(inertia, dtype=float)
     moments, axes = np.linalg.eigh((tensor + tensor.T) / 2.0)
-    small, middle, large = np.maximum(moments, _LEAST * moments[2])
-    lacking = max(0.0, large - small - middle) / 2.0
-    return axes @ np.diag((small + lacking, middle + lacking, large)) @ axes.T
+    return axes @ np.diag(raised_moments(np.maximum(moments, _LEAST * moments[2]))) @ axes.T
 
 
 def _bodies(articulation: Articulation) -> list[list[tuple[Link, Pose]]]:

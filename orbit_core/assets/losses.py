@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
+import numpy as np
+
 from orbit_core.scene import Articulation, Geometry, Joint, Link, Mesh, MeshCollision
+from orbit_core.scene.inertias import lacking_moment, principal_axes
 
 JointTraits = tuple[tuple[str, Callable[[Joint], object]], ...]
 """Properties of joints that a format lacks, each with its test."""
 LinkTraits = tuple[tuple[str, Callable[[Link], object]], ...]
 """Properties of links that a format lacks, each with its test."""
+_ROUNDING = 1e-6
+"""Share of a link's inertia by which it may be rounded up without a sentence."""
 _MOST = 4
 """Names that a sentence lists; it counts the rest."""
 
@@ -24,6 +29,14 @@ def missing_traits(
     for what, link_has in of_links:
         if names := [link.name for link in articulation.links if link_has(link)]:
             yield f"{file_format} does not hold {what}, which links have: {listed(names)}"
+
+
+def raised_inertias(articulation: Articulation) -> Iterator[str]:
+    """A sentence on the links whose inertia is written larger, as one that a solid can have."""
+    lacking = {link.name: lacking_moment(principal_axes(link.inertia)[0]) for link in articulation.links}
+    largest = {link.name: float(np.abs(link.inertia).max()) for link in articulation.links}
+    if names := [name for name, moment in lacking.items() if moment > _ROUNDING * largest[name]]:
+        yield f"principal moments that no solid has are written larger, of links: {listed(names)}"
 
 
 def has_geometry(link: Link, *kinds: type[Geometry]) -> bool:

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbit_core.assets.inertia import mass_properties, principal_axes
+from orbit_core.assets.inertia import mass_properties
 from orbit_core.audit.findings import Finding, Severity
 from orbit_core.audit.geometry import bounds, colliding_volume
 from orbit_core.audit.mechanics import FloatArray
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Link, Shape
+from orbit_core.scene.inertias import principal_axes
 
 _LIGHTEST, _HEAVIEST = 20.0, 25_000.0
 """kg/m^3 of a link's shapes taken as solid: stiff foam, and beyond tungsten."""

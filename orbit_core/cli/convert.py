@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console
 from orbit_core.cli.parsing import parse_words
-from orbit_core.cli.reading import ReadSettings
+from orbit_core.cli.reading import ReadSettings, remedies_in_flags
 from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.scene import Articulation, MeshCollision
@@ -61,16 +61,21 @@ def main(words: Sequence[str]) -> None:
     write = _writer(settings.target)
     check_apart(settings.target, (settings.source,))
     check_output(settings.target, settings.target.suffix, settings.overwrite)
+    from orbit_core.assets.options import ReadOptions, Unsupported
+    from orbit_core.assets.written import check_written
+
     articulation = _read(settings)
     lost = write(articulation, settings.target)
+    unchecked = check_written(articulation, settings.target, ReadOptions(unsupported=Unsupported.DROP))
     out = console()
     body = f"{articulation.mass:.4g} kg, links: {len(articulation.links)}, joints: {len(articulation.joint_names)}"
     out.print(f"{settings.target}: {articulation.name}, {body}", markup=False, highlight=False)
-    for kind, lines in (("changed", articulation.notes), ("not held", lost)):
+    for kind, lines in (("changed", articulation.notes), ("not held", lost), ("not checked", unchecked)):
         for line in lines:
             out.print(f"{kind}: {line}", markup=False, highlight=False)
 
 
+@remedies_in_flags()
 def _read(settings: ConvertSettings) -> Articulation:
     given = {name for name in _MESH_OPTIONS if getattr(settings, name) is not None}
     if settings.source.suffix.lower() in _MESHES:

@@ -54,7 +54,7 @@ class Articulation:
     joints: tuple[Joint, ...] = ()
     frames: tuple[Frame, ...] = ()
     self_collisions: bool = False
-    """Whether links that no joint connects directly may collide with each other."""
+    """Whether links that no joint connects (:attr:`joined_links`) may collide with each other."""
     collision_exclusions: tuple[tuple[str, str], ...] = ()
     """Pairs of links that never collide, whatever ``self_collisions`` says."""
     notes: tuple[str, ...] = ()
@@ -87,9 +87,19 @@ class Articulation:
 
     @property
     def joined_links(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of links that a joint connects, loops included: they never collide."""
-        tree = ((joint.parent, joint.child) for joint in self.joints)
-        return (*tree, *((loop.first, loop.second) for loop in self.loops))
+        """Pairs of links that a joint connects, compound joints and loops included: they never collide.
+
+        The simple joints of a compound one connect its ends through links without mass and shapes
+        (:mod:`orbit_core.assets.compound_joints`).
+        """
+        above = {joint.child: joint.parent for joint in self.joints}
+        between = {link.name for link in self.links if link.mass == 0 and not link.collisions}
+        pairs = [(joint.parent, joint.child) for joint in self.joints]
+        for parent, child in tuple(pairs):
+            while parent in between and parent in above:
+                parent = above[parent]
+                pairs.append((parent, child))
+        return (*pairs, *((loop.first, loop.second) for loop in self.loops))
 
     @property
     def mass(self) -> float:

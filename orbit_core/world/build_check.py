@@ -77,9 +77,8 @@ def _wrong_inertias(layout: SceneLayout, model: BuiltModel) -> Iterator[str]:
             if model.inertias is None:
                 continue
             inertia = np.asarray(link.inertia, dtype=np.float64)
-            least, middle, largest = np.linalg.eigvalsh(inertia)
-            possible = least + middle >= largest * (1 - 1e-9)  # engines may round what no solid has, and report it
-            if possible and not np.allclose(model.inertias[number], inertia, rtol=0.0, atol=10 * _RELATIVE * largest):
+            largest = np.linalg.eigvalsh(inertia)[2]
+            if not np.allclose(model.inertias[number], inertia, rtol=0.0, atol=10 * _RELATIVE * largest):
                 off = np.abs(model.inertias[number] - inertia).max() / largest
                 yield f"the inertia {subject} is {off:.2g} of its largest moment, {largest:.4g} kg m^2, off"
 

@@ -13,7 +13,7 @@ from orbit_core.assets.validation import validate
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import quat_distance
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.scene import Articulation, Joint, JointType, Link, Pose
+from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, Shape, Sphere
 
 INERTIA = np.diag([0.01, 0.02, 0.02])
 HIP = Joint(
@@ -69,6 +69,14 @@ def test_links_between_weigh_nothing_and_joints_keep_what_the_joint_says() -> No
     assert [link.name for link in articulation.links] == ["base", "hip_rx_link", "hip_ry_link", "leg"]
     assert [link.mass for link in articulation.links] == [0.0, 0.0, 0.0, 1.0]
     assert [joint.damping for joint in articulation.joints] == [0.7, 0.7, 0.7]
+
+
+def test_links_that_a_compound_joint_connects_count_as_joined() -> None:
+    assert ("base", "leg") in jointed(BALL).joined_links
+    shaped = jointed(BALL)
+    ring = replace(shaped.links[2], collisions=(Shape(Sphere(0.1)),))
+    shaped = replace(shaped, links=(*shaped.links[:2], ring, shaped.links[3]))
+    assert {pair for pair in shaped.joined_links if "leg" in pair} == {(ring.name, "leg")}
 
 
 def test_no_freedom_is_a_fixed_joint() -> None:

@@ -14,11 +14,11 @@ from orbit_core.assets.inertia import (
     MassProperties,
     combine,
     mass_properties,
-    principal_axes,
     shapes_mass_properties,
 )
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Box, Capsule, Cylinder, Geometry, Mesh, Plane, Pose, Shape, Sphere
+from orbit_core.scene.inertias import principal_axes
 
 SIZES = st.floats(0.05, 1.0)
 POSES = st.builds(

@@ -187,6 +187,20 @@ def test_masks_and_exclusions_say_what_collides(tmp_path: Path) -> None:
     assert not apart.self_collisions
 
 
+def test_a_body_on_several_hinges_does_not_collide_with_its_parent(tmp_path: Path) -> None:
+    """As in the engine, which differs where the parent is fixed to the world: a note says so."""
+    hinges = '<joint axis="1 0 0"/><joint axis="0 1 0"/>'
+    below = f'<geom size="0.1"/><body name="b">{hinges}<geom size="0.1"/></body>'
+    others = '<body name="c" pos="1 0 0"><joint/><geom size="0.1"/></body>'
+    floating = read_mjcf(write(tmp_path, f'<body name="a"><freejoint/>{below}{others}</body>'))
+    assert floating.self_collisions
+    assert ("a", "b") in floating.joined_links
+    assert not any("collide" in note for note in floating.notes)
+    fixed = read_mjcf(write(tmp_path, f'<body name="a">{below}</body>'))
+    assert not fixed.self_collisions
+    assert any("do not collide with those that they carry by joints: a with b" in note for note in fixed.notes)
+
+
 @pytest.mark.parametrize(
     "ends",
     ['body1="left" body2="right" anchor="0.5 0 0.1"', 'site1="tip" site2="end"'],

@@ -13,6 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from orbit_core.assets.compound_joints import BALL, compound
 from orbit_core.conformance.bodies import (
     WEIGHTLESS,
     G,
@@ -191,6 +192,19 @@ def test_who_may_touch_within_an_articulation(
     engine.write_joint_state(index(0, 1), torch.tensor([[angle, angle]]), None)
     engine.step(2)
     assert ((engine.joint_positions - angle).abs().max() > 1e-5) == touches
+
+
+def test_links_that_a_compound_joint_connects_never_touch(make_engine: MakeEngine, needs: Needs) -> None:
+    """They overlap beside their hip, with links without mass and shapes between them."""
+    needs(Capability.SELF_COLLISIONS, Capability.MASSLESS_LINKS)
+    pelvis = Link("pelvis", 5.0, inertia=np.eye(3) * 0.02, collisions=(Shape(Sphere(0.1)),))
+    aside = Shape(Sphere(0.1), Pose((0.05, 0.0, 0.0)))
+    thigh = Link("thigh", 1.0, inertia=np.eye(3) * 0.004, collisions=(aside,))
+    between, joints = compound(Joint("hip", JointType.CONTINUOUS, "pelvis", "thigh", Pose((0.0, 0.0, -0.05))), BALL)
+    articulation = Articulation("walker", (pelvis, *between, thigh), joints, self_collisions=True)
+    engine = make_engine(scene(RobotSpec(name="walker", articulation=articulation), gravity=WEIGHTLESS, terrain=()))
+    engine.step(5)
+    assert_near(engine.joint_velocities, torch.zeros(1, 3), atol=1e-6)
 
 
 def test_an_articulation_without_self_collisions_still_meets_others(make_engine: MakeEngine, needs: Needs) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
@@ -21,7 +22,7 @@ from orbit_core.conformance.bodies import (
     tree,
     yaw_quaternion,
 )
-from orbit_core.scene import Articulation, Joint, JointType, Pose, RobotSpec
+from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, RobotSpec
 from orbit_core.world.build_check import check_build
 
 from .conftest import MakeEngine
@@ -203,6 +204,21 @@ def test_a_robots_pose_and_home_are_set_together(make_engine: MakeEngine) -> Non
 def test_a_build_is_as_described(make_engine: MakeEngine) -> None:
     """Masses, inertias, limits, armatures and kinematics of all that the core can read back or see."""
     check_build(make_engine(scene(tree(), pendulum(), cube(center_of_mass=(0.01, 0.0, 0.0))), num_envs=2), "this")
+
+
+@pytest.mark.parametrize("beyond", [0.0, 5e-4])
+def test_flat_plates_are_built_as_described(make_engine: MakeEngine, beyond: float) -> None:
+    """Their largest moment is the sum of the others, or more by what files round, in frames of any orientation."""
+    links, joints = [Link("base", 1.0, inertia=np.eye(3))], []
+    for number in range(12):
+        generator = np.random.default_rng(number)
+        first, second = generator.uniform(0.05, 1.0, 2) * 10.0 ** generator.uniform(-6, 0)
+        axes = Pose.from_euler(*generator.uniform(-3, 3, 3)).rotation_matrix()
+        tensor = axes @ np.diag((first, second, (first + second) * (1.0 + beyond))) @ axes.T
+        links.append(Link(f"plate{number}", 1.0, inertia=(tensor + tensor.T) / 2.0))
+        joints.append(Joint(f"j{number}", JointType.CONTINUOUS, "base", f"plate{number}"))
+    articulation = Articulation("plates", tuple(links), tuple(joints))
+    check_build(make_engine(scene(RobotSpec(name="plates", articulation=articulation, fixed_base=True))), "this")
 
 
 def test_a_continuous_joint_counts_whole_turns(make_engine: MakeEngine) -> None:

@@ -8,13 +8,13 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from orbit_core.assets.inertia import principal_axes
 from orbit_core.assets.mjcf.model import vector_of
 from orbit_core.assets.mjcf.shapes_writer import GeomWriter, place
 from orbit_core.assets.mjcf.trees import WORLD
 from orbit_core.assets.urdf.text import UNLIMITED, numbers
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose
+from orbit_core.scene.inertias import solid_moments
 
 _WIDTH = 1e-9
 """Rad, m, N or N m between limits that the description has equal: MuJoCo asks for some."""
@@ -121,23 +121,15 @@ class BodyWriter:
                 _joint(body, joint, frame)
 
     def _inertial(self, body: Element, link: Link) -> None:
-        moments, axes = principal_axes(link.inertia)
-        small, middle, large = np.maximum(moments, 0.0).tolist()
-        lacking = large - small - middle
-        if lacking > 0:
-            # MuJoCo holds inertias to the triangle inequality without any tolerance.
-            small, middle = small + lacking / 2, middle + lacking / 2
-            if lacking > 1e-9 * large:
-                self.notes.append(
-                    f"the inertia of link '{link.name}' is raised by {lacking:.2g} kg m^2 to one of a body"
-                )
+        moments, axes = solid_moments(link.inertia)
         SubElement(
             body,
             "inertial",
             pos=numbers(link.center_of_mass),
-            quat=numbers(Pose.from_matrix(axes).orientation),
+            quat=numbers(axes.orientation),
             mass=repr(float(link.mass)),
-            diaginertia=numbers((small * (1 + 1e-15), middle * (1 + 1e-15), large)),
+            # MuJoCo holds inertias to the triangle inequality without any tolerance.
+            diaginertia=numbers(moments),
         )
 
 

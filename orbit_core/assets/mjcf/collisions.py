@@ -24,22 +24,28 @@ def self_collisions(compiled: Compiled, geoms: Geoms, tree: Tree) -> tuple[bool,
     solid = np.sort(bodies[(types[bodies] | affinities[bodies]) != 0])
     parent, weld = np.asarray(model.body_parentid), np.asarray(model.body_weldid)
     hangs_on = weld[parent[weld]]
-    simple = np.asarray(model.body_jntnum) <= 1
     excluded = _excluded(model)
     may = False
     apart: list[tuple[str, str]] = []
+    unfiltered: list[tuple[str, str]] = []
     # A row of all later bodies at a time, for time that grows with the square of their number must go by in NumPy.
     for position, first in enumerate(solid[:-1]):
         later = solid[position + 1 :]
-        later = later[~((parent[later] == first) & simple[later])]
         meet = (types[first] & affinities[later]) | (types[later] & affinities[first])
         one, others = weld[first], weld[later]
         joined = (
             (one == others) | ((one != 0) & (one == hangs_on[later])) | ((others != 0) & (others == hangs_on[first]))
         )
         free = (meet != 0) & ~joined & ~np.isin(later, list(excluded.get(int(first), ())))
+        neighbours = parent[later] == first
+        # The engine filters no pair with a body that is fixed to the world, where a joint moves the other.
+        unfiltered += [(compiled.body_names[first], compiled.body_names[body]) for body in later[free & neighbours]]
+        free, later = free[~neighbours], later[~neighbours]
         may = may or bool(free.any())
         apart += [(compiled.body_names[first], compiled.body_names[body]) for body in later[~free]]
+    if unfiltered:
+        pairs = ", ".join(f"{one} with {other}" for one, other in unfiltered)
+        compiled.notes.append(f"bodies fixed to the world do not collide with those that they carry by joints: {pairs}")
     return (True, tuple(apart)) if may else (False, ())
 
 

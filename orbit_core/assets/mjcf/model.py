@@ -18,6 +18,8 @@ from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Pose
 from orbit_core.scene.pose import Vector3, canonical
 
+PARSER = "mujoco"
+"""The package that reads MJCF."""
 _UNNAMED = "MuJoCo Model"
 """The name that MuJoCo gives to a model without one."""
 
@@ -104,9 +106,9 @@ def compile_file(path: Path, options: ReadOptions) -> Compiled:
         AssetError: the file does not compile, opens or makes what the options forbid, or MuJoCo is not installed.
     """
     try:
-        mujoco: Any = importlib.import_module("mujoco")
+        mujoco: Any = importlib.import_module(PARSER)
     except ImportError:
-        raise AssetError('MJCF files need the package mujoco: pip install "orbit-core[mjcf]"') from None
+        raise AssetError(f'MJCF files need the package {PARSER}: pip install "orbit-core[mjcf]"') from None
     whole = read_whole(path, options)
     said: list[str] = []
     before = mujoco.get_mju_user_warning()

@@ -64,10 +64,10 @@ def _exclusions(root: Element, articulation: Articulation, bodies: dict[str, Ele
     if not articulation.self_collisions:
         return
     contact = SubElement(root, "contact")
-    loops = [(loop.first, loop.second) for loop in articulation.loops]
-    # MuJoCo lets what hangs on a body fixed in the world collide with that.
-    below = [(joint.parent, joint.child) for joint in articulation.joints if joint.parent == articulation.root.name]
-    for first, second in dict.fromkeys((*articulation.collision_exclusions, *loops, *below)):
+    # MuJoCo lets what hangs on a body fixed in the world collide with that; other parents and children it keeps apart.
+    direct = {(joint.parent, joint.child) for joint in articulation.joints if joint.parent != articulation.root.name}
+    joined = (pair for pair in articulation.joined_links if pair not in direct)
+    for first, second in dict.fromkeys((*articulation.collision_exclusions, *joined)):
         if first in bodies and second in bodies:
             SubElement(contact, "exclude", body1=first, body2=second)
 

@@ -11,6 +11,7 @@ from orbit_core.assets.losses import (
     has_geometry,
     listed,
     missing_traits,
+    raised_inertias,
 )
 from orbit_core.scene import (
     Articulation,
@@ -37,7 +38,8 @@ _OF_LINKS: LinkTraits = (
 
 def losses(articulation: Articulation) -> tuple[str, ...]:
     """What a URDF file of the articulation does not say, or says in words that few read; a sentence each."""
-    return (*missing_traits("URDF", articulation, _OF_JOINTS, _OF_LINKS), *_of_the_whole(articulation))
+    traits = missing_traits("URDF", articulation, _OF_JOINTS, _OF_LINKS)
+    return (*traits, *raised_inertias(articulation), *_of_the_whole(articulation))
 
 
 def _of_the_whole(articulation: Articulation) -> Iterable[str]:

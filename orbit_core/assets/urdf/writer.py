@@ -10,10 +10,11 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 
 from orbit_core.assets.urdf.losses import losses
 from orbit_core.assets.urdf.shapes_writer import ShapeWriter
-from orbit_core.assets.urdf.text import UNLIMITED, numbers, origin
+from orbit_core.assets.urdf.text import UNLIMITED, numbers, origin, roll_pitch_yaw
 from orbit_core.files import storage_faults, written_whole
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, Pose, Shape
+from orbit_core.scene.inertias import solid_moments
 
 
 def write_urdf(articulation: Articulation, path: Path | str, meshes: Path | str | None = None) -> tuple[str, ...]:
@@ -60,10 +61,13 @@ def _link(root: Element, link: Link, shapes: ShapeWriter) -> None:
     element = SubElement(root, "link", name=link.name)
     if link.mass > 0 or link.inertia.any():
         inertial = SubElement(element, "inertial")
-        SubElement(inertial, "origin", xyz=numbers(link.center_of_mass), rpy="0 0 0")
+        # Readers that compute principal moments do so with an error, for which they refuse flat plates or drop their
+        # inertia: the file gives the moments themselves, and turns the origin to their axes.
+        moments, axes = solid_moments(link.inertia)
+        SubElement(inertial, "origin", xyz=numbers(link.center_of_mass), rpy=numbers(roll_pitch_yaw(axes)))
         SubElement(inertial, "mass", value=repr(float(link.mass)))
-        entries = {f"i{'xyz'[row]}{'xyz'[column]}": (row, column) for row in range(3) for column in range(row, 3)}
-        SubElement(inertial, "inertia", {key: repr(float(link.inertia[at])) for key, at in entries.items()})
+        entries = zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), (*moments, 0.0, 0.0, 0.0), strict=True)
+        SubElement(inertial, "inertia", {key: repr(float(value)) for key, value in entries})
     for tag, members in (("visual", link.visuals), ("collision", link.collisions)):
         for shape in members:
             shapes.write(element, tag, shape)

@@ -7,20 +7,24 @@ from dataclasses import replace
 from typing import Any
 
 from orbit_core.assets.placed import PlacedArticulation
-from orbit_core.assets.usd.contents import FRAME, STAGE, collect
+from orbit_core.assets.usd.actuators import Actuators
+from orbit_core.assets.usd.contents import STAGE, collect, is_frame
 from orbit_core.assets.usd.geometry import Placements
 from orbit_core.assets.usd.joints import Joints
 from orbit_core.assets.usd.library import pxr
 from orbit_core.assets.usd.links import Links
 from orbit_core.assets.usd.names import unique_names
-from orbit_core.assets.usd.stage import Reading, attribute, label, numbers, rotation, targets
-from orbit_core.assets.usd.tree import Edge, Tree, grow
+from orbit_core.assets.usd.stage import Reading, applies, attribute, is_authored, label, numbers, rotation, targets
+from orbit_core.assets.usd.tree import Edge, Tree, grow, stacked
 from orbit_core.assets.validation import sort_links
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Frame, Joint, Link, Pose
 
 WORLD = "world"
 """The root link of an articulation whose first movable joint hangs from the world."""
+_ADDS = "newton:jointsAddMobility"
+_MOVING = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsSphericalJoint")
+"""Types of joints of which several may act one after another between the same bodies."""
 
 
 class StageReader:
@@ -35,6 +39,7 @@ class StageReader:
         self.contents = collect(reading)
         self.placements = Placements(reading.units)
         self.links = Links(reading, self.contents, self.placements)
+        self.actuators = Actuators(self.contents.actuators, self.contents.joints, reading)
 
     def articulations(self) -> list[PlacedArticulation]:
         """All that rigid bodies and joints make, in the stage's order; of a stage without bodies, one static link.
@@ -46,7 +51,7 @@ class StageReader:
         if not bodies:
             return [self._static()]
         marked = [path for path, body in bodies.items() if body.HasAPI(pxr().UsdPhysics.ArticulationRootAPI)]
-        trees = grow(list(bodies), list(self._edges()), marked)
+        trees = grow(list(bodies), stacked(self._edges(), self._adds_mobility), marked)
         names = self._names(trees)
         return [self._placed(tree, *name) for tree, name in zip(trees, names, strict=True)]
 
@@ -102,6 +107,18 @@ class StageReader:
             return False
         return enabled
 
+    def _adds_mobility(self, edge: Edge) -> bool:
+        """As the articulation's root says; else as MuJoCo's joints do, which are known by their schema."""
+        if edge.prim.GetTypeName() not in _MOVING:
+            return False
+        for body in (path for path in edge.bodies if path != STAGE):
+            prim = self.reading.stage.GetPrimAtPath(body)
+            while prim and not prim.IsPseudoRoot():
+                if is_authored(prim, _ADDS):
+                    return bool(attribute(prim, _ADDS))
+                prim = prim.GetParent()
+        return applies(edge.prim, "MjcJointAPI")
+
     def _edge(self, prim: Any) -> Edge:
         bodies, frames = [], []
         stage = self.reading.stage
@@ -123,9 +140,10 @@ class StageReader:
     def _placed(self, tree: Tree, path: str, name: str) -> PlacedArticulation:
         own = replace(self.reading, notes=[])
         names = self._link_names(tree)
-        edges = [*(edge for edge, _ in tree.parent_edges.values()), *tree.loops]
+        inner = (part for edge, _ in tree.parent_edges.values() for part in edge.parts)
+        edges = [*inner, *(part for edge in tree.loops for part in edge.parts)]
         joint_names = unique_names({str(edge.prim.GetPath()): label(edge.prim) for edge in edges})
-        joints = Joints(own, names, joint_names, self._pose)
+        joints = Joints(own, names, joint_names, self._pose, self.actuators)
         joints.gather(tree)
         links = [self._link(body, names[body]) for body in tree.bodies]
         if tree.root == STAGE:
@@ -164,7 +182,7 @@ class StageReader:
             str(prim.GetPath()): (path, prim)
             for path in names
             for prim in self.contents.parts.get(path, [])
-            if attribute(prim, FRAME, False)
+            if is_frame(prim)
         }
         labels = {path: label(prim) for path, (_, prim) in marked.items()}
         unique = unique_names(labels, frozenset(names.values()))

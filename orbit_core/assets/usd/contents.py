@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from orbit_core.assets.usd.library import pxr
-from orbit_core.assets.usd.stage import Reading, array, attribute, label, targets
+from orbit_core.assets.usd.stage import Reading, applies, array, attribute, label, targets
 from orbit_core.interfaces.errors import AssetError
 
 FRAME = "orbit:frame"
@@ -32,7 +32,6 @@ _LACKING = {
     "PhysxPhysicsRackAndPinionJoint": "a rack and pinion between joints",
     "PhysxPhysicsAttachment": "an attachment",
     "MjcTendon": "a tendon",
-    "MjcEquality": "a constraint of MuJoCo's",
 }
 """Beginnings of the names of types and applied schemas that the description has nothing for, and what they are."""
 _SMALL = {
@@ -53,6 +52,8 @@ class Contents:
     parts: dict[str, list[Any]] = field(default_factory=dict)
     """Geometry and frames by the path of the body that carries them; :data:`STAGE` for what does not move."""
     joints: list[Any] = field(default_factory=list)
+    actuators: list[Any] = field(default_factory=list)
+    """MuJoCo's."""
     lights: list[Any] = field(default_factory=list)
     scene: Any = None
     """The first physics scene, or ``None``."""
@@ -68,6 +69,11 @@ class Contents:
     def geometry(self) -> list[Any]:
         """All geometric prims."""
         return [prim for parts in self.parts.values() for prim in parts if prim.IsA(pxr().UsdGeom.Gprim)]
+
+
+def is_frame(prim: Any) -> bool:
+    """Whether a prim is a named frame: one of ORBIT's own, or a site of MuJoCo's or Newton's."""
+    return bool(attribute(prim, FRAME, False)) or applies(prim, "MjcSiteAPI") or applies(prim, "NewtonSiteAPI")
 
 
 def collect(reading: Reading) -> Contents:
@@ -111,8 +117,10 @@ def _sort(reading: Reading, contents: Contents, prim: Any) -> None:
     contents.owners[path] = owner
     if prim.IsA(usd.UsdPhysics.Joint):
         contents.joints.append(prim)
-    elif prim.IsA(usd.UsdGeom.Gprim) or attribute(prim, FRAME, False):
+    elif prim.IsA(usd.UsdGeom.Gprim) or is_frame(prim):
         contents.parts.setdefault(owner, []).append(prim)
+    elif prim.GetTypeName() == "MjcActuator":
+        contents.actuators.append(prim)
     elif prim.HasAPI(usd.UsdLux.LightAPI):
         contents.lights.append(prim)
     elif prim.IsA(usd.UsdPhysics.Scene) and contents.scene is None:
@@ -131,6 +139,8 @@ def _notice(reading: Reading, prim: Any) -> None:
             found = prim.GetAttribute(attribute_name)
             if found and found.HasAuthoredValue() and found.Get() not in (0.0, pxr().Gf.Vec3f(0.0)):
                 reading.note(f"{attribute_name} is left out wherever it is given, as on {prim.GetPath()}")
+    if attribute(prim, "mjc:body:gravcomp", 0.0):
+        reading.lack(f"{prim.GetPath()} is held up against gravity (mjc:body:gravcomp), which descriptions cannot hold")
     if kind == "PhysicsCollisionGroup":
         reading.note(f"the collision group {prim.GetPath()} is left out: its members collide as all others do")
     if prim.HasVariantSets():

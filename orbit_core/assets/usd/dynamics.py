@@ -12,12 +12,24 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from orbit_core.assets.usd.freedoms import Direction
-from orbit_core.assets.usd.stage import Reading, attribute, authored, label, number, targets
+from orbit_core.assets.usd.library import pxr
+from orbit_core.assets.usd.stage import (
+    Reading,
+    applies,
+    array,
+    attribute,
+    authored,
+    is_authored,
+    label,
+    number,
+    targets,
+)
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import DriveGains, Joint, JointType, Mimic
 
 SPRING, SPRING_REST = "orbit:springStiffness", "orbit:springRestPosition"
 """Attributes of a joint: a passive spring's stiffness and rest position, in the stage's units and degrees."""
+_SOFT = ("mjc:margin", "mjc:solimplimit", "mjc:solreflimit")
 HIGHER_POWERS = "orbit:mimicHigherPowers"
 """The attribute of a follower: coefficients of the leader's square, cube and fourth power, in the stage's units."""
 
@@ -80,10 +92,19 @@ def with_dynamics(joint: Joint, direction: Direction, prim: Any, reading: Readin
             },
         ),
         stiffness=_first(prim, {SPRING: scales.gain, "mjc:stiffness": 1.0}),
-        rest_position=_first(
-            prim, {SPRING_REST: scales.position, "mjc:springref": math.radians(1.0) if direction.angular else 1.0}
-        ),
+        rest_position=(authored(prim, SPRING_REST) or 0.0) * scales.position
+        or mujoco_angle(prim, "mjc:springref", direction, reading),
     )
+
+
+def mujoco_angle(prim: Any, name: str, direction: Direction, reading: Reading) -> float:
+    """Return a position of MuJoCo's schema in rad or m: angles are in the unit that the file's scene names."""
+    value = authored(prim, name) or 0.0
+    if not value or not direction.angular:
+        return value
+    scenes = (each for each in reading.stage.Traverse() if each.IsA(pxr().UsdPhysics.Scene))
+    angle = next((attribute(scene, "mjc:compiler:angle", "degree") for scene in scenes), "degree")
+    return value if angle == "radian" else math.radians(value)
 
 
 def _first(prim: Any, scales: dict[str, float], default: float = 0.0) -> float:
@@ -110,8 +131,10 @@ def _notice(prim: Any, axis: str, reading: Reading) -> None:
     static = authored(prim, f"{axis}:staticFrictionEffort")
     if static is not None and static != authored(prim, f"{axis}:dynamicFrictionEffort"):
         reading.note(f"joint '{name}' has the friction that acts while it moves, not that at rest")
-    if authored(prim, "mjc:ref"):
-        reading.note(f"joint '{name}' counts its position from zero, not from mjc:ref")
+    if any(array(prim, "mjc:springdamper", 1, float)):
+        reading.lack(f"{prim.GetPath()} has a spring by time constant and damping ratio (mjc:springdamper)")
+    if any(is_authored(prim, each) for each in _SOFT):
+        reading.note(f"joints' limits are hard, though the file gives them softness ({', '.join(_SOFT)})")
     if math.isfinite(number(prim, "physics:breakForce", math.inf) + number(prim, "physics:breakTorque", math.inf)):
         reading.note(f"joint '{name}' never breaks, though it has a break force or torque")
     soft = ("newton:limitStiffness", "newton:limitDamping")
@@ -134,7 +157,7 @@ def drive_gains(joint: Joint, direction: Direction, prim: Any, reading: Reading)
 
 
 def mimic(prim: Any, direction: Direction, leaders: dict[str, tuple[str, bool]], reading: Reading) -> Mimic | None:
-    """How a joint follows another, by Newton's schema or PhysX'.
+    """How a joint follows another, by Newton's schema, MuJoCo's or PhysX'.
 
     Args:
         prim: the follower's.
@@ -146,11 +169,16 @@ def mimic(prim: Any, direction: Direction, leaders: dict[str, tuple[str, bool]],
         AssetError: the leader is missing.
     """
     own = reading.units.position(direction.angular)
-    if (found := targets(prim, "newton:mimicJoint")) and attribute(prim, "newton:mimicEnabled", True):
+    if found := targets(prim, "newton:mimicJoint"):
+        if not attribute(prim, "newton:mimicEnabled", True):
+            reading.note(f"joint '{label(prim)}' does not follow its leader at first, and never does here")
+            return None
         name, angular = _leader(prim, found[0], leaders)
         scale = own / reading.units.position(angular)
         offset, slope = number(prim, "newton:mimicCoef0", 0.0), number(prim, "newton:mimicCoef1", 1.0)
         return Mimic(name, slope * scale, offset * own, _higher_powers(prim, own, reading.units.position(angular)))
+    if applies(prim, "MjcEqualityJointAPI"):
+        return _mujoco_mimic(prim, leaders)
     for axis in ("rotX", "rotY", "rotZ", "transX", "transY", "transZ", "angular", "linear"):
         if found := targets(prim, f"physxMimicJoint:{axis}:referenceJoint"):
             name, angular = _leader(prim, found[0], leaders)
@@ -161,9 +189,28 @@ def mimic(prim: Any, direction: Direction, leaders: dict[str, tuple[str, bool]],
     return None
 
 
+def _mujoco_mimic(prim: Any, leaders: dict[str, tuple[str, bool]]) -> Mimic:
+    """Newton's schema has taken the place of these attributes, all of which are in radians and metres."""
+    found = targets(prim, "mjc:target")
+    if not found:
+        raise AssetError(f"{prim.GetPath()} follows no joint by its MjcEqualityJointAPI: name one by mjc:target")
+    name, _ = _leader(prim, found[0], leaders)
+    offset, slope = number(prim, "mjc:coef0", 0.0), number(prim, "mjc:coef1", 1.0)
+    return Mimic(name, slope, offset, _mujoco_powers(prim))
+
+
+def _mujoco_powers(prim: Any) -> tuple[float, ...]:
+    powers = [number(prim, f"mjc:coef{power}", 0.0) for power in (2, 3, 4)]
+    while powers and not powers[-1]:
+        powers.pop()
+    return tuple(powers)
+
+
 def _higher_powers(prim: Any, own: float, leader: float) -> tuple[float, ...]:
     given = attribute(prim, HIGHER_POWERS, ())
-    return tuple(float(value) * own / leader**power for power, value in enumerate(given, start=2))
+    return tuple(float(value) * own / leader**power for power, value in enumerate(given, start=2)) or _mujoco_powers(
+        prim
+    )
 
 
 def _leader(prim: Any, path: str, leaders: dict[str, tuple[str, bool]]) -> tuple[str, bool]:

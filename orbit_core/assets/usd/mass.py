@@ -9,7 +9,7 @@ import numpy as np
 
 from orbit_core.assets.inertia import MassProperties, combine, mass_properties
 from orbit_core.assets.usd.geometry import Placement, Placements
-from orbit_core.assets.usd.stage import Units, array, number, numbers, rotation
+from orbit_core.assets.usd.stage import Units, applies, array, authored, number, numbers, rotation
 from orbit_core.scene import Shape
 from orbit_core.scene.pose import FloatArray
 
@@ -26,19 +26,24 @@ def is_given(body: Any) -> bool:
 
 
 def solid(prim: Any, body: Any, material: Any, shape: Shape, units: Units) -> MassProperties:
-    """What a collider weighs: by its own mass, or the density of itself, its body, or its material."""
+    """What a collider weighs: by its own mass, or the density of itself, its body, or its material.
+
+    UsdPhysics takes a mass of zero for one that is not given; MuJoCo, for a collider without mass.
+    """
     if (mass := number(prim, "physics:mass")) > 0:
         return mass_properties(shape.geometry, mass=mass * units.mass).placed(shape.pose)
+    if authored(prim, "physics:mass") == 0 and applies(prim, "MjcCollisionAPI"):
+        return NOTHING
     sources = (prim, body, *([material] if material else []))
     densities = [number(source, "physics:density") for source in sources]
-    authored = next((value for value in densities if value > 0), None)
-    density = _DENSITY if authored is None else authored * units.mass / units.length**3
+    given = next((value for value in densities if value > 0), None)
+    density = _DENSITY if given is None else given * units.mass / units.length**3
     return mass_properties(shape.geometry, density=density).placed(shape.pose)
 
 
 def body_mass(body: Any, solids: list[MassProperties], placements: Placements, units: Units) -> MassProperties:
     """A body's own mass, centre and inertia as far as it gives them, and those of its colliders for the rest."""
-    of_shapes = combine(solids) if solids else NOTHING
+    of_shapes = combine(solids) if any(each.mass > 0 for each in solids) else NOTHING
     placement = placements.of(body, body)
     mass = number(body, "physics:mass") * units.mass or of_shapes.mass
     center = numbers(body, "physics:centerOfMass", (-math.inf,) * 3)

@@ -123,8 +123,13 @@ def authored(prim: Any, name: str) -> float | None:
     Raises:
         AssetError: it is no number.
     """
+    return number(prim, name) if is_authored(prim, name) else None
+
+
+def is_authored(prim: Any, name: str) -> bool:
+    """Whether a file itself gives an attribute a value."""
     found = prim.GetAttribute(name)
-    return number(prim, name) if found and found.HasAuthoredValue() else None
+    return bool(found and found.HasAuthoredValue())
 
 
 def number(prim: Any, name: str, default: float = 0.0) -> float:
@@ -200,6 +205,11 @@ def targets(prim: Any, name: str) -> list[str]:
     """The paths that a relationship names."""
     relationship = prim.GetRelationship(name)
     return [str(target) for target in relationship.GetTargets()] if relationship else []
+
+
+def applies(prim: Any, schema: str) -> bool:
+    """Whether a schema is applied to a prim, installed or not; of several instances, any."""
+    return any(name.partition(":")[0] == schema for name in prim.GetPrimTypeInfo().GetAppliedAPISchemas())
 
 
 def label(prim: Any) -> str:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from orbit_core.assets.usd.library import pxr
-from orbit_core.assets.usd.stage import Reading, attribute, number
+from orbit_core.assets.usd.stage import Reading, applies, attribute, number
 from orbit_core.scene import Color, Compliance, PhysicsMaterial, Plane, Shape
 
 
@@ -37,11 +37,29 @@ class Surfaces:
             return read
         stiffness = number(source, "newton:contactStiffness", -math.inf)
         damping = number(source, "newton:contactDamping", -math.inf)
-        return replace(
+        read = replace(
             read,
             torsional_friction=number(source, "newton:torsionalFriction") * units.length,
             rolling_friction=number(source, "newton:rollingFriction") * units.length,
             compliance=Compliance(stiffness * units.mass, max(damping, 0.0) * units.mass) if stiffness > 0 else None,
+        )
+        return self._as_mujoco(prim, read) if applies(prim, "MjcCollisionAPI") else read
+
+    def _as_mujoco(self, prim: Any, material: PhysicsMaterial) -> PhysicsMaterial:
+        """The material of a collider with MuJoCo's schema: ``condim`` says in which directions friction acts.
+
+        What Newton's schema then has for stiffness is MuJoCo's ``solref``, which is in proportion to the mass that
+        touches and no stiffness of the material.
+        """
+        if material.compliance is not None:
+            self._reading.note("the softness of contacts (solref) of colliders with MuJoCo's schema is left out")
+        dimensions = int(number(prim, "mjc:condim", 3.0))
+        return PhysicsMaterial(
+            static_friction=material.static_friction if dimensions >= 3 else 0.0,
+            dynamic_friction=material.dynamic_friction if dimensions >= 3 else 0.0,
+            restitution=material.restitution,
+            torsional_friction=material.torsional_friction if dimensions >= 4 else 0.0,
+            rolling_friction=material.rolling_friction if dimensions >= 6 else 0.0,
         )
 
     def physics_prim(self, prim: Any) -> Any:

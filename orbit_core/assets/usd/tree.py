@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from orbit_core.assets.usd.contents import STAGE
@@ -15,13 +15,25 @@ _LAST = ("PhysicsSphericalJoint", "PhysicsJoint", "PhysicsFixedJoint")
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """A joint prim between two bodies, given by path, with the joint's frame in either."""
+    """A joint prim between two bodies, given by path, with the joint's frame in either.
+
+    Further prims between the same bodies may act after it, each moving what the one before it carries.
+    """
 
     prim: Any
     bodies: tuple[str, str]
     frames: tuple[Pose, Pose]
     closing: bool = False
     """Whether the file itself says that the joint is none of the tree's."""
+    flipped: bool = False
+    """Whether the prim itself names the two bodies the other way round."""
+    following: tuple[Edge, ...] = ()
+    """The joints that act after this one, between the same bodies in the same order."""
+
+    @property
+    def parts(self) -> tuple[Edge, ...]:
+        """This joint and those that follow it, the outermost of the first body first."""
+        return (self, *self.following)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +48,31 @@ class Tree:
     parent_edges: Mapping[str, tuple[Edge, bool]]
     loops: tuple[Edge, ...]
     fixed_base: bool
+
+
+def stacked(edges: Iterable[Edge], adds: Callable[[Edge], bool]) -> list[Edge]:
+    """Combine joints between the same two bodies that each add a motion, in the order given.
+
+    Args:
+        edges: joints in the stage's order.
+        adds: says whether a joint adds a motion to what others between its bodies allow, and constrains nothing.
+    """
+    found: dict[tuple[str, ...], list[Edge]] = {}
+    for number, edge in enumerate(edges):
+        stacks = adds(edge) and not edge.closing
+        found.setdefault(tuple(sorted(edge.bodies)) if stacks else (str(number),), []).append(edge)
+    return [_stack(group) for group in found.values()]
+
+
+def _stack(edges: list[Edge]) -> Edge:
+    first, *others = edges
+    turned = (each if each.bodies == first.bodies else _flipped(each) for each in others)
+    return replace(first, following=tuple(turned))
+
+
+def _flipped(edge: Edge) -> Edge:
+    (one, other), (frame, other_frame) = edge.bodies, edge.frames
+    return replace(edge, bodies=(other, one), frames=(other_frame, frame), flipped=not edge.flipped)
 
 
 class _Sets:

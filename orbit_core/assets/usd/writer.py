@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from orbit_core.assets.inertia import principal_axes
+from orbit_core.assets.losses import raised_inertias
 from orbit_core.assets.usd.contents import FRAME, MASSLESS
 from orbit_core.assets.usd.geometry import APPROXIMATIONS, UNNAMED
 from orbit_core.assets.usd.joint_writer import JointWriter
@@ -36,6 +36,7 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
+from orbit_core.scene.inertias import SINGLE, solid_moments
 
 _REASON = re.compile(r" : '(.*)'")
 """What USD's errors say went wrong, behind where."""
@@ -71,6 +72,7 @@ def _losses(articulation: Articulation) -> Iterator[str]:
     for drive in articulation.drives:
         if drive.effort_limit != limits.get(drive.joint):
             yield f"USD has one effort limit of a joint and its drive: of '{drive.joint}' it holds the joint's"
+    yield from raised_inertias(articulation)
     for link in articulation.links:
         if link.mass > 0 and not link.inertia.any():
             yield f"USD takes the inertia of link '{link.name}', which is zero, as one to be computed"
@@ -109,11 +111,11 @@ class _Writer:
         place(prim, pose)
         pxr().UsdPhysics.RigidBodyAPI.Apply(prim)
         if link.mass > 0:
-            moments, axes = principal_axes(link.inertia)
+            moments, axes = solid_moments(link.inertia, SINGLE)
             diagonal = pxr().Gf.Vec3f(*(float(moment) for moment in moments))
             attributes = {"mass": link.mass, "centerOfMass": link.center_of_mass, "diagonalInertia": diagonal}
             assign(prim, "PhysicsMassAPI", {f"physics:{name}": value for name, value in attributes.items()})
-            prim.GetAttribute("physics:principalAxes").Set(quatf(Pose.from_matrix(axes)))
+            prim.GetAttribute("physics:principalAxes").Set(quatf(axes))
         elif link.collisions:
             assign_custom(prim, {MASSLESS: True})
         if link.semantic_label:
@@ -193,7 +195,8 @@ class _Writer:
 def _paint(prim: Any, shape: Shape) -> None:
     gprim = pxr().UsdGeom.Gprim(prim)
     red, green, blue, alpha = shape.color
-    gprim.CreateDisplayColorAttr(pxr().Vt.Vec3fArray([pxr().Gf.Vec3f(red, green, blue)]))
+    shown = pxr().Gf.Vec3f(float(red), float(green), float(blue))
+    gprim.CreateDisplayColorAttr(pxr().Vt.Vec3fArray([shown]))
     if alpha != 1.0:
         gprim.CreateDisplayOpacityAttr(pxr().Vt.FloatArray([alpha]))
 

@@ -10,21 +10,25 @@ import torch
 
 from orbit_core.assets.compound_joints import BALL, FLOATING, PLANAR, Freedom, compound
 from orbit_core.conformance.bodies import G, scene
-from orbit_core.conformance.scenario import FIRST_ORDER, Metric, Scenario, Trial
+from orbit_core.conformance.scenario import FIRST_ORDER, SINGLE, Metric, Scenario, Trial
 from orbit_core.dynamics.rigid_body import RigidBodyModel
 from orbit_core.dynamics.transforms import quat_distance
 from orbit_core.interfaces import Capability
 from orbit_core.scene import Articulation, IdealPd, Joint, JointType, Link, Pose, RobotSpec
 
 _LEVER, _MASS, _INERTIA, _TILT = 0.5, 2.0, 0.05, 0.5
+_LIGHT = 0.1
+"""Size of a body of 2 g, whose smallest moment of inertia is 5e-7 kg m^2."""
 _POSTURE = (0.4, -0.5, 0.3, 0.6, -0.4, 0.7)
 
 
-def _hung(name: str, freedoms: tuple[Freedom, ...], moments: tuple[float, float, float]) -> RobotSpec:
-    """A body of 2 kg, its centre half a metre below a compound joint."""
+def _hung(
+    name: str, freedoms: tuple[Freedom, ...], moments: tuple[float, float, float], size: float = 1.0
+) -> RobotSpec:
+    """A body of 2 kg, its centre half a metre below a compound joint; its lengths times ``size``, of one density."""
     joint = Joint(name, JointType.CONTINUOUS, "base", "bob")
     links, joints = compound(joint, freedoms)
-    bob = Link("bob", _MASS, (0.0, 0.0, -_LEVER), np.diag(moments))
+    bob = Link("bob", _MASS * size**3, (0.0, 0.0, -_LEVER * size), np.diag(moments) * size**5)
     return RobotSpec(
         name=name,
         articulation=Articulation(name, (Link("base"), *links, bob), joints),
@@ -36,7 +40,12 @@ def _hung(name: str, freedoms: tuple[Freedom, ...], moments: tuple[float, float,
 
 def _compound(trial: Trial) -> Mapping[str, float]:
     off, tilt = _conical_motion(trial)
-    return {"accelerations": _accelerations(trial), "precession": off, "tilt": tilt}
+    return {
+        "accelerations": _accelerations(trial, 1.0),
+        "light": _accelerations(trial, _LIGHT),
+        "precession": off,
+        "tilt": tilt,
+    }
 
 
 def _conical_motion(trial: Trial) -> tuple[float, float]:
@@ -67,14 +76,19 @@ def _conical_motion(trial: Trial) -> tuple[float, float]:
     return off, tilted
 
 
-def _accelerations(trial: Trial) -> float:
-    """Largest error of accelerations from rest under efforts, against the mass matrix in double precision."""
+def _accelerations(trial: Trial, size: float) -> float:
+    """Largest error of accelerations from rest under efforts, against the mass matrix in double precision.
+
+    Efforts are forces in proportion to the weight, and torques to the weight times the lever.
+    """
     worst = 0.0
-    for name, freedoms in (("ball", BALL), ("planar", PLANAR), ("floating", FLOATING)):
-        robot = _hung(name, freedoms, (0.05, 0.08, 0.1))
+    for name, freedoms in (("ball", BALL), ("planar", PLANAR), ("floating", FLOATING), ("universal", BALL[1:])):
+        robot = _hung(name, freedoms, (0.05, 0.08, 0.1), size)
         count = len(freedoms)
         posture = torch.tensor([_POSTURE[:count]], dtype=torch.float64)
         efforts = torch.tensor([[1.0, -2.0, 0.5, 0.8, -0.6, 0.4][:count]], dtype=torch.float64)
+        prismatic = [freedom.type is JointType.PRISMATIC for freedom in freedoms]
+        efforts *= torch.where(torch.tensor(prismatic), size**3, size**4)
         world = trial.world(scene(robot, terrain=()))
         thing = world.robots[name]
         thing.set_joint_state(posture.float().to(world.device), torch.zeros(1, count, device=world.device))
@@ -107,6 +121,13 @@ SCENARIOS = (
                 tolerance=5e-4,
                 meaning="largest error from rest under efforts, relative to the norm of all joints'",
                 looser_because="engines of higher order take in how forces change within the step",
+            ),
+            Metric(
+                name="light",
+                unit="",
+                tolerance=2e-5,
+                meaning="the same error of a body of 2 g, a tenth as long, of the same density",
+                looser_because=SINGLE,
             ),
             Metric(
                 name="precession",

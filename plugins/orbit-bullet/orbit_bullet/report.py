@@ -8,6 +8,7 @@ from orbit_bullet.config import BulletConfig
 from orbit_bullet.deformables import deformable_report
 from orbit_bullet.materials import PairProducts, material_report, nominal, rolling_friction
 from orbit_core.interfaces import Approximation, EntityLayout, SceneLayout
+from orbit_core.plugin_kit.inertias import inertia_approximations
 from orbit_core.plugin_kit.massless import stand_in_approximations
 
 
@@ -24,6 +25,7 @@ def build_report(layout: SceneLayout, config: BulletConfig) -> tuple[Approximati
     for entity in layout.entities:
         found += _joint_report(layout, entity)
         found += stand_in_approximations(entity, "Bullet")
+        found += inertia_approximations(entity, "Bullet")
     return tuple(found + deformable_report(layout))
 
 

@@ -16,6 +16,7 @@ from orbit_bullet.config import BulletConfig
 from orbit_bullet.library import refusals
 from orbit_bullet.urdf import MeshFiles, child_poses, write_entity
 from orbit_core.interfaces import TERRAIN, AssetError, ConfigurationError, EntityLayout, SceneLayout
+from orbit_core.plugin_kit.faces import fans, few_faces
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -78,9 +79,15 @@ def write_scene(layout: SceneLayout, folder: Path) -> SceneFiles:
         write_entity(entity.spec, paths[-1], meshes)
     terrain = []
     for shape in layout.scene.terrain:
-        mesh = shape.geometry if isinstance(shape.geometry, Mesh) else None
-        hull = mesh is not None and mesh.collision is MeshCollision.CONVEX_HULL
-        terrain.append(None if mesh is None else meshes.hull(mesh) if hull else meshes.surface(mesh))
+        match shape.geometry:
+            case Mesh(collision=MeshCollision.CONVEX_HULL) as mesh:
+                terrain.append(meshes.hull(mesh))
+            case Mesh() as mesh:
+                terrain.append(meshes.surface(mesh))
+            case HeightField() as field if (faces := few_faces(field)) is not None:
+                terrain.append(meshes.surface(Mesh(*fans(faces), collision=MeshCollision.TRIANGLES)))
+            case _:
+                terrain.append(None)
     return SceneFiles(folder, tuple(paths), tuple(terrain))
 
 
@@ -190,11 +197,11 @@ class Stage:
                 return client.createCollisionShape(client.GEOM_CAPSULE, radius=radius, height=2 * half), pose
             case Cylinder(radius, half):
                 return client.createCollisionShape(client.GEOM_CYLINDER, radius=radius, height=2 * half), pose
-            case HeightField() as field:
+            case HeightField() as field if path is None:
                 return self._height_field(field, pose)
-            case Mesh(collision=collision):
-                concave = collision is MeshCollision.TRIANGLES
-                flags = client.GEOM_FORCE_CONCAVE_TRIMESH if concave else 0
+            case Mesh() | HeightField() as surface:
+                convex = isinstance(surface, Mesh) and surface.collision is not MeshCollision.TRIANGLES
+                flags = 0 if convex else client.GEOM_FORCE_CONCAVE_TRIMESH
                 return client.createCollisionShape(client.GEOM_MESH, fileName=str(path), flags=flags), pose
             case other:
                 raise ConfigurationError(f"Bullet cannot collide a {type(other).__name__}")

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.plugin_kit.faces import convex_faces, fans
 from orbit_core.plugin_kit.massless import with_stand_in
 from orbit_core.scene import (
     Box,
@@ -30,6 +31,7 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
+from orbit_core.scene.inertias import solid_moments
 
 _KINDS = {
     JointType.FIXED: "fixed",
@@ -55,15 +57,15 @@ class MeshFiles:
         return self._file(mesh, True)
 
     def surface(self, mesh: Mesh) -> Path:
-        """The triangles as they are."""
+        """The triangles, as few as make the same surface: a ball that rolls over an edge between two loses speed."""
         return self._file(mesh, False)
 
     def _file(self, mesh: Mesh, hull: bool) -> Path:
         key = (mesh, hull)
         if key not in self._names:
             self._names[key] = self.folder / f"mesh{len(self._names)}.obj"
-            vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
-            write_obj(self._names[key], *(_hull(vertices) if hull else (vertices, faces)))
+            vertices = np.asarray(mesh.vertices, dtype=np.float64)
+            write_obj(self._names[key], *(_hull(vertices) if hull else fans(convex_faces(vertices, mesh.faces))))
         return self._names[key]
 
 
@@ -147,12 +149,12 @@ def _add_link(
     element = ET.SubElement(robot, "link", name=f"l{number}")
     if link.mass > 0:
         inertial = ET.SubElement(element, "inertial")
-        _add_origin(inertial, place @ Pose(link.center_of_mass))
+        # Bullet finds the moments of a tensor to 1e-6 of the largest, and sets those that no solid has to zero.
+        moments, axes = solid_moments(link.inertia)
+        _add_origin(inertial, place @ Pose(link.center_of_mass, axes.orientation))
         ET.SubElement(inertial, "mass", value=repr(float(link.mass)))
-        moments = np.asarray(link.inertia, dtype=np.float64)
-        names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        values = moments[(0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
-        ET.SubElement(inertial, "inertia", dict(zip(names, map(_number, values), strict=True)))
+        names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        ET.SubElement(inertial, "inertia", dict(zip(names, map(_number, (*moments, 0.0, 0.0, 0.0)), strict=True)))
     for shape in link.collisions:
         collision = ET.SubElement(element, "collision")
         _add_origin(collision, place @ shape.pose)

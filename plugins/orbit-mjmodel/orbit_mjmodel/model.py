@@ -19,8 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, AssetError, EntityLayout, SceneLayout
-from orbit_core.plugin_kit.massless import stand_in_approximations, with_stand_in
+from orbit_core.plugin_kit.inertias import inertia_approximations
+from orbit_core.plugin_kit.massless import is_massless
 from orbit_core.scene import Joint, JointType, Link, LoopJoint, LoopType, Shape
+from orbit_core.scene.inertias import solid_moments
 from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
 from orbit_mjmodel.drives import (
@@ -43,12 +45,15 @@ from orbit_mjmodel.matter import (
     slow_spins,
     spare_holders,
 )
+from orbit_mjmodel.rebounds import Collider, add_rebound_pairs, rebounds_in_one_step
 from orbit_mjmodel.variants import ABSENT, Slot, slots
 from orbit_mjmodel.wrenches import add_wrench_sensors
 
 AddSensors = Callable[[mujoco.MjSpec, SceneLayout], None]
 _UNLIMITED = 1e10
 """The value in the place of infinity where only one side of a joint is limited."""
+_COMPILED_MASS = 1e-3
+"""kg, and kg m^2, of a body without mass while its model is compiled."""
 _STIFF_COUPLING = (0.99, 0.999, 0.001, 0.5, 2.0)
 """Impedance of mimic joints, of loops and of joint limits. With MuJoCo's own, 0.95, a joint that 100 N m push against
 its limit is 19 mrad beyond it, and with this less than one."""
@@ -113,6 +118,8 @@ def _compiled(builder: _Builder) -> BuiltModel:
         model = builder.spec.compile()
     except ValueError as error:
         raise AssetError(f"MuJoCo refuses the scene: {str(error).replace(chr(10), ' ').strip()}") from error
+    if builder.massless:
+        _take_mass_away(model, [model.body(name).id for name in builder.massless])
     addresses = Addresses.of(builder.layout, model)
     matter = matter_addresses(model, builder.layout)
     _set_home(builder.layout, model, addresses)
@@ -128,6 +135,16 @@ def _compiled(builder: _Builder) -> BuiltModel:
     return BuiltModel(model, addresses, report, np.array(absent, dtype=np.int64), matter)
 
 
+def _take_mass_away(model: mujoco.MjModel, bodies: list[int]) -> None:
+    """Give bodies the mass and inertia of none, and compute again what follows from them.
+
+    MuJoCo's compiler wants some of every body that moves. Its dynamics do not: a body without takes the part that one
+    of several joints on the same body does.
+    """
+    model.body_mass[bodies], model.body_inertia[bodies] = 0.0, 0.0
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
 class _Builder:
     """Builds the model of ``layout``, one of the ``kinds`` of environments."""
 
@@ -139,17 +156,27 @@ class _Builder:
         self.config = config
         self.spec = mujoco.MjSpec()
         self.report: list[Approximation] = []
+        self.massless: list[str] = []
+        """Names of bodies without mass that joints move."""
         self._least_friction = least_friction
         if config.cone == "pyramidal":
             why = "the setting 'cone' asks for a pyramid: friction is up to 30 % weaker between a contact's axes"
             self.report.append(Approximation("contacts", "the same friction in every direction", "a pyramid", why))
+        self._integrator, why = self._chosen_integrator()
+        if self._integrator != config.integrator:
+            self.report.append(Approximation("the integrator", config.integrator, self._integrator, why))
         self._geoms = GeomBuilder(self.spec)
+        self._colliders: list[Collider] = []
+        self._one_step = rebounds_in_one_step(self._integrator, config.cone)
         for shape in layout.scene.terrain:
             self._add_shape(self.spec.worldbody, shape, 1.0, False, f"terrain shape '{shape.name}'")
         for entity in layout.entities:
             self._add_entity(entity)
         for index in range(len(layout.joints)):
             self._add_drive(index)
+        if self._one_step and any(collider.material.restitution for collider in self._colliders):
+            excluded = {frozenset((pair.bodyname1, pair.bodyname2)) for pair in self.spec.excludes}
+            add_rebound_pairs(self.spec, self._colliders, excluded, layout.scene.physics_dt)
         self.report += add_matter(self.spec, layout)
         self.spec.add_key(name="home")
 
@@ -159,7 +186,6 @@ class _Builder:
         spec.compiler.degree = False
         spec.compiler.fusestatic = False
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
-        spec.compiler.balanceinertia = True
         option = spec.option
         option.timestep = self.layout.scene.physics_dt
         option.gravity = self.layout.scene.gravity
@@ -173,26 +199,23 @@ class _Builder:
         # Which links may touch is written out pair by pair.
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT) | disabled
 
-    @property
-    def _integrator(self) -> str:
-        """The requested one, or ``discrete`` where contacts must be solved with cloth's elasticity or with a drive."""
-        asked, wanted = self.config.integrator, "discrete"
-        if asked == wanted:
-            return asked
-        if self.layout.scene.deformables:
-            why = (
+    def _chosen_integrator(self) -> tuple[str, str]:
+        """Return the integrator and, where it is not the requested one, why not.
+
+        It is ``discrete`` where contacts must be solved together with cloth's elasticity or with a drive.
+        """
+        asked, together = self.config.integrator, "discrete"
+        if asked != together and self.layout.scene.deformables:
+            return together, (
                 "MuJoCo integrates cloth in no other way, and rope that rests on something jitters and creeps in others"
             )
-        elif thrown := throwing_wheels(self.layout):
-            why = (
+        if asked != together and (thrown := throwing_wheels(self.layout)):
+            return together, (
                 f"contacts are solved without the damping of the velocity drive of {thrown[0]}, which has no effort "
                 "limit: it would strike the ground with all of it and throw its base; give the drive an effort limit "
                 "to keep the integrator"
             )
-        else:
-            return asked
-        self.report.append(Approximation("the integrator", asked, wanted, why))
-        return wanted
+        return asked, ""
 
     # Bodies ----------------------------------------------------------------------------------------------------------
 
@@ -215,7 +238,7 @@ class _Builder:
             self._add_loop(f"{entity.index}_{loop.name}", loop, bodies)
         self._exclude_pairs(entity)
         self._report_joints(entity)
-        self.report += stand_in_approximations(entity, "MuJoCo")
+        self.report += inertia_approximations(entity, "MuJoCo")
 
     def _add_root(self, entity: EntityLayout, number: int) -> mujoco.MjsBody:
         pose = entity.spec.pose
@@ -235,13 +258,16 @@ class _Builder:
         subject = f"link '{link.name}' of '{entity.name}'"
         body.gravcomp = float(entity.spec.gravity_compensation)
         body.simple = False  # a body compiled as simple cannot have its centre of mass moved
-        solid = with_stand_in(entity.spec.articulation, link)
-        if solid.mass > 0:
+        if link.mass > 0:
+            # MuJoCo takes principal moments as they are, but finds those of a tensor only to 1e-12 kg m^2.
+            moments, axes = solid_moments(link.inertia)
             body.explicitinertial = True
-            body.mass, body.ipos = solid.mass, solid.center_of_mass
-            inertia = np.asarray(solid.inertia)
-            body.fullinertia = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
-            self._report_inertia(inertia, subject)
+            body.mass, body.ipos = link.mass, link.center_of_mass
+            body.inertia, body.iquat = moments, axes.orientation
+        elif is_massless(entity.spec.articulation, link):
+            body.explicitinertial = True
+            body.mass, body.inertia = _COMPILED_MASS, [_COMPILED_MASS] * 3
+            self.massless.append(body.name)
         rolls = len(entity.spec.articulation.links) == 1 and not entity.spec.fixed_base
         if all(kind is link for kind in kinds):
             for shape in link.collisions:
@@ -250,9 +276,12 @@ class _Builder:
             self._add_slots(body, link, kinds, rolls, subject)
 
     def _add_shape(self, body: mujoco.MjsBody, shape: Shape, mass: float, rolls: bool, subject: str) -> None:
+        movable = not (body.mocap or body == self.spec.worldbody)
         for slot in self._slots(body, shape, mass, rolls, subject):
-            self._geoms.add(body, slot.part, slot.contact)
-        self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject)
+            geom = self._geoms.add(body, slot.part, slot.contact)
+            self._colliders.append(Collider(geom, body.name, movable, shape.material))
+        self.report += geometry_approximations(shape, subject)
+        self.report += material_approximations(shape, subject, self._one_step)
 
     def _slots(self, body: mujoco.MjsBody, shape: Shape, mass: float, rolls: bool, subject: str) -> list[Slot]:
         dt = self.layout.scene.physics_dt
@@ -270,14 +299,7 @@ class _Builder:
             name = f"{ABSENT}{len(self.spec.geoms)}" if slot.absent else ""
             self._geoms.add(body, slot.part, slot.contact, name)
         for shape in link.collisions:
-            self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject)
-
-    def _report_inertia(self, inertia: npt.NDArray[np.float64], subject: str) -> None:
-        a, b, c = np.linalg.eigvalsh(inertia)
-        if a + b < c * (1 - 1e-9):
-            moments = f"principal moments {a:.4g}, {b:.4g}, {c:.4g} kg m^2"
-            why = "no solid has them (two must add up to at least the third), and MuJoCo takes none such"
-            self.report.append(Approximation(subject, moments, "their mean for all three", why))
+            self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject, False)
 
     def _exclude_pairs(self, entity: EntityLayout) -> None:
         articulation = entity.spec.articulation

@@ -75,7 +75,8 @@ CAPABILITIES = Capabilities(
         Capability.GRAVITY_COMPENSATION: EXACT,
         Capability.FRICTION: approximate(
             "PhysX averages a pair's coefficients; each shape is given those whose averages come nearest to the larger "
-            "ones, exactly unless the build report says otherwise"
+            "ones, exactly unless the build report says otherwise; an impact that stops from slipping has 0.83 to 1.04 "
+            "of its friction, and less with a contact_offset above 1 mm, none beyond 4 mm between the two"
         ),
         Capability.STATIC_FRICTION: approximate(
             "PhysX's TGS solver lets faces slip below static friction; its PGS, temporal_gauss_seidel=False, holds them"

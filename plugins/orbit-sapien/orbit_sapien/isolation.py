@@ -39,13 +39,14 @@ def exclusion_groups(entity: EntityLayout, report: list[Approximation] | None) -
         return [1] * len(names)
     words = [0] * len(names)
     excluded = {frozenset(pair) for pair in (*articulation.collision_exclusions, *articulation.joined_links)}
-    open_pairs = [pair for pair in itertools.combinations(names, 2) if frozenset(pair) in excluded]
+    colliding = [link.name for link in articulation.links if link.collisions]
+    open_pairs = [pair for pair in itertools.combinations(colliding, 2) if frozenset(pair) in excluded]
     for bit in range(_EXCLUSION_BITS):
         if not open_pairs:
             break
         clique = list(open_pairs[0])
         clique += [
-            name for name in names
+            name for name in colliding
             if name not in clique and all(frozenset((name, member)) in excluded for member in clique)
         ]  # fmt: skip
         clique = _pruned(clique, excluded)
