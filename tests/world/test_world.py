@@ -251,7 +251,7 @@ def test_links_without_mass_keep_to_none(make_world: MakeWorld) -> None:
     pivoted = Articulation("pivoted", (Link("base"), *links, bob), joints)
     world = make_world(Scene(robots=(RobotSpec(name="pivoted", articulation=pivoted, fixed_base=True),)))
     robot = world.robots["pivoted"]
-    assert [line.asked for line in world.build_report] == ["no mass", "no mass"]
+    assert not world.build_report
     robot.set_masses(2 * robot.nominal_masses)
     robot.set_joint_state(torch.full((world.num_envs, 3), 0.3))
     world.step(10)
