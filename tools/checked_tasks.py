@@ -1,7 +1,7 @@
 """Writes docs/checked-tasks.md from the figures of `orbit check-task`.
 
-    orbit check-task --backend mujoco --json docs/figures/checked_tasks.json --overwrite
-    python tools/checked_tasks.py
+orbit check-task --backend mujoco --json docs/figures/checked_tasks.json --overwrite
+python tools/checked_tasks.py
 """
 
 from __future__ import annotations
