@@ -82,7 +82,7 @@ class Gait:
 
 
 SLOW_JOINTS = Gait(
-    period=0.24, stance=0.62, swing_height=0.03, ease=0.3, rise=-0.1, foothold_gain=0.15, velocity_gain=20.0,
+    period=0.24, stance=0.62, swing_height=0.03, ease=0.3, rise=-0.13, foothold_gain=0.1, velocity_gain=20.0,
     turning_gain=20.0, grip=0.5, top_speed=1.0, sway_gain=10.0,
 )  # fmt: skip
 """For legs whose joints turn too slowly for the usual steps: bent knees lift a foot by less of a turn, and what swings

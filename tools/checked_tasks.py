@@ -1,7 +1,7 @@
 """Writes docs/checked-tasks.md from the figures of `orbit check-task`.
 
-    orbit check-task --backend mujoco --json docs/figures/checked_tasks.json --overwrite
-    python tools/checked_tasks.py
+orbit check-task --backend mujoco --json docs/figures/checked_tasks.json --overwrite
+python tools/checked_tasks.py
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ def page(text: str, figures: Mapping[str, Any]) -> str:
 def tables(tasks: Sequence[Mapping[str, Any]], refused: Mapping[str, str]) -> str:
     """Return a row for each task with its figures, and a row for each exception with its reason."""
     checks = [verdict["check"] for verdict in tasks[0]["verdicts"]]
-    lines = [f"| task | {' | '.join(checks)} | s |", f"|---|{'---|' * len(checks)}---|"]
+    lines = [f"| task | episodes | {' | '.join(checks)} | s |", f"|---|---|{'---|' * len(checks)}---|"]
     for task in tasks:
         cells = [f"{verdict['figure']}{MARKS[verdict['status']]}" for verdict in task["verdicts"]]
-        lines.append(f"| {task['task']} | {' | '.join(cells)} | {task['seconds']:.0f} |")
+        lines.append(f"| {task['task']} | {task['episodes']} | {' | '.join(cells)} | {task['seconds']:.0f} |")
     reasons = [
         f"| {task['task']} | {verdict['check']} | {verdict['reason']} |"
         for task in tasks
@@ -44,9 +44,7 @@ def tables(tasks: Sequence[Mapping[str, Any]], refused: Mapping[str, str]) -> st
     ]
     lines += ["", "| task | check that does not hold | reason |", "|---|---|---|", *reasons, ""]
     lines += [f"{name} was refused: {why}" for name, why in refused.items()]
-    first = tasks[0]
-    ran = f"On `{first['backend']}`, {first['episodes']} episodes of each agent and {first['start_samples']} starts."
-    return "\n".join([*lines, ran, ""])
+    return "\n".join([*lines, f"On `{tasks[0]['backend']}`; episodes are of each agent.", ""])
 
 
 if __name__ == "__main__":

@@ -211,7 +211,10 @@ def _judged(audit: TaskAudit, environment: Environment) -> TaskAudit:
         if held is None:
             verdicts.append(Verdict(check, Status.ABSENT, "", figure))
         elif check in declared:
-            verdicts.append(Verdict(check, Status.STALE if held else Status.DECLARED, figure, declared[check]))
+            stale = (
+                held and check is not TaskCheck.VELOCITY_LIMITS
+            )  # some engines enforce them whatever the expert does
+            verdicts.append(Verdict(check, Status.STALE if stale else Status.DECLARED, figure, declared[check]))
         else:
             verdicts.append(Verdict(check, Status.HOLDS if held else Status.FAILS, figure))
     return replace(audit, verdicts=tuple(verdicts))

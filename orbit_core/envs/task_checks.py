@@ -29,7 +29,8 @@ class TaskCheck(Enum):
 class TaskException:
     """A task's declaration that it does not meet a check.
 
-    An exception that a measurement contradicts is stale, and fails as the check would.
+    An exception that a measurement contradicts is stale, and fails as the check would; but that of velocity limits,
+    which some engines enforce whatever the expert does.
     """
 
     check: TaskCheck
