@@ -125,7 +125,7 @@ def add_matter(spec: mujoco.MjSpec, layout: SceneLayout) -> list[Approximation]:
 
 
 def _check_one_cloth(layout: SceneLayout) -> None:
-    """Refuse cloths that may touch: of two that fell on a box one was flung up by 0.3 m, or came out under the other."""
+    """Refuse cloths that may touch: of two that fell on a box one was flung up 0.3 m, or came out under the other."""
     names = [repr(thing.name) for thing in simulated(layout) if isinstance(thing, Cloth)]
     if len(names) > 1:
         raise UnsupportedCapabilityError(

@@ -203,7 +203,7 @@ def test_cloth_does_not_meet_the_link_that_holds_it_but_everything_else() -> Non
 def test_two_cloths_that_may_touch_are_refused_with_the_solver_that_has_them() -> None:
     other = replace(CLOTH, name="other", pose=Pose((0.0, 0.3, 1.01)))
     scene = Scene(deformables=(CLOTH, other), terrain=())
-    with pytest.raises(UnsupportedCapabilityError, match="cloths 'cloth' and 'other'.*matter='orbit-matter'"):
+    with pytest.raises(UnsupportedCapabilityError, match=r"cloths 'cloth' and 'other'.*matter='orbit-matter'"):
         simulate(scene, 1, "mujoco", matter="native")
 
 
