@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -29,6 +30,7 @@ from orbit_core.envs import (
     Task,
 )
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import Meaning, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, held, randomize
@@ -205,6 +207,10 @@ class BeatTheBuzz(Task):
     covered, less ``penalty`` for each touch.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "the rod fills the workspace, for all of it must be in reach"),
+        TaskException(TaskCheck.START_YAW, "the ring goes along the rod with a level hand in one direction only"),
+    )
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 6.0
@@ -238,7 +244,7 @@ class BeatTheBuzz(Task):
         self.bound(penalty=(0.0, 1e3))
         ring = ring_on_handle(RING, RADIUS, BAR, REACH)
         robot = held.with_tool(common.arm(self.robot, gripper=False), ring, f"{RING}_middle")
-        box = robot.end_effector.workspace.placed(robot.pose)
+        box = common.placed_workspace(robot)
         course = course_of(self.rod)
         self.place = (0.5 * (box.low[0] + box.high[0]), 0.5 * (box.low[1] + box.high[1]), HEIGHT)
         start = rings_along(course.part(MARGIN))[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -13,6 +14,7 @@ from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import EventTerm, EventTime, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import POSE, Meaning, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
@@ -119,7 +121,7 @@ def distance_to_cabinet(robot: RobotSpec) -> float:
     The handle is 8 cm within the far side of the workspace, for it must be in reach 30 cm nearer as well; and as high
     as a shoulder, for the arm reaches it with a level hand only there.
     """
-    return robot.end_effector.workspace.high[0] + 0.23
+    return common.workspace_of(robot).high[0] + 0.23
 
 
 PULLING = (
@@ -190,6 +192,9 @@ class Cabinet(Task):
     Succeeds when the drawer is within ``tolerance`` of the goal at the episode's end. Metric: that distance.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_YAW, "the drawer must open towards the arm to stay in reach"),
+    )
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 8.0

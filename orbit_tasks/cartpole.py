@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -17,6 +17,7 @@ from torch import Tensor
 from orbit_core.assets.catalogue import robot
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, Node, Port, World
 from orbit_core.mdp import common, randomize
@@ -154,6 +155,10 @@ class Cartpole(Task):
     its rail. Metrics: the pole's angle and the cart's distance from the middle.
     """  # fmt: skip
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "the rail is fixed; cart and pole start at joint positions"),
+        TaskException(TaskCheck.START_YAW, "the rail is fixed; cart and pole start at joint positions"),
+    )
     robot: str = "cartpole"
     action: str = "composed"
     actions: Any = field(default_factory=lambda: ActionTerms(cart=JointEffortConfig(joints=(SLIDER,), scale=STRONGEST)))

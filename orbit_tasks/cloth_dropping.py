@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from orbit_core.assets.deformables import open_box
 from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, Retry, RewardTerm
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, matter
@@ -102,6 +104,10 @@ class ClothDropping(cloth.ClothTask):
     the gripper does not touch it at the episode's end. Metric: that distance.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "tray and container take the workspace: the cloth starts on 100 cm²"),
+        TaskException(TaskCheck.START_YAW, "deformables are sampled by their middle, which has no yaw"),
+    )
     grip_force: float = 5.0
     """Newtons; harder, and corners of the fingers come through the cloth, which then hangs on them as they open."""
     episode_length: float = 11.0

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.envs import EventTerm, Expert, ObservationGroup, Phase, Retry, RewardTerm
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, matter
@@ -171,6 +172,10 @@ class ClothFolding(cloth.ClothTask):
     end. Metric: the sum of the three distances; layers of cloth that touch are 8 mm apart.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "the cloth must lie within reach, corner to corner: it starts on 64 cm²"),
+        TaskException(TaskCheck.START_YAW, "deformables are sampled by their middle, which has no yaw"),
+    )
     expert_success: ClassVar[float] = 0.6
     episode_length: float = 8.0
     view: Pose = look_at(eye=(1.2, 0.3, 0.55), target=(0.5, 0.0, 0.05))

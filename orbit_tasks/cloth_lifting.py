@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import ENVIRONMENT, Meaning, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, matter
@@ -90,6 +92,9 @@ class ClothLifting(cloth.ClothTask):
     Succeeds when the cloth's middle is within ``tolerance`` of the goal at the episode's end. Metric: that distance.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_YAW, "deformables are sampled by their middle, which has no yaw"),
+    )
     episode_length: float = 6.0
     view: Pose = look_at(eye=(1.3, 0.8, 0.7), target=(0.45, 0.0, 0.12))
     tolerance: float = 0.03

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.envs import EventTerm, Expert, ObservationGroup, Phase, RewardTerm
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, matter
@@ -126,6 +127,10 @@ class ClothSpreading(cloth.ClothTask):
     Succeeds when it covers ``least_covered`` of its own area at the episode's end. Metric: that share.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "a cloth that is spread fills its tray: it starts on 36 cm²"),
+        TaskException(TaskCheck.START_YAW, "deformables are sampled by their middle, which has no yaw"),
+    )
     expert_success: ClassVar[float] = 0.6
     episode_length: float = 20.0
     view: Pose = look_at(eye=(1.2, 0.7, 0.75), target=(0.5, 0.0, 0.03))

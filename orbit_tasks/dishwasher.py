@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -23,6 +24,7 @@ from orbit_core.envs import (
     Task,
 )
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import Meaning, TermFunction, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, held, randomize
@@ -226,6 +228,10 @@ class Dishwasher(Task):
     its goal. Metrics: what door and rack lack, in that order: while the door is not open, the rack lacks all.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "door and rack travel through most of the arm's reach"),
+        TaskException(TaskCheck.START_YAW, "the door must open towards the arm to stay in reach"),
+    )
     robot: str = "franka_panda"
     action: str = "joint_position"
     episode_length: float = 10.0
@@ -249,7 +255,7 @@ class Dishwasher(Task):
     def scene(self) -> Scene:
         self.bound(door_goal=(0.1, 1.45), tolerance=(1e-6, 0.1))
         robot = common.arm(self.robot)
-        box = robot.end_effector.workspace.placed(robot.pose)
+        box = common.placed_workspace(robot)
         # The door's bar as far as the hand reaches: it comes nearer by its height, and the rack's by a hand's breadth.
         pose = Pose((box.high[0] - 0.03 - FRONT, 0.5 * (box.low[1] + box.high[1]), 0.0))
         stations = common.pointing_down(torch.tensor([(forward, 0.0, up) for forward, up in STATIONS]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -11,6 +12,7 @@ from torch.linalg import vector_norm
 
 from orbit_core.assets.objects import SolidOptions, box
 from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, matter
@@ -126,6 +128,10 @@ class FlagHoisting(cloth.ClothTask):
     the side at the episode's end. Metric: that distance.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "staff and mast stand at the ends of the workspace: each starts on 1 dm²"),
+        TaskException(TaskCheck.START_YAW, "the staff lies along the bench"),
+    )
     episode_length: float = 6.0
     view: Pose = look_at(eye=(1.25, -0.95, 0.75), target=(0.5, 0.0, 0.2))
     tolerance: float = 0.03

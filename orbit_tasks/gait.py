@@ -3,7 +3,10 @@
 Diagonal feet step together. A swinging foot is put down where the trunk will be half a stance later, and farther by
 how much faster it goes than it should (Raibert, Legged Robots That Balance, 1986); a foot on the ground is drawn back
 under the trunk at the commanded velocity. The legs' drives are soft: their targets lie beyond the wanted positions by
-what the forces that the feet shall exert deflect them, and by what their damping takes from a joint that moves.
+what the forces that the feet shall exert deflect them, and by what their damping takes from a joint that moves. Few
+engines keep a joint to its velocity limit, so the gait does: the targets of a leg in the air run ahead of its joints
+by no more than takes them to the limit. A foot that ought to stand but has not met the ground yet is in the air too:
+given the weight to carry, its knee turned at three times the limit.
 
 The trunk turns to and fro once a stride, by whichever pair stands. What takes that back is learned in the first
 strides: a moment of the stride's period, whose sine and cosine grow with the error of the yaw rate that is in step with
@@ -25,13 +28,15 @@ from orbit_core.interfaces import ConfigurationError, Node, Port, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.mdp import common
 from orbit_core.motion import JointPosition
-from orbit_tasks import walking
+from orbit_tasks import biped, walking
 
 _DAMPING = 1e-4
 """m^2: of the inverse kinematics; keeps steps bounded at a straight knee (Nakamura and Hanafusa, 1986)."""
 _NEWTON_STEPS = 2
 _OWN_SPEED = 0.9
 """Part of a joint's velocity limit that its wanted position may move at."""
+_TOUCH = 1.0
+"""N: force above which a foot is on the ground."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,8 @@ class Gait:
     """Seconds for a step of each foot."""
     stance: float = 0.56
     """Part of the period that a foot is on the ground."""
+    onset: float = 0.1
+    """Part of the period over which a foot that lands takes its load over from those that stand."""
     swing_height: float = 0.05
     """Metres."""
     ease: float = 1.0
@@ -64,6 +71,8 @@ class Gait:
     """Seconds over which the measured velocity is averaged."""
     ramp: float = 1.5
     """m/s^2 and rad/s^2 at which the wanted velocity goes to the commanded one."""
+    top_speed: float = math.inf
+    """m/s over the ground of the trunk's point above its fastest foot; a faster command is followed in part."""
     sway_gain: float = 30.0
     """1/s^2: how fast the moment against the trunk's sway grows with the sway."""
     sway_limit: float = 20.0
@@ -73,8 +82,8 @@ class Gait:
 
 
 SLOW_JOINTS = Gait(
-    swing_height=0.04, ease=0.3, rise=-0.1, foothold_gain=0.1, velocity_gain=20.0, turning_gain=20.0, grip=0.5,
-    sway_gain=10.0,
+    period=0.24, stance=0.62, swing_height=0.03, ease=0.3, rise=-0.13, foothold_gain=0.1, velocity_gain=20.0,
+    turning_gain=20.0, grip=0.5, top_speed=1.0, sway_gain=10.0,
 )  # fmt: skip
 """For legs whose joints turn too slowly for the usual steps: bent knees lift a foot by less of a turn, and what swings
 lack, forces along the ground make up for. The more of these the sway takes, the less is left for the velocity."""
@@ -86,7 +95,7 @@ class FootholdGait(Node):
     """Gives the action whose joint targets walk a quadruped at commanded velocities.
 
     Args:
-        world: of a quadruped on level ground.
+        world: of a quadruped on level ground, with the contact sensor :data:`orbit_tasks.biped.CONTACTS`.
         task: its actions are joint positions.
         command: (N, 3) forward and sideways velocity in m/s and yaw rate in rad/s, in the trunk's axes; read at each
             turn.
@@ -137,6 +146,13 @@ class FootholdGait(Node):
         self._stiffness = torch.tensor([gains[j][0] for j in range(len(gains))], device=world.device)
         self._lag = torch.tensor([gains[j][1] / gains[j][0] for j in range(len(gains))], device=world.device)
         self._most_turn = _OWN_SPEED * limits * self._dt
+        # A free joint approaches a held target with the drive's time constant, `_lag`: this far ahead it turns at its
+        # limit on average over a control step.
+        self._reach = limits * self._dt / -torch.expm1(-self._dt / self._lag)
+        self._contacts = biped.contacts_of(world)
+        links = list(self._contacts.link_names)
+        touching = [links.index(robot.spec.articulation.frame(foot).link) for foot in self._feet]
+        self._foot_links = torch.tensor(touching, device=world.device)
         self._mass = robot.spec.articulation.mass
         self._inertia = self._mass * float(self._neutral[..., :2].square().sum(2).mean())
         """kg m^2 about the vertical, of the mass as if it lay over the feet."""
@@ -160,7 +176,9 @@ class FootholdGait(Node):
         gait = self._gait
         tilt = self._tilt()
         self._smooth.lerp_(self._velocity(), min(self._dt / gait.smoothing, 1.0))
-        self._asked.add_((self._command - self._asked).clamp(-gait.ramp * self._dt, gait.ramp * self._dt))
+        self._asked.add_(
+            (self._reachable(self._command) - self._asked).clamp(-gait.ramp * self._dt, gait.ramp * self._dt)
+        )
         velocity, error = self._smooth, self._asked - self._smooth
         self._integral.add_(error, alpha=gait.integral_gain * self._dt).clamp_(
             -gait.integral_limit, gait.integral_limit
@@ -173,11 +191,12 @@ class FootholdGait(Node):
         jacobian = self._solve(feet)
         turned = (self._positions - before).clamp(-self._most_turn, self._most_turn)
         self._positions.copy_(before + turned)
-        forces = self._forces(standing, error)
+        forces = self._forces(phase, standing, error)
         efforts = -(jacobian.transpose(2, 3) @ forces[..., None]).squeeze(-1)  # (N, 4, 3)
         pressed = torch.zeros_like(before)
         pressed[:, self._legs.flatten()] = efforts.flatten(1)
         targets = self._positions + self._lag * turned / self._dt + pressed / self._stiffness
+        targets = self._within_speed(targets, standing)
         return {"action": self._generator.encode_positions(targets[:, self._generator.joints])}
 
     def _begin(self, new: Tensor) -> None:
@@ -213,16 +232,33 @@ class FootholdGait(Node):
         lean = pitch * feet[..., 0] - roll * feet[..., 1]
         return torch.cat((flat, (height + lean * ~standing)[..., None]), 2)
 
+    def _reachable(self, command: Tensor) -> Tensor:
+        """Return commands (N, 3), scaled down where a foot would have to follow faster than ``top_speed``."""
+        fastest = self._carried(command, self._neutral.expand(len(command), 4, 3)).norm(dim=2).amax(1)
+        return command * (self._gait.top_speed / fastest.clamp_min(1e-6)).clamp_max(1.0)[:, None]
+
+    def _within_speed(self, targets: Tensor, standing: Tensor) -> Tensor:
+        """Clamp joint targets (N, J) of legs in the air to what keeps their joints within the velocity limits.
+
+        A foot is in the air where it swings, ``standing`` (N, 4) is False, or has not met the ground yet.
+        """
+        touching = self._contacts.forces[:, self._foot_links].square().sum(2) > _TOUCH**2
+        air = torch.zeros_like(targets, dtype=torch.bool)
+        air[:, self._legs.flatten()] = ~(standing & touching).repeat_interleave(3, dim=1)
+        at = self._robot.joint_positions
+        return torch.where(air, targets.clamp(at - self._reach, at + self._reach), targets)
+
     def _carried(self, motion: Tensor, feet: Tensor) -> Tensor:
         """(N, 4, 2) velocity of the trunk's points above feet (N, 4, 3), for planar motion (N, 3)."""
         turn = torch.stack((-feet[..., 1], feet[..., 0]), dim=2) * motion[:, None, 2:]
         return motion[:, None, :2] + turn
 
-    def _forces(self, standing: Tensor, error: Tensor) -> Tensor:
+    def _forces(self, phase: Tensor, standing: Tensor, error: Tensor) -> Tensor:
         """(N, 4, 3) N that the ground shall exert on the feet: the robot's weight, and what corrects its motion."""
         gait = self._gait
         standing = standing.float()
-        share = standing / standing.sum(1, keepdim=True).clamp_min(1.0)
+        load = standing * ((phase + 0.5 * self._dt / gait.period) / gait.onset).clamp_max(1.0)
+        share = load / load.sum(1, keepdim=True).clamp_min(1e-3)
         low = self._height - self._robot.root_pose[:, 2]
         vertical = share * (self._mass * (self._gravity + gait.height_gain * low)).clamp_min(0.0)[:, None]
         along = share[..., None] * (self._mass * gait.velocity_gain * error[:, None, :2])

@@ -15,6 +15,7 @@ from orbit_core.assets.objects import box, table
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import EventTerm, EventTime, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, picking, randomize, tabletop
@@ -207,6 +208,9 @@ class Handover(tabletop.TabletopTask):
     Succeeds when the rod's middle is within ``tolerance`` of the goal at the episode's end. Metrics: that distance, the
     receiver's to close, and the least between the rod and the place where it is passed on, the giver's."""  # fmt: skip
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_YAW, "the rod must lie across for both arms to reach an end each"),
+    )
     agents: ClassVar[tuple[str, ...]] = (GIVER, RECEIVER)
     robot: str = "franka_panda"
     """Name of both arms in the catalogue."""

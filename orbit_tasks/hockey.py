@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -13,6 +14,7 @@ from orbit_core.assets.hockey import BLADE_HALF, DEPTH, WHITE, WIDTH, net, stick
 from orbit_core.assets.objects import box, cylinder, table
 from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import Meaning, TermFunction, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, held, premises, tabletop
@@ -195,6 +197,10 @@ class Hockey(tabletop.TabletopTask):
     the puck to the net's inside.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "the puck starts on 8 x 24 cm, where the stick gets behind it"),
+        TaskException(TaskCheck.START_YAW, "a puck is round"),
+    )
     episode_length: float = 5.0
     ppo: PpoSettings = PpoSettings(iterations=800, initial_std=0.3, entropy_weight=0.005)
     view: Pose = look_at(eye=(1.5, 1.0, 0.85), target=(0.5, 0.0, 0.1))
@@ -225,7 +231,7 @@ class Hockey(tabletop.TabletopTask):
 
     def scene(self) -> Scene:
         robot = held.with_tool(common.arm(self.robot, gripper=False), stick(), "blade")
-        near, line = robot.end_effector.workspace.low[0], robot.end_effector.workspace.high[0] + 0.08
+        near, line = common.workspace_of(robot).low[0], common.workspace_of(robot).high[0] + 0.08
         end = line + DEPTH + 0.05
         ice = (end - near + 0.1, 1.0, THICKNESS)
         middle = Pose((0.5 * (end + near - 0.1), 0.0, 0.5 * THICKNESS))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -18,6 +19,7 @@ from orbit_core.assets.object_kinds import BoxConfig, ObjectConfig
 from orbit_core.dynamics import transforms
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, randomize
@@ -167,6 +169,9 @@ class InHandRepose(Task):
     how far the object is from the last goal, and drops.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "the object starts in the hand"),
+    )
     robot: str = "allegro_right"
     action: str = "joint_position"
     physics_dt: float = 1.0 / 120.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -15,6 +16,7 @@ from orbit_core.dynamics.transforms import pose_inverse, pose_multiply, quat_mul
 from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, RewardTerm, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, picking, tabletop
@@ -152,7 +154,7 @@ def place_tower(world: World, task: Jenga, env_ids: Tensor) -> None:
 
 def distance_of_tower(robot: RobotSpec) -> float:
     """Metres from the robot to the tower's middle."""
-    return robot.end_effector.workspace.low[0] + 0.22
+    return common.workspace_of(robot).low[0] + 0.22
 
 
 @dataclass
@@ -213,6 +215,10 @@ class Jenga(tabletop.TabletopTask):
     tower stands. Metric: the distance between block and place, and ``penalty`` more where the tower has fallen.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "the tower must stand where the hand reaches around it"),
+        TaskException(TaskCheck.START_YAW, "the given block must face the arm"),
+    )
     episode_length: float = 10.0
     ppo: PpoSettings = PpoSettings(iterations=2000, initial_std=0.3, entropy_weight=0.005)
     view: Pose = look_at(eye=(0.1, 1.3, 0.75), target=(0.5, 0.0, 0.3))

@@ -94,7 +94,7 @@ class MobileCabinet(Mobile, Cabinet):
 
     def scene(self) -> Scene:
         robot = mobile(self.robot)
-        lowest = robot.end_effector.workspace.placed(robot.pose).low[2]
+        lowest = common.placed_workspace(robot).low[2]
         scene = self.scene_with(robot, cabinet.PLINTH + max(0.0, lowest - BENCH_ARM))
         return replace(scene, firm_friction=bool(robot.feet))
 

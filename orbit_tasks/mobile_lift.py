@@ -136,7 +136,7 @@ class MobileLift(Mobile, Lift):
 
     def _fit(self, robot: RobotSpec) -> None:
         """Find the table's height and the places at it that suit the arm."""
-        box = robot.end_effector.workspace.placed(robot.pose)
+        box = common.placed_workspace(robot)
         self.surface = box.low[2] - 0.1
         self.standoff = box.low[0] + 0.05
         self.patch = (EDGE + 0.05, EDGE + box.high[0] - self.standoff)

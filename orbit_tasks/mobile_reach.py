@@ -43,9 +43,10 @@ NEAREST, FARTHEST = 1.5, 2.5
 
 def sample_goal(world: World, task: MobileReach, env_ids: Tensor) -> None:
     """Sample the goal in a ring around the base, at the heights of the hand's workspace, turned by any angle."""
-    low, high = common.workspace(world)
-    bounds = (NEAREST, -math.pi, low[2], -0.3, -0.3, -math.pi), (FARTHEST, math.pi, high[2], 0.3, 0.3, math.pi)
-    distance, bearing, height, roll, pitch, yaw = world.random.uniform((6,), *bounds, env_ids).unbind(1)
+    box = common.placed_workspace(common.robot_of(world).spec)
+    lower = NEAREST, -math.pi, box.low[2], -box.tilt, -box.tilt, -math.pi
+    upper = FARTHEST, math.pi, box.high[2], box.tilt, box.tilt, math.pi
+    distance, bearing, height, roll, pitch, yaw = world.random.uniform((6,), lower, upper, env_ids).unbind(1)
     start = over_floor(base_pose(world, task)[env_ids])
     place = start[:, :2] + torch.stack((distance * bearing.cos(), distance * bearing.sin()), 1)
     tilt = quat_from_euler(roll, pitch, torch.zeros_like(yaw))

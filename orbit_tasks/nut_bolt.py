@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -13,6 +14,7 @@ from orbit_core.assets.objects import WOOD, box
 from orbit_core.assets.threads import Thread, ThreadOptions, bolt_on_base, hexagonal_nut
 from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, RewardTerm, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, picking, premises, tabletop
@@ -233,6 +235,9 @@ class NutBolt(tabletop.TabletopTask):
     Succeeds when at the episode's end the nut is upright and within ``tolerance`` of its place. Metric: that distance.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "bolt and stand need room for the hand to turn: each starts on 4 x 4 cm"),
+    )
     episode_length: float = 36.0
     ppo: PpoSettings = PpoSettings(iterations=3000, initial_std=0.3, entropy_weight=0.005)
     turns: float = 2.0

@@ -16,6 +16,7 @@ from orbit_core.assets.pegs import BOARD_HEIGHT, COLORS, GRIP_HEIGHT, block, boa
 from orbit_core.dynamics import transforms
 from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, Retry, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import POSE, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, picking, stages, tabletop
@@ -216,6 +217,9 @@ class PegInHole(tabletop.TabletopTask):
     Metric: the sum of those distances.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "the board takes the middle, a block starts on 80 cm² at its side"),
+    )
     training: ClassVar[Mapping[str, Any]] = {"expert_starts": 0.5, "action": "ik_relative", "episode_length": 10.0}
     episode_length: float = 24.0
     ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.4, entropy_weight=0.001)

@@ -46,9 +46,10 @@ def near(world: World, task: Reach) -> Tensor:
 
 
 def sample_goal(world: World, task: Reach, env_ids: Tensor) -> None:
-    """Sample the goal in the hand's workspace, within a radian of yaw and 0.3 rad of tilt."""
-    low, high = common.workspace(world)
-    sample = world.random.uniform((6,), (*low, -0.3, -0.3, -1.0), (*high, 0.3, 0.3, 1.0), env_ids)
+    """Sample the goal in the hand's workspace, within the tilt and the yaw that the hand takes everywhere there."""
+    box = common.placed_workspace(common.robot_of(world).spec)
+    bounds = (*box.low, -box.tilt, -box.tilt, -box.yaw), (*box.high, box.tilt, box.tilt, box.yaw)
+    sample = world.random.uniform((6,), *bounds, env_ids)
     roll, pitch, yaw = sample[:, 3:].unbind(1)
     tilt = quat_from_euler(roll, pitch, torch.zeros_like(yaw))
     task.goal[env_ids] = goal = torch.cat((sample[:, :3], quat_multiply(tilt, common.facing_down(yaw))), dim=1)
@@ -136,7 +137,7 @@ class Reach(Task):
 
     def scene(self) -> Scene:
         return Scene(
-            robots=(common.arm(self.robot, gripper=False),),
+            robots=(common.arm(self.robot, gripper=False, room=(0.0, 0.0, 0.0)),),
             objects=(common.work_bench(),),
             terrain=(common.floor(-common.BENCH_HEIGHT),),
             markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.15),),

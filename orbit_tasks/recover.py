@@ -15,6 +15,7 @@ from torch import Tensor
 
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import once_per_state
 from orbit_core.interfaces import Node, Port, World
 from orbit_core.mdp import common, randomize
@@ -149,6 +150,11 @@ class Recover(Task):
     expert stands :class:`HomePosture`.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.EXPERT_BEATS_ZERO, "the expert drives joints home, as zero actions do"),
+        TaskException(TaskCheck.START_AREA, "the plane is the same everywhere"),
+        TaskException(TaskCheck.TRIVIAL_AGENTS, "a robot that lies on its feet stands up as its joints go home"),
+    )
     expert_success: ClassVar[float] = 0.0  # the home posture turns nobody over
     robot: str = "anymal_c"
     action: str = "joint_position"

@@ -197,7 +197,7 @@ class RoomReorganization(Mobile, Task):
 
     def scene(self) -> Scene:
         robot = mobile(self.robot)
-        space = robot.end_effector.workspace.placed(robot.pose)
+        space = common.placed_workspace(robot)
         self.surface, self.standoff = space.low[2] - 0.1, space.low[0] + 0.05
         heights = {piece.name: self.surface for piece in room.PIECES} | {"shelf": self.surface + SHELF_RAISED}
         marks = tuple(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -12,6 +13,7 @@ from torch.linalg import vector_norm
 from orbit_core.assets.deformables import line
 from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import ENVIRONMENT, Meaning, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, matter
@@ -162,6 +164,10 @@ class RopeReshaping(Task):
     that mean distance.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.VELOCITY_LIMITS, "fingers snap shut on a thin rope; the arm keeps its limits"),
+        TaskException(TaskCheck.START_YAW, "deformables are sampled by their middle, which has no yaw"),
+    )
     robot: str = "franka_panda"
     action: str = "joint_position"
     physics_dt: float = 0.0025

@@ -7,6 +7,7 @@ their scale Makoviychuk et al., Isaac Gym (2021).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -14,6 +15,7 @@ from torch import Tensor
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
@@ -134,6 +136,10 @@ class Running(Task):
     on average. Metrics: that speed, and falls.
     """  # fmt: skip
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "a run starts at one place"),
+        TaskException(TaskCheck.START_YAW, "a run starts along x"),
+    )
     action: str = "joint_effort"
     episode_length: float = 10.0
     view: Pose = look_at(eye=(2.5, -4.5, 2.0), target=(1.0, 0.0, 0.5))

@@ -16,8 +16,9 @@ from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, Retry, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
-from orbit_core.interfaces import World
+from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, picking, stages, tabletop
 from orbit_core.scene import Color, Pose, Scene
 from orbit_tasks.pixels import ArmLabels
@@ -31,6 +32,12 @@ SIZE = 0.05
 """Metres, of a block's edges: every gripper of the catalogue opens that far."""
 GAP = 0.004
 """Metres between the two blocks of a pyramid's base."""
+ANYWHERE, CORNERS = "anywhere", "corners"
+"""Values of :attr:`StackPyramid.starts`."""
+APART = 0.12
+"""Metres between the centres of two blocks that start anywhere: the open hand fits around one of them."""
+_TRIES = 16
+"""Places drawn for the second block. A place is too near for at most a third of them."""
 
 
 @once_per_state
@@ -108,6 +115,34 @@ def letting_go(world: World, task: StackPyramid) -> Tensor:
 
 
 def place_blocks(world: World, task: StackPyramid, env_ids: Tensor) -> None:
+    """Place the blocks for an episode, as ``task.starts`` says."""
+    if task.starts == ANYWHERE:
+        place_pair(world, task, env_ids)
+    else:
+        place_in_corners(world, task, env_ids)
+
+
+def place_pair(world: World, task: StackPyramid, env_ids: Tensor) -> None:
+    """Place two blocks anywhere in the hand's workspace less its rim, turned by any angle, :data:`APART` or more.
+
+    The second block takes the first of :data:`_TRIES` places that is far enough, or else the farthest of them.
+    """
+    low, high = common.workspace(world)
+    lower = low[0] + 0.5 * SIZE, low[1] + 0.5 * SIZE
+    upper = high[0] - 0.05, high[1] - 0.5 * SIZE
+    height, count = 0.5 * SIZE, len(env_ids)
+    kept = world.random.uniform((4,), (*lower, height, -math.pi), (*upper, height, math.pi), env_ids)
+    other = world.random.uniform((4,), (*lower, height, -math.pi), (*upper, height, math.pi), env_ids)
+    tries = world.random.uniform((_TRIES, 2), lower, upper, env_ids)
+    distance = vector_norm(tries - kept[:, None, :2], dim=2)
+    # The first that is far enough counts most; where none is, the distance decides.
+    rank = torch.where(distance >= APART, 2.0 * _TRIES - torch.arange(_TRIES, device=distance.device), distance)
+    other[:, :2] = tries[torch.arange(count, device=tries.device), rank.argmax(dim=1)]
+    for name, place in zip(task.pieces, (kept, other), strict=True):
+        world.objects[name].set_root_pose(common.standing(place), env_ids)
+
+
+def place_in_corners(world: World, task: StackPyramid, env_ids: Tensor) -> None:
     """First blocks stand in the middle, turned by up to 0.3 rad; others, by any angle, at four places beside them."""
     low, high = common.workspace(world)
     near, far, width = low[0], high[0] - 0.05, 0.5 * (high[1] - low[1])
@@ -179,6 +214,9 @@ class StackPyramid(tabletop.TabletopTask):
     ``tolerance`` of its place and the hand has let go. Metric: the sum of the distances between blocks and places.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "pyramids and hand leave cells of 4 x 3 cm for the other blocks"),
+    )
     observation_presets: ClassVar[Mapping[str, Callable[[], Any]]] = {
         "semantic": tabletop.sensed(ArmLabels, StackState)  # whose labels tell the blocks' colours
     }
@@ -188,6 +226,9 @@ class StackPyramid(tabletop.TabletopTask):
     """One or two."""
     blocks: int = 3
     """Of each pyramid: two or three."""
+    starts: str = CORNERS
+    """Where blocks begin: ``"corners"``, the first ones in the middle and the others in cells of 4 x 3 cm around
+    them, or ``"anywhere"`` in the hand's workspace, for one pyramid of two blocks."""
     tolerance: float = 0.015
     """Metres."""
     observations: tabletop.StateObservations = field(default_factory=tabletop.state(StackState))
@@ -215,9 +256,22 @@ class StackPyramid(tabletop.TabletopTask):
 
     def scene(self) -> Scene:
         self.bound(pyramids=(1, 2), blocks=(2, 3), tolerance=(1e-6, 0.5 * SIZE))
+        self._check_starts()
         colors, cube = COLORS[0] | COLORS[1], (SIZE, SIZE, SIZE)
         parts = [(name, Pose((0.5, 0.1 * index - 0.25, 0.5 * SIZE))) for index, name in enumerate(self.pieces)]
         return self.bench(*(box(name, cube, mass=0.1, color=colors[name], pose=pose) for name, pose in parts))
+
+    def _check_starts(self) -> None:
+        """Raise ConfigurationError if ``starts`` is unknown, or has no room for so many blocks."""
+        if self.starts not in (ANYWHERE, CORNERS):
+            raise ConfigurationError(
+                f"field 'starts' of task {type(self).__name__} is '{self.starts}': give '{ANYWHERE}' or '{CORNERS}'"
+            )
+        if self.starts == ANYWHERE and len(self.pieces) > 2:
+            raise ConfigurationError(
+                f"field 'starts' of task {type(self).__name__} is '{ANYWHERE}', which has room for two blocks, not "
+                f"{len(self.pieces)}: give '{CORNERS}', or one pyramid of two blocks"
+            )
 
     def start(self, world: World) -> None:
         super().start(world)
@@ -291,10 +345,15 @@ def _parts(index: int) -> tuple[Subtask, Subtask]:
 
 @dataclass(kw_only=True)
 class Stack(StackPyramid):
-    """One block on another: the smallest of the pyramids."""
+    """One block on another: the smallest of the pyramids. Both start anywhere in the hand's workspace by default.
 
+    The kept policy ``stack`` was learned with ``starts="corners"``, which its own fields say.
+    """
+
+    exceptions: ClassVar[tuple[TaskException, ...]] = ()
     training: ClassVar[Mapping[str, Any]] = {"expert_starts": 0.5, "action": "ik_relative"}
     episode_length: float = 8.0
     ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.4, entropy_weight=0.002)
     pyramids: int = 1
     blocks: int = 2
+    starts: str = ANYWHERE

@@ -6,6 +6,7 @@ Rewards follow Rudin et al., Learning to Walk in Minutes Using Massively Paralle
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -22,6 +23,7 @@ from orbit_core.envs import (
     TerminationTerm,
 )
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import means, measured_in, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
@@ -187,6 +189,9 @@ class VelocityFlat(Task):
     tolerance. Metrics: those errors, and falls. The expert, of robots with four feet, is :class:`FootholdGait`.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.START_AREA, "the plane is the same everywhere"),
+    )
     robot: str = "anymal_c"
     action: str = "joint_position"
     episode_length: float = 10.0

@@ -23,6 +23,7 @@ from orbit_core.envs import (
     RewardTerm,
 )
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.mdp.scans import height_scan
@@ -142,6 +143,13 @@ class VelocityRough(VelocityFlat, OnTerrain):
     Velocity-Flat, the level of the terrain.
     """
 
+    exceptions: ClassVar[tuple[TaskException, ...]] = (
+        TaskException(TaskCheck.EXPERT_BEATS_ZERO, "the gait does not see the ground: it falls, and standing does not"),
+        TaskException(
+            TaskCheck.VELOCITY_LIMITS,
+            "the gait does not see the ground: falls throw its joints about",
+        ),
+    )
     expert_success: ClassVar[float] = 0.0  # the gait does not see the ground
     episode_length: float = 20.0
     max_sideways: float = 1.0

@@ -23,6 +23,7 @@ from orbit_core.dynamics.tree import joint_ancestry
 from orbit_core.interfaces.layout import home_positions
 from orbit_core.interfaces.names import match_names
 from orbit_core.motion.full_ik import FullIk, FullIkConfig
+from orbit_core.motion.workspace import fitted_workspace
 
 _COMMANDED = 2.0
 """rad from home that actions reach."""
@@ -93,8 +94,8 @@ def main(settings: HomeSettings) -> None:
     """Print the best position found, and what it reaches."""
     torch.manual_seed(0)
     arm = Arm(settings.name)
-    low = torch.tensor(settings.low or arm.effector.workspace.low)
-    high = torch.tensor(settings.high or arm.effector.workspace.high)
+    workspace = arm.effector.workspace or fitted_workspace(robot(settings.name))
+    low, high = torch.tensor(settings.low or workspace.low), torch.tensor(settings.high or workspace.high)
     poses = _poses(low, high, settings.poses)
     print(f"the entry's home: {_told(arm, arm.home, poses)}")
     middle = torch.tensor([*((low + high) / 2).tolist(), 0.0, 1.0, 0.0, 0.0])  # half a turn about x: z down

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from orbit_core.assets.naming import names_file
-from orbit_core.assets.options import ReadOptions, Repair
+from orbit_core.assets.options import ReadOptions
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.scene import Articulation
 
@@ -43,14 +43,10 @@ def load_articulation(path: Path | str, *, merge: bool = True, options: ReadOpti
     Raises:
         AssetError: the file is missing, of another format, malformed, or describes nothing that can be simulated.
     """
-    from orbit_core.assets.inertia_repair import balance_inertias
     from orbit_core.assets.merge import merge_fixed_links
     from orbit_core.assets.validation import validate
 
-    articulation = _read(Path(path), options)
-    if options.repair is Repair.BALANCE:
-        articulation = balance_inertias(articulation)
-    articulation = validate(articulation)
+    articulation = validate(_read(Path(path), options))
     return merge_fixed_links(articulation) if merge else articulation
 
 

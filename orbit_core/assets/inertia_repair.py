@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from orbit_core.assets.inertia import MassProperties, combine, mass_properties
 from orbit_core.assets.merge import link_hosts
+from orbit_core.assets.options import ReadOptions, Repair
 from orbit_core.scene import Articulation, Link, Pose, Sphere
 from orbit_core.scene.inertias import raised_moments
 
@@ -19,6 +20,11 @@ _TRIANGLE_TOLERANCE = 1e-3
 """As in :mod:`orbit_core.assets.validation`: published models round their inertias to three digits."""
 _WATER = 1000.0
 """kg/m^3, of the ball that stands in for an inertia of zero."""
+
+
+def repaired(articulation: Articulation, options: ReadOptions) -> Articulation:
+    """Return the articulation as read, or with its inertias balanced where the caller has it so."""
+    return balance_inertias(articulation) if options.repair is Repair.BALANCE else articulation
 
 
 def balance_inertias(articulation: Articulation) -> Articulation:

@@ -23,7 +23,7 @@ def check_stl(data: bytes, path: Path) -> None:
     Raises:
         AssetError: it has fewer.
     """
-    if data[:5].lower() == b"solid" and b"facet" in data[:1024]:
+    if data[:5].lower() == b"solid" and b"facet" in data[:1024].lower():
         return
     if len(data) < _STL_HEADER:
         raise AssetError(f"mesh file '{path}' has {len(data)} bytes, fewer than an STL file's header: export it again")

@@ -1,17 +1,26 @@
-"""Errors of parsers and of arithmetic as :class:`AssetError`, with the file and the element that caused them."""
+"""Errors of parsers and of arithmetic as :class:`AssetError`, with the file and the element that caused them.
+
+An argument of the caller is checked before, for it is no fault of the file.
+"""
 
 from __future__ import annotations
 
 import functools
+import inspect
+import os
+import typing
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
-from orbit_core.interfaces.errors import AssetError, OrbitError
+from orbit_core.interfaces.errors import ArgumentError, AssetError, OrbitError
+from orbit_core.interfaces.typed import Typed
 
 _LONGEST = 1000
 """Characters of a message; parsers quote whole files."""
+
+_TYPED = Typed()
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -40,14 +49,28 @@ def naming(place: str) -> Iterator[None]:
 
 
 def names_file(read: Callable[Concatenate[Path | str, _P], _R]) -> Callable[Concatenate[Path | str, _P], _R]:
-    """A reader whose errors all name the file that is its first argument, see :func:`naming`."""
+    """Make a reader name the file, its first argument, in all errors (:func:`naming`), but for those of arguments.
+
+    The reader raises ArgumentError where an argument is not of the type that it is annotated with.
+    """
+    signature = inspect.signature(read)
 
     @functools.wraps(read)
     def named(path: Path | str, *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        if not isinstance(path, str | os.PathLike):
+            raise ArgumentError(f"path is {path!r}: give the path of a file")
+        given = signature.bind(path, *args, **kwargs).arguments
+        for name, value in given.items():
+            _TYPED.check_value(value, _hints(read)[name], name)
         with naming(str(path)):
             return read(path, *args, **kwargs)
 
     return named
+
+
+@functools.cache
+def _hints(read: Callable[..., object]) -> dict[str, typing.Any]:
+    return typing.get_type_hints(read)
 
 
 def one_line(text: str) -> str:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
+
+from orbit_core.interfaces.errors import ArgumentError
+from orbit_core.interfaces.typed import Typed
 
 
 class Unsupported(Enum):
@@ -64,3 +68,17 @@ class ReadOptions:
     articulation: str | None = None
     unsupported: Unsupported = Unsupported.REFUSE
     repair: Repair = Repair.NONE
+
+    def __post_init__(self) -> None:
+        """Check all fields: readers would blame the file, or not notice at all.
+
+        Raises:
+            ArgumentError: a field is of another type.
+        """
+        if not isinstance(self.allow_outside, bool | tuple):
+            raise ArgumentError(f"ReadOptions.allow_outside is {self.allow_outside!r}: give True or a tuple of folders")
+        Typed().check(self, "ReadOptions")
+        folders = self.allow_outside if isinstance(self.allow_outside, tuple) else ()
+        for folder in (*folders, *self.packages.values()):
+            if not isinstance(folder, str | os.PathLike):
+                raise ArgumentError(f"ReadOptions names the folder {folder!r}: give a path")

@@ -114,13 +114,23 @@ def _located(reference: str, base: Path, model: Path, options: ReadOptions) -> t
             package, _, inner = reference.removeprefix(scheme).removeprefix("/").partition("/")
             if reference.startswith(f"{scheme}/") and not list(package_folders(package, model, options)):
                 package, inner = "", f"{package}/{inner}" if inner else package
-            folder, path = _in_package(reference, package, unquote(inner), model, options)
+            folder, path = _in_package(reference, package, unquote(inner).lstrip("/"), model, options)
             return path, (folder,)
     if reference.startswith("file:"):
-        return Path(unquote(urlsplit(reference).path)), ()
+        reference = _local_path(reference)
     if "://" in reference:
         raise AssetError(f"'{reference}' is no file on this machine: fetch it and name its path")
     return (base if base.is_dir() else base.parent) / reference, ()
+
+
+def _local_path(uri: str) -> str:
+    """Return the path of a ``file:`` URI; relative to the file that names it where the URI gives no absolute one.
+
+    Exporters write ``file://meshes/part.stl``, whose first folder is, by the standard, a machine.
+    """
+    parts = urlsplit(uri)
+    host = "" if parts.netloc == "localhost" else parts.netloc
+    return unquote(f"{host}{parts.path}")
 
 
 def _in_package(reference: str, package: str, inner: str, model: Path, options: ReadOptions) -> tuple[Path, Path]:

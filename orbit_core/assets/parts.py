@@ -75,8 +75,8 @@ class RobotPart:
     """An arm's joints, by regular expression."""
     gripper: Gripper | None = None
     finger_tips: tuple[str, ...] = ()
-    workspace: Workspace = field(default_factory=Workspace)
-    """An arm's, in its own root link."""
+    workspace: Workspace | None = None
+    """An arm's, in its own root link; None: a task computes it."""
     end_effector: str = ""
     """An arm's own end effector, by name, mounted where a composition names none."""
     feet: tuple[str, ...] = ()
@@ -199,7 +199,9 @@ def _end_effectors(parts: Sequence[RobotPart], body: Articulation) -> tuple[EndE
     arm = next((part for part in parts if part.kind is PartKind.ARM), None)
     tool = parts[-1]
     if arm is not None:
-        space = arm.workspace if arm is parts[0] else arm.workspace.placed(_seat(body, parts[0]))
+        space = arm.workspace
+        if space is not None and arm is not parts[0]:
+            space = space.placed(_seat(body, parts[0]))
         return (EndEffector(tool.frame or arm.mount, arm.joints, tool.gripper, tool.finger_tips, space), *own)
     if tool.kind is PartKind.END_EFFECTOR:
         return (EndEffector(tool.frame, (), tool.gripper, tool.finger_tips), *own)

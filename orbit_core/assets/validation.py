@@ -33,6 +33,8 @@ _TRIANGLE_TOLERANCE = 1e-3
 """Tolerance as a share of the largest principal moment: published models round their inertias to three digits."""
 _CLOSED = 1e-3
 """Metres by which a loop may be open at home, and radians by which a weld may be turned."""
+_HOME_TOLERANCE = 1e-4
+"""rad or m: files round home positions, and those that were recorded in a simulation press on soft limits."""
 _MEND = "compute its inertia from its shape, or have it mended by ReadOptions(repair=Repair.BALANCE)"
 _POWERS = 3
 """Most powers of a mimic joint's law beyond the linear term: the most that an engine's constraint takes."""
@@ -74,7 +76,7 @@ def validate(articulation: Articulation) -> Articulation:
     for loop in articulation.loops:
         _check_loop(articulation, loop, hosts)
     _check_drives(articulation)
-    _check_home(articulation)
+    articulation = _checked_home(articulation)
     if any(new is not old for new, old in zip(joints, articulation.joints, strict=True)):
         articulation = replace(articulation, joints=joints)
     merged = merge_fixed_links(articulation)
@@ -334,14 +336,28 @@ def _check_drives(articulation: Articulation) -> None:
     _check_unique(articulation, "drives", (drive.joint for drive in articulation.drives))
 
 
-def _check_home(articulation: Articulation) -> None:
+def _checked_home(articulation: Articulation) -> Articulation:
+    """The articulation with home positions that a file rounds to just beyond their limits at the limits."""
     names = articulation.joint_names
+    limits = {joint.name: (joint.lower_limit, joint.upper_limit) for joint in articulation.joints}
+    home: list[tuple[str, float]] = []
     for joint, position in articulation.home:
         if joint not in names:
             raise _error(articulation, f"a home position is of '{joint}', which is no movable joint: name one")
         if not math.isfinite(position):
             raise _error(articulation, f"joint '{joint}' has home position {position}: give a finite number")
+        within = min(max(position, limits[joint][0]), limits[joint][1])
+        home.append((joint, within if abs(within - position) <= _HOME_TOLERANCE else position))
     _check_unique(articulation, "home positions", (joint for joint, _ in articulation.home))
+    moved = [
+        f"'{joint}' {old:.7g} -> {new:.7g}"
+        for (joint, old), (_, new) in zip(articulation.home, home, strict=True)
+        if new != old
+    ]
+    if not moved:
+        return articulation
+    note = f"home positions just beyond their limits are at the limits: {', '.join(moved)}"
+    return replace(articulation, home=tuple(home), notes=(*articulation.notes, note))
 
 
 def _check_inertia(articulation: Articulation, link: Link) -> None:

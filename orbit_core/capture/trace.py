@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
-from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._python_dispatch import TorchDispatchMode, _get_current_dispatch_mode_stack
 from torch.utils._pytree import tree_leaves, tree_map_only
 
 from orbit_core.dynamics.indexing import is_mask
@@ -174,7 +174,7 @@ class _HostReads(TorchFunctionMode):
     def __torch_function__(
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
     ) -> Any:
-        if func in _HOST_READS and not self._tracer.paused:
+        if func in _HOST_READS and not self._tracer.paused and self._tracer in _get_current_dispatch_mode_stack():
             self._tracer.refusal = f"Tensor.{func.__name__} looks at a tensor's values"
         return func(*args, **(kwargs or {}))
 

@@ -45,6 +45,10 @@ COMMANDS = {
         "check_robot",
         "Check a catalogue entry or a composition: limits, gains, home, frames, stance, licence",
     ),
+    "check-task": (
+        "check_task",
+        "Check tasks: order of returns, limits kept by experts, coverage of starts, chance",
+    ),
     "convert": ("convert", "Convert between URDF, MJCF and USD, and meshes into rigid bodies"),
     "conformance": ("conformance", "Hold backends against known answers and whole tasks, and report"),
 }

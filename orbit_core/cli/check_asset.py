@@ -17,7 +17,7 @@ from orbit_core.audit.findings import Severity
 from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, findings_table, new_table, write_json
 from orbit_core.cli.parsing import parse_words
-from orbit_core.cli.reading import ReadSettings
+from orbit_core.cli.reading import ReadSettings, remedies_in_flags
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,8 @@ def main(words: Sequence[str]) -> int:
     """Audit the file, print what was found, and say by the exit code whether it has faults."""
     settings = parse_words(CheckAssetSettings, words, "orbit check-asset")
     check_output(settings.json, ".json", settings.overwrite)
-    report = audit_file(settings.file, settings.options())
+    with remedies_in_flags():
+        report = audit_file(settings.file, settings.options())
     write_json(settings.json, values_of(report))
     out = console()
     body = report.articulation

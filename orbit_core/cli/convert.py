@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console
 from orbit_core.cli.parsing import parse_words
-from orbit_core.cli.reading import ReadSettings
+from orbit_core.cli.reading import ReadSettings, remedies_in_flags
 from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.scene import Articulation, MeshCollision
@@ -75,6 +75,7 @@ def main(words: Sequence[str]) -> None:
             out.print(f"{kind}: {line}", markup=False, highlight=False)
 
 
+@remedies_in_flags()
 def _read(settings: ConvertSettings) -> Articulation:
     given = {name for name in _MESH_OPTIONS if getattr(settings, name) is not None}
     if settings.source.suffix.lower() in _MESHES:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,7 +12,39 @@ from typing import Annotated, Literal
 from tyro.conf import UseAppendAction, arg
 
 from orbit_core.assets.options import ReadOptions, Repair, Unsupported
-from orbit_core.interfaces.errors import ConfigurationError
+from orbit_core.interfaces.errors import AssetError, ConfigurationError
+
+_FLAGS = (
+    (r"ReadOptions\(unsupported=[^)]*\)", "--unsupported drop"),
+    (r"ReadOptions\(repair=[^)]*\)", "--repair balance"),
+    (r"allow its folder by ReadOptions\(allow_outside=\(folder,\)\)", "let it by --allow-outside"),
+    (r"ReadOptions\(allow_outside=[^)]*\)", "--allow-outside"),
+    (r"ReadOptions\(packages=\{'([^']*)': folder\}\)", r"--package \1=FOLDER"),
+    (r"ReadOptions\(packages=[^)]*\)", "--package NAME=FOLDER"),
+    (r"ReadOptions\(articulation=[^)]*\)", "--articulation NAME"),
+    (r"ReadOptions\(environment=[^)]*\)", "--environment NAME"),
+)
+"""Remedies as readers say them to programs, and the flag that does the same on the command line."""
+
+
+def in_flags(text: str) -> str:
+    """Return a reader's message with flags in the place of Python's words."""
+    for words, flag in _FLAGS:
+        text = re.sub(words, flag, text)
+    return text
+
+
+@contextmanager
+def remedies_in_flags() -> Iterator[None]:
+    """Let a reader's refusals name flags of the command line.
+
+    Raises:
+        AssetError: one was raised within.
+    """
+    try:
+        yield
+    except AssetError as error:
+        raise AssetError(in_flags(str(error))) from error
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,7 +28,7 @@ class RecordSettings(EnvironmentSettings):
     """Environments stepped together."""
     episodes: int = 100
     """Episodes in the dataset, divided evenly over the environments, so that short ones are not preferred."""
-    agent: Annotated[str, arg(metavar="{expert,random,zero,POLICY}")] = "expert"
+    agent: Annotated[str, arg(metavar="{expert,random,zero,hold,POLICY}")] = "expert"
     """Who acts: one of these, a kept policy ('orbit list policies'), or the file or folder of a learned one."""
     output: Annotated[Path, arg(metavar="FILE")] = Path("out/demonstrations.hdf5")
     """The dataset, HDF5 in robomimic's layout; its card is written beside it."""

@@ -71,7 +71,7 @@ class RunSettings(EnvironmentSettings):
     """Environments stepped together."""
     episodes: int = 200
     """Episodes that count, divided evenly over the environments, so that short ones are not preferred."""
-    agent: Annotated[str, arg(metavar="{expert,random,zero,POLICY}")] = "expert"
+    agent: Annotated[str, arg(metavar="{expert,random,zero,hold,POLICY}")] = "expert"
     """Who acts: one of these, a kept policy ('orbit list policies'), or the file or folder of a learned one."""
     json: File = None
     """Write the result here."""
@@ -104,7 +104,7 @@ class ViewSettings(EnvironmentSettings):
 
     num_envs: int = 1
     """Environments stepped together."""
-    agent: Annotated[str, arg(metavar="{expert,random,zero,POLICY}")] = "expert"
+    agent: Annotated[str, arg(metavar="{expert,random,zero,hold,POLICY}")] = "expert"
     """Who acts: one of these, a kept policy ('orbit list policies'), or the file or folder of a learned one."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 lets other machines watch."""

@@ -110,6 +110,17 @@ class PlanarChain:
 
     def derivative(self, state: FloatArray) -> FloatArray:
         """The time derivative of the state."""
+        matrix, push = self._equations(state)
+        rates = np.linalg.solve(matrix, push).astype(np.float64)
+        return np.concatenate((state[self.links :], rates))
+
+    def efforts(self, state: FloatArray, accelerations: FloatArray) -> FloatArray:
+        """Efforts (links,) on the joints that give them the accelerations (links,)."""
+        matrix, push = self._equations(state)
+        return matrix @ accelerations - push
+
+    def _equations(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the joint-space inertia, and the efforts of gravity and of centrifugal terms."""
         total = np.tri(self.links)  # joint angles to angles against the horizontal
         angles, speeds = total @ state[: self.links], total @ state[self.links :]
         levers = self._levers
@@ -117,8 +128,7 @@ class PlanarChain:
         apart = angles[:, None] - angles
         matrix = coupling * np.cos(apart) + self.inertia * np.eye(self.links)
         push = self.mass * self.gravity * levers.sum(0) * np.cos(angles) - (coupling * np.sin(apart)) @ speeds**2
-        joint_matrix = total.T @ matrix @ total + self.armature * np.eye(self.links)
-        return np.concatenate((state[self.links :], np.linalg.solve(joint_matrix, total.T @ push)))
+        return total.T @ matrix @ total + self.armature * np.eye(self.links), total.T @ push
 
     def energy(self, state: FloatArray) -> float:
         """Kinetic and potential energy in J."""

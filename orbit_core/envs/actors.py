@@ -64,7 +64,23 @@ class ZeroActor(Actor):
         return self._action
 
 
-ACTORS = {"expert": ExpertActor, "random": RandomActor, "zero": ZeroActor}
+class HoldActor(Actor):
+    """The first action of the random actor, held until the episode ends."""
+
+    def __init__(self, environment: Environment, seed: int) -> None:
+        import torch
+
+        self._random = RandomActor(environment, seed)
+        self._begun = environment.task.episode_step
+        self._held = torch.zeros(environment.num_envs, environment.action_size, device=environment.device)
+
+    def act(self) -> Tensor:
+        drawn, begun = self._random.act(), self._begun == 0
+        self._held.copy_(drawn.where(begun[:, None], self._held))
+        return self._held
+
+
+ACTORS = {"expert": ExpertActor, "random": RandomActor, "zero": ZeroActor, "hold": HoldActor}
 
 
 def scripted_actor(name: str, environment: Environment, seed: int) -> Actor:

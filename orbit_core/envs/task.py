@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.envs.ppo import PpoSettings
+from orbit_core.envs.task_checks import TaskException
 from orbit_core.envs.terms import CurriculumTerm
 from orbit_core.interfaces import ConfigurationError, Node
 from orbit_core.scene import Pose, RobotSpec, Scene, look_at
@@ -54,6 +55,8 @@ class Task(ABC):
     expert_success: ClassVar[float] = 0.8
     """Success rate that the expert, where there is one, is held to on every engine: conformance fails those where it is
     beyond chance below."""
+    exceptions: ClassVar[tuple[TaskException, ...]] = ()
+    """Checks of ``orbit check-task`` that the task does not meet, with reasons."""
     robot: str
     """Name of a robot in the catalogue."""
     action: str

@@ -72,6 +72,7 @@ class Capability(Enum):
     HEIGHT_FIELDS = "height field terrain"
     CONTACT_FORCES = "contact forces per link and pair"
     JOINT_WRENCHES = "joint reaction wrenches"
+    LOOP_WRENCHES = "joint reaction wrenches in kinematic loops"
     EXTERNAL_WRENCHES = "external wrenches on links"
     RAY_CASTS = "ray casts"
     RANDOMIZE_MASS = "mass per environment"

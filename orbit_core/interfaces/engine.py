@@ -79,7 +79,11 @@ class Engine(Watched, ABC):
     @abstractmethod
     @reads_state
     def joint_efforts(self) -> Tensor:
-        """(N, J) efforts that drives and commands applied in the last step, after limits."""
+        """(N, J) efforts that drives and commands applied over the last physics step, N m or N, after limits.
+
+        The mean over the step, not the law at its beginning: ``(inertia + armature) (v1 - v0) / h`` of a free joint.
+        Forces of the joint itself are not in them: its damping, friction, spring and limits.
+        """
 
     @property
     @abstractmethod
@@ -132,7 +136,8 @@ class Engine(Watched, ABC):
     def joint_wrenches(self) -> Tensor:
         """(N, W, 6) force and torque that each of ``layout.wrench_links`` receives from its parent (or the world).
 
-        About the link frame's origin, in the link's axes, at the last physics step.
+        About the link frame's origin, in the link's axes, over the last physics step. The torque about a hinge's axis
+        is the joint's effort, less what its damping, friction, spring and armature take.
         """
         raise self._unsupported("joint wrenches")
 

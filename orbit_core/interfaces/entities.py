@@ -84,7 +84,7 @@ class Object(ABC):
     @property
     @abstractmethod
     def joint_efforts(self) -> Tensor:
-        """(N, joints) applied in the last physics step."""
+        """(N, joints) efforts that drives and commands applied over the last physics step, N m or N, after limits."""
 
     @abstractmethod
     def frame_pose(self, name: str) -> Tensor:

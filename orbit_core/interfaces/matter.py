@@ -80,17 +80,31 @@ class Matter(ABC):
         """Centres of mass (n, k, 3) in the link frames of links (k,); the same."""
 
     @abstractmethod
-    def step(self, before: Tensor, after: Tensor, velocities: tuple[Tensor, Tensor] | None = None) -> None:
-        """Advance by one physics step, in which links went from poses ``before`` to ``after``, (N, L, 7) each.
+    def step(
+        self,
+        before: Tensor,
+        after: Tensor,
+        velocities: tuple[Tensor, Tensor] | None = None,
+        wrenches: Tensor | None = None,
+    ) -> None:
+        """Advance by one physics step.
 
-        Scenes with free bodies give ``velocities`` before and after it, (N, L, 6) each as of
-        :attr:`Engine.link_velocities`.
+        Args:
+            before: poses of links at its beginning, (N, L, 7).
+            after: poses of links at its end, (N, L, 7).
+            velocities: at its beginning and end, (N, L, 6) each as of :attr:`Engine.link_velocities`; given in scenes
+                with free bodies.
+            wrenches: that users have set, (N, L, 6) about the links' centres of mass in world axes.
         """
 
     @property
     @abstractmethod
     def wrenches(self) -> Tensor:
-        """(N, L, 6) force and torque about the link frame's origin, world axes, on each link, mean of the last step."""
+        """(N, L, 6) wrench about the link frame's origin, world axes, that the engine applies in its next step.
+
+        Of links that the solver moves with its own equations it is the wrench that makes the engine's follow; of
+        others the mean that matter exerted in the last step.
+        """
 
     @property
     @abstractmethod

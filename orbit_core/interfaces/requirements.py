@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
 from dataclasses import replace
 
 from orbit_core.interfaces.capabilities import Capability
@@ -90,8 +91,9 @@ def _needs(scene: Scene) -> Iterator[tuple[Capability, str]]:
                 yield Capability.SOFT_BODIES, f"soft body '{name}'"
             case Fluid(name=name):
                 yield Capability.FLUIDS, f"fluid '{name}'"
+    looped = {entity.name for entity in scene.entities if entity.articulation.loops}
     for sensor in scene.sensors:
-        yield from _sensor_needs(sensor)
+        yield from _sensor_needs(sensor, looped)
 
 
 def _entity_needs(entity: Entity) -> Iterator[tuple[Capability, str]]:
@@ -163,7 +165,8 @@ def _shape_needs(shape: Shape, culprit: str, moving: bool) -> Iterator[tuple[Cap
         yield Capability.COMPLIANT_CONTACT, culprit
 
 
-def _sensor_needs(sensor: SensorSpec) -> Iterator[tuple[Capability, str]]:
+def _sensor_needs(sensor: SensorSpec, looped: AbstractSet[str]) -> Iterator[tuple[Capability, str]]:
+    """Yield what a sensor needs; ``looped`` names the entities with closed loops."""
     culprit = f"sensor '{sensor.name}'"
     match sensor:
         case CameraSpec(channels=channels):
@@ -173,5 +176,7 @@ def _sensor_needs(sensor: SensorSpec) -> Iterator[tuple[Capability, str]]:
             yield Capability.CONTACT_FORCES, culprit
         case ForceTorqueSpec():
             yield Capability.JOINT_WRENCHES, culprit
+            if sensor.entity in looped:
+                yield Capability.LOOP_WRENCHES, culprit
         case RayCasterSpec():
             yield Capability.RAY_CASTS, culprit

@@ -52,6 +52,19 @@ class Typed:
             return
         self._dataclass(thing, where)
 
+    def check_value(self, value: object, hint: Any, where: str) -> None:
+        """Check one value against a type, as :meth:`check` does with fields.
+
+        Args:
+            value: anything.
+            hint: the type, as ``typing.get_type_hints`` gives it.
+            where: the value's name, for the message.
+
+        Raises:
+            ArgumentError: as :meth:`check`.
+        """
+        self._of(hint)(value, where)
+
     def _dataclass(self, thing: object, where: str) -> None:
         kind = type(thing)
         fields = self._fields.get(kind)

@@ -15,9 +15,12 @@ from orbit_core.audit.robots.postures import gripper_positions
 from orbit_core.envs.task import ROBOT, Task
 from orbit_core.envs.terms import ENVIRONMENT, POSE, ObservationGroup, means, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, Robot, World
-from orbit_core.scene import ObjectSpec, Plane, Pose, RobotSpec, Shape
+from orbit_core.motion.workspace import with_workspace
+from orbit_core.scene import ObjectSpec, Plane, Pose, RobotSpec, Shape, Workspace
 from orbit_core.scene.pose import Vector3
 
+ROOM: Vector3 = (0.15, 0.3, 0.2)
+"""Least size of a workspace, m, in which a task lays out its things; those of the catalogue's larger arms have more."""
 BENCH_HEIGHT = 0.7
 """Metres from the floor to the top of the work bench, which lies at z = 0."""
 
@@ -32,12 +35,16 @@ def floor(height: float = 0.0) -> Shape:
     return Shape(Plane(), Pose((0.0, 0.0, height)), color=(0.35, 0.38, 0.42, 1.0), name="floor")
 
 
-def arm(name: str, gripper: bool = True, agent: str = ROBOT, pose: Pose | None = None) -> RobotSpec:
+def arm(
+    name: str, gripper: bool = True, agent: str = ROBOT, pose: Pose | None = None, room: Vector3 = ROOM
+) -> RobotSpec:
     """A robot of the catalogue with an end effector, and a gripper on it where that is needed, as an agent of the task.
 
     Raises:
         UnknownNameError: there is none of that name.
-        ConfigurationError: it has no end effector, no arm that moves it, or no gripper.
+        ConfigurationError: it has no end effector, no arm that moves it, or no gripper; or it has no workspace, and
+            none is found (:func:`orbit_core.motion.workspace.with_workspace`), or one that is smaller than the task's
+            ``room``, m along x, y and z.
     """
     spec = robot(name, name=agent)
     spec = spec if pose is None else replace(spec, pose=pose)
@@ -53,6 +60,14 @@ def arm(name: str, gripper: bool = True, agent: str = ROBOT, pose: Pose | None =
         lacking = "gripper"
     if lacking:
         raise ConfigurationError(f"robot '{name}' has no {lacking}, which this task needs: choose another robot")
+    spec = with_workspace(spec)
+    box = placed_workspace(spec)
+    size = [high - low for low, high in zip(box.low, box.high, strict=True)]
+    if any(has < needs for has, needs in zip(size, room, strict=True)):
+        sizes = (" x ".join(f"{length:.2f}" for length in lengths) for lengths in (size, room))
+        raise ConfigurationError(
+            "the workspace of robot '{}' is {} m, and this task needs {} m: choose a larger robot".format(name, *sizes)
+        )
     return spec
 
 
@@ -78,11 +93,33 @@ def workspace(world: World, agent: str = ROBOT) -> tuple[Vector3, Vector3]:
     """Lowest and highest corner of where the robot's hand reaches, in the environment's frame; its root stands upright.
 
     Raises:
-        ConfigurationError: the robot has no end effector.
+        ConfigurationError: the robot has no workspace.
     """
-    spec = world.robots[agent].spec
-    box = spec.end_effector.workspace.placed(spec.pose)
+    box = placed_workspace(world.robots[agent].spec)
     return box.low, box.high
+
+
+def placed_workspace(spec: RobotSpec) -> Workspace:
+    """Return where the hand of a robot reaches, in the environment's frame; the robot's root stands upright.
+
+    Raises:
+        ConfigurationError: the robot has no workspace: it was not made by :func:`arm`.
+    """
+    return workspace_of(spec).placed(spec.pose)
+
+
+def workspace_of(spec: RobotSpec) -> Workspace:
+    """Return where the hand of a robot reaches, in its root link's frame.
+
+    Raises:
+        ConfigurationError: the robot has no workspace: it was not made by :func:`arm`.
+    """
+    if spec.end_effector.workspace is None:
+        raise ConfigurationError(
+            f"robot '{spec.articulation.name}' has no workspace: take it through "
+            "orbit_core.motion.workspace.with_workspace, or give its end effector one"
+        )
+    return spec.end_effector.workspace
 
 
 def _joint_names(world: World, task: Task, agent: str = ROBOT) -> Sequence[str]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from orbit_core.scene import Rope, Scene
 
-_GRAVITY = 9.81
+STANDARD_GRAVITY = 9.81
+"""m/s^2."""
 
 
 def hanging_weight(rope: Rope, scene: Scene) -> float:
@@ -15,4 +16,4 @@ def hanging_weight(rope: Rope, scene: Scene) -> float:
         for entity in scene.entities
         if entity.name in held and not entity.fixed_base
     ]
-    return _GRAVITY * (sum(loads) + rope.mass) if loads else 0.0
+    return STANDARD_GRAVITY * (sum(loads) + rope.mass) if loads else 0.0

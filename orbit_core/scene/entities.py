@@ -44,18 +44,22 @@ END_EFFECTOR = "end_effector"
 class Workspace:
     """A box of positions in the root link's frame, m, where tasks may place what a hand is to reach.
 
-    The hand reaches every pose in it that is at most 0.3 rad from straight down about each horizontal axis and turned
-    by at most 1 rad about the vertical.
+    The hand reaches every pose in it that is at most ``tilt`` from straight down about each horizontal axis and turned
+    by at most ``yaw`` about the vertical.
     """
 
     low: Vector3 = (0.4, -0.25, 0.15)
     high: Vector3 = (0.65, 0.25, 0.5)
+    tilt: float = 0.3
+    """rad; zero for an arm of five joints, which cannot tilt its hand sideways."""
+    yaw: float = 1.0
+    """rad"""
 
     def placed(self, pose: Pose) -> Workspace:
         """The box in the frame in which ``pose`` is that of the root; turns are of 90 degrees, as boxes allow."""
         first, second = (pose @ Pose(self.low)).position, (pose @ Pose(self.high)).position
         x, y, z = (sorted(pair) for pair in zip(first, second, strict=True))
-        return Workspace((x[0], y[0], z[0]), (x[1], y[1], z[1]))
+        return Workspace((x[0], y[0], z[0]), (x[1], y[1], z[1]), self.tilt, self.yaw)
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,8 @@ class EndEffector:
     gripper: Gripper | None = None
     finger_tips: tuple[str, ...] = ()
     """Links or frames at the ends of a hand's fingers."""
-    workspace: Workspace = Workspace()
+    workspace: Workspace | None = None
+    """None: a task computes it (:func:`orbit_core.motion.workspace.with_workspace`)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,6 +20,11 @@ class Pose:
     position: Vector3 = (0.0, 0.0, 0.0)
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
+    def __post_init__(self) -> None:
+        # NumPy's scalars and arrays become Python's numbers: arrays neither compare nor hash, and USD takes no float32.
+        object.__setattr__(self, "position", tuple(map(float, self.position)))
+        object.__setattr__(self, "orientation", tuple(map(float, self.orientation)))
+
     def __matmul__(self, other: Pose) -> Pose:
         """The pose of ``other``, given in this frame, in this frame's parent."""
         return Pose(_placed(self, other.position), _multiply(self.orientation, other.orientation))

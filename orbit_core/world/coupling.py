@@ -148,10 +148,10 @@ class CoupledEngine(Engine):
             except SimulationError as error:  # of some environments: the others go on
                 failure = error
             velocities = None if was is None else (was, self._inner.link_velocities)
-            self._matter.step(before, self._inner.link_poses, velocities)
+            self._matter.step(before, self._inner.link_poses, velocities, self._asked)
             if len(self.layout.contact_queries):
                 forces += self._inner.contact_forces
-                forces[:, self._total_queries] += self._matter.wrenches[:, self._total_links, :3]
+                forces[:, self._total_queries] += self._matter.contact_forces[:, :, self._total_links].sum(1)
         self._forces.copy_(forces / steps)
         if failure is not None:
             raise failure

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,9 @@ from hypothesis import strategies as st
 from orbit_core.assets.files import load_articulation
 from orbit_core.assets.inertia_repair import balance_inertias, balanced
 from orbit_core.assets.options import ReadOptions, Repair
+from orbit_core.assets.sdf import read_sdf
+from orbit_core.assets.urdf import read_urdf
+from orbit_core.assets.usd import read_usd
 from orbit_core.assets.validation import validate
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose
@@ -69,3 +73,33 @@ def test_files_are_mended_where_asked(tmp_path: Path) -> None:
     disc = load_articulation(path, options=ReadOptions(repair=Repair.BALANCE))
     np.testing.assert_allclose(disc.root.inertia, np.diag([4.5, 4.5, 9.0]))
     assert "'disc'" in disc.notes[0]
+
+
+DISC = {
+    "a.urdf": '<robot name="r"><link name="disc"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="9" ixy="0" '
+    'ixz="0" iyz="0"/></inertial></link></robot>',
+    "a.sdf": '<sdf version="1.9"><model name="r"><link name="disc"><inertial><mass>1</mass><inertia><izz>9</izz>'
+    "</inertia></inertial></link></model></sdf>",
+    "a.usda": '#usda 1.0\n(\nmetersPerUnit = 1\nupAxis = "Z"\n)\n'
+    'def Xform "disc" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]) {\n'
+    "float physics:mass = 1\nfloat3 physics:diagonalInertia = (1, 1, 9)\n}\n",
+}
+
+
+@pytest.mark.parametrize(("name", "reader"), zip(DISC, (read_urdf, read_sdf, read_usd), strict=True))
+def test_every_reader_repairs_where_asked(tmp_path: Path, name: str, reader: Callable[..., Articulation]) -> None:
+    (tmp_path / name).write_text(DISC[name])
+    assert np.ptp(np.diag(reader(tmp_path / name).root.inertia)) == pytest.approx(8.0)
+    repaired = reader(tmp_path / name, options=ReadOptions(repair=Repair.BALANCE))
+    np.testing.assert_allclose(sorted(np.diag(repaired.root.inertia)), (4.5, 4.5, 9.0))
+    assert any("'disc'" in note for note in repaired.notes)
+
+
+def test_a_link_with_mass_and_without_inertia_is_a_ball_of_water_where_asked(tmp_path: Path) -> None:
+    path = tmp_path / "ball.urdf"
+    path.write_text('<robot name="r"><link name="ball"><inertial><mass value="1000"/></inertial></link></robot>')
+    with pytest.raises(AssetError, match=r"link 'ball' lacks <inertia>.*Repair\.BALANCE"):
+        load_articulation(path)
+    ball = load_articulation(path, options=ReadOptions(repair=Repair.BALANCE))
+    np.testing.assert_allclose(ball.root.inertia, 400.0 * (3 / (4 * np.pi)) ** (2 / 3) * np.eye(3))
+    assert any("'ball'" in note for note in ball.notes)

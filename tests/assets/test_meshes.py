@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +66,12 @@ def test_stl_files_that_are_cut_short_say_so(tmp_path: Path) -> None:
         path.write_bytes(data)
         with pytest.raises(AssetError, match=message):
             load_mesh(path)
+
+
+@pytest.mark.parametrize("change", [str, str.upper])
+def test_text_stl_files_are_read_in_small_and_capital_letters(tmp_path: Path, change: Callable[[str], str]) -> None:
+    (tmp_path / "box.stl").write_text(change(trimesh.creation.box((1, 2, 3)).export(file_type="stl_ascii")))
+    np.testing.assert_allclose(np.ptp(load_mesh(tmp_path / "box.stl").vertices, axis=0), (1, 2, 3))
 
 
 def test_obj_files_that_are_cut_short_say_so(tmp_path: Path) -> None:

@@ -181,6 +181,32 @@ def test_actuators_become_drives(tmp_path: Path) -> None:
     assert "actuators that are no spring and damper on one joint are left out: 'pull', 'push'" in got.notes
 
 
+@pytest.mark.parametrize(
+    ("joint", "actuators", "limit", "noted"),
+    [
+        ("", '<position joint="a" kp="10" forcerange="0 5"/>', 5.0, "0 to 5"),
+        ("", '<position joint="a" kp="10" forcerange="0 5" gear="-2"/>', 10.0, "-10 to 0"),
+        ("", '<motor joint="a" gear="50" ctrlrange="-1 0.2"/>', 50.0, "-50 to 10"),
+        ("", '<motor joint="a" gear="50" ctrlrange="0 1" forcerange="0 0.5"/>', 25.0, "0 to 25"),
+        ("", '<general joint="a" gainprm="-3" ctrlrange="0 2"/>', 6.0, "-6 to 0"),
+        ('actuatorfrcrange="-3 4"', "", 4.0, "-3 to 4"),
+        ('actuatorfrcrange="-3 4"', '<motor joint="a" ctrlrange="-1 5"/>', 4.0, "-1 to 4"),
+        ("", '<motor joint="a" ctrlrange="0 2"/><motor joint="a" gear="-1" ctrlrange="0 2"/>', 2.0, None),
+        ('actuatorfrcrange="-3 3"', '<position joint="a" kp="10" forcerange="-7 7"/>', 3.0, None),
+    ],
+)
+def test_effort_limits_that_differ_by_direction_are_noted(
+    tmp_path: Path, joint: str, actuators: str, limit: float, noted: str | None
+) -> None:
+    body = TWO.replace('<joint name="a"', f'<joint name="a" {joint}')
+    got = read(tmp_path, body, f"<actuator>{actuators}</actuator>")
+    (driven,) = (each for each in got.joints if each.name == "a")
+    assert driven.effort_limit == pytest.approx(limit)
+    notes = [note for note in got.notes if "differ by direction" in note]
+    assert len(notes) == (noted is not None)
+    assert noted is None or f"in both: 'a' {noted}" in notes[0]
+
+
 SEVERAL = (
     f'<geom type="plane" size="1 1 1"/><geom name="wall" type="box" size="1 1 1"/>'
     f'<body name="arm" pos="1 0 0">{GEOM}<body name="hand"><joint name="a"/>{GEOM}</body></body>'

@@ -7,8 +7,10 @@ import json
 import os
 import struct
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
+import mujoco
 import pytest
 
 from orbit_core.assets import load_articulation
@@ -16,8 +18,9 @@ from orbit_core.assets.meshes import load_mesh, load_parts
 from orbit_core.assets.options import ReadLimits, ReadOptions
 from orbit_core.assets.outside import model_folder, resolve_file
 from orbit_core.assets.textures import texture_file
+from orbit_core.assets.urdf import read_urdf
 from orbit_core.audit.audit import audit_file
-from orbit_core.interfaces.errors import AssetError
+from orbit_core.interfaces.errors import ArgumentError, AssetError
 from tests.fuzz.watch import watched
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -64,6 +67,69 @@ def test_meshes_in_the_models_folder_are_read(model: Path, suffix: str) -> None:
     path = model / f"robot.{suffix}"
     path.write_text({"urdf": URDF, "xml": MJCF}[suffix].format("mesh.obj"))
     assert load_articulation(path).root.visuals
+
+
+@pytest.mark.parametrize(
+    "reference",
+    [
+        "file://meshes/mesh.obj",
+        "file:meshes/mesh.obj",
+        "file://./meshes/mesh.obj",
+        "file://localhost{here}/meshes/mesh.obj",
+        "file://{here}/meshes/mesh.obj",
+        "package://robot//meshes/mesh.obj",
+        "package://robot/meshes//mesh.obj",
+        "package:///robot/meshes/mesh.obj",
+        "model://robot//meshes/mesh.obj",
+    ],
+)
+def test_uris_with_more_or_fewer_slashes_than_the_standard_has_are_read(model: Path, reference: str) -> None:
+    (model / "meshes").mkdir()
+    (model / "mesh.obj").rename(model / "meshes" / "mesh.obj")
+    path = model / "robot.urdf"
+    path.write_text(URDF.format(reference.format(here=model)))
+    assert load_articulation(path).root.visuals
+
+
+@pytest.mark.parametrize(
+    "reference", ["file://../mesh.obj", "package://robot//../mesh.obj", "file:///{above}/mesh.obj"]
+)
+def test_such_uris_lead_to_nothing_outside(model: Path, reference: str) -> None:
+    path = model / "robot.urdf"
+    path.write_text(URDF.format(reference.format(above=model.parent)))
+    with pytest.raises(AssetError, match="outside the model's folder"):
+        load_articulation(path)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda path: load_articulation(5), "path is 5"),
+        (lambda path: load_articulation(path, options={}), r"options is \{\}: give a ReadOptions"),
+        (lambda path: load_articulation(path, merge="no"), "merge is 'no': give true or false"),
+        (lambda path: read_urdf(path, ["robot"]), "packages is .*: give a dictionary"),
+        (lambda path: read_urdf(path, name=3), "name is 3"),
+        (lambda path: load_mesh(path, 2.0), "scale is 2.0: give a tuple"),
+        (lambda path: ReadOptions(repair="balance"), "ReadOptions.repair is 'balance': give a Repair"),
+        (lambda path: ReadOptions(allow_outside=[path]), "ReadOptions.allow_outside is .*: give True or a tuple"),
+        (lambda path: ReadOptions(allow_outside=(3,)), "names the folder 3: give a path"),
+        (lambda path: ReadOptions(environment="HOME"), "ReadOptions.environment is 'HOME': give a tuple"),
+        (lambda path: ReadOptions(packages={"robot": None}), "names the folder None: give a path"),
+    ],
+)
+def test_a_callers_wrong_argument_is_not_blamed_on_the_file(
+    model: Path, call: Callable[[Path], object], message: str
+) -> None:
+    path = model / "robot.urdf"
+    path.write_text(URDF.format("mesh.obj"))
+    with pytest.raises(ArgumentError, match=message) as caught:
+        call(path)
+    assert "mend the file" not in str(caught.value)
+
+
+def test_an_unknown_argument_is_pythons_own_error(model: Path) -> None:
+    with pytest.raises(TypeError, match="unexpected keyword argument 'repair'"):
+        load_articulation(model / "robot.urdf", repair="balance")  # pyright: ignore[reportCallIssue]
 
 
 @pytest.mark.parametrize("arc", ["references", "payload", "subLayers"])
@@ -129,6 +195,39 @@ def test_meshes_of_included_mjcf_are_found_as_mujoco_finds_them_and_held_to_the_
             load_articulation(main)
     else:
         assert load_articulation(main).mass == pytest.approx(1000 * found**2 / 6.0)
+
+
+@pytest.mark.parametrize(
+    ("included", "main", "found"),
+    [
+        ('assetdir=""', 'meshdir="m"', 2.0),
+        ('meshdir=""', 'assetdir="n"', 1.5),
+        ('meshdir="m"', 'assetdir="n"', 2.0),
+        ('assetdir="m"', 'meshdir="n"', 1.5),
+        ('meshdir="n"', 'assetdir=""', 1.0),
+        ('meshdir="n"', 'assetdir="k"', None),
+        ('strippath="true" meshdir="m"', 'assetdir="n"', 1.5),
+    ],
+)
+def test_meshes_of_included_mjcf_are_found_whatever_compilers_say(
+    tmp_path: Path, included: str, main: str, found: float | None
+) -> None:
+    """MuJoCo looks for them by other folders than it opens them from where several compilers name folders."""
+    for name, size in {"mesh.obj": 1.0, "n/mesh.obj": 1.5, "sub/mesh.obj": 2.0}.items():
+        solid(tmp_path / name, size)
+    part = INCLUDED.format("mesh.obj").replace("<asset>", f"<compiler {included}/><asset>")
+    (tmp_path / "sub" / "part.xml").write_text(part)
+    path = tmp_path / "main.xml"
+    path.write_text(INCLUDING.format(f'<include file="sub/part.xml"/><compiler {main}/>'))
+    if found is None:
+        with pytest.raises(ValueError, match="Error opening file"):
+            mujoco.MjModel.from_xml_path(str(path))
+        with pytest.raises(AssetError, match="does not exist"):
+            load_articulation(path)
+        return
+    mass = 1000 * found**2 / 6.0
+    assert mujoco.MjModel.from_xml_path(str(path)).body_mass.sum() == pytest.approx(mass)
+    assert load_articulation(path).mass == pytest.approx(mass)
 
 
 @pytest.mark.parametrize(

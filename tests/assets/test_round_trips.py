@@ -13,8 +13,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orbit_core.assets.mjcf import read_mjcf
-from orbit_core.assets.urdf import read_urdf
+from orbit_core.assets.files import load_articulation
+from orbit_core.assets.mjcf import read_mjcf, write_mjcf
+from orbit_core.assets.urdf import read_urdf, write_urdf
 from orbit_core.assets.usd import read_usd, write_usd
 from orbit_core.assets.validation import sort_links, validate
 from orbit_core.interfaces import SceneLayout
@@ -397,3 +398,32 @@ def without_limits_that_mimics_break(articulation: Articulation) -> Articulation
         for joint in articulation.joints
     )
     return replace(articulation, joints=joints_)
+
+
+@pytest.mark.parametrize("number", [np.float32, np.float64, np.int64])
+@pytest.mark.parametrize("suffix", ["usda", "urdf", "xml"])
+def test_scene_data_may_hold_numpys_numbers(tmp_path: Path, suffix: str, number: type[np.number]) -> None:
+    one, zero = number(1), number(0)
+    pose = Pose((one, zero, one), (one, zero, zero, zero))  # pyright: ignore[reportArgumentType]
+    shape = Shape(Capsule(one, one), pose, color=(one, zero, zero, one))  # pyright: ignore[reportArgumentType]
+    box = Shape(Box((one, one, one)), pose)  # pyright: ignore[reportArgumentType]
+    base = Link("base", one, (zero, zero, zero), np.eye(3), (box,), (shape,))  # pyright: ignore[reportArgumentType]
+    limits = (-one, one, one, one, one)
+    joint = Joint("j", JointType.REVOLUTE, "base", "arm", pose, pose, (zero, zero, one), *limits)  # pyright: ignore[reportArgumentType]
+    written = Articulation("r", (base, replace(base, name="arm")), (joint,), (Frame("f", "base", pose),))
+    path = tmp_path / f"r.{suffix}"
+    WRITERS[suffix](written, path)
+    assert "np." not in path.read_text()
+    read = load_articulation(path, merge=False)
+    assert read.joints[0].parent_pose == pose
+    assert read.joints[0].upper_limit == pytest.approx(1.0)
+
+
+def test_a_pose_of_arrays_is_a_pose_of_numbers() -> None:
+    pose = Pose(np.array([1, 2, 3]), np.array([1, 0, 0, 0], np.float32))  # pyright: ignore[reportArgumentType]
+    assert pose == Pose((1.0, 2.0, 3.0))
+    assert hash(pose) == hash(Pose((1.0, 2.0, 3.0)))
+    assert {type(value) for value in (*pose.position, *pose.orientation)} == {float}
+
+
+WRITERS = {"usda": write_usd, "urdf": write_urdf, "xml": write_mjcf}

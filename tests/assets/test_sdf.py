@@ -145,6 +145,15 @@ def test_shapes_with_friction_and_colour(tmp_path: Path) -> None:
     assert root.visuals[0].color == (1.0, 0.0, 0.0, 1.0)
 
 
+def test_a_shape_without_size_is_left_out_where_it_is_only_drawn(tmp_path: Path) -> None:
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "box.stl")
+    solids = ("<sphere><radius>0</radius></sphere>", "<mesh><uri>box.stl</uri><scale>0 0 0</scale></mesh>")
+    drawn = "".join(f"<visual name='v'><geometry>{solid}</geometry></visual>" for solid in solids)
+    articulation = read(tmp_path, link("a", drawn))
+    assert articulation.root.visuals == ()
+    assert articulation.notes == ("a <visual> of size zero, which shows nothing, is left out of link 'a'",)
+
+
 def test_compound_joints_and_loops(tmp_path: Path) -> None:
     links = link("base") + link("arm", "<pose>1 0 0 0 0 0</pose>") + link("rod", "<pose>2 0 0 0 0 0</pose>")
     second = AXIS.replace("axis>", "axis2>").replace("0 0 1", "0 1 0")
@@ -199,6 +208,95 @@ def test_worlds_hold_models_by_name_and_include_others(tmp_path: Path) -> None:
         load_articulation(path, options=ReadOptions(articulation="cup"))
 
 
+def test_a_frame_of_the_model_stands_where_the_file_places_it(tmp_path: Path) -> None:
+    links = link("base", "<pose>0 0 0.5 0 0 0</pose>") + link("top", '<pose degrees="true">0 0 1 0 0 90</pose>')
+    links += joint("fixed", "", ("base", "top"))
+    body = f"<pose>1 2 3 0 0 0</pose>{links}"
+    path = write(tmp_path, model(body).replace('"thing"', '"thing" placement_frame="top"', 1))
+    (placed,) = read_sdf_models(path)
+    turned = Pose.from_euler(0.0, 0.0, np.pi / 2, (0.0, 0.0, 1.0))
+    np.testing.assert_allclose((placed.pose @ turned).matrix(), Pose((1.0, 2.0, 3.0)).matrix(), atol=1e-12)
+    np.testing.assert_allclose(placed.root_pose.matrix(), (placed.pose @ Pose((0.0, 0.0, 0.5))).matrix(), atol=1e-12)
+    assert any("root link 'base' stands at (1, 2, 2.5)" in note for note in read_sdf(path).notes)
+    nested = model(links, "hand").replace('"hand"', '"hand" placement_frame="top"', 1)
+    mounted = link("root") + nested + joint("fixed", "", ("root", "hand::base"))
+    pose = read(tmp_path / "nested", mounted).joints[0].parent_pose
+    np.testing.assert_allclose(pose.matrix(), (turned.inverse() @ Pose((0.0, 0.0, 0.5))).matrix(), atol=1e-12)
+    with pytest.raises(AssetError, match="frame 'nose', which does not exist"):
+        read_sdf(write(tmp_path, model(body).replace('"thing"', '"thing" placement_frame="nose"', 1)))
+
+
+def test_worlds_place_models_in_frames_and_in_each_other(tmp_path: Path) -> None:
+    part = model("<pose>0 0 7 0 0 0</pose>" + link("l", "<pose>0 0 1 0 0 0</pose>"), "part")
+    write(tmp_path / "part", part, name="model.sdf")
+    (tmp_path / "part" / "model.config").write_text("<model><name>part</name></model>")
+    frames = '<frame name="F"><pose>0 0 100 0 0 0</pose></frame><frame name="G" attached_to="p1::l"/>'
+    lifted = '<placement_frame>l</placement_frame><pose relative_to="F">1 2 3 0 0 0</pose>'
+    world = f"""<world name="w">{frames}<include><uri>part</uri><name>p1</name>{lifted}</include>
+    <include><uri>part</uri><name>p2</name></include>
+    <include><uri>part</uri><name>p3</name><pose relative_to="G">0 0 10 0 0 0</pose></include>
+    {model('<pose relative_to="p2">0 0 1 0 0 0</pose>' + link("l"), "own")}</world>"""
+    path = write(tmp_path, world)
+    placed = {each.articulation.name: each.pose.position for each in read_sdf_models(path)}
+    assert placed == {"p1": (1, 2, 102), "p2": (0, 0, 7), "p3": (1, 2, 113), "own": (0, 0, 8)}
+    for wrong, message in (
+        (lifted.replace('"F"', '"H"'), "frame 'H', which does not exist"),
+        ("<placement_frame>l</placement_frame>", "has a <placement_frame> and no <pose>"),
+    ):
+        with pytest.raises(AssetError, match=message):
+            read_sdf(write(tmp_path, world.replace(lifted, wrong)), options=ReadOptions(articulation="p1"))
+    joined = write(tmp_path, world.replace("</world>", joint("fixed", "", ("p1::l", "p2::l")) + "</world>"))
+    with pytest.raises(AssetError, match="joint 'j' has ends in two models of a world"):
+        read_sdf_models(joined)
+    notes = read_sdf_models(joined, options=ReadOptions(unsupported=Unsupported.DROP))[0].articulation.notes
+    assert "ends in two models of a world is left out of joint 'j'" in notes
+
+
+def test_joints_end_at_frames_and_at_nested_models(tmp_path: Path) -> None:
+    turn = '<pose degrees="true">0 0 0.5 0 0 90</pose>'
+    body = f"""{link("base")}{link("arm", "<pose>0 0 1 0 0 0</pose>")}<frame name="f" attached_to="g">{turn}</frame>
+    <frame name="g" attached_to="arm"/>{joint("revolute", AXIS.replace("0 0 1", "1 0 0"), ("base", "f"))}"""
+    articulation = read(tmp_path, body)
+    (each,) = articulation.joints
+    assert (each.parent, each.child) == ("base", "arm")
+    assert each.parent_pose.position == (0.0, 0.0, 1.5)
+    np.testing.assert_allclose(each.parent_pose.rotation_matrix() @ each.axis, (0, 1, 0), atol=1e-12)
+    assert [(frame.name, frame.link) for frame in articulation.frames] == [("f", "arm"), ("g", "arm")]
+    assert not articulation.notes
+    hand = model(
+        link("palm") + link("tip", "<pose>0 0 0.25 0 0 0</pose>") + joint("fixed", "", ("tip", "palm")), "hand"
+    )
+    hand = hand.replace('"hand">', '"hand" canonical_link="tip"><pose>0 0 1 0 0 0</pose><frame name="grip"/>', 1)
+    articulation = read(tmp_path, link("base") + hand + joint("revolute", ends=("base", "hand")))
+    each = articulation.joints[0]
+    assert (each.child, each.parent_pose.position) == ("hand::tip", (0.0, 0.0, 1.0))
+    assert each.child_pose.position == (0.0, 0.0, -0.25)
+    assert articulation.frames == (Frame("hand::grip", "hand::tip", Pose((0.0, 0.0, -0.25))),)
+
+
+@pytest.mark.parametrize("merge", [False, True])
+def test_a_model_includes_others(tmp_path: Path, merge: bool) -> None:
+    hand = link("palm", "<pose>0 0 0.1 0 0 0</pose>") + '<frame name="grip"><pose relative_to="__model__"/></frame>'
+    (tmp_path / "hand").mkdir()
+    (tmp_path / "hand" / "model.config").write_text(
+        '<model><sdf version="1.4">a.sdf</sdf><sdf version="1.10">new.sdf</sdf><sdf version="1.9">b.sdf</sdf></model>'
+    )
+    write(tmp_path / "hand", model(hand, "hand"), name="new.sdf")
+    flag, prefix = (' merge="true"', "") if merge else ("", "left::")
+    include = f"""<include{flag}><uri>hand</uri><name>left</name><placement_frame>palm</placement_frame>
+    <pose relative_to="arm">0 0 2 0 0 0</pose></include>"""
+    ends = ("arm", f"{prefix}palm")
+    articulation = read(tmp_path, link("arm", "<pose>5 0 0 0 0 0</pose>") + include + joint("revolute", ends=ends))
+    assert articulation.link_names == ends
+    assert articulation.joints[0].parent_pose.position == (0.0, 0.0, 2.0)
+    (frame,) = articulation.frames
+    assert (frame.name, frame.link) == (f"{prefix}grip", f"{prefix}palm")
+    np.testing.assert_allclose(frame.pose.position, (0.0, 0.0, -0.1), atol=1e-12)
+    write(tmp_path / "hand", model("<include><uri>../hand</uri></include>", "hand"), name="new.sdf")
+    with pytest.raises(AssetError, match="files deep"):
+        read(tmp_path, link("arm") + include)
+
+
 @pytest.mark.parametrize(
     ("body", "message"),
     [
@@ -213,7 +311,12 @@ def test_worlds_hold_models_by_name_and_include_others(tmp_path: Path) -> None:
         (link("a", "<gravity>false</gravity>"), "no gravity of its own"),
         (link("a") + link("a"), "link 'a' has the name of another"),
         ("<link/>", "lacks attribute 'name'"),
-        ("<include><uri>x</uri></include>" + link("a"), "an <include> within a model"),
+        (link("a") + '<frame name="a"/>', "frame 'a' has the name of another link"),
+        (link("a") + '<frame name="f" attached_to="g"/><frame name="g" attached_to="f"/>', "'f' is attached to itself"),
+        (
+            "<include><uri>x</uri><placement_frame>l</placement_frame></include>" + link("a"),
+            "model.sdf' does not exist",
+        ),
     ],
 )
 def test_faults_are_named(tmp_path: Path, body: str, message: str) -> None:

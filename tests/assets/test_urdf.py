@@ -269,13 +269,25 @@ def test_a_mimic_of_an_unknown_joint_is_named_and_dropped_where_asked(tmp_path: 
     assert "a <mimic> of the unknown joint 'nobody' is left out of joint 'a_joint'" in articulation.notes
 
 
-def test_a_sphere_without_size_is_left_out_where_it_is_only_drawn(tmp_path: Path) -> None:
-    point = "<geometry><sphere radius='0'/></geometry>"
-    articulation = read(tmp_path, f'<link name="a"><visual>{point}</visual></link>')
+@pytest.mark.parametrize(
+    "nothing",
+    [
+        "<sphere radius='0'/>",
+        "<box size='1 0 1'/>",
+        "<cylinder radius='0' length='1'/>",
+        "<cylinder radius='1' length='0'/>",
+        "<capsule radius='0' length='1'/>",
+        "<mesh filename='box.stl' scale='0 0 0'/>",
+    ],
+)
+def test_a_shape_without_size_is_left_out_where_it_is_only_drawn(tmp_path: Path, nothing: str) -> None:
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "box.stl")
+    shape = f"<geometry>{nothing}</geometry>"
+    articulation = read(tmp_path, f'<link name="a"><visual>{shape}</visual></link>')
     assert articulation.root.visuals == ()
-    assert articulation.notes == ("a <visual> sphere of radius 0, which shows nothing, is left out of link 'a'",)
-    with pytest.raises(AssetError, match="radius is 0"):
-        validate(read(tmp_path, f'<link name="a"><collision>{point}</collision></link>'))
+    assert articulation.notes == ("a <visual> of size zero, which shows nothing, is left out of link 'a'",)
+    with pytest.raises(AssetError, match=r"(radius|half_extents|half_length|scaled by).*0"):
+        validate(read(tmp_path, f'<link name="a"><collision>{shape}</collision></link>'))
 
 
 def test_what_is_not_read_is_noted_once_a_kind(tmp_path: Path) -> None:

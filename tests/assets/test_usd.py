@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from orbit_core.assets.usd import read_usd, write_usd
 from orbit_core.assets.validation import validate
@@ -128,6 +129,36 @@ def test_mass_comes_from_the_density_nearest_the_collider(tmp_path: Path) -> Non
     assert default.mass == pytest.approx(3.0 + 1.0)
 
 
+@pytest.mark.parametrize(("along", "scale"), [("X", (1, 1, 1)), ("Y", (1, 1, 1)), ("Z", (2, 1, -1))])
+def test_a_cone_is_a_pyramid_of_its_volume(tmp_path: Path, along: str, scale: tuple[int, int, int]) -> None:
+    cone = f"""
+        def Cone "tip" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+        {{
+            double radius = 0.1
+            double height = 0.4
+            uniform token axis = "{along}"
+            double3 xformOp:scale = {scale}
+            uniform token[] xformOpOrder = ["xformOp:scale"]
+        }}"""
+    articulation = read_usd(stage(tmp_path, body("a", cone)))
+    (shape,) = articulation.root.collisions
+    assert isinstance(shape.geometry, Mesh)
+    assert any("tip is a cone and is read as a pyramid of 32 sides" in note for note in articulation.notes)
+    points = shape.pose.transform(shape.geometry.vertices)
+    solid = trimesh.Trimesh(points, shape.geometry.faces, process=False)
+    assert solid.is_watertight
+    assert solid.volume == pytest.approx(np.pi * 0.01 * 0.4 / 3 * abs(np.prod(scale)), rel=1e-6), "faces look outwards"
+    column = "XYZ".index(along)
+    sign = np.sign(scale[column])
+    np.testing.assert_allclose(points[np.argmax(sign * points[:, column])], sign * 0.2 * np.eye(3)[column], atol=1e-7)
+
+
+def test_what_is_drawn_with_size_zero_is_left_out(tmp_path: Path) -> None:
+    articulation = read_usd(stage(tmp_path, body("a", 'def Sphere "dot"\n{\n    double radius = 0\n}')))
+    assert articulation.root.visuals == ()
+    assert any("/top/a/dot is drawn with size zero" in note for note in articulation.notes)
+
+
 def test_a_joint_written_against_the_tree_is_turned_round(tmp_path: Path) -> None:
     marked = body("a").replace('"PhysicsMassAPI"]', '"PhysicsMassAPI", "PhysicsArticulationRootAPI"]')
     limits = """
@@ -218,8 +249,8 @@ def test_polygons_mirrors_and_purposes(tmp_path: Path) -> None:
         ),
         (body("a") + body("b"), r"holds 2 articulations, 'a' \(/top/a\), 'b' \(/top/b\): name one"),
         (
-            body("a", 'def Cone "tip" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {}'),
-            "tip is a collider of type Cone",
+            body("a", 'def BasisCurves "tip" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {}'),
+            "tip is a collider of type BasisCurves",
         ),
         (body("a") + joint("Revolute", "self", "a", "a"), "connects /top/a with itself"),
         ("", "holds no rigid body"),

@@ -63,6 +63,15 @@ def with_middle(**changes: Any) -> Articulation:
     return chain(links=(base, replace(Link("upper"), **changes), lower))
 
 
+def test_a_home_just_beyond_its_limit_is_at_the_limit_with_a_note() -> None:
+    limited = with_joint(lower_limit=-1.0, upper_limit=2.0)
+    near = validate(replace(limited, home=(("elbow", -1.000013), ("shoulder", 0.0))))
+    assert near.home == (("elbow", -1.0), ("shoulder", 0.0))
+    assert near.notes == ("home positions just beyond their limits are at the limits: 'elbow' -1.000013 -> -1",)
+    assert validate(near) is near
+    assert validate(replace(limited, home=(("elbow", -1.1),))).home == (("elbow", -1.1),), "for scenes to refuse"
+
+
 def test_a_link_without_mass_may_stand_between_joints_about_different_axes() -> None:
     shoulder, elbow = with_middle().joints
     articulation = replace(with_middle(), joints=(shoulder, replace(elbow, axis=(1.0, 0.0, 0.0))))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from orbit_core import assets
 from orbit_core.assets import load_articulation
 from orbit_core.cli import main
+from orbit_core.cli.reading import in_flags
 from tests.faults import no_file_beyond
 
 ROBOT = """<robot name="lamp">
@@ -68,6 +71,44 @@ def test_mistakes_are_told_in_one_line(
 ) -> None:
     assert main(["convert", str(robot(tmp_path)), str(tmp_path / "a.usda"), *words]) == 2
     assert said in capsys.readouterr().err
+
+
+MESH = '<visual><geometry><mesh filename="{}"/></geometry></visual><inertial>'
+
+
+@pytest.mark.parametrize("command", ["convert", "check-asset"])
+@pytest.mark.parametrize(
+    ("old", "new", "remedy"),
+    [
+        ('ixx="1"', 'ixx="9"', "mended by --repair balance"),
+        ("<inertial>", MESH.format("../wheel.stl"), "let it by --allow-outside"),
+        ("<inertial>", MESH.format("package://nobody/wheel.stl"), "give its folder, --package nobody=FOLDER"),
+        ("<box ", "<cone ", "leave it out by --unsupported drop"),
+        ('<link name="plate"/>', '<link name="plate"/><link name="other"/>', "--articulation NAME"),
+    ],
+)
+def test_remedies_are_flags_of_the_command_line(
+    tmp_path: Path, command: str, old: str, new: str, remedy: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "lamp.urdf"
+    source.write_text(ROBOT.replace(old, new))
+    assert main([command, str(source), *([str(tmp_path / "a.usda")] if command == "convert" else [])]) == 2
+    said = capsys.readouterr().err
+    assert remedy in said
+    assert "ReadOptions" not in said
+
+
+def test_every_remedy_that_a_reader_names_has_a_flag() -> None:
+    remedies = re.compile(r"ReadOptions\([a-z_]+=.+?\)(?=[\"', ]|\)$)")
+    texts = {
+        found.replace("{{", "{").replace("}}", "}").replace("{package}", "arm")
+        for path in Path(assets.__file__).parent.rglob("*.py")
+        for line in path.read_text().splitlines()
+        if re.search(r"^\s*\S*f?\".*ReadOptions\(", line)
+        for found in remedies.findall(line)
+    }
+    assert len(texts) >= 6
+    assert not [text for text in texts if "ReadOptions" in in_flags(text)]
 
 
 def test_a_xacro_file_reads_the_environment_variables_that_the_command_names(

@@ -13,6 +13,7 @@ import torch
 
 from orbit_core import backends
 from orbit_core.conformance.bodies import cube, fixed, geared, index, pendulum, rotor, scene
+from orbit_core.conformance.scenarios.linkages import four_bar
 from orbit_core.interfaces import Backend, Capability, Engine, Level, UnsupportedCapabilityError, required_capabilities
 from orbit_core.scene import (
     Cloth,
@@ -63,6 +64,10 @@ SCENES: dict[Capability, Callable[[], Scene]] = {
     Capability.CONTACT_FORCES: lambda: scene(cube(), sensors=(ContactSensorSpec(name="c", entity="cube"),)),
     Capability.JOINT_WRENCHES: lambda: scene(
         rotor(), sensors=(ForceTorqueSpec(name="w", entity="rotor", link="rotor"),)
+    ),
+    Capability.LOOP_WRENCHES: lambda: scene(
+        four_bar("bar", (0.4, 0.3, 0.4, 0.3), (0.5, -0.5, 0.5)),
+        sensors=(ForceTorqueSpec(name="w", entity="bar", link="rocker"),),
     ),
     Capability.RAY_CASTS: lambda: scene(
         cube(), sensors=(RayCasterSpec(name="r", entity="cube", frame="cube", directions=((0, 0, -1),)),)

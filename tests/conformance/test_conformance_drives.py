@@ -38,6 +38,24 @@ def test_effort_alone_accelerates(make_engine: MakeEngine) -> None:
     assert_near(engine.joint_efforts, engine.efforts)
 
 
+def test_the_effort_is_that_of_the_last_physics_step_and_stays_until_the_next(
+    make_engine: MakeEngine, needs: Needs
+) -> None:
+    """However many steps a call takes, and whatever is written or set after it; 1e-5 of the largest."""
+    needs(Capability.IMPLICIT_DRIVES, Capability.RANDOMIZE_GAINS)
+    asked = scene(rotor(inertia=0.1, actuators=implicit(400.0, 80.0)), gravity=WEIGHTLESS)
+    at_once, one_by_one = make_engine(asked), make_engine(asked)
+    for engine in (at_once, one_by_one):
+        engine.position_targets.fill_(0.5)
+    at_once.step(3)
+    for _ in range(3):
+        one_by_one.step(1)
+    before = one_by_one.joint_efforts.clone()
+    at_once.write_joint_state(index(0), torch.ones(1, 1), torch.ones(1, 1))
+    at_once.set_drive_gains(index(0), torch.full((1, 1), 7.0), torch.full((1, 1), 1.0))
+    assert_near(at_once.joint_efforts, before, rtol=0, atol=40.0 * 1e-5)
+
+
 def test_explicit_joint_ignores_targets(make_engine: MakeEngine) -> None:
     engine = make_engine(scene(rotor(actuators=(IdealPd(joints=(".*",), stiffness=100.0, damping=10.0),))))
     engine.position_targets.fill_(1.0)

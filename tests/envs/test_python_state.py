@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.utils._python_dispatch import _disable_current_modes
 
 from orbit_core.backends import default_backend
 from orbit_core.envs import Environment, EventTerm, RewardTerm
@@ -195,6 +196,20 @@ def test_python_of_every_kind_in_a_term_is_refused(term: Callable[..., Tensor], 
         seen = rewards_of(environment)
     if "numpy" not in name and "tolist" not in name:
         assert len(set(seen)) == len(seen), "each step has its own value"
+    environment.close()
+
+
+def reads_constants_outside_of_the_trace(world: World, task: Reach) -> Tensor:
+    with _disable_current_modes():  # as a law does that is made one kernel
+        share = torch.full((3,), 0.5).tolist()[0]
+    return task.goal[:, 0] * share
+
+
+def test_constants_that_are_read_outside_of_the_trace_are_taken() -> None:
+    environment = captured(Reach(rewards=One(RewardTerm(reads_constants_outside_of_the_trace, 1.0))))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rewards_of(environment)
     environment.close()
 
 

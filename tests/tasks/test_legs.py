@@ -136,3 +136,19 @@ def test_a_robot_that_lies_anyhow_has_not_recovered_and_one_that_stands_has(back
     body.set_root_pose(home.expand(4, 7))
     assert task.success(world).all()
     env.close()
+
+
+@pytest.mark.parametrize("robot", ["anymal_c", "anymal_b"])
+def test_the_gait_keeps_joints_within_their_velocity_limits(robot: str) -> None:
+    env = make("Velocity-Flat", 2, "mujoco", robot=robot, seed=0)
+    gait, body = env.expert(), env.world.robots["robot"]
+    env.reset(seed=0)
+    command = torch.tensor([[0.8, 0.0, 0.0], [0.4, -0.3, 0.6]])
+    ratios = []
+    for _ in range(60):
+        env.task.command.copy_(command)
+        env.step(gait.compute({})["action"])
+        ratios.append(body.joint_velocities.abs() / env.task.speed_limits)
+    beyond = torch.stack(ratios) > 1.0
+    assert beyond.float().mean() < 0.01, "a landing foot is struck by the ground, and no more"
+    env.close()

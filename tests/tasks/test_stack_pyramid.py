@@ -7,15 +7,19 @@ from collections.abc import Iterator
 import pytest
 import torch
 
+from orbit_core.conformance.task_starts import coverage
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.mdp import common, picking, tabletop
+from orbit_core.pretrained import policy_fields
 from orbit_core.sensors import CameraSensor
 from orbit_tasks import stack_pyramid as tasks
 from tests.tasks.experts import episode
 
 N = 4
+UNCHECKED = {"premises.standing": None, "premises.apart": None}
+"""Starts are not simulated when an environment is built."""
 
 
 def test_the_expert_puts_a_block_on_another() -> None:
@@ -119,3 +123,41 @@ def test_the_palm_keeps_off_what_stands_higher_along_the_fingers() -> None:
     others = torch.tensor([[0.03, 0.115, 0.05], [0.03, 0.2, 0.05], [0.03, 0.115, 0.0], [0.115, 0.03, 0.05]])
     turned = common.turn_facing_down(picking.beside(hand, others)[:, 3:])
     torch.testing.assert_close(common.wrapped(turned), torch.tensor([0.1 - 0.5 * torch.pi, 0.1, 0.1, 0.1]))
+
+
+def test_two_blocks_start_anywhere_apart_and_turned_by_any_angle() -> None:
+    environment = make("Stack", 64, "mujoco", seed=0, **UNCHECKED)
+    starts = []
+    for _ in range(4):
+        environment.reset()
+        starts.append(torch.stack([environment.world.objects[name].root_pose for name in ("red", "orange")], dim=1))
+    (low, high), places = common.workspace(environment.world), torch.cat(starts)
+    assert (places[:, 0, :2] - places[:, 1, :2]).norm(dim=1).min() > tasks.APART
+    for block in range(2):
+        covered = coverage("block", places[:, block])
+        assert covered.area > 0.5 * (high[0] - low[0] - 0.075) * (high[1] - low[1] - 0.05)
+        assert covered.yaw > 0.9
+    environment.close()
+
+
+def test_the_kept_policy_starts_where_it_was_learned_to() -> None:
+    assert policy_fields("stack")["starts"] == tasks.CORNERS
+    environment = make("Stack", 64, "mujoco", seed=0, **UNCHECKED, **policy_fields("stack"))
+    starts = []
+    for _ in range(8):
+        environment.reset()
+        starts.append(environment.world.objects["orange"].root_pose.clone())
+    assert coverage("block", torch.cat(starts)).area < 0.02
+    environment.close()
+
+
+@pytest.mark.parametrize(
+    ("task", "starts", "told"),
+    [
+        ("Stack", "somewhere", "give 'anywhere' or 'corners'"),
+        ("Stack-Pyramid", "anywhere", "room for two blocks, not 6"),
+    ],
+)
+def test_starts_that_do_not_suit_are_refused(task: str, starts: str, told: str) -> None:
+    with pytest.raises(ConfigurationError, match=told):
+        make(task, 1, "mujoco", starts=starts)

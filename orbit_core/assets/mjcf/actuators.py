@@ -29,38 +29,44 @@ class Actuators:
                 self.of_joint.setdefault(int(model.actuator_trnid[actuator, 0]), []).append(actuator)
 
     def effort_limits(self) -> dict[int, float]:
-        """The least of each joint's own limit and the sum of those of the actuators that drive it alone."""
+        """The largest effort on each joint, in either direction, within its own limit and those of its actuators."""
         model = self.compiled.model
-        limits: dict[int, float] = {}
-        for joint in range(model.njnt):
-            own = _largest(model.jnt_actfrcrange[joint]) if model.jnt_actfrclimited[joint] else math.inf
-            drives = self.of_joint.get(joint, [])
-            limits[joint] = min(own, sum(self._limit(each) for each in drives)) if drives else own
-        return limits
+        return {joint: _largest(self._effort_range(joint, self.of_joint.get(joint, []))) for joint in range(model.njnt)}
 
     def drives(self, bodies: set[int]) -> tuple[DriveGains, ...]:
         """The gains of the joints of some bodies; those of several actuators on one joint add up.
 
-        An actuator that follows another law than a spring and a damper is left out with a note.
+        An actuator that follows another law than a spring and a damper is left out with a note. So is an effort limit
+        that differs by direction: the larger of the two holds in both.
         """
         model = self.compiled.model
         found: list[DriveGains] = []
         left: list[str] = []
+        lopsided: list[str] = []
         for joint in range(model.njnt):
-            if int(model.jnt_bodyid[joint]) not in bodies or joint not in self.of_joint:
+            if int(model.jnt_bodyid[joint]) not in bodies:
+                continue
+            least, most = self._effort_range(joint, self.of_joint.get(joint, []))
+            if not math.isclose(-least, most, rel_tol=1e-6):
+                lopsided.append(f"'{self.compiled.joint_names[joint]}' {least:.4g} to {most:.4g}")
+            if joint not in self.of_joint:
                 continue
             simple = self.compiled.joint_kind(joint) in ("HINGE", "SLIDE")
             known = [(each, self._gains(each) if simple else None) for each in self.of_joint[joint]]
             left += [self._called(each) for each, gains in known if gains is None]
-            gains = [(*gain, self._limit(each)) for each, gain in known if gain is not None]
+            gains = {each: gain for each, gain in known if gain is not None}
             if gains:
-                stiffness, damping, limit = (sum(values) for values in zip(*gains, strict=True))
+                stiffness, damping = (sum(values) for values in zip(*gains.values(), strict=True))
+                limit = _largest(self._sum(list(gains)))
                 found.append(DriveGains(self.compiled.joint_names[joint], stiffness, damping, limit))
         on_joints = {each for group in self.of_joint.values() for each in group}
         left += [self._called(each) for each in range(model.nu) if each not in on_joints]
+        if lopsided:
+            text = "effort limits (N or N m) that differ by direction have the larger of the two in both"
+            self.compiled.notes.append(f"{text}: {_some(lopsided)}")
         if left:
-            shown = ", ".join(left[:8]) + (f" and {len(left) - 8} more" if len(left) > 8 else "")
-            self.compiled.notes.append(f"actuators that are no spring and damper on one joint are left out: {shown}")
+            text = "actuators that are no spring and damper on one joint are left out"
+            self.compiled.notes.append(f"{text}: {_some(left)}")
         return tuple(found)
 
     def home(self, bodies: set[int]) -> tuple[tuple[str, float], ...]:
@@ -97,8 +103,7 @@ class Actuators:
 
     def _gains(self, actuator: int) -> tuple[float, float] | None:
         """Stiffness and damping at the joint; ``None`` for another law than a spring and a damper."""
-        model = self.compiled.model
-        return None if np.any(model.actuator_dampingpoly[actuator]) else self._law(actuator).gains()
+        return None if np.any(self.compiled.model.actuator_dampingpoly[actuator]) else self._law(actuator).gains()
 
     def _law(self, actuator: int) -> ActuatorLaw:
         model, kinds = self.compiled.model, self.compiled.mujoco
@@ -115,20 +120,26 @@ class Actuators:
             damping=float(model.actuator_damping[actuator]),
         )
 
-    def _limit(self, actuator: int) -> float:
-        """The largest effort at the joint."""
-        model, kinds = self.compiled.model, self.compiled.mujoco
-        gear = abs(float(model.actuator_gear[actuator, 0]))
-        if model.actuator_forcelimited[actuator]:
-            return gear * _largest(model.actuator_forcerange[actuator])
-        motor = model.actuator_biastype[actuator] == int(kinds.mjtBias.mjBIAS_NONE)
-        fixed_gain = model.actuator_gaintype[actuator] == int(kinds.mjtGain.mjGAIN_FIXED)
-        if not (motor and fixed_gain and model.actuator_ctrllimited[actuator]):
-            return math.inf
-        return gear * abs(float(model.actuator_gainprm[actuator, 0])) * _largest(model.actuator_ctrlrange[actuator])
+    def _effort_range(self, joint: int, actuators: list[int]) -> tuple[float, float]:
+        """The least and the largest effort on a joint that its own limit and these actuators allow."""
+        model = self.compiled.model
+        least, most = self._sum(actuators) if actuators else (-math.inf, math.inf)
+        if model.jnt_actfrclimited[joint]:
+            own = model.jnt_actfrcrange[joint]
+            least, most = max(least, float(own[0])), min(most, float(own[1]))
+        return least, most
+
+    def _sum(self, actuators: list[int]) -> tuple[float, float]:
+        """The least and the largest effort of actuators that act together."""
+        least, most = zip(*(self._law(each).effort_range() for each in actuators), strict=True)
+        return sum(least), sum(most)
 
     def _called(self, actuator: int) -> str:
         return f"'{self.names[actuator] or actuator}'"
+
+
+def _largest(limits: tuple[float, float]) -> float:
+    return max(map(abs, limits))
 
 
 def _word(kind: Any) -> str:
@@ -136,5 +147,5 @@ def _word(kind: Any) -> str:
     return kind.name.partition("_")[2].lower()
 
 
-def _largest(limits: Any) -> float:
-    return float(np.abs(limits).max())
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

@@ -63,6 +63,8 @@ class _Model:
         """The files that led here, the main model's first."""
         self.folders = {"mesh": "", "texture": "", "model": ""}
         """Folders of assets; the last setting in the document's order counts."""
+        self.searched = {"asset": "", "mesh": "", "texture": ""}
+        """Folders in which MuJoCo looks for assets of included files before it takes those next to the file."""
         self.strip = False
         self.origin: dict[Element, Path] = {}
         """The file that holds each element which names a file."""
@@ -115,7 +117,7 @@ class _Model:
         if element.tag != "include":
             return [element]
         with naming(f"{path}, <include>"):
-            found = self._found(element.get("file", ""), "", path)
+            found = self._found(element.get("file", ""), path)
             if found in self.included:
                 raise AssetError(f"'{found}' is included twice: include it once")
         self.included.add(found)
@@ -128,6 +130,8 @@ class _Model:
             self.folders |= {"mesh": folder, "texture": folder}
         for kind in ("mesh", "texture"):
             self.folders[kind] = compiler.get(f"{kind}dir", self.folders[kind])
+        for kind in self.searched:
+            self.searched[kind] = compiler.get(f"{kind}dir", self.searched[kind])
         if "strippath" in compiler.attrib:
             self.strip = compiler.get("strippath") == "true"
             compiler.set("strippath", "false")  # of paths that are absolute from here on
@@ -171,11 +175,12 @@ class _Model:
             raise AssetError(f"{attribute} asks for {value:g}: give {most} at most, or raise ReadLimits.{limit}")
 
     def _check_files(self, element: Element, source: Path) -> None:
-        folder = self.folders.get(element.tag, self.folders["mesh"])
+        kind = element.tag if element.tag in self.folders else "mesh"
+        searched = "" if kind == "model" else self.searched[kind] or self.searched["asset"]
         for key, reference in element.items():
             if not key.startswith("file") or not reference:
                 continue
-            found = self._found(reference, folder, source, strip=self.strip)
+            found = self._found(reference, source, self.folders[kind], searched, strip=self.strip)
             element.set(key, str(found))
             if element.tag == "model":
                 attached = _Model(found, self.options, (*self.above, self.path))
@@ -186,17 +191,26 @@ class _Model:
                 with found.open("rb") as file:
                     check_picture(file.read(24), str(found), self.options)
 
-    def _found(self, reference: str, folder: str, source: Path, *, strip: bool = False) -> Path:
-        """Return the file that MuJoCo finds: in the main model's folder, or else next to the file that names it.
+    def _found(
+        self, reference: str, source: Path, folder: str = "", searched: str = "", *, strip: bool = False
+    ) -> Path:
+        """Return the file that MuJoCo opens: in the main model's folder, or else next to the file that names it.
 
-        Paths are reduced as text, as MuJoCo does it, and not by links in the file system.
+        Args:
+            reference: as the file has it.
+            source: the file that holds the reference.
+            folder: in the main model's folder, from which MuJoCo opens the file.
+            searched: in the main model's folder, where MuJoCo looks for what an included file names; the two differ
+                where several compilers set folders, and a file that is found there may then be missing.
+            strip: whether only the last part of the reference counts, which is then never next to its source.
         """
         reference = reference.replace("\\", "/")
-        places = [self.path.parent / folder / (Path(reference).name if strip else reference)]
+        # Paths are reduced as text, as MuJoCo does it, and not by links in the file system.
+        place = Path(os.path.normpath(self.path.parent / folder / (Path(reference).name if strip else reference)))
         if source != self.path and not strip:
-            places.append(source.parent / reference)
-        places = [Path(os.path.normpath(place)) for place in places]
-        place = next((place for place in places if place.exists()), places[0])
+            looked = Path(os.path.normpath(self.path.parent / searched / reference))
+            if not looked.exists():
+                place = Path(os.path.normpath(source.parent / reference))
         return resolve_file(place, self.path, self.options, model=(*self.above, self.path)[0])
 
 

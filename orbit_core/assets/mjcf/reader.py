@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from orbit_core.assets.inertia_repair import repaired
 from orbit_core.assets.mjcf.actuators import Actuators
 from orbit_core.assets.mjcf.collisions import self_collisions
 from orbit_core.assets.mjcf.couplings import Couplings
@@ -102,7 +103,7 @@ def _read_tree(compiled: Compiled, tree: Tree, name: str, *, terrain: bool) -> A
     moving = {joint.name for joint in joints if joint.movable}
     bodies = set(tree.bodies)
     may_collide, apart = self_collisions(compiled, geoms, tree)
-    return Articulation(
+    articulation = Articulation(
         name,
         tuple(links),
         tuple(joints),
@@ -114,6 +115,7 @@ def _read_tree(compiled: Compiled, tree: Tree, name: str, *, terrain: bool) -> A
         home=tuple((joint, position) for joint, position in actuators.home(bodies) if joint in moving),
         notes=tuple(dict.fromkeys(compiled.notes)),
     )
+    return repaired(articulation, compiled.options)
 
 
 def _link(compiled: Compiled, geoms: Geoms, body: int) -> Link:

@@ -9,7 +9,7 @@ from orbit_core.assets.compose import add_frames, edit_joints, simplify_collisio
 from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
-from orbit_core.scene import Articulation, Frame, ImplicitPd, Pose
+from orbit_core.scene import Articulation, Frame, ImplicitPd, Pose, Workspace
 
 SOURCE = "example-robot-data"
 LICENCE = "Apache-2.0"
@@ -48,5 +48,6 @@ PART = RobotPart(
     drives=(ImplicitPd(joints=("panda_joint[1-7]",), stiffness=400.0, damping=80.0),),
     mount="panda_flange",
     joints=("panda_joint[1-7]",),
+    workspace=Workspace(),
     end_effector="panda_hand",
 )

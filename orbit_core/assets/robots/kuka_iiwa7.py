@@ -10,7 +10,7 @@ from orbit_core.assets.installed import installed_urdf
 from orbit_core.assets.merge import merge_fixed_links
 from orbit_core.assets.parts import PartKind, RobotPart
 from orbit_core.dynamics.drive_design import DriveDesign, with_armature
-from orbit_core.scene import Articulation, Frame, Pose
+from orbit_core.scene import Articulation, Frame, Pose, Workspace
 
 SOURCE = "pybullet"
 
@@ -42,5 +42,6 @@ PART = RobotPart(
     },
     designs=(DriveDesign(joints=("lbr_iiwa_joint_[1-7]",)),),
     mount="flange",
+    workspace=Workspace(),
     joints=("lbr_iiwa_joint_[1-7]",),
 )

@@ -1,22 +1,25 @@
 """Robots of an installed ``mani-skill`` package, read from its own folder each time and kept nowhere else.
 
-Homes and gains are those of ManiSkill's agents; limits are the URDFs' where these have any. Of the package's other
-robots, some need files that it would download (ANYmal C, UR10e, Unitree H1 and Go2, WidowX, xArm 6, Robotiq, Stompy,
-Google's, XLeRobot, two Panda hands and the mobile Pandas), and some are not what a body can be (Allegro's inertias,
-Fetch's massless links, Inspire's chained mimics); neither are offered.
+Homes and gains are those of ManiSkill's agents, but that the two arms of five joints open their jaws sideways, as tasks
+take things; limits are the URDFs' where these have any. Of the package's other robots, some need files that it would
+download (ANYmal C, UR10e, Unitree H1 and Go2, WidowX, xArm 6, Robotiq, Stompy, Google's, XLeRobot, two Panda hands and
+the mobile Pandas), and some are not what a body can be (Allegro's inertias, Fetch's massless links, Inspire's chained
+mimics); neither are offered.
 """
 
 from __future__ import annotations
 
 import functools
 import math
+from dataclasses import replace
 
 from orbit_core.assets.compose import add_frames, edit_joints, simplify_collisions
 from orbit_core.assets.merge import merge_fixed_links
+from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.sources import model_folder
 from orbit_core.assets.urdf import read_urdf
 from orbit_core.assets.validation import validate
-from orbit_core.scene import Articulation, EndEffector, Frame, Gripper, ImplicitPd, Pose, RobotSpec
+from orbit_core.scene import Articulation, EndEffector, Frame, Gripper, ImplicitPd, Pose, RobotSpec, Workspace
 
 SOURCE = "mani-skill"
 ASSETS_LICENCE = "CC BY-NC 4.0 (no commercial use)"
@@ -49,7 +52,7 @@ def panda_stick() -> RobotSpec:
     note = "armature of 0.1 kg m^2 is the catalogue's choice: the URDF has none"
     arm = edit_joints(_articulation("panda_stick", "panda/panda_stick.urdf"), (".*",), note, armature=0.1)
     drives = (ImplicitPd(joints=_PANDA_ARM, stiffness=_STIFF, damping=_DAMPED),)
-    return _robot(arm, _PANDA_HOME, drives, EndEffector("panda_hand_tcp", _PANDA_ARM))
+    return _robot(arm, _PANDA_HOME, drives, EndEffector("panda_hand_tcp", _PANDA_ARM, workspace=Workspace()))
 
 
 def xarm7_ability() -> RobotSpec:
@@ -68,7 +71,13 @@ def xarm7_ability() -> RobotSpec:
 def so100() -> RobotSpec:
     """A 5-joint arm with one moving jaw. The frame ``tcp`` is the fixed jaw's tip."""
     turn = (0.5, 0.5, 0.5, -0.5)  # the jaw points along -y and opens along x
-    home = {"shoulder_lift": -math.pi / 2, "elbow_flex": math.pi / 2, "wrist_flex": 0.66, "gripper": -1.1}
+    home = {
+        "shoulder_lift": -math.pi / 2,
+        "elbow_flex": math.pi / 2,
+        "wrist_flex": 0.66,
+        "wrist_roll": math.pi / 2,
+        "gripper": -1.1,
+    }
     arm = ("shoulder_.*", "elbow_flex", "wrist_.*")
     body = _articulation("so100", "so100/so100.urdf")
     return _jaw_arm(body, home, arm, Gripper(("gripper",), 1.1, -1.1), "Fixed_Jaw_tip", turn)
@@ -77,7 +86,7 @@ def so100() -> RobotSpec:
 def koch() -> RobotSpec:
     """A 5-joint arm with one moving jaw. The frame ``tcp`` is the fixed jaw's tip."""
     turn = (0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0)  # the jaw points along -z and opens along x
-    home = {"joint_2": 2.2, "joint_3": 3.017, "joint_4": -0.25, "joint_6": 0.6044}
+    home = {"joint_2": 2.2, "joint_3": 3.017, "joint_4": -0.25, "joint_5": math.pi / 2, "joint_6": 0.6044}
     body = _articulation("koch", "koch/follower_arm_v1.1.urdf")
     return _jaw_arm(body, home, ("joint_[1-5]",), Gripper(("joint_6",), 1.6, 0.0), "gripper_tcp", turn)
 
@@ -88,7 +97,7 @@ def _panda(name: str, file: str) -> RobotSpec:
     groups = _PANDA_ARM, _PANDA_GRIPPER.joints
     drives = tuple(ImplicitPd(joints=names, stiffness=_STIFF, damping=_DAMPED) for names in groups)
     home = {**_PANDA_HOME, "panda_finger_joint.*": 0.04}
-    return _robot(body, home, drives, EndEffector("panda_hand_tcp", _PANDA_ARM, _PANDA_GRIPPER))
+    return _robot(body, home, drives, EndEffector("panda_hand_tcp", _PANDA_ARM, _PANDA_GRIPPER, workspace=Workspace()))
 
 
 def _jaw_arm(
@@ -102,7 +111,9 @@ def _jaw_arm(
     body = edit_joints(body, (".*",), _NO_LIMITS, effort_limit=100.0, velocity_limit=math.inf, armature=0.01)
     body = add_frames(body, Frame("tcp", tip, Pose((0.0, 0.0, 0.0), turn)))
     drives = (ImplicitPd(joints=(".*",), stiffness=_STIFF, damping=_DAMPED),)
-    return _robot(body, home, drives, EndEffector("tcp", arm, gripper), OWN_LICENCE)
+    # These arms face their root's -y, tasks lie along x.
+    turned = Pose.from_euler(0.0, 0.0, math.pi / 2)
+    return replace(_robot(body, home, drives, EndEffector("tcp", arm, gripper), OWN_LICENCE), pose=turned)
 
 
 def _robot(
@@ -128,5 +139,6 @@ def _robot(
 
 @functools.cache
 def _articulation(name: str, file: str) -> Articulation:
-    source = read_urdf(model_folder(SOURCE) / file, name=f"maniskill_{name}")
+    folder = model_folder(SOURCE)  # robots share hands' meshes
+    source = read_urdf(folder / file, name=f"maniskill_{name}", options=ReadOptions(allow_outside=(folder,)))
     return simplify_collisions(validate(merge_fixed_links(validate(source))))

@@ -1,4 +1,4 @@
-"""Values in SDFormat's elements, whose text they are, and poses, which SDFormat gives in frames by name."""
+"""Values in SDFormat's elements, which are their text, and poses, which name the frame that they are given in."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from orbit_core.assets.findings import Findings
 from orbit_core.scene import Pose
 from orbit_core.scene.pose import Vector3, canonical
 
-MODEL = "__model__"
-"""SDFormat's name for a model's own frame."""
 _TRUE, _FALSE = ("true", "1"), ("false", "0", "")
 
 
@@ -111,43 +109,3 @@ class SdfFields:
         if len(values) != count:
             raise self.findings.error(f"{where} has <{tag}>{text[:80]}</{tag}>", f"give {count} number(s)")
         return values
-
-
-class SdfFrames:
-    """Poses of a model's links, joints and frames in the model's own frame.
-
-    Each is given in another by name, in any order.
-    """
-
-    def __init__(self, findings: Findings) -> None:
-        self._findings = findings
-        self._given: dict[str, tuple[Pose, str]] = {}
-        self._known: dict[str, Pose] = {MODEL: Pose()}
-
-    def add(self, name: str, pose: Pose, frame: str) -> None:
-        """Remember that something stands at ``pose`` in a frame."""
-        self._given[name] = (pose, frame)
-
-    def pose(self, name: str) -> Pose:
-        """Where something stands in the model.
-
-        Raises:
-            AssetError: it, or a frame that it is given in, is unknown, or they go round in a circle.
-        """
-        chain: list[str] = []
-        met: set[str] = set()
-        while name not in self._known:
-            if name not in self._given:
-                raise self._findings.error(f"a pose is given in frame '{name}', which does not exist", "define it")
-            if name in met:
-                raise self._findings.error(
-                    f"the pose of '{name}' is given in itself, by way of others", "break the circle"
-                )
-            met.add(name)
-            chain.append(name)
-            name = self._given[name][1]
-        pose = self._known[name]
-        for each in reversed(chain):
-            pose = pose @ self._given[each][0]
-            self._known[each] = pose
-        return pose

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -13,22 +11,22 @@ import numpy as np
 from orbit_core.assets.compound_joints import BALL, chain, compound
 from orbit_core.assets.couplings import resolve_chains
 from orbit_core.assets.findings import Findings
+from orbit_core.assets.inertia_repair import repaired
 from orbit_core.assets.options import ReadOptions
-from orbit_core.assets.sdf.fields import MODEL, SdfFields, SdfFrames
-from orbit_core.assets.sdf.shapes import SdfShapes
+from orbit_core.assets.sdf.frames import MODEL, WORLD
+from orbit_core.assets.sdf.sources import SdfSource
+from orbit_core.assets.sdf.structure import SdfScope, SdfStructure
 from orbit_core.assets.validation import sort_links
 from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, LoopJoint, LoopType, Mimic, Pose
 from orbit_core.scene.pose import Vector3
 
 _JOINT_TYPES = {type_.value: type_ for type_ in JointType}
 _COMPOUND = ("ball", "universal", "revolute2")
-_WORLD = "world"
 _UNLIMITED = 1e15
 """SDFormat's default limits are 1e16."""
 _BEFORE_JOINT_FRAMES = (1, 5)
 """The version from which axes are given in the joint's frame."""
 _KNOWN = {
-    "model": {"pose", "static", "link", "joint", "frame", "model", "self_collide", "allow_auto_disable", "include"},
     "link": {"pose", "inertial", "visual", "collision", "self_collide", "gravity", "kinematic"},
     "joint": {"pose", "parent", "child", "axis", "axis2"},
 }
@@ -36,84 +34,67 @@ _DEFAULT_INERTIA = "links without <inertial> have SDFormat's default, 1 kg and 1
 
 
 class SdfModelReader:
-    """Reads one ``<model>``.
+    """Reads one ``<model>``, with those nested in it.
 
     Args:
-        element: the model's.
-        path: the file, from which meshes are named.
-        version: of SDFormat, as the file says.
+        source: the model.
         findings: for errors and notes.
         options: which files may be opened.
     """
 
-    def __init__(
-        self, element: Element, path: Path, version: tuple[int, ...], findings: Findings, options: ReadOptions
-    ) -> None:
-        self.element = element
-        self.version = version
+    def __init__(self, source: SdfSource, findings: Findings, options: ReadOptions) -> None:
         self.findings = findings
-        self.fields = SdfFields(findings)
-        self.frames = SdfFrames(findings)
-        self.shapes = SdfShapes(path, self.fields, options)
-        self.links: dict[str, Element] = {}
-        self.joints: dict[str, tuple[Element, str]] = {}
+        self.options = options
+        self.structure = SdfStructure(findings, options, MODEL)
+        self.structure.add_outermost(source)
+        self.source = source
+        self.fields = self.structure.fields
+        self.frames = self.structure.frames
+        self.links = self.structure.links
         self.loops: list[LoopJoint] = []
-        self.self_collisions = False
+        self.self_collisions = self.structure.self_collisions
 
-    def read(self, name: str) -> Articulation:
+    def read(self) -> Articulation:
         """The articulation.
 
         Raises:
             AssetError: something is malformed, or the links make no single tree.
         """
-        self._collect(self.element, "")
         for link in self.links:
             self.frames.pose(link)
-        links = [self._link(link, element) for link, element in self.links.items()]
+        links = [self._link(link, element, scope) for link, (element, scope) in self.links.items()]
         joints: list[Joint] = []
         carried: set[str] = set()
-        for joint, (element, scope) in self.joints.items():
+        for joint, (element, scope) in self.structure.joints.items():
             made, single = self._joint(joint, element, scope, carried)
             links += made
             joints += single
-        if any(joint.parent == _WORLD for joint in joints) and _WORLD not in self.links:
-            links.insert(0, Link(_WORLD))
-        kept = {link.name for link in links}
-        frames = tuple(self._frames(kept))
+        if any(joint.parent == WORLD for joint in joints) and WORLD not in self.links:
+            links.insert(0, Link(WORLD))
         articulation = Articulation(
-            name, tuple(links), tuple(joints), frames, self.self_collisions, loops=tuple(self.loops)
+            self.source.name,
+            tuple(links),
+            tuple(joints),
+            tuple(self._frame(name) for name in self.structure.named_frames),
+            self.self_collisions,
+            loops=tuple(self.loops),
         )
         articulation = sort_links(resolve_chains(articulation))
-        return replace(articulation, notes=(*articulation.notes, *self.findings.notes))
+        return repaired(replace(articulation, notes=(*articulation.notes, *self.findings.notes)), self.options)
 
-    def _collect(self, model: Element, scope: str) -> None:
-        """Find the links, joints and frames of a model and of those in it, named by their path as SDFormat does."""
-        self._note_unread(model, f"model '{model.get('name')}'")
-        own = f"{scope}{MODEL}"
-        if model.find("include") is not None:
-            self.findings.unsupported("an <include> within a model", f"model '{model.get('name')}'", "write it out")
-        self.self_collisions |= self.fields.flag(model, "self_collide", "the model")
-        for tag in ("link", "joint", "frame", "model"):
-            for element in model.findall(tag):
-                name = scope + self.fields.name(element, f"a {tag}")
-                where = f"{tag} '{name}'"
-                if name in self.links or name in self.joints:
-                    raise self.findings.error(f"{where} has the name of another link or joint", "rename one")
-                pose, frame = self.fields.pose(element, where)
-                default = own
-                if tag == "joint":
-                    self.joints[name] = (element, scope)
-                    default = scope + self.fields.text(element, "child", where)
-                elif tag == "frame" and element.get("attached_to"):
-                    default = scope + element.get("attached_to", "")
-                elif tag == "link":
-                    self.links[name] = element
-                self.frames.add(name, pose, scope + frame if frame else default)
-                if tag == "model":
-                    self.frames.add(f"{name}::{MODEL}", Pose(), name)
-                    self._collect(element, f"{name}::")
+    def placement(self) -> Pose:
+        """The pose, in the model, of the frame that stands where the model is placed.
 
-    def _link(self, name: str, element: Element) -> Link:
+        Raises:
+            AssetError: the model has no frame of that name.
+        """
+        return self.frames.pose(self.source.placement or MODEL)
+
+    def pose_of(self, link: str) -> Pose:
+        """The pose of a link in the model; the world's link, which joints to the world are read with, is its frame."""
+        return Pose() if link == WORLD and link not in self.links else self.frames.pose(link)
+
+    def _link(self, name: str, element: Element, scope: SdfScope) -> Link:
         where = f"link '{name}'"
         self._note_unread(element, where)
         self.self_collisions |= self.fields.flag(element, "self_collide", where)
@@ -125,9 +106,9 @@ class SdfModelReader:
             tag: tuple(
                 shape
                 for child in element.findall(tag)
-                for shape in read(child, self._placed(child, name, where), where)
+                for shape in read(child, self._placed(child, name, scope, where), where)
             )
-            for tag, read in (("collision", self.shapes.collision), ("visual", self.shapes.visual))
+            for tag, read in (("collision", scope.shapes.collision), ("visual", scope.shapes.visual))
         }
         link = Link(name, collisions=shapes["collision"], visuals=shapes["visual"])
         inertial = element.find("inertial")
@@ -137,9 +118,10 @@ class SdfModelReader:
         if inertial.get("auto", "false") in ("true", "1"):
             raise self.findings.error(f"{where} has an <inertial> to be computed", "write its mass and inertia out")
         number = self.fields.number
-        pose = self._placed(inertial, name, where)
+        pose = self._placed(inertial, name, scope, where)
         entries = inertial.find("inertia")
         if entries is None:
+            self.findings.note("an <inertial> without <inertia> has SDFormat's default, 1 kg m^2")
             entries = Element("inertia")
         xx, yy, zz = (number(entries, key, where, 1.0) for key in ("ixx", "iyy", "izz"))
         xy, xz, yz = (number(entries, key, where, 0.0) for key in ("ixy", "ixz", "iyz"))
@@ -148,16 +130,15 @@ class SdfModelReader:
         mass = number(inertial, "mass", where, 1.0)
         return replace(link, mass=mass, center_of_mass=pose.position, inertia=inertia)
 
-    def _placed(self, element: Element, link: str, where: str) -> Pose:
+    def _placed(self, element: Element, link: str, scope: SdfScope, where: str) -> Pose:
         """The pose of a part of a link, in the link."""
         pose, frame = self.fields.pose(element, where)
         if not frame:
             return pose
-        scope = link.rpartition("::")[0]
-        return self.frames.pose(link).inverse() @ self.frames.pose(f"{scope}::{frame}" if scope else frame) @ pose
+        return self.frames.pose(link).inverse() @ self.frames.pose(scope.named(frame)) @ pose
 
     def _joint(
-        self, name: str, element: Element, scope: str, carried: set[str]
+        self, name: str, element: Element, scope: SdfScope, carried: set[str]
     ) -> tuple[tuple[Link, ...], tuple[Joint, ...]]:
         """The joint, the chain that a compound one becomes, or nothing where it closes a loop or holds the base."""
         where = f"joint '{name}'"
@@ -168,11 +149,11 @@ class SdfModelReader:
             self.findings.unsupported(f"the type '{kind}'", where, remedy)
             return (), ()
         parent, child = (self._end(element, tag, scope, where) for tag in ("parent", "child"))
-        if parent == _WORLD and _WORLD not in self.links and kind == "fixed":
+        if parent == WORLD and WORLD not in self.links and kind == "fixed":
             self.findings.note(f"{where} fixes link '{child}' to the world: give the entity fixed_base=True")
             return (), ()
         at = self.frames.pose(name)
-        ends = [(self._pose_of(link).inverse() @ at) for link in (parent, child)]
+        ends = [(self.pose_of(link).inverse() @ at) for link in (parent, child)]
         joint = Joint(name, _JOINT_TYPES.get(kind, JointType.CONTINUOUS), parent, child, ends[0], ends[1])
         if child in carried:
             self._close_loop(joint, kind, where)
@@ -190,13 +171,11 @@ class SdfModelReader:
             return (), (joint,)
         return (), (self._moving(joint, element, "axis", scope, where),)
 
-    def _end(self, element: Element, tag: str, scope: str, where: str) -> str:
-        """The link that a joint's end names, which may be a frame on it."""
+    def _end(self, element: Element, tag: str, scope: SdfScope, where: str) -> str:
+        """The link of a joint's end, which may name a frame on it or a nested model."""
         name = self.fields.text(element, tag, where)
-        return name if name == _WORLD and scope + name not in self.links else scope + name
-
-    def _pose_of(self, link: str) -> Pose:
-        return Pose() if link == _WORLD and link not in self.links else self.frames.pose(link)
+        path = scope.named(name)
+        return WORLD if name == WORLD and path not in self.links else self.frames.link_of(path)
 
     def _close_loop(self, joint: Joint, kind: str, where: str) -> None:
         first, second = joint.parent_pose, joint.child_pose
@@ -214,13 +193,13 @@ class SdfModelReader:
             LoopJoint(joint.name, joint.parent, joint.child, first.position, second.position, type_, orientation)
         )
 
-    def _moving(self, joint: Joint, element: Element, tag: str, scope: str, where: str) -> Joint:
+    def _moving(self, joint: Joint, element: Element, tag: str, scope: SdfScope, where: str) -> Joint:
         """The joint with the axis, limits and dynamics that ``<axis>`` or ``<axis2>`` gives."""
         axis = element.find(tag)
         if axis is None:
             raise self.findings.error(f"{where} lacks <{tag}>", "add it")
         number = self.fields.number
-        direction = self._direction(axis, self.frames.pose(scope + element.get("name", "")), scope, where)
+        direction = self._direction(axis, self.frames.pose(scope.named(element.get("name", ""))), scope, where)
         joint = self._damped(replace(joint, axis=direction), element, where, tag)
         limit = axis.find("limit")
         lower, upper = -math.inf, math.inf
@@ -238,25 +217,25 @@ class SdfModelReader:
             joint = replace(joint, lower_limit=lower, upper_limit=upper)
         return self._following(joint, axis, scope, where)
 
-    def _following(self, joint: Joint, axis: Element, scope: str, where: str) -> Joint:
+    def _following(self, joint: Joint, axis: Element, scope: SdfScope, where: str) -> Joint:
         mimic = axis.find("mimic")
         if mimic is None:
             return joint
         number = self.fields.number
         multiplier, offset = number(mimic, "multiplier", where, 1.0), number(mimic, "offset", where, 0.0)
         reference = number(mimic, "reference", where, 0.0)
-        leader = scope + mimic.get("joint", "")
+        leader = scope.named(mimic.get("joint", ""))
         return replace(joint, mimic=Mimic(leader, multiplier, offset - multiplier * reference))
 
-    def _direction(self, axis: Element, at: Pose, scope: str, where: str) -> Vector3:
+    def _direction(self, axis: Element, at: Pose, scope: SdfScope, where: str) -> Vector3:
         """The axis in the joint's frame, which stands at ``at`` in the model."""
         given = self.fields.vector(axis, "xyz", where, "0 0 1")
         xyz = axis.find("xyz")
         frame = xyz.get("expressed_in", "") if xyz is not None else ""
         if frame:
-            source = self.frames.pose(scope + frame)
-        elif self.version < _BEFORE_JOINT_FRAMES or self.fields.flag(axis, "use_parent_model_frame", where):
-            source = self.frames.pose(scope + MODEL)
+            source = self.frames.pose(scope.named(frame))
+        elif scope.version < _BEFORE_JOINT_FRAMES or self.fields.flag(axis, "use_parent_model_frame", where):
+            source = self.frames.pose(scope.model)
         else:
             return given
         x, y, z = (float(value) for value in at.rotation_matrix().T @ source.rotation_matrix() @ np.asarray(given))
@@ -275,14 +254,10 @@ class SdfModelReader:
             rest_position=number(dynamics, "spring_reference", where, 0.0),
         )
 
-    def _frames(self, links: set[str]) -> Iterator[Frame]:
-        """The model's ``<frame>`` elements that are attached to a link."""
-        for element in self.element.findall("frame"):
-            name, host = element.get("name", ""), element.get("attached_to", "")
-            if host in links and name not in links:
-                yield Frame(name, host, self.frames.pose(host).inverse() @ self.frames.pose(name))
-            else:
-                self.findings.leave_out("a <frame> that is attached to no link", f"model '{self.element.get('name')}'")
+    def _frame(self, name: str) -> Frame:
+        """A ``<frame>`` on the link that it moves with."""
+        host = self.frames.link_of(name)
+        return Frame(name, host, self.frames.pose(host).inverse() @ self.frames.pose(name))
 
     def _note_unread(self, element: Element, where: str) -> None:
         for child in element:

@@ -12,7 +12,7 @@ from orbit_core.assets.naming import naming
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.outside import resolve_file
 from orbit_core.assets.sdf.fields import SdfFields
-from orbit_core.assets.urdf.shapes import TEXTURES, facing
+from orbit_core.assets.urdf.shapes import SIZELESS, TEXTURES, facing, is_sizeless
 from orbit_core.scene import Box, Capsule, Color, Cylinder, Geometry, PhysicsMaterial, Plane, Pose, Shape, Sphere
 from orbit_core.scene.pose import Vector3
 
@@ -66,10 +66,17 @@ class SdfShapes:
         for kind, child in self._geometry(element, where):
             if kind != "mesh":
                 for solid, turned in self._primitive(kind, child, where):
+                    if is_sizeless(solid):
+                        self.fields.findings.leave_out(SIZELESS, where)
+                        continue
                     shape = Shape(solid, pose @ turned, name=name)
                     yield shape if color is None else replace(shape, color=color)
                 continue
-            for part in self.meshes.parts(*self._mesh_file(child, where)):
+            file, scale = self._mesh_file(child, where)
+            if 0.0 in scale:
+                self.fields.findings.leave_out(SIZELESS, where)
+                continue
+            for part in self.meshes.parts(file, scale):
                 shown = color or part.color
                 if part.textured and color is None:
                     self.fields.findings.note(TEXTURES)

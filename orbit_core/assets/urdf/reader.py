@@ -14,8 +14,9 @@ import numpy.typing as npt
 from orbit_core.assets.compound_joints import BALL, FLOATING, PLANAR, compound
 from orbit_core.assets.couplings import resolve_chains
 from orbit_core.assets.findings import Findings
+from orbit_core.assets.inertia_repair import repaired
 from orbit_core.assets.naming import names_file
-from orbit_core.assets.options import ReadOptions
+from orbit_core.assets.options import ReadOptions, Repair
 from orbit_core.assets.trees import choose_tree
 from orbit_core.assets.urdf.shapes import UrdfShapes, facing
 from orbit_core.assets.urdf.text import UNLIMITED
@@ -83,7 +84,7 @@ class _Reader:
         articulation = Articulation(name or root.get("name") or self.path.stem, tuple(links), tuple(joints))
         articulation = resolve_chains(self._without_lost_leaders(articulation))
         articulation = sort_links(choose_tree(articulation, self.options.articulation))
-        return replace(articulation, notes=(*articulation.notes, *self.findings.notes))
+        return repaired(replace(articulation, notes=(*articulation.notes, *self.findings.notes)), self.options)
 
     def _root(self) -> Element:
         expanded = read_expanded(self.path, self.options)
@@ -107,7 +108,7 @@ class _Reader:
             return link
         pose = shapes.origin(inertial, where)
         mass = self.fields.number(self.fields.child(inertial, "mass", where), "value", where)
-        inertia = self._inertia(self.fields.child(inertial, "inertia", where), where)
+        inertia = self._inertia(inertial, where)
         rotation = pose.rotation_matrix()
         return replace(link, mass=mass, center_of_mass=pose.position, inertia=rotation @ inertia @ rotation.T)
 
@@ -187,7 +188,16 @@ class _Reader:
             joints.append(joint)
         return replace(articulation, joints=tuple(joints))
 
-    def _inertia(self, element: Element, where: str) -> npt.NDArray[np.float64]:
+    def _inertia(self, inertial: Element, where: str) -> npt.NDArray[np.float64]:
+        """The inertia in the frame of ``<inertial>``; zero where none is given and repairs are asked for."""
+        element = inertial.find("inertia")
+        if element is None and self.options.repair is Repair.BALANCE:
+            return np.zeros((3, 3))
+        if element is None:
+            raise self.findings.error(
+                f"{where} lacks <inertia> in <inertial>",
+                "add it, or have it that of a ball of water by ReadOptions(repair=Repair.BALANCE)",
+            )
         number = self.fields.number
         xx, yy, zz = (number(element, key, where) for key in ("ixx", "iyy", "izz"))
         xy, xz, yz = (number(element, key, where, 0.0) for key in ("ixy", "ixz", "iyz"))

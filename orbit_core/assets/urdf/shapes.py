@@ -19,6 +19,7 @@ from orbit_core.scene.pose import Vector3
 
 _UPRIGHT = Pose()
 HULLS = "collision meshes of the URDF collide as their convex hulls"
+SIZELESS = "a <visual> of size zero, which shows nothing,"
 TEXTURES = "surfaces with a texture are drawn in one colour, the median of its pixels"
 
 
@@ -71,13 +72,17 @@ class UrdfShapes:
         mesh = geometry.find("mesh")
         if mesh is None:
             for solid, turned in self._primitive(geometry, where):
-                if isinstance(solid, Sphere) and solid.radius == 0.0:
-                    self.fields.findings.leave_out("a <visual> sphere of radius 0, which shows nothing,", where)
+                if is_sizeless(solid):
+                    self.fields.findings.leave_out(SIZELESS, where)
                     continue
                 shape = Shape(solid, pose @ turned, name=name)
                 yield shape if color is None else replace(shape, color=color)
             return
-        for part in self.meshes.parts(*self._mesh_file(mesh, where)):
+        file, scale = self._mesh_file(mesh, where)
+        if 0.0 in scale:
+            self.fields.findings.leave_out(SIZELESS, where)
+            return
+        for part in self.meshes.parts(file, scale):
             shape = Shape(part.mesh, pose, name=name)
             shown = color or part.color
             if part.textured and color is None:
@@ -135,6 +140,19 @@ class UrdfShapes:
     def _color(self, element: Element) -> Color:
         r, g, b, a = self.fields.numbers(element, "rgba", "a material", 4)
         return (r, g, b, a)
+
+
+def is_sizeless(solid: Geometry) -> bool:
+    """Return True if a primitive has no volume, and nobody would see it."""
+    match solid:
+        case Box(half_extents):
+            return 0.0 in half_extents
+        case Cylinder(radius, half_length):
+            return 0.0 in (radius, half_length)
+        case Sphere(radius) | Capsule(radius):
+            return radius == 0.0
+        case _:
+            return False
 
 
 def facing(normal: Vector3) -> Pose:

@@ -41,9 +41,9 @@ class ShapeWriter:
             case Sphere(radius=radius):
                 SubElement(geometry, "sphere", radius=repr(float(radius)))
             case Cylinder(radius=radius, half_length=half):
-                SubElement(geometry, "cylinder", radius=repr(float(radius)), length=repr(2.0 * half))
+                SubElement(geometry, "cylinder", radius=repr(float(radius)), length=repr(2.0 * float(half)))
             case Capsule(radius=radius, half_length=half):
-                SubElement(geometry, "capsule", radius=repr(float(radius)), length=repr(2.0 * half))
+                SubElement(geometry, "capsule", radius=repr(float(radius)), length=repr(2.0 * float(half)))
             case Mesh() as mesh:
                 SubElement(geometry, "mesh", filename=self._file(mesh, shape.name or f"{link.get('name')}_{tag}"))
         if tag == "visual":

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from orbit_core.assets.urdf.shapes import is_sizeless
 from orbit_core.assets.usd.contents import STAGE
 from orbit_core.assets.usd.library import pxr
 from orbit_core.assets.usd.stage import Reading, Units, array, attribute, axis, label, number
@@ -21,6 +22,8 @@ UNNAMED = "orbit:unnamed"
 """The attribute that marks a shape without a name, as every prim has one."""
 _TO_Z = {"X": Pose.from_euler(0.0, math.pi / 2, 0.0), "Y": Pose.from_euler(-math.pi / 2, 0.0, 0.0), "Z": Pose()}
 """The rotation that takes z to a prim's own axis."""
+_SIDES = 32
+"""Of the pyramid that a cone becomes."""
 _SHEAR = 1e-4
 """Relative; stages hold most numbers in single precision."""
 
@@ -125,10 +128,16 @@ class Shapes:
         if kind == "Mesh":
             geometry: Geometry | None = self._mesh(prim, placement, collides)
             pose = placement.pose
+        elif kind == "Cone":
+            geometry, pose = _cone(prim, placement), placement.pose
+            self._reading.note(f"{prim.GetPath()} is a cone and is read as a pyramid of {_SIDES} sides")
         else:
             geometry = _primitive(prim, kind, placement)
             pose = placement.pose @ _TO_Z[axis(prim)]
         if geometry is None:
+            return None
+        if not collides and is_sizeless(geometry):
+            self._reading.note(f"{prim.GetPath()} is drawn with size zero, which shows nothing, and is left out")
             return None
         name = "" if attribute(prim, UNNAMED, False) else label(prim)
         return Shape(geometry, pose, self.surfaces.material(prim), self.surfaces.color(prim), name)
@@ -186,6 +195,21 @@ def _primitive(prim: Any, kind: str, placement: Placement) -> Geometry | None:
         return Sphere(radius)
     half_length = float(0.5 * number(prim, "height") * scale[along])
     return Capsule(radius, half_length) if kind == "Capsule" else Cylinder(radius, half_length)
+
+
+def _cone(prim: Any, placement: Placement) -> Mesh:
+    """A cone as a pyramid of the same volume."""
+    turn = 2.0 * np.pi / _SIDES
+    radius = number(prim, "radius") * math.sqrt(turn / math.sin(turn))
+    half = 0.5 * number(prim, "height")
+    angles = turn * np.arange(_SIDES)
+    rim = np.stack((radius * np.cos(angles), radius * np.sin(angles), np.full(_SIDES, -half)), axis=1)
+    points = _TO_Z[axis(prim)].transform(np.concatenate((rim, [(0.0, 0.0, half), (0.0, 0.0, -half)])))
+    first, following = np.arange(_SIDES), np.roll(np.arange(_SIDES), -1)
+    tip, centre = np.full(_SIDES, _SIDES), np.full(_SIDES, _SIDES + 1)
+    faces = np.concatenate((np.stack((first, following, tip), 1), np.stack((following, first, centre), 1)))
+    mirrored = np.linalg.det(placement.stretch) < 0
+    return Mesh(points @ placement.stretch.T, np.ascontiguousarray(faces[:, ::-1] if mirrored else faces))
 
 
 def _triangles(counts: npt.NDArray[np.int_], indices: npt.NDArray[np.int_]) -> npt.NDArray[np.int_]:

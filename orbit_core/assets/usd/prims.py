@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from orbit_core.assets.usd.library import pxr
 from orbit_core.scene import Pose
 from orbit_core.scene.pose import Vector3
@@ -28,7 +30,8 @@ def assign(prim: Any, schema: str | None, attributes: dict[str, Any]) -> None:
         name, *instance = schema.split(":")
         prim.ApplyAPI(name, *instance)
     for key, value in attributes.items():
-        prim.GetAttribute(key).Set(value)
+        # USD takes no scalars of NumPy but float64.
+        prim.GetAttribute(key).Set(value.item() if isinstance(value, np.generic) else value)
 
 
 def assign_custom(prim: Any, attributes: dict[str, float | bool | list[float]]) -> None:
@@ -46,7 +49,7 @@ def place(prim: Any, pose: Pose, scale: Vector3 | None = None) -> None:
     w, x, y, z = pose.orientation
     transform.AddOrientOp(pxr().UsdGeom.XformOp.PrecisionDouble).Set(pxr().Gf.Quatd(w, x, y, z))
     if scale:
-        transform.AddScaleOp(pxr().UsdGeom.XformOp.PrecisionDouble).Set(pxr().Gf.Vec3d(*scale))
+        transform.AddScaleOp(pxr().UsdGeom.XformOp.PrecisionDouble).Set(pxr().Gf.Vec3d(*map(float, scale)))
 
 
 def quatf(pose: Pose) -> Any:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from orbit_core.assets.inertia_repair import repaired
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.placed import PlacedArticulation, chosen
 from orbit_core.assets.usd.articulations import WORLD, StageReader
@@ -41,7 +42,7 @@ def read_usd(path: Path | str, *, options: ReadOptions = ReadOptions()) -> Artic
             reading.note(f"colliders outside every rigid body are left out: {told}{more}")
         if placed.fixed_base and stage.contents.bodies and placed.articulation.root.name != WORLD:
             reading.note("the fixed joint to the world is left out: the entity says whether its base is fixed")
-    return _noted(placed, reading.notes).articulation
+    return repaired(_noted(placed, reading.notes).articulation, options)
 
 
 def read_usd_all(path: Path | str, *, options: ReadOptions = ReadOptions()) -> tuple[PlacedArticulation, ...]:
@@ -54,7 +55,8 @@ def read_usd_all(path: Path | str, *, options: ReadOptions = ReadOptions()) -> t
     """
     with opened(path, options) as reading:
         first, *others = StageReader(reading).articulations()
-    return (_noted(first, reading.notes), *others)
+    every = (_noted(first, reading.notes), *others)
+    return tuple(replace(placed, articulation=repaired(placed.articulation, options)) for placed in every)
 
 
 def _noted(placed: PlacedArticulation, notes: list[str]) -> PlacedArticulation:

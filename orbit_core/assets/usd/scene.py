@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from orbit_core.assets.inertia_repair import repaired
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.placed import PlacedArticulation, SceneParts
 from orbit_core.assets.usd.articulations import StageReader
@@ -40,7 +41,8 @@ def read_usd_scene(path: Path | str, *, options: ReadOptions = ReadOptions()) ->
             raise AssetError(f"{path} holds no rigid body and no geometry: add some")
         gravity, step = _physics(reading, stage.contents.scene)
         lights = _lights(reading, stage)
-    return SceneParts((*placed, *fixed), terrain, lights, gravity, step, tuple(reading.notes))
+    every = tuple(replace(each, articulation=repaired(each.articulation, options)) for each in (*placed, *fixed))
+    return SceneParts(every, terrain, lights, gravity, step, tuple(reading.notes))
 
 
 def _static(stage: StageReader) -> tuple[list[PlacedArticulation], tuple[Shape, ...]]:

@@ -195,7 +195,8 @@ class _Writer:
 def _paint(prim: Any, shape: Shape) -> None:
     gprim = pxr().UsdGeom.Gprim(prim)
     red, green, blue, alpha = shape.color
-    gprim.CreateDisplayColorAttr(pxr().Vt.Vec3fArray([pxr().Gf.Vec3f(red, green, blue)]))
+    shown = pxr().Gf.Vec3f(float(red), float(green), float(blue))
+    gprim.CreateDisplayColorAttr(pxr().Vt.Vec3fArray([shown]))
     if alpha != 1.0:
         gprim.CreateDisplayOpacityAttr(pxr().Vt.FloatArray([alpha]))
 

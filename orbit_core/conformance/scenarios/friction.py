@@ -56,7 +56,7 @@ def _stick_and_slip(trial: Trial) -> Mapping[str, float]:
 
 
 def _stopping_distance(trial: Trial) -> Mapping[str, float]:
-    errors = []
+    errors, turns = [], []
     speed = 2.0
     headings = torch.tensor([0.0, math.pi / 8, math.pi / 4])
     for mu in FRICTIONS:
@@ -71,7 +71,9 @@ def _stopping_distance(trial: Trial) -> Mapping[str, float]:
         trial.step(world, trial.steps(speed / (mu * G) + 0.1))
         slid = (positions(world) - before).norm(dim=-1)
         errors.append((slid / truth - 1).abs().max())
-    return {"distance": float(max(errors))}
+        w, z = torch.stack([thing.root_pose[:, (3, 6)] for thing in world.objects.values()]).unbind(-1)
+        turns.append((2 * torch.atan2(z, w)).abs().max())
+    return {"distance": float(max(errors)), "turn": float(max(turns))}
 
 
 def _static_above_dynamic(trial: Trial) -> Mapping[str, float]:
@@ -197,7 +199,7 @@ SCENARIOS = (
         name="stopping_distance",
         group="Friction",
         question="How far do things of every shape slide that were pushed off, in three directions?",
-        truth="v^2 / (2 mu g), v = 2 m/s, mu of 0.3 and 0.8",
+        truth="v^2 / (2 mu g), v = 2 m/s, mu of 0.3 and 0.8; no turn: the load moves straight ahead",
         source=_COULOMB,
         judges=(Capability.FRICTION,),
         run=_stopping_distance,
@@ -208,6 +210,13 @@ SCENARIOS = (
                 tolerance=0.04,
                 meaning="largest relative error of the distance",
                 looser_because="integrators of first order err by mu g dt / v, 2 % here",
+            ),
+            Metric(
+                name="turn",
+                unit="rad",
+                tolerance=0.02,
+                meaning="largest angle about the vertical by which one turns",
+                looser_because="a degree is not seen; the best engines err by 2e-4",
             ),
         ),
     ),

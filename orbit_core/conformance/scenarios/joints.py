@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import torch
 
-from orbit_core.conformance.bodies import WEIGHTLESS, pendulum, rotor, scene, slider
+from orbit_core.conformance.bodies import WEIGHTLESS, G, pendulum, rotor, scene, slider
 from orbit_core.conformance.reference import FloatArray, PlanarChain, trajectory
 from orbit_core.conformance.scenario import FIRST_ORDER, SINGLE, Metric, Scenario, Trial
 from orbit_core.interfaces import Capability, World
@@ -174,7 +174,32 @@ def _effort_limits(trial: Trial) -> Mapping[str, float]:
             error = max(error, float((speeds(world)[0] / (rates * time) - 1).abs().max()))
             told = torch.cat([robot.joint_efforts[0] for robot in world.robots.values()]).abs().cpu()
             effort = max(effort, float((told / 2.0 - 1).abs().max()))
-    return {"acceleration": error, "effort": effort}
+    return {"acceleration": error, "effort": effort, **_strong_drives(trial)}
+
+
+_STRONG = ImplicitPd(joints=(".*",), damping=100.0, effort_limit=10.0)
+"""On 0.1 kg m^2: its damping over a step of 5 ms is five times the inertia."""
+_HOLDING = ImplicitPd(joints=(".*",), damping=100.0, effort_limit=0.5)
+"""Too weak to hold a level link of 1 kg with its centre 0.25 m from the hinge."""
+
+
+def _strong_drives(trial: Trial) -> Mapping[str, float]:
+    """A drive leaves its limit and reaches its target; one that a load strikes at rest gives its limit and no more."""
+    world = trial.world(scene(named("settling", rotor(inertia=0.1, actuators=(_STRONG,))), gravity=WEIGHTLESS))
+    robot = world.robots["settling"]
+    wanted = 2.25
+    robot.set_velocity_targets(torch.full((1, 1), wanted, device=world.device))
+    trial.step(world, trial.steps(0.5))
+    off = 0.0
+    for _ in trial.advance(world, 0.05):
+        off = max(off, abs(float(robot.joint_velocities[0, 0]) / wanted - 1.0))
+    world = trial.world(scene(pendulum(links=1, actuators=(_HOLDING,)), terrain=()))
+    falling = 0.05
+    trial.step(world, trial.steps(falling))
+    limit = _HOLDING.effort_limit
+    assert limit is not None
+    truth = (G * 0.25 - limit) / (0.01 + 0.25**2) * falling
+    return {"settling": off, "struck": abs(float(world.robots["pendulum"].joint_velocities[0, 0]) / truth - 1.0)}
 
 
 _FASTEST = 1.5
@@ -336,6 +361,19 @@ SCENARIOS = (
                 tolerance=1e-5,
                 meaning="largest error of the effort told, relative",
                 looser_because=SINGLE,
+            ),
+            Metric(
+                name="settling",
+                unit="",
+                tolerance=1e-5,
+                meaning="largest error of the speed half a second after a strong velocity drive set out, relative",
+                looser_because=SINGLE,
+            ),
+            Metric(
+                name="struck",
+                unit="",
+                tolerance=0.01,
+                meaning="error of the speed 0.05 s after a load met a drive too weak for it, relative",
             ),
         ),
     ),

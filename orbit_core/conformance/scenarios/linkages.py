@@ -6,15 +6,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
 import torch
 
 from orbit_core.conformance.bodies import WEIGHTLESS, G, body, geared, scene
-from orbit_core.conformance.reference import pendulum_period
-from orbit_core.conformance.scenario import SINGLE, Metric, Scenario, Trial
+from orbit_core.conformance.reference import FloatArray, pendulum_period
+from orbit_core.conformance.scenario import FIRST_ORDER, SINGLE, Metric, Scenario, Trial
 from orbit_core.interfaces import Capability, Object
 from orbit_core.scene import (
     ActuatorConfig,
     Articulation,
+    ForceTorqueSpec,
     IdealPd,
     ImplicitPd,
     Joint,
@@ -23,6 +25,7 @@ from orbit_core.scene import (
     Pose,
     RobotSpec,
 )
+from orbit_core.sensors.force_torque import ForceTorqueSensor
 
 # Mimic joints --------------------------------------------------------------------------------------------------------
 
@@ -181,6 +184,63 @@ def _swinging_period(trial: Trial) -> tuple[float, float]:
     return abs(period / expected - 1), opening
 
 
+_PARALLELOGRAM = (0.4, 0.3, 0.4, 0.3)
+_STANDING = 0.5
+"""Angle of the crank, rad."""
+
+
+def _wrenches_in_a_loop(trial: Trial) -> Mapping[str, float]:
+    """A drive holds a parallelogram up, then swings it; free hinges transmit forces and no torque about their axis."""
+    drive = ImplicitPd(joints=("crank_hinge",), stiffness=2000.0, damping=100.0)
+    robot = four_bar("parallelogram", _PARALLELOGRAM, (_STANDING, -_STANDING, _STANDING), (drive,))
+    links = ("crank", "coupler", "rocker")
+    sensors = tuple(ForceTorqueSpec(name=link, entity=robot.name, link=link) for link in links)
+    world = trial.world(scene(robot, sensors=sensors, terrain=()))
+    mechanism = world.robots[robot.name]
+    hinge = mechanism.joint_names.index("crank_hinge")
+
+    def measured() -> FloatArray:
+        """(links, 6)"""
+        meters = [world.sensors[link] for link in links]
+        return np.array([meter.wrench[0].tolist() for meter in meters if isinstance(meter, ForceTorqueSensor)])
+
+    def drive_to(angle: float) -> None:
+        mechanism.set_position_targets(torch.full((1, 1), angle, device=world.device), [hinge])
+
+    drive_to(_STANDING)
+    trial.step(world, trial.steps(1.5))
+    truth, wrenches = _parallelogram_at_rest(float(mechanism.joint_positions[0, hinge])), measured()
+    drive_to(_STANDING + 0.5)
+    loose, largest = 0.0, 0.0
+    for _ in trial.advance(world, 0.5):
+        torques = -measured()[:, 4]  # hinges turn about -y
+        effort = float(mechanism.joint_efforts[0, hinge])
+        loose = max(loose, *np.abs(torques - (effort, 0.0, 0.0)).tolist())
+        largest = max(largest, abs(effort))
+    return {
+        "force": float(np.abs(wrenches - truth)[:, :3].max()),
+        "torque": float(np.abs(wrenches - truth)[:, 3:].max()),
+        "swinging": loose / largest,
+    }
+
+
+def _parallelogram_at_rest(angle: float) -> FloatArray:
+    """(3, 6) wrenches that crank, coupler and rocker receive, about their hinges in their axes.
+
+    The knee carries half of the coupler's weight, and as much along the ground as keeps the rocker, free to turn, from
+    falling; the crank carries the rest.
+    """
+    crank, weight = _PARALLELOGRAM[1], G
+    cosine, sine = math.cos(angle), math.sin(angle)
+    along = weight * cosine / sine  # of the rocker on the coupler; moments about the rocker's hinge
+    coupler = (-along, 0.5 * weight)
+    held = (-along, 1.5 * weight), coupler, (along, 1.5 * weight)
+    turned = [(cosine * x + sine * z, cosine * z - sine * x) for x, z in (held[0], held[2])]
+    effort = 2.0 * weight * crank * cosine
+    forces = (turned[0], coupler, turned[1])
+    return np.array([[x, 0.0, z, 0.0, -about, 0.0] for (x, z), about in zip(forces, (effort, 0.0, 0.0), strict=True)])
+
+
 SCENARIOS = (
     Scenario(
         name="mimic_joints",
@@ -238,6 +298,39 @@ SCENARIOS = (
                 tolerance=2e-4,
                 meaning="of the parallelogram's swing of 0.5 rad, relative",
                 looser_because=SINGLE,
+            ),
+        ),
+    ),
+    Scenario(
+        name="wrenches_in_a_loop",
+        group="Joints",
+        question="Do the wrenches of a closed linkage's joints hold what the loop transmits?",
+        truth="statics of a parallelogram; a free hinge transmits no torque about its axis, a driven one its effort",
+        source="Meriam and Kraige, Engineering Mechanics: Statics, section 4/6",
+        judges=(Capability.LOOP_WRENCHES,),
+        run=_wrenches_in_a_loop,
+        needs=(Capability.LOOP_JOINTS, Capability.LOOP_WRENCHES, Capability.IMPLICIT_DRIVES),
+        metrics=(
+            Metric(
+                name="force",
+                unit="N",
+                tolerance=0.02,
+                meaning="largest error of a force at rest, of up to 24 N",
+                looser_because=SINGLE,
+            ),
+            Metric(
+                name="torque",
+                unit="N m",
+                tolerance=5e-3,
+                meaning="largest error of a torque at rest, of up to 5 N m",
+                looser_because=SINGLE,
+            ),
+            Metric(
+                name="swinging",
+                unit="",
+                tolerance=0.03,
+                meaning="largest torque about a free hinge, or beyond the effort, while it swings; relative",
+                looser_because=FIRST_ORDER,
             ),
         ),
     ),

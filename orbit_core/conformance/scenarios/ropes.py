@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -14,7 +15,7 @@ from orbit_core.conformance.bodies import WEIGHTLESS, G, body
 from orbit_core.conformance.scenario import FIRST_ORDER, Metric, Scenario, Trial
 from orbit_core.conformance.slender import BESSEL_ZERO, catenary, chain_period, loaded_chain_period
 from orbit_core.interfaces import Capability, World
-from orbit_core.scene import Articulation, Attachment, ObjectSpec, Pose, Rope, Scene
+from orbit_core.scene import Articulation, Attachment, Link, ObjectSpec, Pose, Rope, Scene, Shape, Sphere
 
 GROUP = "Matter"
 TIME_STEPS = (0.005, 0.0025, 0.00125)
@@ -174,6 +175,96 @@ def _towed(trial: Trial) -> Mapping[str, float]:
     return {"momentum": abs(float(np.mean(settled)) / (mass * kick) - 1.0)}
 
 
+@dataclass(frozen=True)
+class Bob:
+    """A ball that is let go at rest on a straight rope."""
+
+    mass: float
+    """kg; its rope weighs 25 g."""
+    angle: float
+    """rad from straight down."""
+    collides: bool = False
+
+
+_TAUT = (
+    Bob(0.005, 0.3, collides=True),
+    Bob(0.005, 1.0),
+    Bob(0.05, 1.0),
+    Bob(0.5, 0.3, collides=True),
+    Bob(0.5, 1.3),
+    Bob(2.0, 1.0, collides=True),
+    Bob(2.0, 1.57),
+)
+_FOLDING = (Bob(0.005, 1.57), Bob(0.05, 1.57), Bob(0.5, 1.57))
+_ROPE_LENGTH, _ROPE_COUNT, _ROPE_STIFFNESS = 0.5, 26, 1e5
+
+
+def _bobs(trial: Trial) -> Mapping[str, float]:
+    changes, longest = _swung(trial, (*_TAUT, *_FOLDING))
+    taut, folding = changes[:, : len(_TAUT)], changes[-5:, len(_TAUT) :]
+    return {
+        "energy": float(taut.abs().max()),
+        "length": float(longest.max()),
+        "folding": float(folding.mean(0).abs().max()),
+    }
+
+
+def _swung(trial: Trial, bobs: Sequence[Bob]) -> tuple[Tensor, Tensor]:
+    """Let bobs go, next to each other, for 3 s.
+
+    Returns:
+        (30, B) relative change of the energy of each bob and its rope, mean of each tenth of a second; and (B,) by what
+        part of the rope's length a bob was further from its anchor than that, at most.
+    """
+    ropes = tuple(_rope_of(bob, number) for number, bob in enumerate(bobs))
+    balls = tuple(_ball_of(bob, number) for number, bob in enumerate(bobs))
+    world = trial.world(Scene(objects=balls, deformables=ropes, terrain=()))
+    objects, bodies = [world.objects[ball.name] for ball in balls], [world.deformables[rope.name] for rope in ropes]
+    states: list[tuple[Tensor, ...]] = []
+    for _ in trial.advance(world, 3.0):
+        ends = [torch.cat((thing.root_pose[0, :3], thing.root_velocity[0, :3])) for thing in objects]
+        along = [torch.cat((body.positions[0], body.velocities[0]), -1) for body in bodies]
+        states.append((torch.stack(ends), torch.stack(along)))
+    ends, along = (torch.stack(of).double().cpu() for of in zip(*states, strict=True))
+    # Engines step velocities before positions: at a position, the velocity is the mean of that step's and the next's.
+    places, v, along = ends[:-1, :, :3], 0.5 * (ends[:-1, :, 3:] + ends[1:, :, 3:]), along[:-1]
+    v[0] = ends[0, :, 3:]
+    mass = torch.tensor([bob.mass for bob in bobs], dtype=torch.float64)
+    energy = 0.5 * mass * v.square().sum(-1) + G * mass * (places[..., 2] - 1.0) + _rope_energy(along, ropes[0])
+    lowest = -G * _ROPE_LENGTH * (mass + 0.5 * ropes[0].mass)
+    anchors = torch.tensor([rope.pose.position for rope in ropes], dtype=torch.float64)
+    apart = (places - anchors).norm(dim=-1).amax(0)
+    change = (energy[1:] - energy[0]) / (energy[0] - lowest)
+    return torch.stack([part.mean(0) for part in change.tensor_split(30)]), apart / _ROPE_LENGTH - 1.0
+
+
+def _rope_of(bob: Bob, number: int) -> Rope:
+    down = np.array([math.sin(bob.angle), 0.0, -math.cos(bob.angle)])
+    points = np.outer(np.linspace(0.0, _ROPE_LENGTH, _ROPE_COUNT), down)
+    name, held = f"bob_{number}", Attachment((0,))
+    return Rope(
+        f"rope_{number}", points, 0.05, Pose((0.0, 0.2 * number, 1.0)), axial_stiffness=_ROPE_STIFFNESS,
+        bending_stiffness=0.0, damping=0.0, attachments=(held, Attachment((_ROPE_COUNT - 1,), name, name)),
+    )  # fmt: skip
+
+
+def _ball_of(bob: Bob, number: int) -> ObjectSpec:
+    rope, name, radius = _rope_of(bob, number), f"bob_{number}", 0.03
+    shapes = (Shape(Sphere(radius)),) if bob.collides else ()
+    link = Link(name, bob.mass, (0.0, 0.0, 0.0), np.eye(3) * (0.4 * bob.mass * radius**2), shapes)
+    end = rope.pose.transform(rope.rest_positions[-1:])[0]
+    return ObjectSpec(name=name, articulation=Articulation(name, (link,)), pose=Pose(tuple(end.tolist())))
+
+
+def _rope_energy(states: Tensor, rope: Rope) -> Tensor:
+    """Joules (T, B) of motion, of height below the anchors and of stretch, of positions and velocities (T, B, P, 6)."""
+    x, v, rest = states[..., :3], states[..., 3:], _ROPE_LENGTH / (_ROPE_COUNT - 1)
+    masses = particle_masses(rope).double()
+    strain = x.diff(dim=-2).norm(dim=-1) / rest - 1.0
+    moving = (0.5 * v.square().sum(-1) + G * (x[..., 2] - 1.0)) @ masses
+    return moving + 0.5 * _ROPE_STIFFNESS * rest * strain.square().sum(-1)
+
+
 SCENARIOS = (
     Scenario(
         name="rope_catenary",
@@ -272,6 +363,39 @@ SCENARIOS = (
                 tolerance=0.04,
                 meaning="relative error of the mean momentum, 0.25 to 0.5 s",
                 looser_because=_LATE,
+            ),
+        ),
+    ),
+    Scenario(
+        name="rope_bobs",
+        group=GROUP,
+        question="Do bobs of 5 g to 2 kg keep their energy on 0.5 m of rope of 50 g/m, let go at 0.3 to 1.57 rad?",
+        truth="the energy of motion, height and stretch of a bob and its rope is constant",
+        source="Goldstein, Poole and Safko, Classical Mechanics, 3rd ed., section 1.2",
+        needs=(Capability.ROPES,),
+        judges=(Capability.ROPES,),
+        time_steps=TIME_STEPS,
+        substeps=(0.0005, 0.00025, 0.000125),
+        run=_bobs,
+        metrics=(
+            Metric(
+                name="energy",
+                unit="",
+                tolerance=0.02,
+                meaning="largest relative change of any energy in 3 s, mean of each 0.1 s, where ropes stay taut",
+            ),
+            Metric(
+                name="length",
+                unit="",
+                tolerance=0.005,
+                meaning="largest part of the rope's length by which any bob is too far from its anchor",
+            ),
+            Metric(
+                name="folding",
+                unit="",
+                tolerance=0.02,
+                meaning="largest relative change of the mean energy from 2.5 to 3 s, where ropes go slack and fold: "
+                "5 to 500 g from 1.57 rad",
             ),
         ),
     ),

@@ -25,7 +25,7 @@ class BulletConfig:
     contact_erp: float = 0.2
     """Share of the penetration that a step removes."""
     joint_erp: float = 0.8
-    """Share of the opening of loops that a step removes."""
+    """Share of the opening of loops that a step removes, and in scenes with loops of the way beyond joint limits."""
     contact_margin: float = 0.001
     """Metres of rounding around convex meshes, whose faces stand 1 mm further in to make room for it."""
     restitution_threshold: float = 0.05

@@ -32,6 +32,9 @@ from orbit_core.interfaces import (
 from orbit_core.plugin_kit.rotations import compose, cross
 
 FloatArray = npt.NDArray[np.float64]
+_STOP_ERP = 0.1
+"""Share of the way beyond a joint's limit that a step removes; the joint keeps the speed of it. Bullet has one number
+for limits and for the openings of loops, so that scenes with loops use theirs."""
 Rows = npt.NDArray[np.int64]
 
 
@@ -72,6 +75,7 @@ class Simulation:
         self.reset(np.arange(self.count))
 
     def _set_options(self, config: BulletConfig) -> None:
+        looped = any(entity.spec.articulation.loops for entity in self.layout.entities)
         self.client.setPhysicsEngineParameter(
             fixedTimeStep=self.layout.scene.physics_dt,
             numSolverIterations=config.solver_iterations,
@@ -79,7 +83,8 @@ class Simulation:
             minimumSolverIslandSize=1,
             deterministicOverlappingPairs=1,
             contactERP=config.contact_erp,
-            erp=config.joint_erp,
+            erp=config.joint_erp if looped else _STOP_ERP,
+            useSplitImpulse=0,  # it would leave joints that passed a limit by more than 40 mrad where they are
             restitutionVelocityThreshold=config.restitution_threshold,
             enableFileCaching=0,
             enableSAT=1,

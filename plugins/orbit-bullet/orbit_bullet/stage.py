@@ -16,6 +16,7 @@ from orbit_bullet.config import BulletConfig
 from orbit_bullet.library import refusals
 from orbit_bullet.urdf import MeshFiles, child_poses, write_entity
 from orbit_core.interfaces import TERRAIN, AssetError, ConfigurationError, EntityLayout, SceneLayout
+from orbit_core.plugin_kit.faces import fans, few_faces
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -78,10 +79,30 @@ def write_scene(layout: SceneLayout, folder: Path) -> SceneFiles:
         write_entity(entity.spec, paths[-1], meshes)
     terrain = []
     for shape in layout.scene.terrain:
-        mesh = shape.geometry if isinstance(shape.geometry, Mesh) else None
-        hull = mesh is not None and mesh.collision is MeshCollision.CONVEX_HULL
-        terrain.append(None if mesh is None else meshes.hull(mesh) if hull else meshes.surface(mesh))
+        match shape.geometry:
+            case Mesh(collision=MeshCollision.CONVEX_HULL) as mesh:
+                terrain.append(meshes.hull(mesh))
+            case Mesh() as mesh:
+                terrain.append(meshes.surface(mesh))
+            case HeightField() as field if (faces := few_faces(field)) is not None:
+                terrain.append(meshes.surface(Mesh(*fans(faces), collision=MeshCollision.TRIANGLES)))
+            case _:
+                terrain.append(None)
     return SceneFiles(folder, tuple(paths), tuple(terrain))
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """A ball joint that closes a loop in one environment."""
+
+    slot: int
+    constraint: int
+    """Number of Bullet's constraint, whose force is that on the second link."""
+    first: int
+    second: int
+    """Links of the layout."""
+    point: npt.NDArray[np.float64]
+    """Its place in the first link's frame."""
 
 
 class Stage:
@@ -102,6 +123,7 @@ class Stage:
         self.joints: list[list[int]] = [[] for _ in layout.entities]
         """Bullet's number of each movable joint of each entity."""
         self.places: dict[tuple[int, int], tuple[int, int]] = {}
+        self.loops: list[ClosedLoop] = []
         """Slot and layout link (or TERRAIN) of each body and Bullet link."""
         self.root_inertials = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(layout.entities), 1))
         """For each entity the base's centre of mass and principal axes in the root link's frame (E, 7)."""
@@ -175,11 +197,11 @@ class Stage:
                 return client.createCollisionShape(client.GEOM_CAPSULE, radius=radius, height=2 * half), pose
             case Cylinder(radius, half):
                 return client.createCollisionShape(client.GEOM_CYLINDER, radius=radius, height=2 * half), pose
-            case HeightField() as field:
+            case HeightField() as field if path is None:
                 return self._height_field(field, pose)
-            case Mesh(collision=collision):
-                concave = collision is MeshCollision.TRIANGLES
-                flags = client.GEOM_FORCE_CONCAVE_TRIMESH if concave else 0
+            case Mesh() | HeightField() as surface:
+                convex = isinstance(surface, Mesh) and surface.collision is not MeshCollision.TRIANGLES
+                flags = 0 if convex else client.GEOM_FORCE_CONCAVE_TRIMESH
                 return client.createCollisionShape(client.GEOM_MESH, fileName=str(path), flags=flags), pose
             case other:
                 raise ConfigurationError(f"Bullet cannot collide a {type(other).__name__}")
@@ -224,7 +246,7 @@ class Stage:
         self._set_up_links(slot, body, entity)
         self._set_up_joints(body, entity)
         for loop in articulation.loops:
-            self._add_loop(body, entity, loop)
+            self._add_loop(slot, body, entity, loop)
 
     def _number_links(self, body: int, entity: EntityLayout) -> None:
         client, number = self.client, entity.index
@@ -298,7 +320,7 @@ class Stage:
                 driver = self.joints[entity.index][names.index(joint.mimic.joint)]
                 self._add_mimic(body, driver, number, joint.mimic.multiplier, joint.mimic.offset)
 
-    def _add_loop(self, body: int, entity: EntityLayout, loop: LoopJoint) -> None:
+    def _add_loop(self, slot: int, body: int, entity: EntityLayout, loop: LoopJoint) -> None:
         """Bullet takes the points in the frames of the centres of mass and principal axes."""
         client, names = self.client, entity.spec.articulation.link_names
         links, points = [], []
@@ -309,6 +331,8 @@ class Stage:
             points.append((inertial.inverse() @ child_poses(entity.spec)[offset] @ Pose(point)).position)
         ball = client.createConstraint(body, links[0], body, links[1], client.JOINT_POINT2POINT, [0] * 3, *points)
         client.changeConstraint(ball, maxForce=_GEAR_FORCE)
+        first, second = (entity.links.start + names.index(name) for name in (loop.first, loop.second))
+        self.loops.append(ClosedLoop(slot, ball, first, second, np.array(loop.first_point)))
 
     def _add_mimic(self, body: int, driver: int, follower: int, multiplier: float, offset: float) -> None:
         """A gear holds ``q_driver - q_follower / multiplier`` at ``- offset / multiplier``."""

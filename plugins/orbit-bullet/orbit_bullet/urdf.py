@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.plugin_kit.faces import convex_faces, fans
 from orbit_core.plugin_kit.massless import with_stand_in
 from orbit_core.scene import (
     Box,
@@ -56,15 +57,15 @@ class MeshFiles:
         return self._file(mesh, True)
 
     def surface(self, mesh: Mesh) -> Path:
-        """The triangles as they are."""
+        """The triangles, as few as make the same surface: a ball that rolls over an edge between two loses speed."""
         return self._file(mesh, False)
 
     def _file(self, mesh: Mesh, hull: bool) -> Path:
         key = (mesh, hull)
         if key not in self._names:
             self._names[key] = self.folder / f"mesh{len(self._names)}.obj"
-            vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
-            write_obj(self._names[key], *(_hull(vertices) if hull else (vertices, faces)))
+            vertices = np.asarray(mesh.vertices, dtype=np.float64)
+            write_obj(self._names[key], *(_hull(vertices) if hull else fans(convex_faces(vertices, mesh.faces))))
         return self._names[key]
 
 

@@ -1,7 +1,8 @@
 """What joints transmit, from the balance of momentum of all that hangs on them.
 
 Bullet's own joint sensors leave out what constraints do. The parent's wrench is the rate of change of the momentum of
-the links beyond the joint over the last step, less gravity, applied wrenches and contact forces on them.
+the links beyond the joint over the last step, less gravity, applied wrenches, and the forces of contacts and of joints
+that close loops on them.
 """
 
 from __future__ import annotations
@@ -42,18 +43,19 @@ class WrenchMeter:
         rates = [
             (new - old) / self._stage.layout.scene.physics_dt for new, old in zip(after, self._before, strict=True)
         ]
-        contacts = self._contacts()
         centers, poses = 0.5 * (raw[..., :3] + self._centers_before), self._halfway(poses)
+        outer = self._contacts()
+        self._add_loops(outer, poses)
         for column, (link, beyond) in enumerate(zip(self._stage.layout.wrench_links, self._links, strict=True)):
             if not self._held[column]:
                 continue
             origins = poses[:, link, None, :3] + self._stage.origins[:, None]
             arms = centers[:, beyond] - origins
             forces = rates[0][:, beyond] - self._loads.bearing[:, beyond]
-            force = forces.sum(1) - contacts[:, beyond, :3].sum(1)
+            force = forces.sum(1) - outer[:, beyond, :3].sum(1)
             torques = rates[1][:, beyond] + cross(arms, forces) - self._loads.wrenches[:, beyond, 3:]
-            # Contacts' moments are about the world's origin.
-            moments = contacts[:, beyond, 3:] - cross(origins, contacts[:, beyond, :3])
+            # Moments of contacts and loops are about the world's origin.
+            moments = outer[:, beyond, 3:] - cross(origins, outer[:, beyond, :3])
             torque = torques.sum(1) - moments.sum(1)
             inverse = poses[:, link, 3:] * np.array([1.0, -1.0, -1.0, -1.0])
             self._out[:, column, :3] = rotate(inverse, force)
@@ -75,6 +77,17 @@ class WrenchMeter:
         spins = rotate(inverse, raw[..., 10:])
         angular = rotate(quaternions, np.einsum("lij,klj->kli", self._unit_inertias, spins))
         return masses * raw[..., 7:10], masses * angular
+
+    def _add_loops(self, total: FloatArray, poses: FloatArray) -> None:
+        """Add the forces of joints that close loops, as of contacts (K, L, 6), to those on each link."""
+        stage = self._stage
+        for loop in stage.loops:
+            force = np.array(stage.client.getConstraintState(loop.constraint))
+            pose = poses[loop.slot, loop.first]
+            point = stage.origins[loop.slot] + pose[:3] + rotate(pose[3:], loop.point)
+            wrench = np.concatenate((force, np.cross(point, force)))
+            total[loop.slot, loop.second] += wrench
+            total[loop.slot, loop.first] -= wrench
 
     def _contacts(self) -> FloatArray:
         """Contact forces on each link, and their moments about the world's origin (K, L, 6)."""

@@ -17,15 +17,20 @@ from orbit_core.assets import sources
 from orbit_core.assets.catalogue import robot
 from orbit_core.assets.files import load_articulation
 from orbit_core.interfaces import AssetError, BuildError, BuiltModel, ConfigurationError, SceneLayout
+from orbit_core.plugin_kit.meshes import height_field_mesh
 from orbit_core.scene import (
     Articulation,
     Entity,
+    HeightField,
     ImplicitPd,
     Joint,
     JointType,
     Link,
+    Mesh,
+    MeshCollision,
     RobotSpec,
     Scene,
+    Shape,
 )
 from orbit_core.world import simulate
 
@@ -149,3 +154,15 @@ def test_a_model_that_bullet_refuses_is_told_by_its_name(tmp_path: Path) -> None
     with pytest.raises(AssetError, match="'broken'"):
         Stage(client, layout, files, 1, BulletConfig())
     client.close()
+
+
+def test_flat_ground_is_written_as_few_triangles_as_it_needs(tmp_path: Path) -> None:
+    ramp = np.zeros((11, 11))
+    ramp[:, 5:] = np.linspace(0.0, 0.2, 6)
+    rough = np.random.default_rng(0).uniform(0.0, 0.1, (11, 11))
+    fields = [HeightField(heights, (1.0, 1.0)) for heights in (np.zeros((11, 11)), ramp, rough)]
+    mesh = Mesh(*height_field_mesh(fields[1]), collision=MeshCollision.TRIANGLES)
+    layout = SceneLayout.of(Scene(terrain=(*map(Shape, fields), Shape(mesh))))
+    paths = write_scene(layout, tmp_path).terrain
+    counts = [path and path.read_text().count("f ") for path in paths]
+    assert counts == [2, 4, None, 4]

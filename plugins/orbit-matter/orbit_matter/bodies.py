@@ -71,8 +71,14 @@ def masses(layout: SceneLayout) -> tuple[npt.NDArray[np.float32], ...]:
 
 
 @wp.func
-def _three(of: wp.array3d[float], env: int, row: int, first: int) -> wp.vec3:
+def three(of: wp.array3d[float], env: int, row: int, first: int) -> wp.vec3:
     return wp.vec3(of[env, row, first], of[env, row, first + 1], of[env, row, first + 2])
+
+
+@wp.func
+def quat_of(of: wp.array3d[float], env: int, row: int) -> wp.quat:
+    """Return the orientation of a pose (x, y, z, then w, x, y, z of the quaternion)."""
+    return wp.quat(of[env, row, 4], of[env, row, 5], of[env, row, 6], of[env, row, 3])
 
 
 @wp.func
@@ -84,7 +90,7 @@ def _at_most(v: wp.vec3, most: float) -> wp.vec3:
 
 
 @wp.func
-def _turn_by(v: wp.vec3) -> wp.quat:
+def turn_by(v: wp.vec3) -> wp.quat:
     """The turn by a rotation vector, in radians."""
     angle = wp.length(v)
     if angle < 1.0e-9:
@@ -93,7 +99,7 @@ def _turn_by(v: wp.vec3) -> wp.quat:
 
 
 @wp.func
-def _write(to: wp.array3d[float], env: int, link: int, x: wp.vec3, q: wp.quat, center: wp.vec3):
+def write_pose(to: wp.array3d[float], env: int, link: int, x: wp.vec3, q: wp.quat, center: wp.vec3):
     """The pose of a link whose centre of mass is at x."""
     origin = x - wp.quat_rotate(q, center)
     for k in range(3):
@@ -103,24 +109,26 @@ def _write(to: wp.array3d[float], env: int, link: int, x: wp.vec3, q: wp.quat, c
 
 
 @wp.kernel(enable_backward=False)
-def look_ahead(b: Bodies, links: Links, gravity: wp.array[wp.vec3], dt: float):
+def look_ahead(b: Bodies, attached: wp.array2d[int], links: Links, gravity: wp.array[wp.vec3], dt: float):
     """The way that each body's velocity takes it in the step to come, and what pulls it beside the matter.
 
     That is what it was in the last step: gravity, and what other bodies did. Of a blow, which does not go on, no more
     is taken than what carries the body and the matter's own wrench.
     """
     env, i = wp.tid()
+    if attached[env, i] > 0:
+        return
     link = b.link[env, i]
     e = links.end
-    position, q = _three(e, env, link, 0), wp.quat(e[env, link, 4], e[env, link, 5], e[env, link, 6], e[env, link, 3])
+    position, q = three(e, env, link, 0), quat_of(e, env, link)
     axes = wp.quat_to_matrix(q)
     arm, mass = axes * b.center[env, i], b.mass[env, i]
     turning = axes * wp.inverse(b.inertia[env, i]) * wp.transpose(axes)
-    w, w_before = _three(b.after, env, i, 3), _three(b.before, env, i, 3)
-    v = _three(b.after, env, i, 0) + wp.cross(w, arm)
-    v_before = _three(b.before, env, i, 0) + wp.cross(w_before, arm)
-    force = _three(b.wrenches, env, link, 0)
-    torque = _three(b.wrenches, env, link, 3) - wp.cross(arm, force)
+    w, w_before = three(b.after, env, i, 3), three(b.before, env, i, 3)
+    v = three(b.after, env, i, 0) + wp.cross(w, arm)
+    v_before = three(b.before, env, i, 0) + wp.cross(w_before, arm)
+    force = three(b.wrenches, env, link, 0)
+    torque = three(b.wrenches, env, link, 3) - wp.cross(arm, force)
     weight = wp.length(gravity[env])
     own, own_turn = force / mass, turning * torque
     b.pull[env, i] = _at_most((v - v_before) / dt - own, weight + wp.length(own))
@@ -130,14 +138,16 @@ def look_ahead(b: Bodies, links: Links, gravity: wp.array[wp.vec3], dt: float):
     b.shift[env, i] = wp.vec3()
     b.turned[env, i] = wp.vec3()
     x, c, begin, end = position + arm, b.center[env, i], (AHEAD - 1.0) * dt, AHEAD * dt
-    _write(links.start, env, link, x + v * begin, _turn_by(w * begin) * q, c)
-    _write(links.end, env, link, x + v * end, _turn_by(w * end) * q, c)
+    write_pose(links.start, env, link, x + v * begin, turn_by(w * begin) * q, c)
+    write_pose(links.end, env, link, x + v * end, turn_by(w * end) * q, c)
 
 
 @wp.kernel(enable_backward=False)
-def respond(b: Bodies, links: Links, felt: Felt, dt: float, share: float, h: float):
+def respond(b: Bodies, attached: wp.array2d[int], links: Links, felt: Felt, dt: float, share: float, h: float):
     """Move bodies by what was done to them so far, in the substep that ends after a share of the step."""
     env, i = wp.tid()
+    if attached[env, i] > 0:
+        return
     link = b.link[env, i]
     force = wp.vec3()
     for d in range(felt.forces.shape[1]):
@@ -150,5 +160,5 @@ def respond(b: Bodies, links: Links, felt: Felt, dt: float, share: float, h: flo
     turned = b.turned[env, i] + (b.twist[env, i] * share + b.turning[env, i] * torque) * (dt * h)
     b.shift[env, i] = shift
     b.turned[env, i] = turned
-    q = _turn_by(turned) * q
+    q = turn_by(turned) * q
     links.link[env, link] = wp.transform(origin + arm + shift - wp.quat_rotate(q, b.center[env, i]), q)

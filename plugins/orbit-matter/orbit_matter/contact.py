@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from orbit_matter.kernels import FREE, HELD, Links, Particles, mass_of, target
+from orbit_matter.kernels import FREE, Links, Particles, mass_of, pose_between, target
 from orbit_matter.surfaces import HEIGHT_FIELD, PLANE, Shapes, distance
 
 NEAREST = wp.constant(6)
@@ -43,6 +43,8 @@ class Felt:
     """(N, S) of each shape."""
     near: wp.array3d[int]
     """(N, P, NEAREST) shapes that a particle may meet in this physics step; -1 for none."""
+    holds: wp.array3d[int]
+    """(N, D, L) 1 where any particle of a deformable is attached to a link."""
 
 
 @wp.kernel(enable_backward=False)
@@ -84,13 +86,47 @@ def is_near(
 
 
 @wp.kernel(enable_backward=False)
+def find_holders(p: Particles, felt: Felt, chosen: wp.array[bool]):
+    """Note which links deformables are attached to, in chosen environments."""
+    env, d = wp.tid()
+    if not chosen[env]:
+        return
+    for link in range(felt.holds.shape[2]):
+        felt.holds[env, d, link] = 0
+    for i in range(p.x.shape[1]):
+        if p.owner[i] == d and p.anchor[env, i] >= 0:
+            felt.holds[env, d, p.anchor[env, i]] = 1
+
+
+@wp.kernel(enable_backward=False)
+def exempt_inside(p: Particles, links: Links, shapes: Shapes, felt: Felt, chosen: wp.array[bool]):
+    """Let no particle collide with a link that its deformable is attached to and that it is inside of."""
+    env, i = wp.tid()
+    if not chosen[env]:
+        return
+    kind = env % shapes.kind.shape[0]
+    p.exempt[env, i] = FREE
+    for s in range(shapes.kind.shape[1]):
+        link = shapes.link[kind, s]
+        if link < felt.holds.shape[2]:  # noqa: SIM102 - Warp evaluates both sides of an `and`
+            if felt.holds[env, p.owner[i], link] == 1:
+                pose = pose_between(links.end, links.end, env, link, 0.0) * shapes.pose[kind, s]
+                local = wp.transform_point(wp.transform_inverse(pose), p.x[env, i])
+                if distance(shapes, kind, s, local, deepest(p.radius[i]))[3] < p.radius[i]:
+                    p.exempt[env, i] = link
+
+
+@wp.kernel(enable_backward=False)
 def find_near(p: Particles, links: Links, shapes: Shapes, felt: Felt, step: float):
     """Which shapes each particle may meet."""
     env, i = wp.tid()
     count, kind, moved = int(0), env % shapes.kind.shape[0], range_of(p, step, env, i)
     for s in range(shapes.kind.shape[1]):
-        if count < NEAREST and is_near(
-            shapes, kind, s, links.shape[env, s], links.reach[env, s], p.x[env, i], p.radius[i], moved
+        own = p.exempt[env, i] == shapes.link[kind, s]
+        if (
+            count < NEAREST
+            and not own
+            and is_near(shapes, kind, s, links.shape[env, s], links.reach[env, s], p.x[env, i], p.radius[i], moved)
         ):
             felt.near[env, i, count] = s
             count += 1
@@ -122,9 +158,9 @@ def end_substep(
     if link != FREE:
         inertia = mass_of(p, env, i) / (h * h)
         goal = target(p, links, env, i)
-        pulled = p.x[env, i] + d - goal
-        if link >= 0:
-            force = (pulled * (inertia * HELD) + gravity[env] * mass_of(p, env, i)) * share
+        pulled = d - (goal - p.x[env, i])  # of which the rounding of positions cancels
+        if link >= 0 and p.solved[env, i] == 0:
+            force = (pulled * (inertia * p.held[i]) + gravity[env] * mass_of(p, env, i)) * share
             feel(felt, links, env, p.owner[i], link, force, goal)
         d = goal - p.x[env, i]
         k = NEAREST

@@ -20,13 +20,31 @@ import warp as wp
 from orbit_matter.surfaces import Shapes
 
 HELD = wp.constant(100.0)
-"""Times its mass that a held particle counts in constraints: it hardly moves, and what pulls it back is the force that
-holds it."""
+"""Times its mass that a held particle of cloth counts in constraints: it hardly moves, and what pulls it back is the
+force that holds it. Particles of ropes, whose solve no ratio of masses disturbs, count its square: under a tension T
+an edge gives way by ``T h^2`` over that mass."""
 FREE = wp.constant(-2)
 """In the place of the link that holds a particle: none does."""
 WORLD = wp.constant(-1)
 
 
+TAUT = wp.constant(3.0)
+"""``(w h)^2`` of the fastest wave across a rope up to which its edges pull along their directions at the beginning."""
+LATE = wp.constant(0.52)
+"""Part of a rope's elastic forces, of edges and of bending, that is taken from the end of the substep and not from its
+beginning: a half keeps the energy of its vibrations, and what is more damps those that the substep cannot follow."""
+ATTEMPTS = wp.constant(4)
+"""Steps of Newton's method at most, for all edges of a rope in a substep."""
+PRECISE = wp.constant(1.0e-5)
+"""Part of its length that an edge may be off after them."""
+ROUNDING = wp.constant(3.0e-7)
+"""Part of a particle's position that single precision does not resolve in an edge."""
+LOOSE = wp.constant(1.0e-2)
+"""The same, above which they are taken for not to converge."""
+SWEEPS = wp.constant(20)
+"""Over the edges one by one, where they do not."""
+TURNED = wp.constant(0.5)
+"""Cosine of the angle that an edge may turn in a substep and still pull along the direction that it had before."""
 BUCKLED = wp.constant(50.0)
 """Times as soft as in tension that cloth is along its axes in compression, where it buckles between particles."""
 
@@ -43,7 +61,13 @@ class Particles:
     """Link that holds it, WORLD or FREE."""
     place: wp.array2d[wp.vec3]
     """Where it is held, in the link's frame."""
+    solved: wp.array2d[int]
+    """(N, P) 1 where it is attached to a free body, which the solve moves together with it."""
+    exempt: wp.array2d[int]
+    """(N, P) link with which a particle does not collide: it was inside of it when its matter was attached there."""
     mass: wp.array[float]
+    held: wp.array[float]
+    """(P,) times its mass that it counts in constraints where a link holds it."""
     w: wp.array2d[float]
     """(N, P) inverse masses as constraints take them, of this physics step."""
     radius: wp.array[float]
@@ -87,8 +111,10 @@ def weigh(p: Particles):
     """Inverse masses for the physics step to come."""
     env, i = wp.tid()
     w = 1.0 / mass_of(p, env, i)
-    if p.anchor[env, i] != FREE:
-        w = w / HELD
+    if p.anchor[env, i] == WORLD:
+        w = float(0.0)
+    elif p.anchor[env, i] != FREE:
+        w = w / p.held[i]
     p.w[env, i] = w
 
 
@@ -303,50 +329,183 @@ class Edges:
     upper: wp.array2d[float]
     """(N, E) scratch of the elimination, and the multipliers."""
     value: wp.array2d[float]
+    total: wp.array2d[float]
+    """(N, E) multipliers of the substep."""
+    spread: wp.array2d[float]
+    """(N, P) scratch of the elimination for taut ropes."""
+    moved: wp.array2d[wp.vec3]
+
+
+@wp.struct
+class Edge:
+    """An edge in a substep: its direction at the beginning, with which it pulls, and the one that it has now."""
+
+    n: wp.vec3
+    now: wp.vec3
+    length: float
+    """Metres, now and at the beginning of the substep."""
+    was: float
 
 
 @wp.func
-def direction(p: Particles, e: Edges, env: int, c: int) -> wp.vec3:
-    return at(p, env, e.particles[c, 1]) - at(p, env, e.particles[c, 0])
+def edge_of(p: Particles, e: Edges, env: int, c: int) -> Edge:
+    i, j = e.particles[c, 0], e.particles[c, 1]
+    found, arm = Edge(), at(p, env, j) - at(p, env, i)
+    found.length = wp.length(arm)
+    found.now = arm / found.length
+    arm = p.x[env, j] - p.x[env, i]
+    found.was = wp.length(arm)
+    found.n = arm / found.was
+    if wp.dot(found.n, found.now) < TURNED:
+        found.n = found.now
+    return found
 
 
-@wp.kernel(enable_backward=False)
-def solve_edges(p: Particles, e: Edges, h: float):
-    """All edges of a rope at once: their matrix is tridiagonal, and one elimination solves it (Thomas)."""
-    env, rope = wp.tid()
-    first, stop = e.ranges[rope, 0], e.ranges[rope, 1]
-    before, coupling = wp.vec3(), float(0.0)
+@wp.func
+def lateness(p: Particles, e: Edges, env: int, c: int) -> float:
+    """Return how far along an edge's turn of this substep its pull across must be taken: 0 unless it is too taut."""
+    w = wp.max(p.w[env, e.particles[c, 0]], p.w[env, e.particles[c, 1]])
+    return wp.max(0.0, 0.5 - 0.5 * TAUT * e.weights[c, 0] / wp.max(-4.0 * w * e.total[env, c], 1.0e-30))
+
+
+@wp.func
+def soften(p: Particles, e: Edges, env: int, first: int, stop: int):
+    """Take the pull across edges that are too taut for the substep from their directions later in it.
+
+    With ``(w h)^2`` of the fastest wave, 4 T h^2 / (m l), above 4 the directions at its beginning diverge; a part of
+    ``(1 - 4 / (w h)^2) / 2`` of the turn is stable at any tension, and damps the waves that the substep cannot follow.
+    """
+    k_behind = float(0.0)
+    for c in range(first, stop + 1):
+        i, k = int(0), float(0.0)  # noqa: RUF046
+        if c < stop:
+            i = int(e.particles[c, 0])
+            k = lateness(p, e, env, c) * wp.max(-e.total[env, c], 0.0) / e.weights[c, 0]
+        else:
+            i = int(e.particles[c - 1, 1])
+        w = p.w[env, i]
+        pivot, value = 1.0 + w * (k + k_behind), p.d[env, i] * 1.0
+        if c > first:
+            before = e.particles[c - 1, 0]
+            pivot -= w * k_behind * e.spread[env, before]
+            value = value + e.moved[env, before] * (w * k_behind)
+        e.spread[env, i] = w * k / pivot
+        e.moved[env, i] = value / pivot
+        k_behind = k
+    following = wp.vec3()
+    for k in range(stop + 1 - first):
+        c = stop - k
+        i = int(e.particles[wp.min(c, stop - 1), 0])
+        if c == stop:
+            i = int(e.particles[c - 1, 1])
+        following = e.moved[env, i] + following * e.spread[env, i]
+        p.d[env, i] = following
+
+
+@wp.func
+def unmet(p: Particles, e: Edges, env: int, c: int, length: float, was: float, soft: float) -> float:
+    """Return the metres by which an edge is too short, by its length and its pull of the substep so far."""
+    rest = e.weights[c, 0]
+    return rest - length + (rest - was) * ((1.0 - LATE) / LATE) - soft * e.total[env, c]
+
+
+@wp.func
+def softness(p: Particles, e: Edges, env: int, c: int, h: float) -> float:
+    return e.weights[c, 1] / (LATE * h * h * p.parameters[env, e.owner[c], 1])
+
+
+@wp.func
+def pull_edges(p: Particles, e: Edges, h: float, env: int, first: int, stop: int) -> float:
+    """Solve for all edges of a rope by one step of Newton's method; return the largest part of a length left over."""
+    edge, before = edge_of(p, e, env, first), wp.vec3()
     for c in range(first, stop):
-        arm = direction(p, e, env, c)
-        length = wp.length(arm)
-        n = arm / length
+        following = edge
+        if c + 1 < stop:
+            following = edge_of(p, e, env, c + 1)
         w0 = p.w[env, e.particles[c, 0]]
         w1 = p.w[env, e.particles[c, 1]]
-        soft = e.weights[c, 1] / (h * h * p.parameters[env, e.owner[c], 1])
-        pivot, value = w0 + w1 + soft, e.weights[c, 0] - length
+        soft = softness(p, e, env, c, h)
+        pivot = (w0 + w1) * wp.dot(edge.now, edge.n) + soft
+        value, upper = unmet(p, e, env, c, edge.length, edge.was, soft), float(0.0)
         if c > first:
-            coupling = -w0 * wp.dot(before, n)
+            coupling = -w0 * wp.dot(edge.now, before)
             pivot -= coupling * e.upper[env, c - 1]
             value -= coupling * e.value[env, c - 1]
-        following = float(0.0)
         if c + 1 < stop:
-            following = -w1 * wp.dot(n, wp.normalize(direction(p, e, env, c + 1)))
-        e.upper[env, c] = following / pivot
+            upper = -w1 * wp.dot(edge.now, following.n)
+        e.upper[env, c] = upper / pivot
         e.value[env, c] = value / pivot
-        before = n
+        before = edge.n
+        edge = following
     multiplier = float(0.0)
     for k in range(stop - first):
         c = stop - 1 - k
         multiplier = e.value[env, c] - e.upper[env, c] * multiplier
         e.value[env, c] = multiplier
+        e.total[env, c] = e.total[env, c] + multiplier
     # A particle moves only after both edges at it were looked at, so that directions are those of the matrix.
     behind, i = wp.vec3(), int(e.particles[first, 0])
     for c in range(first, stop):
-        ahead = wp.normalize(direction(p, e, env, c)) * e.value[env, c]
+        pull = edge_of(p, e, env, c)
+        ahead = pull.n * e.value[env, c]
         push(p, env, i, (behind - ahead) * p.w[env, i])
         behind = ahead
         i = int(e.particles[c, 1])
     push(p, env, i, behind * p.w[env, i])
+    left = float(0.0)
+    for c in range(first, stop):
+        edge = edge_of(p, e, env, c)
+        found = unmet(p, e, env, c, edge.length, edge.was, softness(p, e, env, c, h))
+        noise = ROUNDING * wp.length(p.x[env, e.particles[c, 0]])
+        left = wp.max(left, (wp.abs(found) - noise) / e.weights[c, 0])
+    return left
+
+
+@wp.func
+def project_edges(p: Particles, e: Edges, env: int, first: int, stop: int):
+    """Take edges one by one to their lengths, where a rope folds so sharply that Newton's method does not converge."""
+    for c in range(first, stop):
+        e.total[env, c] = 0.0
+        p.d[env, e.particles[c, 0]] = e.moved[env, e.particles[c, 0]]
+    p.d[env, e.particles[stop - 1, 1]] = e.moved[env, e.particles[stop - 1, 1]]
+    for sweep in range(SWEEPS):
+        for k in range(first, stop):
+            c = k
+            if sweep % 2 == 1:
+                c = first + stop - 1 - k
+            i, j = e.particles[c, 0], e.particles[c, 1]
+            arm = at(p, env, j) - at(p, env, i)
+            length, w = wp.length(arm), p.w[env, i] + p.w[env, j]
+            if w > 0.0 and length > 0.0:
+                by = arm * ((e.weights[c, 0] / length - 1.0) / w)
+                push(p, env, i, -by * p.w[env, i])
+                push(p, env, j, by * p.w[env, j])
+
+
+@wp.kernel(enable_backward=False)
+def solve_edges(p: Particles, e: Edges, h: float):
+    """All edges of a rope at once: their matrix is tridiagonal, and one elimination solves it (Thomas).
+
+    Edges pull along the directions that they had when the substep began (SHAKE), which neither damps what swings under
+    tension nor feeds it; along their new directions a swing of angular velocity w would lose ``2 w^2 h`` of its energy
+    a second.
+    """
+    env, rope = wp.tid()
+    first, stop = e.ranges[rope, 0], e.ranges[rope, 1]
+    for c in range(first, stop):
+        e.total[env, c] = 0.0
+        e.moved[env, e.particles[c, 0]] = p.d[env, e.particles[c, 0]]
+    e.moved[env, e.particles[stop - 1, 1]] = p.d[env, e.particles[stop - 1, 1]]
+    attempt, left, tautest = int(0), float(1.0), float(0.0)  # noqa: RUF046
+    while attempt < ATTEMPTS and left > PRECISE:
+        left = pull_edges(p, e, h, env, first, stop)
+        attempt += 1
+    if not left < LOOSE:
+        project_edges(p, e, env, first, stop)
+    for c in range(first, stop):
+        tautest = wp.max(tautest, lateness(p, e, env, c))
+    if tautest > 0.0:
+        soften(p, e, env, first, stop)
 
 
 # Bending -------------------------------------------------------------------------------------------------------------
@@ -371,13 +530,17 @@ def pull_bend(p: Particles, b: Bends, env: int, c: int, change: wp.vec3):
 
 @wp.func
 def solve_bend(p: Particles, b: Bends, h: float, env: int, c: int):
-    curvature, w = wp.vec3(), float(0.0)
+    curvature, was, w = wp.vec3(), wp.vec3(), float(0.0)
     for k in range(4):
         i = b.particles[c, k]
         weight = b.weights[c, k]
         curvature += at(p, env, i) * weight
+        was += p.x[env, i] * weight
         w += p.w[env, i] * weight * weight
     soft = b.weights[c, 4] / (h * h * p.parameters[env, b.owner[c], 2])
+    if b.weights[c, 3] == 0.0:  # of a rope
+        soft = soft / LATE
+        curvature += was * ((1.0 - LATE) / LATE)
     pull_bend(p, b, env, c, -curvature / (w + soft))
 
 

@@ -18,7 +18,7 @@ from orbit_core.interfaces import MAX_DISTANCE, MAX_SPEED, Approximation, SceneL
 from orbit_core.interfaces.matter import PARAMETERS, Matter
 from orbit_core.plugin_kit.rows import take_rows, write_columns, write_rows
 from orbit_core.scene import Attachment
-from orbit_matter import bodies, contact, kernels, rows, self_contact, stability, substeps
+from orbit_matter import attached, bodies, contact, kernels, rows, self_contact, stability, substeps
 from orbit_matter.colliders import Colliders
 from orbit_matter.config import MatterConfig
 from orbit_matter.model import build
@@ -52,7 +52,7 @@ class ParticleMatter(Matter):
         self._stepping = Stepping(layout.scene.physics_dt, count, sweeps, config.contact_stiffness)
         self._graphs = Graphs(device, config.capture)
         by_rows = (rows,) if device.type == "cpu" else ()
-        load_kernels("orbit-matter", (kernels, contact, self_contact, bodies, *by_rows), self._graphs.device)
+        load_kernels("orbit-matter", (kernels, contact, self_contact, bodies, attached, *by_rows), self._graphs.device)
         self._colliders = Colliders(layout, self._graphs.device)
         self._tensors: dict[str, Tensor] = {}
         """State and parameters; snapshots hold them."""
@@ -76,6 +76,7 @@ class ParticleMatter(Matter):
             "x": rest.repeat(n, 1, 1),
             "v": torch.zeros(n, p, 3, **make),
             "anchor": torch.full((n, p), _FREE, dtype=torch.int32, device=self._device),
+            "exempt": torch.full((n, p), _FREE, dtype=torch.int32, device=self._device),
             "place": torch.zeros(n, p, 3, **make),
             "parameters": parameters,
             "searched": torch.full((n, p, 3), _NOWHERE, **make),
@@ -86,10 +87,13 @@ class ParticleMatter(Matter):
             "mass": torch.as_tensor(mass, **make)[kinds].contiguous(),
             "inertia": torch.as_tensor(inertia, **make)[kinds].contiguous(),
             "center": torch.as_tensor(center, **make)[kinds].contiguous(),
+            "known": torch.zeros(n, mass.shape[1], dtype=torch.int32, device=self._device),
         }
+        for name, width in (("seen", 13), ("given", 6), ("body_x", 3), ("body_q", 4), ("body_v", 3), ("body_w", 3)):
+            self._tensors[name] = torch.zeros(n, mass.shape[1], width, **make)
         self._start = torch.zeros(n, max(links, 1), 7, **make)
         self._end = torch.zeros(n, max(links, 1), 7, **make)
-        self._wrenches = torch.zeros(n, links, 6, **make)
+        self._wrenches, self._asked = torch.zeros(n, links, 6, **make), torch.zeros(n, links, 6, **make)
         self._free = torch.tensor(bodies.free_links(self._layout), dtype=torch.int64, device=self._device)
         self._velocities = torch.zeros(2, n, len(self._free), 6, **make)
         """Of free bodies, before the engine's last step and after it."""
@@ -113,6 +117,7 @@ class ParticleMatter(Matter):
         count = 1 if self._device.type != "cpu" else min(threads or len(os.sched_getaffinity(0)), rounds)
         bounds = [min(round(rounds * k / count) * self._colliders.kinds, self._num_envs) for k in range(count + 1)]
         memory = {**self._tensors, "start": self._start, "end": self._end, "wrenches": self._wrenches}
+        memory["asked"] = self._asked
         memory["free"] = self._free.to(torch.int32).expand(self._num_envs, -1).contiguous()
         memory |= {"before": self._velocities[0], "after": self._velocities[1]}
         with wp.ScopedDevice(self._graphs.device):
@@ -122,16 +127,26 @@ class ParticleMatter(Matter):
 
     # Time ------------------------------------------------------------------------------------------------------------
 
-    def step(self, before: Tensor, after: Tensor, velocities: tuple[Tensor, Tensor] | None = None) -> None:
+    def step(
+        self,
+        before: Tensor,
+        after: Tensor,
+        velocities: tuple[Tensor, Tensor] | None = None,
+        wrenches: Tensor | None = None,
+    ) -> None:
         links = before.shape[1]
         self._start[:, :links].copy_(before)
         self._end[:, :links].copy_(after)
         if velocities is not None:
             torch.index_select(velocities[0], 1, self._free, out=self._velocities[0])
             torch.index_select(velocities[1], 1, self._free, out=self._velocities[1])
+        if wrenches is not None:
+            self._asked.copy_(wrenches)
         self._graphs.run_side_by_side({("step", n): part.launch_step for n, part in enumerate(self._parts)})
         self._wrenches[..., :3] = self._tensors["forces"].sum(1)
         self._wrenches[..., 3:] = self._tensors["torques"]
+        if len(self._free):
+            self._wrenches.index_copy_(1, self._free, self._tensors["given"])
 
     # State -----------------------------------------------------------------------------------------------------------
 
@@ -177,7 +192,7 @@ class ParticleMatter(Matter):
         write_rows(self._tensors["v"], torch.zeros_like(take_rows(rest, env_ids)), env_ids)
         write_rows(self._tensors["searched"], _NOWHERE, env_ids)
         self._hold(link_poses, env_ids)
-        for name in ("forces", "torques"):
+        for name in ("forces", "torques", "known"):
             write_rows(self._tensors[name], torch.zeros_like(take_rows(self._tensors[name], env_ids)), env_ids)
         write_rows(self._wrenches, torch.zeros_like(take_rows(self._wrenches, env_ids)), env_ids)
 
@@ -219,7 +234,8 @@ class ParticleMatter(Matter):
     @property
     def build_report(self) -> tuple[Approximation, ...]:
         of_substeps = substeps.report(self._layout.scene, self._stepping.h, self._stepping.sweeps)
-        return of_substeps + stability.sinking(self._layout, self._config.contact_stiffness)
+        of_contacts = stability.sinking(self._layout, self._config.contact_stiffness)
+        return of_substeps + of_contacts + stability.late_links(self._layout) + stability.folding(self._layout)
 
     @property
     def wrenches(self) -> Tensor:

@@ -55,6 +55,8 @@ class Model:
     """(P,) index of the deformable."""
     damping: FloatArray
     """(P,) 1/s"""
+    mates: IntArray
+    """(P, 2) particles before and after each along its rope, or -1: of cloth all."""
     triangles: Constraints
     """Weights: the inverse of the 2 x 2 matrix of edges at rest, row by row; 1 / (E t A); Poisson's ratio."""
     edges: Constraints
@@ -86,6 +88,7 @@ def build(scene: Scene) -> Model:
         np.concatenate([part.touches for part in parts]),
         np.concatenate([part.owners for part in parts]),
         np.concatenate([part.damping for part in parts]),
+        np.concatenate([_moved(part.mates, start) for part, start in zip(parts, starts[:-1], strict=True)]),
         *(
             _joined([getattr(part, kind) for part in parts], starts, columns, width)
             for kind, columns, width in (("triangles", 3, 6), ("edges", 2, 2), ("bends", 4, 5))
@@ -152,8 +155,20 @@ def _part(
         np.full(count, int(spec.self_collisions), np.int32),
         np.full(count, owner, np.int32),
         np.full(count, spec.damping, np.float32),
+        _mates(count) if isinstance(spec, Rope) else np.full((count, 2), -1, np.int32),
         **made,
     )
+
+
+def _moved(mates: IntArray, start: np.int64) -> IntArray:
+    """Neighbours as columns of the whole scene."""
+    return np.where(mates < 0, -1, mates + start).astype(np.int32)
+
+
+def _mates(count: int) -> IntArray:
+    """(P, 2) neighbours along a rope; -1 beyond its ends."""
+    numbers = np.arange(count, dtype=np.int32)
+    return np.column_stack((numbers - 1, np.where(numbers + 1 < count, numbers + 1, -1))).astype(np.int32)
 
 
 def _cloth(spec: Cloth, owner: int) -> Model:

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from torch import Tensor
 
-from orbit_matter import bodies, contact, kernels, rows, self_contact
+from orbit_matter import attached, bodies, contact, kernels, rows, self_contact
 from orbit_matter.colliders import Colliders
 from orbit_matter.model import Constraints, Model
 
@@ -63,8 +63,9 @@ class Part:
         felt = self._felt = contact.Felt()
         felt.forces, felt.torques = wp.from_torch(memory["forces"], wp.vec3), wp.from_torch(memory["torques"], wp.vec3)
         felt.friction = wp.from_torch(memory["friction"])
+        felt.holds = wp.zeros((self._n, len(model.slices), self._count), dtype=int)
         felt.near = wp.full((self._n, self._p, int(contact.NEAREST)), -1, dtype=int)
-        self._bodies = self._make_bodies(memory)
+        self._bodies, self._attached = self._make_bodies(memory), self._make_attached(memory)
         self._edges = self._make_edges()
         self._neighbours = self._make_neighbours(memory) if model.meets else None
         self._triangles = _struct(kernels.Triangles(), model.triangles)
@@ -76,6 +77,10 @@ class Part:
         made.x, made.v = wp.from_torch(memory["x"], wp.vec3), wp.from_torch(memory["v"], wp.vec3)
         made.d, made.w = wp.zeros(shape, dtype=wp.vec3), wp.zeros(shape, dtype=float)
         made.anchor, made.place = wp.from_torch(memory["anchor"]), wp.from_torch(memory["place"], wp.vec3)
+        made.exempt = wp.from_torch(memory["exempt"])
+        made.solved = wp.zeros(shape, dtype=int)
+        ropes = (self._model.mates >= 0).any(1)
+        made.held = wp.array(np.where(ropes, float(kernels.HELD) ** 2, float(kernels.HELD)), dtype=float)
         made.mass, made.radius = wp.array(model.masses), wp.array(model.radii)
         made.kept = wp.array(np.exp(-self._stepping.h * model.damping))
         made.owner = wp.array(model.owners, dtype=int)
@@ -103,11 +108,36 @@ class Part:
             setattr(made, name, wp.zeros(shape, dtype=wp.vec3))
         return made
 
+    def _make_attached(self, memory: Mapping[str, Tensor]) -> Any:
+        made, shape = attached.Attached(), memory["mass"].shape
+        made.body, made.mates = wp.array(self._body_of(memory), dtype=int), wp.array(self._model.mates, dtype=int)
+        made.following = wp.zeros((self._n, self._p), dtype=int)
+        made.asked, made.given = wp.from_torch(memory["asked"]), wp.from_torch(memory["given"])
+        made.known, made.seen = wp.from_torch(memory["known"]), wp.from_torch(memory["seen"])
+        made.x, made.q = wp.from_torch(memory["body_x"], wp.vec3), wp.from_torch(memory["body_q"], wp.quat)
+        made.v, made.w = wp.from_torch(memory["body_v"], wp.vec3), wp.from_torch(memory["body_w"], wp.vec3)
+        names = {int: "first count", float: "held mobility", wp.mat33: "inertia turning"}
+        motion = "pull twist had_pull had_twist odd_pull odd_twist begin_v begin_w drift spin"
+        names[wp.vec3] = f"{motion} force torque felt_force felt_torque"
+        for kind, row in names.items():
+            for name in row.split():
+                setattr(made, name, wp.zeros(shape, dtype=kind))
+        return made
+
+    def _body_of(self, memory: Mapping[str, Tensor]) -> np.ndarray:
+        """(L,) index of the free body that each link is, or -1."""
+        found = np.full(max(self._count, 1), -1, np.int32)
+        found[memory["free"][0].cpu().numpy()] = np.arange(self._free)
+        return found
+
     def _make_edges(self) -> Any:
         made, edges = _struct(kernels.Edges(), self._model.edges), self._model.edges
         made.ranges = wp.array(np.array(edges.ranges, np.int32).reshape(-1, 2), dtype=int, ndim=2)
         made.upper = wp.zeros((self._n, len(edges.particles)), dtype=float)
         made.value = wp.zeros((self._n, len(edges.particles)), dtype=float)
+        made.total = wp.zeros((self._n, len(edges.particles)), dtype=float)
+        made.spread = wp.zeros((self._n, self._p), dtype=float)
+        made.moved = wp.zeros((self._n, self._p), dtype=wp.vec3)
         return made
 
     def _make_neighbours(self, memory: Mapping[str, Tensor]) -> Any:
@@ -130,8 +160,11 @@ class Part:
 
     def hold(self, chosen: Tensor) -> None:
         """What is held in chosen environments, of all (N,) bool, is from now on held where it is."""
-        mine = wp.from_torch(chosen[self._rows])
-        wp.launch(kernels.hold, (self._n, self._p), inputs=[self._particles, self._links, mine])
+        mine, shape = wp.from_torch(chosen[self._rows]), (self._n, self._p)
+        wp.launch(kernels.hold, shape, inputs=[self._particles, self._links, mine])
+        wp.launch(contact.find_holders, (self._n, len(self._model.slices)), inputs=[self._particles, self._felt, mine])
+        inputs = [self._particles, self._links, self._colliders.shapes, self._felt, mine]
+        wp.launch(contact.exempt_inside, shape, inputs=inputs)
 
     def search_again(self) -> None:
         """Find the pairs that the last search found, from where particles then were."""
@@ -142,8 +175,12 @@ class Part:
     def launch_step(self) -> None:
         """Advance by one physics step."""
         if self._free:
-            ahead = [self._bodies, self._links, self._gravity, self._stepping.physics_dt]
-            wp.launch(bodies.look_ahead, (self._n, self._free), inputs=ahead)
+            dt, links = self._stepping.physics_dt, self._links
+            wp.launch(attached.find_attached, self._n, inputs=[self._particles, self._attached])
+            inputs = [self._attached, self._bodies, links, self._particles, self._gravity, dt]
+            wp.launch(attached.begin, (self._n, self._free), inputs=inputs)
+            inputs = [self._bodies, self._attached.count, links, self._gravity, dt]
+            wp.launch(bodies.look_ahead, (self._n, self._free), inputs=inputs)
         self._felt.forces.zero_()
         self._felt.torques.zero_()
         wp.launch(kernels.weigh, (self._n, self._p), inputs=[self._particles])
@@ -163,6 +200,9 @@ class Part:
             self._launch_search(self._neighbours, renewed=1)
         for number in range(self._stepping.substeps):
             self._launch_substep((number + 1) / self._stepping.substeps)
+        if self._free:
+            inputs = [self._attached, self._bodies, self._felt, self._gravity, self._stepping.physics_dt]
+            wp.launch(attached.conclude, (self._n, self._free), inputs=inputs)
 
     def _place(self, share: float, first: int, moving: bool = False) -> None:
         """Put links and shapes where they are after a share of the step, the first time or again.
@@ -171,9 +211,11 @@ class Part:
         """
         wp.launch(kernels.place_links, (self._n, self._count + 1), inputs=[self._links, self._count, share])
         if self._free and moving:
-            numbers = [self._stepping.physics_dt, share, self._stepping.h]
-            inputs = [self._bodies, self._links, self._felt, *numbers]
-            wp.launch(bodies.respond, (self._n, self._free), inputs=inputs)
+            dt, h, shape = self._stepping.physics_dt, self._stepping.h, (self._n, self._free)
+            inputs = [self._bodies, self._attached.count, self._links, self._felt, dt, share, h]
+            wp.launch(bodies.respond, shape, inputs=inputs)
+            inputs = [self._attached, self._bodies, self._links, self._particles, self._felt, dt, h]
+            wp.launch(attached.predict, shape, inputs=inputs)
         shapes = [self._links, self._colliders.shapes, first]
         wp.launch(kernels.place_shapes, (self._n, self._colliders.count), inputs=shapes)
 
@@ -201,9 +243,10 @@ class Part:
             wp.launch(rows.solve_triangles, n, inputs=inputs)
         if self._model.bends.ranges:
             wp.launch(rows.solve_bends, n, inputs=[self._particles, self._bends, h])
-        self._launch_edges()
         if self._neighbours is not None:
             wp.launch(rows.separate, n, inputs=[self._particles, self._neighbours, h])
+        self._launch_edges()
+        self._launch_correction()
         wp.launch(rows.finish, n, inputs=contacts)
 
     def _launch_wide(self, contacts: list[Any]) -> None:
@@ -216,17 +259,25 @@ class Part:
                 wp.launch(kernels.solve_triangles, (n, stop - first), inputs=inputs)
         for first, stop in self._model.bends.ranges:
             wp.launch(kernels.solve_bends, (n, stop - first), inputs=[self._particles, self._bends, first, h])
-        self._launch_edges()
         if self._neighbours is not None:
             wp.launch(self_contact.separate, shape, inputs=[self._particles, self._neighbours, h])
             wp.launch(self_contact.move, shape, inputs=[self._particles, self._neighbours])
+        self._launch_edges()
+        self._launch_correction()
         wp.launch(contact.finish, shape, inputs=contacts)
 
     def _launch_edges(self) -> None:
-        """Last of what holds matter together, so that nothing makes ropes longer again."""
+        """Solve for ropes last, so that nothing makes them longer again, whose stretch would be energy from nowhere."""
         if ropes := len(self._model.edges.ranges):
             inputs = [self._particles, self._edges, self._stepping.h]
             wp.launch(kernels.solve_edges, (self._n, ropes), inputs=inputs)
+
+    def _launch_correction(self) -> None:
+        """Move free bodies by what is attached to them."""
+        if self._free:
+            bodies_and_matter = [self._attached, self._bodies, self._links, self._particles, self._felt]
+            inputs = [*bodies_and_matter, self._gravity, self._stepping.h, 1.0 / self._stepping.substeps]
+            wp.launch(attached.correct, (self._n, self._free), inputs=inputs)
 
 
 def _struct(made: Any, constraints: Constraints) -> Any:

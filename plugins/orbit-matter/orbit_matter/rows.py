@@ -38,7 +38,10 @@ def find_near(p: Particles, links: Links, shapes: Shapes, felt: Felt, step: floa
         if apart < reach + farthest:
             for i in range(count):
                 k = int(0)
-                if is_near(shapes, kind, s, pose, reach, p.x[env, i], p.radius[i], range_of(p, step, env, i)):
+                own = p.exempt[env, i] == shapes.link[kind, s]
+                if not own and is_near(
+                    shapes, kind, s, pose, reach, p.x[env, i], p.radius[i], range_of(p, step, env, i)
+                ):
                     while k < NEAREST and felt.near[env, i, wp.min(k, NEAREST - 1)] >= 0:
                         k += 1
                     if k < NEAREST:

@@ -251,26 +251,6 @@ def _tetrahedron() -> Mesh:
     return Mesh(vertices, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))
 
 
-def hung(rope: Rope, mass: float, **scene: float) -> Scene:
-    """A rope from a free block to the world."""
-    held = (Attachment((0,), "block", "block"), Attachment((10,)))
-    block = box("block", size=(0.02, 0.02, 0.02), mass=mass, pose=Pose((-0.1, 0.3, 0.1)))
-    return Scene(objects=(block,), deformables=(replace(rope, attachments=held),), terrain=(), **scene)
-
-
-def test_a_link_too_light_for_its_rope_is_refused_with_the_step_that_would_do() -> None:
-    """A pull sets 1 kg of a rope of 20 kg/m in motion within 5 ms: a tenth of that diverges, a half does not."""
-    rope = replace(ROPE, linear_density=20.0)
-    with pytest.raises(ConfigurationError, match=r"'block', that resists 'rope' with 0\.09 kg.*use at most 0\.0009 s"):
-        simulate(hung(rope, 0.09), 1, "mujoco", matter="orbit-matter")
-    for scene in (hung(rope, 0.5), hung(rope, 0.1, physics_dt=0.001)):
-        own = simulate(scene, 1, "mujoco", matter="orbit-matter")
-        own.objects["block"].set_root_velocity(torch.tensor([[0.3, 0.2, 0.0, 0.0, 0.0, 0.0]]))
-        own.step(round(1.0 / own.physics_dt))
-        assert own.objects["block"].root_velocity[0, :3].norm() < 5.0
-        own.close()
-
-
 def test_kernels_that_are_compiled_first_are_told_of(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -309,12 +289,6 @@ def test_what_sinks_by_its_weight_is_reported() -> None:
         ("resting on things", "sinks into them or through")
     ]
     own.close()
-
-
-def test_a_loaded_rope_takes_the_substep_that_its_waves_need() -> None:
-    """0.6 of an edge of 2 cm over ``sqrt(T / rho)``, with the tension T of 3 kg and the rope."""
-    substep, _ = substeps.chosen(hung(ROPE, 3.0))
-    assert substep == pytest.approx(0.6 * 0.02 * (0.1 / (9.81 * 3.02)) ** 0.5)
 
 
 @pytest.mark.parametrize("held", [True, False])

@@ -13,17 +13,21 @@ import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces import Approximation, ConfigurationError
+from orbit_core.plugin_kit.faces import convex_faces, few_faces
 from orbit_core.scene import Box, Capsule, Cylinder, HeightField, Mesh, MeshCollision, Plane, Pose, Shape, Sphere
 from orbit_mjmodel.materials import ContactParameters
 
 PRISM_DEPTH = 0.01
-"""Metres that each triangle of a surface reaches inward."""
+"""Metres that each face of a surface reaches inward."""
+_SQUARE = 1e-6
+"""Largest difference of a solid's corners from those of a box, over its size, and of its angles."""
 _GROUND_DEPTH = 0.1
 """Metres of ground below the lowest point of a height field."""
 _LEAST_WIDTH = 1e-5
-"""Metres; narrower triangles are left out."""
+"""Metres; narrower faces are left out."""
 _FIELD_DEPTH = 7
 """Levels of the octree that holds a mesh's distances: its finest cells are 2^-7 of the mesh's box."""
+FloatArray = npt.NDArray[np.float64]
 Part = tuple[mujoco.mjtGeom, tuple[float, float, float], str, Pose]
 """A geom's type, size, asset and pose."""
 
@@ -37,10 +41,10 @@ class GeomBuilder:
         self._fields: dict[Mesh, str] = {}
         self._numbers = itertools.count()  # of meshes: a specification lists all of its own to tell how many they are
 
-    def add(self, body: mujoco.MjsBody, part: Part, contact: ContactParameters, name: str = "") -> None:
+    def add(self, body: mujoco.MjsBody, part: Part, contact: ContactParameters, name: str = "") -> mujoco.MjsGeom:
         """Add ``part`` to ``body``, under a name or none."""
         kind, size, asset, pose = part
-        body.add_geom(
+        return body.add_geom(
             name=name,
             type=kind,
             size=size,
@@ -78,13 +82,33 @@ class GeomBuilder:
             case Mesh(collision=MeshCollision.SIGNED_DISTANCE) as mesh:
                 yield mujoco.mjtGeom.mjGEOM_SDF, (0, 0, 0), self._field(mesh), pose
             case Mesh() as mesh if body.mocap or body == self._spec.worldbody:
-                for prism in _prisms(mesh):
-                    yield mujoco.mjtGeom.mjGEOM_MESH, (0, 0, 0), self._asset(prism), pose
+                for face, normal in _wide_faces(mesh):
+                    yield self._solid(face, face - PRISM_DEPTH * normal, pose)
+            case HeightField() as field if (faces := few_faces(field)) is not None:
+                lowest = float(np.min(field.heights)) - _GROUND_DEPTH
+                for face in faces:
+                    yield self._solid(face, np.column_stack((face[:, :2], np.full(len(face), lowest))), pose)
             case HeightField() as field:
                 lowest = Pose((0.0, 0.0, float(np.min(field.heights))))
                 yield mujoco.mjtGeom.mjGEOM_HFIELD, (0, 0, 0), self._height_field(field), pose @ lowest
             case other:
                 raise ConfigurationError(f"MuJoCo cannot collide the {type(other).__name__} of {name} as it is")
+
+    def _solid(self, face: FloatArray, base: FloatArray, pose: Pose) -> Part:
+        """The part between a convex face (corners, 3) and its ``base``: a box where it is one, and else a hull."""
+        down = base - face
+        ends = np.array((face[0], face[1], face[-1], base[0]))
+        sides = ends[1:] - ends[0]
+        lengths = np.linalg.norm(sides, axis=-1)
+        axes = sides.T / lengths
+        skew = np.abs(axes.T @ axes - np.eye(3)).max()
+        if len(face) == 4 and np.ptp(down, axis=0).max() < _SQUARE and skew < _SQUARE:
+            open_corner = np.abs(face[0] + face[2] - face[1] - face[3]).max()
+            if open_corner < _SQUARE * lengths.max():
+                frame = np.eye(4)
+                frame[:3, :3], frame[:3, 3] = axes * (1.0, 1.0, np.linalg.det(axes)), 0.5 * (face + base).mean(0)
+                return mujoco.mjtGeom.mjGEOM_BOX, tuple(0.5 * lengths), "", pose @ Pose.from_matrix(frame)
+        return mujoco.mjtGeom.mjGEOM_MESH, (0, 0, 0), self._asset(np.concatenate((face, base))), pose
 
     def _hull(self, mesh: Mesh) -> str:
         if mesh not in self._hulls:
@@ -103,7 +127,7 @@ class GeomBuilder:
             self._fields[mesh] = asset.name
         return self._fields[mesh]
 
-    def _asset(self, vertices: npt.NDArray[np.float64]) -> str:
+    def _asset(self, vertices: FloatArray) -> str:
         """The convex hull of ``vertices``: MuJoCo makes it of vertices that come without faces."""
         mesh = self._spec.add_mesh(
             name=f"mesh{next(self._numbers)}",
@@ -133,12 +157,10 @@ def geometry_approximations(shape: Shape, subject: str) -> list[Approximation]:
     return [Approximation(subject, "a surface of triangles", got, "MuJoCo's meshes are convex")]
 
 
-def _prisms(mesh: Mesh) -> Iterator[npt.NDArray[np.float64]]:
-    """Corners (6, 3) of each triangle and of the same triangle ``PRISM_DEPTH`` further in."""
-    triangles = np.asarray(mesh.vertices, dtype=np.float64)[mesh.faces]
-    edges = triangles - np.roll(triangles, 1, axis=1)
-    normals = np.cross(edges[:, 1], edges[:, 2])
-    areas = np.linalg.norm(normals, axis=-1)
-    wide = areas > _LEAST_WIDTH * np.linalg.norm(edges, axis=-1).max(axis=-1)
-    inward = -PRISM_DEPTH * normals[wide] / areas[wide, None]
-    yield from np.concatenate((triangles[wide], triangles[wide] + inward[:, None]), axis=1)
+def _wide_faces(mesh: Mesh) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """The flat faces (corners, 3) of a surface, with their outward normals; slivers are left out."""
+    for face in convex_faces(mesh.vertices, mesh.faces):
+        sides = np.roll(face, -1, axis=0) - face
+        area = np.cross(face - face[0], sides).sum(0)
+        if np.linalg.norm(area) > _LEAST_WIDTH * np.linalg.norm(sides, axis=-1).max():
+            yield face, area / np.linalg.norm(area)

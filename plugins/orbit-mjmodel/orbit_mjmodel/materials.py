@@ -16,7 +16,8 @@ from orbit_core.scene import Capsule, Compliance, Cylinder, PhysicsMaterial, Sha
 from orbit_mjmodel.config import ModelConfig
 
 STEPS_PER_BOUNCE = 8
-"""Physics steps that a rebound lasts, enough for the integrator to resolve it."""
+"""Physics steps that a rebound lasts, enough for the integrator to resolve it, where :mod:`orbit_mjmodel.rebounds` has
+no pair: on cloth, with the integrator RK4 or pyramidal cones, and on shapes that differ between environments."""
 _MOST_DAMPED = 1.3
 """Damping ratio above which the integrator would not follow; it rebounds at a tenth of the speed."""
 SOFT_IMPEDANCE = 0.1
@@ -57,8 +58,8 @@ def contact_parameters(
     return ContactParameters(friction, condim, config.contact_solref, config.contact_solimp)
 
 
-def material_approximations(shape: Shape, subject: str) -> list[Approximation]:
-    """What of the shape's material MuJoCo does not take as it is."""
+def material_approximations(shape: Shape, subject: str, one_step: bool) -> list[Approximation]:
+    """What of the shape's material MuJoCo does not take as it is; ``one_step``: it rebounds by explicit pairs."""
     material = shape.material
     found: list[Approximation] = []
     if material.static_friction != material.dynamic_friction:
@@ -71,10 +72,12 @@ def material_approximations(shape: Shape, subject: str) -> list[Approximation]:
         why = "MuJoCo scales contact stiffness with the effective mass, and damps sliding as it damps the normal"
         found.append(Approximation(subject, asked, got, why))
     elif material.restitution:
-        got = f"a rebound of {STEPS_PER_BOUNCE} steps; where both shapes ask for one, the weaker"
-        found.append(
-            Approximation(subject, f"restitution {material.restitution}", got, "MuJoCo's contacts are spring-dampers")
-        )
+        got = "a rebound within a step, faster where a low friction lets it slide on"
+        why = "MuJoCo's convex friction cone pushes what slides off the surface"
+        if not one_step:
+            got = f"a rebound of {STEPS_PER_BOUNCE} steps with little friction; of two restitutions, the weaker"
+            why = "MuJoCo's contacts are spring-dampers"
+        found.append(Approximation(subject, f"restitution {material.restitution}", got, why))
     return found
 
 

@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout
+from orbit_core.interfaces import Approximation, ConfigurationError, SceneLayout, UnsupportedCapabilityError
 from orbit_core.plugin_kit.ropes import hanging_weight
 from orbit_core.scene import Attachment, Cloth, Rope, Scene
 from orbit_mjmodel.addresses import MATTER_BODY, body_name
@@ -103,7 +103,12 @@ def add_matter(spec: mujoco.MjSpec, layout: SceneLayout) -> list[Approximation]:
 
     Returns:
         What MuJoCo does not take as it is.
+
+    Raises:
+        UnsupportedCapabilityError: two cloths, which MuJoCo's contacts of flexes throw up or let through each other.
+        ConfigurationError: cloth too stiff for the time step, or a rope of too many pieces.
     """
+    _check_one_cloth(layout)
     report: list[Approximation] = []
     for index, thing in enumerate(simulated(layout)):
         _check_solvable(thing, layout.scene.physics_dt)
@@ -117,6 +122,16 @@ def add_matter(spec: mujoco.MjSpec, layout: SceneLayout) -> list[Approximation]:
         report += _report_held(thing)
         _add_anchors(spec, index, thing, layout)
     return report
+
+
+def _check_one_cloth(layout: SceneLayout) -> None:
+    """Refuse cloths that may touch: of two that fell on a box one was flung up 0.3 m, or came out under the other."""
+    names = [repr(thing.name) for thing in simulated(layout) if isinstance(thing, Cloth)]
+    if len(names) > 1:
+        raise UnsupportedCapabilityError(
+            f"cloths {' and '.join(names)} would be flung up, or change places, where they touch as MuJoCo's own: "
+            "simulate them with a matter solver (matter='orbit-matter')"
+        )
 
 
 def _check_solvable(thing: Cloth | Rope, dt: float) -> None:

@@ -25,7 +25,15 @@ from orbit_core.scene import Joint, JointType, Link, LoopJoint, LoopType, Shape
 from orbit_core.scene.inertias import solid_moments
 from orbit_mjmodel.addresses import Addresses, body_name, joint_name
 from orbit_mjmodel.config import ModelConfig
-from orbit_mjmodel.drives import ASKED_DAMPING, DAMPING, STIFFNESS, hold_drives, hold_springs
+from orbit_mjmodel.drives import (
+    ASKED_DAMPING,
+    DAMPING,
+    STIFFNESS,
+    hold_drives,
+    hold_springs,
+    report_swings,
+    throwing_wheels,
+)
 from orbit_mjmodel.geometry import GeomBuilder, geometry_approximations
 from orbit_mjmodel.materials import contact_parameters, material_approximations
 from orbit_mjmodel.matter import (
@@ -37,6 +45,7 @@ from orbit_mjmodel.matter import (
     slow_spins,
     spare_holders,
 )
+from orbit_mjmodel.rebounds import Collider, add_rebound_pairs, rebounds_in_one_step
 from orbit_mjmodel.variants import ABSENT, Slot, slots
 from orbit_mjmodel.wrenches import add_wrench_sensors
 
@@ -46,7 +55,8 @@ _UNLIMITED = 1e10
 _COMPILED_MASS = 1e-3
 """kg, and kg m^2, of a body without mass while its model is compiled."""
 _STIFF_COUPLING = (0.99, 0.999, 0.001, 0.5, 2.0)
-"""Impedance of mimic joints and of loops."""
+"""Impedance of mimic joints, of loops and of joint limits. With MuJoCo's own, 0.95, a joint that 100 N m push against
+its limit is 19 mrad beyond it, and with this less than one."""
 _TORQUE_SCALE = 10
 """Among a weld's data, the weight of its angles beside its distances."""
 _NO_WIDTH = 5e-7
@@ -119,6 +129,7 @@ def _compiled(builder: _Builder) -> BuiltModel:
     firm_contacts(model.body_invweight0, model.dof_invweight0, matter)
     report = (*builder.report, *hold_drives(model, addresses, builder.layout))
     report = (*report, *hold_springs(model, addresses, builder.layout))
+    report = (*report, *report_swings(model, addresses, builder.layout))
     absent = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(ABSENT)]
     model.geom_rgba[absent, 3] = 0.0  # which rays take for not there
     return BuiltModel(model, addresses, report, np.array(absent, dtype=np.int64), matter)
@@ -151,13 +162,21 @@ class _Builder:
         if config.cone == "pyramidal":
             why = "the setting 'cone' asks for a pyramid: friction is up to 30 % weaker between a contact's axes"
             self.report.append(Approximation("contacts", "the same friction in every direction", "a pyramid", why))
+        self._integrator, why = self._chosen_integrator()
+        if self._integrator != config.integrator:
+            self.report.append(Approximation("the integrator", config.integrator, self._integrator, why))
         self._geoms = GeomBuilder(self.spec)
+        self._colliders: list[Collider] = []
+        self._one_step = rebounds_in_one_step(self._integrator, config.cone)
         for shape in layout.scene.terrain:
             self._add_shape(self.spec.worldbody, shape, 1.0, False, f"terrain shape '{shape.name}'")
         for entity in layout.entities:
             self._add_entity(entity)
         for index in range(len(layout.joints)):
             self._add_drive(index)
+        if self._one_step and any(collider.material.restitution for collider in self._colliders):
+            excluded = {frozenset((pair.bodyname1, pair.bodyname2)) for pair in self.spec.excludes}
+            add_rebound_pairs(self.spec, self._colliders, excluded, layout.scene.physics_dt)
         self.report += add_matter(self.spec, layout)
         self.spec.add_key(name="home")
 
@@ -180,15 +199,23 @@ class _Builder:
         # Which links may touch is written out pair by pair.
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT) | disabled
 
-    @property
-    def _integrator(self) -> str:
-        """The one that is asked for; with cloth and rope the one that solves contacts with their elasticity."""
-        asked, wanted = self.config.integrator, "discrete"
-        if not self.layout.scene.deformables or asked == wanted:
-            return asked
-        why = "MuJoCo integrates cloth in no other way, and rope that rests on something jitters and creeps in others"
-        self.report.append(Approximation("the integrator", asked, wanted, why))
-        return wanted
+    def _chosen_integrator(self) -> tuple[str, str]:
+        """Return the integrator and, where it is not the requested one, why not.
+
+        It is ``discrete`` where contacts must be solved together with cloth's elasticity or with a drive.
+        """
+        asked, together = self.config.integrator, "discrete"
+        if asked != together and self.layout.scene.deformables:
+            return together, (
+                "MuJoCo integrates cloth in no other way, and rope that rests on something jitters and creeps in others"
+            )
+        if asked != together and (thrown := throwing_wheels(self.layout)):
+            return together, (
+                f"contacts are solved without the damping of the velocity drive of {thrown[0]}, which has no effort "
+                "limit: it would strike the ground with all of it and throw its base; give the drive an effort limit "
+                "to keep the integrator"
+            )
+        return asked, ""
 
     # Bodies ----------------------------------------------------------------------------------------------------------
 
@@ -249,9 +276,12 @@ class _Builder:
             self._add_slots(body, link, kinds, rolls, subject)
 
     def _add_shape(self, body: mujoco.MjsBody, shape: Shape, mass: float, rolls: bool, subject: str) -> None:
+        movable = not (body.mocap or body == self.spec.worldbody)
         for slot in self._slots(body, shape, mass, rolls, subject):
-            self._geoms.add(body, slot.part, slot.contact)
-        self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject)
+            geom = self._geoms.add(body, slot.part, slot.contact)
+            self._colliders.append(Collider(geom, body.name, movable, shape.material))
+        self.report += geometry_approximations(shape, subject)
+        self.report += material_approximations(shape, subject, self._one_step)
 
     def _slots(self, body: mujoco.MjsBody, shape: Shape, mass: float, rolls: bool, subject: str) -> list[Slot]:
         dt = self.layout.scene.physics_dt
@@ -269,7 +299,7 @@ class _Builder:
             name = f"{ABSENT}{len(self.spec.geoms)}" if slot.absent else ""
             self._geoms.add(body, slot.part, slot.contact, name)
         for shape in link.collisions:
-            self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject)
+            self.report += geometry_approximations(shape, subject) + material_approximations(shape, subject, False)
 
     def _exclude_pairs(self, entity: EntityLayout) -> None:
         articulation = entity.spec.articulation
@@ -304,6 +334,8 @@ class _Builder:
             axis=joint.child_pose.rotation_matrix() @ joint.axis,
             limited=limited,
             range=(max(lower, -_UNLIMITED), min(upper, _UNLIMITED)) if limited else (0.0, 0.0),
+            solref_limit=self.config.limit_solref,
+            solimp_limit=_STIFF_COUPLING,
             damping=[float(parameters.damping[number]), 0.0, 0.0],
             frictionloss=float(parameters.friction[number]),
             solref_friction=self._stiffest,

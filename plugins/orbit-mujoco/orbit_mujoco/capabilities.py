@@ -10,6 +10,11 @@ CAPABILITIES = Capabilities(
             "distances are interpolated in an octree whose finest cells are 2^-7 of the mesh's box, and contacts are "
             "found by descent from 40 points, other ones from step to step: what rests on them creeps and trembles"
         ),
+        Capability.HEIGHT_FIELDS: approximate(
+            "prism by prism, whose sides are felt: on a level floor of cells of 0.1 m a ball at 1 m/s loses 0.05 of "
+            "its speed and turns by 0.045 rad in 1.2 s, and a box stops after 0.83 of its way; exact where the whole "
+            "field has no more than eight planes"
+        ),
         Capability.COPIED_STATES: EXACT,
         Capability.DETERMINISTIC: EXACT,
         Capability.SHADOWS: approximate(

@@ -32,7 +32,7 @@ from orbit_mjmodel.readback import read_back
 from orbit_mujoco.capture import MujocoCapture
 from orbit_mujoco.config import MujocoConfig
 from orbit_mujoco.matter import NativeMatter
-from orbit_mujoco.measurements import ContactMeter, MatterMeter, WrenchMeter
+from orbit_mujoco.measurements import ContactMeter, EffortMeter, MatterMeter, WrenchMeter
 from orbit_mujoco.model import build_models
 from orbit_mujoco.parameters import Parameters
 from orbit_mujoco.state import DERIVED_STAGE, State
@@ -84,9 +84,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         self._contacts = ContactMeter(layout, self._sensordata)
         self._wrenches = WrenchMeter(layout, self._batch, built.addresses, self._parameters)
         self._matter_forces = MatterMeter(layout, self._batch, built.addresses, built.matter)
-        self._actuator_force = self._batch.bind("actuator_force")
-        self._joint_efforts = torch.zeros(self._actuator_force.shape)
-        self._efforts_read = self._joint_efforts.numpy()
+        self._efforts = EffortMeter(self._batch, built.addresses, self._parameters)
         self._ctrl, self._xfrc_applied = self._batch.bind("ctrl"), self._batch.bind("xfrc_applied")
         # Contiguous scratch: MuJoCo's rows lie far apart, and NumPy pays for that in each operation.
         self._spring_part, self._damper_part = np.zeros(self._ctrl.shape), np.zeros(self._ctrl.shape)
@@ -110,7 +108,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         except mujoco.batch.SimulationError as error:
             self._failed[error.ids] = True
             raise SimulationError(f"MuJoCo failed in environments {first_few(error.ids)}: {error}") from error
-        np.copyto(self._efforts_read, self._actuator_force, casting="same_kind")
+        self._efforts.mark_stepped()
         self._wrenches.read()
         self._state.invalidate()
         self._matter.measure(self._matter_forces)
@@ -121,11 +119,20 @@ class MujocoEngine(PartedEngine[State, Parameters]):
             raise matter_divergence_error(environments, names) if names else divergence_error(self._state.diverged())
 
     def _advance(self, steps: int) -> None:
+        if self._wrenches.needs_rates:
+            self._state.derive()  # for what `begin` keeps
         if not (self._contacts.queries or self._matter.damped):
+            if self._wrenches.needs_rates:
+                if steps > 1:
+                    self._batch.step(nstep=steps - 1, stage=DERIVED_STAGE)
+                self._wrenches.begin()
+                steps = 1
             self._batch.step(nstep=steps, stage=DERIVED_STAGE)
             return
         self._contacts.clear()
-        for _ in range(steps):
+        for number in range(steps):
+            if self._wrenches.needs_rates and number == steps - 1:
+                self._wrenches.begin()
             self._matter.damp()
             self._batch.step(nstep=1, stage=DERIVED_STAGE)
             self._state.invalidate()
@@ -139,7 +146,8 @@ class MujocoEngine(PartedEngine[State, Parameters]):
     @property
     def _measurements(self) -> tuple[Tensor, ...]:
         """Measurements of the last step, which MuJoCo's own rows do not hold."""
-        return self._joint_efforts, self._contacts.forces, self._wrenches.wrenches, self._matter_forces.forces
+        self._efforts.settle()
+        return self._efforts.efforts, self._contacts.forces, self._wrenches.wrenches, self._matter_forces.forces
 
     def _write_commands(self) -> None:
         positions, velocities, efforts = self._targets
@@ -185,11 +193,13 @@ class MujocoEngine(PartedEngine[State, Parameters]):
 
     @property
     def joint_efforts(self) -> Tensor:
-        return self._joint_efforts
+        self._efforts.settle()
+        return self._efforts.efforts
 
     def write_joint_state(
         self, joints: Tensor, positions: Tensor | None, velocities: Tensor | None, env_ids: Tensor | None = None
     ) -> None:
+        self._efforts.settle()
         self._state.write_joints(joints.numpy(), _array(positions), _array(velocities), self._rows(env_ids))
 
     def write_root_state(
@@ -199,6 +209,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
 
     def reset(self, env_ids: Tensor | None = None) -> None:
         rows = self._rows(env_ids)
+        self._efforts.settle()
         held = self._matter.held(rows)
         if self._failed[rows].any():
             self._clear_failures(rows)
@@ -248,6 +259,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
     def set_drive_gains(
         self, joints: Tensor, stiffness: Tensor, damping: Tensor, env_ids: Tensor | None = None
     ) -> None:
+        self._efforts.settle()
         self._parameters.set_drive_gains(joints.numpy(), stiffness.numpy(), damping.numpy(), self._rows(env_ids))
 
     def set_joint_parameters(
@@ -307,6 +319,7 @@ class MujocoEngine(PartedEngine[State, Parameters]):
         )
 
     def load_state(self, state: Snapshot) -> None:
+        self._efforts.settle()
         self._clear_failures(slice(None))
         self._batch.state[...] = state.rows
         self._parameters.load(state.parameters)

@@ -14,10 +14,12 @@ import torch
 from mujoco.batch import Batch
 
 from orbit_core.interfaces import TERRAIN, ContactQuery, SceneLayout
+from orbit_core.plugin_kit.rotations import cross
 from orbit_core.scene import Rope
-from orbit_mjmodel.addresses import Addresses, body_name
+from orbit_mjmodel.addresses import Addresses, body_name, columns
+from orbit_mjmodel.drives import adds_damping, implicit_bounds, spring_lead
 from orbit_mjmodel.matter import MatterAddresses, matter_name
-from orbit_mjmodel.wrenches import held_up_beyond
+from orbit_mjmodel.wrenches import CompositeInertias, held_up_beyond
 from orbit_mujoco.parameters import Parameters
 
 _NET_FORCE = (2, 3, 1)
@@ -119,8 +121,50 @@ class ContactMeter:
         np.multiply(total, -1.0 / steps, out=self._forces, casting="same_kind")
 
 
+class EffortMeter:
+    """Efforts that drives and commands applied in the last physics step, computed when they are first read.
+
+    MuJoCo reports a drive's force at the beginning of a step. An implicit integrator applies the drive's law at the
+    velocity that the step ends with, but for drives at their limit, whose force stays as it was. A position at the
+    beginning of a step is the one at its end less ``h v``, for the engine integrates it so.
+    """
+
+    def __init__(self, batch: Batch, addresses: Addresses, parameters: Parameters) -> None:
+        model, self._parameters = batch.model, parameters
+        self._force, self._ctrl = batch.bind("actuator_force"), batch.bind("ctrl")
+        self._qpos, self._qvel = batch.bind("qpos"), batch.bind("qvel")
+        self._position_columns = columns(addresses.joint_positions)
+        self._velocity_columns = columns(addresses.joint_velocities)
+        self._lead = spring_lead(model)
+        self._bounds = implicit_bounds(model)
+        self._due = False
+        self.efforts = torch.zeros(self._force.shape)
+        """(N, J); current after :meth:`settle`."""
+        self._own = self.efforts.numpy()
+
+    def mark_stepped(self) -> None:
+        """After a step: the efforts are out of date."""
+        self._due = True
+
+    def settle(self) -> None:
+        """Compute the last step's efforts, before positions, velocities or gains are written, or when they are read."""
+        if not self._due:
+            return
+        self._due = False
+        stiffness = self._parameters.stiffness
+        held = stiffness * self._qpos[:, self._position_columns]
+        held += (self._parameters.damping - self._lead * stiffness) * self._qvel[:, self._velocity_columns]
+        law = np.subtract(self._ctrl, held, out=held)
+        linear = np.abs(self._force) < self._bounds
+        np.copyto(self._own, np.where(linear, law, self._force), casting="same_kind")
+
+
 class WrenchMeter:
-    """Holds the joint wrenches of the last physics step, without the weight of bodies that are held up."""
+    """Holds the joint wrenches of the last physics step, without the weight of bodies that are held up.
+
+    MuJoCo measures them with accelerations to which an implicit integrator has not yet added the damping of drives and
+    joints. The change of velocity over the step has it.
+    """
 
     def __init__(self, layout: SceneLayout, batch: Batch, addresses: Addresses, parameters: Parameters) -> None:
         links = len(layout.wrench_links)
@@ -130,28 +174,58 @@ class WrenchMeter:
         self._bodies = addresses.bodies[list(layout.wrench_links)]
         self._beyond = held_up_beyond(batch.model, self._bodies)
         self._bears = bool(self._beyond.any())
+        self.needs_rates = bool(links) and adds_damping(batch.model)
+        """Whether :meth:`begin` must be called before the last physics step."""
         if self._bears:
             self._centers, self._origins, self._axes = (batch.bind(name) for name in ("xipos", "xpos", "xmat"))
+        if self.needs_rates:
+            self._composite = CompositeInertias(batch.model, self._bodies)
+            self._step, self._qacc = batch.model.opt.timestep, batch.bind("qacc")
+            self._live = [batch.bind(name) for name in ("qvel", "crb", "cdof", "subtree_com", "xpos", "xmat")]
+            self._before = [values.copy() for values in self._live]
         self.wrenches = torch.zeros(len(sensordata), links, 6)
         """(N, W, 6) force and torque from the parent, in the link's axes."""
         self._flat = self.wrenches.numpy().reshape(len(sensordata), 6 * links)
 
+    def begin(self) -> None:
+        """Keep the state that the last physics step begins with."""
+        for kept, values in zip(self._before, self._live, strict=True):
+            np.copyto(kept, values)
+
     def read(self) -> None:
+        """Take the last physics step's wrenches."""
         if self._flat.shape[1]:
             np.copyto(self._flat, self._sensordata, casting="same_kind")
         if self._bears:
             self._take_off_weights()
+        if self.needs_rates:
+            self._add_damping()
+
+    def _add_damping(self) -> None:
+        """Add the part of the accelerations that the integrator found."""
+        velocities, inertias, motions, centers, origins, axes = self._before
+        rates = (self._live[0] - velocities) / self._step - self._qacc
+        spatial = self._composite.wrenches(inertias, motions, rates)
+        force = spatial[..., 3:]
+        arms = origins[:, self._bodies] - centers[:, self._composite.roots]
+        self._add(force, spatial[..., :3] - cross(arms, force), axes)
+
+    def _add(
+        self, force: npt.NDArray[np.float64], torque: npt.NDArray[np.float64], axes: npt.NDArray[np.float64]
+    ) -> None:
+        """Add forces and torques (N, W, 3) about the links' origins, in world axes."""
+        axes = axes.reshape(len(force), -1, 3, 3)[:, self._bodies]
+        local = [np.einsum("nwij,nwi->nwj", axes, part) for part in (force, torque)]
+        self._flat += np.concatenate(local, -1).reshape(self._flat.shape).astype(np.float32)
 
     def _take_off_weights(self) -> None:
-        count, links = self.wrenches.shape[:2]
+        count = len(self.wrenches)
         weights = self._parameters.masses[..., None] * self._parameters.gravity[..., None, :]
         weights = np.broadcast_to(weights, (count, *weights.shape[-2:]))
         force = self._beyond @ weights
         torque = self._beyond @ np.cross(self._centers.reshape(count, -1, 3), weights)
-        torque -= np.cross(self._origins.reshape(count, -1, 3)[:, self._bodies], force)
-        axes = self._axes.reshape(count, -1, 3, 3)[:, self._bodies]
-        local = [np.einsum("nwij,nwi->nwj", axes, part) for part in (force, torque)]
-        self._flat += np.concatenate(local, -1).reshape(count, 6 * links).astype(np.float32)
+        torque -= np.cross(self._origins[:, self._bodies], force)
+        self._add(force, torque, self._axes)
 
 
 class MatterMeter:

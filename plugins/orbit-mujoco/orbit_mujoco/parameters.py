@@ -86,6 +86,10 @@ class Parameters:
         for column, link in enumerate(links):
             index = (*block(rows, self._addresses.geoms(int(link))), 0)
             friction[index] = coefficients[:, column, None]
+        if self._model.npair:
+            own = friction[rows, :, 0]
+            larger = np.maximum(own[:, self._model.pair_geom1], own[:, self._model.pair_geom2])
+            self.field("pair_friction")[rows, :, :2] = larger[..., None]
 
     def set_drive_gains(self, joints: Indices, stiffness: FloatArray, damping: FloatArray, rows: HostRows) -> None:
         driven = self._model.actuator_gainprm[joints, 0] > 0  # a mimic joint has no drive of its own

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -12,7 +13,17 @@ from orbit_core.assets.catalogue import robot
 from orbit_core.backends import backend_names
 from orbit_core.conformance.bodies import WEIGHTLESS, rotor, scene
 from orbit_core.interfaces import World
-from orbit_core.scene import ImplicitPd, Scene
+from orbit_core.scene import (
+    Articulation,
+    ImplicitPd,
+    Joint,
+    JointType,
+    Link,
+    RobotSpec,
+    Scene,
+    Shape,
+    Sphere,
+)
 from orbit_core.world import simulate
 
 STEP, INERTIA = 0.005, 0.5
@@ -55,6 +66,55 @@ def test_soft_and_well_damped_drives_are_left_as_they_are(frequency: float, rati
     world = world_of(stiffness, damping, "mujoco")
     np.testing.assert_allclose(world.native[0].actuator_biasprm[0, :3], (0.0, -stiffness, -damping))
     assert not world.build_report
+
+
+@pytest.mark.parametrize("integrator", ["implicitfast", "implicit", "discrete", "euler"])
+def test_the_effort_is_the_one_that_the_integrator_applied(integrator: str) -> None:
+    """``I (v1 - v0) / h`` of a free rotor; 1e-4 of the largest."""
+    world = world_of(*gains(0.2, 1.0), "mujoco", integrator=integrator)
+    (rotor,) = world.robots.values()
+    rotor.set_position_targets(torch.ones(1, 1))
+    before, largest = 0.0, 0.0
+    for _ in range(5):
+        world.step(1)
+        effort, velocity = float(rotor.joint_efforts), float(rotor.joint_velocities)
+        largest = max(largest, abs(effort))
+        assert effort == pytest.approx(INERTIA * (velocity - before) / STEP, abs=1e-4 * largest)
+        before = velocity
+
+
+def driven_base(**drive: float) -> RobotSpec:
+    """A trunk on one wheel of 2e-3 kg m^2."""
+    wheel = Link("wheel", 0.4, (0.0, 0.0, 0.0), np.eye(3) * 2e-3, collisions=(Shape(Sphere(0.1)),))
+    trunk = Link("trunk", 10.0, (0.0, 0.0, 0.0), np.eye(3) * 0.1)
+    axle = Joint("axle", JointType.CONTINUOUS, "trunk", "wheel", axis=(0.0, 1.0, 0.0))
+    motor = ImplicitPd(joints=(".*",), **drive)
+    return RobotSpec(name="base", articulation=Articulation("base", (trunk, wheel), (axle,)), actuators=(motor,))
+
+
+def test_contacts_are_solved_with_a_strong_velocity_drive_of_a_wheel_and_that_is_reported() -> None:
+    world = simulate(scene(driven_base(damping=20.0)), 1, "mujoco")
+    assert world.native[0].opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE
+    (line,) = [line for line in world.build_report if line.subject == "the integrator"]
+    assert (line.asked, line.got) == ("implicitfast", "discrete")
+    assert "joint 'axle' of 'base'" in line.why
+
+
+@pytest.mark.parametrize(
+    "drive", [{"damping": 20.0, "effort_limit": 5.0}, {"damping": 0.3}, {"damping": 20.0, "stiffness": 1.0}]
+)
+def test_limited_weak_and_position_drives_keep_the_integrator(drive: dict[str, float]) -> None:
+    world = simulate(scene(driven_base(**drive)), 1, "mujoco")
+    assert world.native[0].opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+
+
+@pytest.mark.parametrize(("damping", "swings"), [(190.0, False), (210.0, True)])
+def test_the_build_report_names_a_drive_that_swings_at_its_limit(damping: float, swings: bool) -> None:
+    """Twice the inertia over a step is 200 N m s/rad; a limit of 10 N m gives 0.1 rad/s in a step."""
+    drive = ImplicitPd(joints=(".*",), damping=damping, effort_limit=10.0)
+    world = simulate(scene(rotor(inertia=INERTIA, actuators=(drive,)), gravity=WEIGHTLESS, terrain=()), 1, "mujoco")
+    told = [line.got for line in world.build_report if "joint 'spin'" in line.subject]
+    assert told == (["one that swings by 0.1 rad/s once it was at its limit"] if swings else [])
 
 
 def test_the_build_report_names_a_drive_that_is_damped_more_than_asked() -> None:

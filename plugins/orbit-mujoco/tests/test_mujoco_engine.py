@@ -72,6 +72,7 @@ def cube(name: str = "cube", height: float = 0.05) -> ObjectSpec:
         ({"threads": -1}, "threads must be 0"),
         ({"iterations": 0}, "iterations must be positive"),
         ({"contact_solref": (0.02,)}, "contact_solref takes 2 numbers, not 1"),
+        ({"limit_solref": (0.02,)}, "limit_solref takes 2 numbers, not 1"),
     ],
 )
 def test_settings_are_checked(settings: dict[str, object], message: str) -> None:
@@ -82,13 +83,14 @@ def test_settings_are_checked(settings: dict[str, object], message: str) -> None
 def test_settings_reach_the_model() -> None:
     engine = make(
         Scene(robots=(robot(),), physics_dt=0.002), cone="pyramidal", solver="cg", iterations=7, ls_iterations=8,
-        integrator="euler", impratio=3.0, contact_solref=(0.01, 0.9),
+        integrator="euler", impratio=3.0, contact_solref=(0.01, 0.9), limit_solref=(0.01, 2.0),
     )  # fmt: skip
     option = model_of(engine).opt
     assert (option.timestep, option.iterations, option.ls_iterations, option.impratio) == (0.002, 7, 8, 3.0)
     assert option.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
     assert option.solver == mujoco.mjtSolver.mjSOL_CG
     assert option.integrator == mujoco.mjtIntegrator.mjINT_EULER
+    np.testing.assert_allclose(model_of(engine).jnt_solref, np.tile((0.01, 2.0), (model_of(engine).njnt, 1)))
     np.testing.assert_allclose(model_of(engine).geom_solref, np.tile((0.01, 0.9), (model_of(engine).ngeom, 1)))
     assert [line.subject for line in engine.build_report] == ["contacts"]
 

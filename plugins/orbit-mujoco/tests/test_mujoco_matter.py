@@ -198,3 +198,26 @@ def test_cloth_does_not_meet_the_link_that_holds_it_but_everything_else() -> Non
     own.step(200)
     assert body.positions[0, :, 2].min().item() == pytest.approx(0.912, abs=1e-3)
     own.close()
+
+
+def test_two_cloths_that_may_touch_are_refused_with_the_solver_that_has_them() -> None:
+    other = replace(CLOTH, name="other", pose=Pose((0.0, 0.3, 1.01)))
+    scene = Scene(deformables=(CLOTH, other), terrain=())
+    with pytest.raises(UnsupportedCapabilityError, match=r"cloths 'cloth' and 'other'.*matter='orbit-matter'"):
+        simulate(scene, 1, "mujoco", matter="native")
+
+
+def test_cloths_that_land_on_each_other_stay_in_their_order_with_the_solver_that_has_them() -> None:
+    """The heavier one on top, both at rest on a block: what MuJoCo's own cloths flung up by 0.3 m."""
+    lower = Cloth("lower", sheet((0.1, 0.1), (7, 7)), 0.2, Pose((0.0, 0.0, 0.12)), thickness=0.004)
+    upper = replace(lower, name="upper", area_density=0.4, pose=Pose((0.0, 0.0, 0.13)))
+    table = box("table", (0.2, 0.2, 0.1), pose=Pose((0.0, 0.0, 0.05)), fixed_base=True)
+    own = simulate(Scene(objects=(table,), deformables=(lower, upper), terrain=()), 1, "mujoco", matter="orbit-matter")
+    highest = 0.0
+    for _ in range(12):
+        own.step(10)
+        highest = max(highest, own.deformables["upper"].positions[0, :, 2].max().item())
+    heights = [own.deformables[name].positions[0, :, 2].mean().item() for name in ("lower", "upper")]
+    own.close()
+    assert highest < 0.131
+    assert 0.1 < heights[0] < heights[1] < 0.125

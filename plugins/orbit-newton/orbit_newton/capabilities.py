@@ -52,6 +52,7 @@ _COMMON = {
     Capability.MASSLESS_LINKS: unsupported("links without mass were never tried with this backend"),
     Capability.WELD_LOOPS: unsupported("joints that close loops are not connected to this backend"),
     Capability.LOOP_JOINTS: unsupported("joints that close loops are not connected to this backend"),
+    Capability.LOOP_WRENCHES: unsupported("joints that close loops are not connected to this backend"),
     Capability.SHAPES_PER_ENVIRONMENT: unsupported("all environments have the same shapes on this backend"),
     Capability.GPU: approximate("each step waits for the device to say that it went well; not measured on one yet"),
     **dict.fromkeys(MATTER, unsupported(_NO_DEFORMABLES)),

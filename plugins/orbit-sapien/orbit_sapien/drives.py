@@ -10,6 +10,8 @@ forces of the joint's own spring; of one that is too stiff for that the drive ta
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -22,14 +24,25 @@ from orbit_sapien.model import BuiltWorld
 _RIGID = 1e5
 """Damping (N m s/rad or N s/m) of a drive that stands for friction."""
 _UNLIMITED = 3.4e38
+_ROUNDING = 5e-7
+"""Rounding of a difference of two positions, relative to these, or to one where they are less."""
 FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class JointState:
+    """Positions and velocities (N, J) of all joints at one instant."""
+
+    positions: Tensor
+    velocities: Tensor
 
 
 class Drives:
     """Sends to PhysX what has changed, and says what the drives did."""
 
-    def __init__(self, layout: SceneLayout, world: BuiltWorld) -> None:
-        self._layout, self._world = layout, world
+    def __init__(self, layout: SceneLayout, world: BuiltWorld, small_steps: int) -> None:
+        """``small_steps`` are those that PhysX's solver divides a physics step into."""
+        self._layout, self._world, self._small_steps = layout, world, small_steps
         parameters, num_envs = layout.joint_parameters, len(world.environments)
         follower = np.array([joint.mimic is not None for joint in layout.joints], dtype=bool)
         self._leads = ~follower
@@ -153,6 +166,8 @@ class Drives:
         self._sprung = torch.from_numpy(stiff)
         """(N, J) whether the joint's drive is its spring."""
         self._driven = torch.from_numpy(driven)
+        self._drag = torch.from_numpy(np.where(driven, self.passive, 0.0)).float()
+        """(N, J) damping of joints themselves that shares a drive with an actuator."""
         stiffness, gain = torch.from_numpy(self.stiffness).float(), torch.from_numpy(self.damping).float()
         self._gains = stiffness, gain
         sprung = stiffness > 0
@@ -218,9 +233,22 @@ class Drives:
                 if native.articulation is not None:
                     native.articulation.set_qf(values[row, list(native.dof_order)])
 
-    def measure(self, targets: Tensor, speeds: Tensor, efforts: Tensor, q: Tensor, v: Tensor) -> None:
-        """Efforts of the last step: the drives' law at the state that it led to, by which PhysX integrates them."""
+    def measure(self, commands: tuple[Tensor, Tensor, Tensor], before: JointState, after: JointState) -> None:
+        """Compute the efforts of the last physics step from the states around it.
+
+        PhysX applies a drive's law at the end of each of as many small steps as it has position iterations. The mean of
+        their velocities is the way over the step, and the mean of their positions that of a cubic through the step.
+        """
+        targets, speeds, efforts = commands
+        dt, middle = self._layout.scene.physics_dt, 0.5 * (before.velocities + after.velocities)
+        way = after.positions - before.positions
+        rounding = _ROUNDING * after.positions.abs().clamp_min(1.0)
+        v = torch.where((way - dt * middle).abs() <= rounding, middle, way / dt)
+        q = 0.5 * (before.positions + after.positions) + 0.5 / self._small_steps * way
+        q = q + dt / 12.0 * (before.velocities - after.velocities)
         stiffness, damping = self._gains
         total = stiffness * (targets - q) + damping * (speeds - v) + efforts
-        total = torch.where(self._driven, total, efforts * self._direct)
+        drag = self._drag * v  # shares the drive's slot, and so its limit
+        total = torch.where(self._driven, total - drag, efforts * self._direct)
         torch.clamp(total, -self._limit, self._limit, out=self.efforts)
+        self.efforts += drag

@@ -21,7 +21,7 @@ from orbit_core.interfaces import (
 )
 from orbit_core.plugin_kit.parts import PartedEngine
 from orbit_sapien.config import SapienConfig
-from orbit_sapien.drives import Drives
+from orbit_sapien.drives import Drives, JointState
 from orbit_sapien.measurements import ContactMeter, WrenchMeter, held_links
 from orbit_sapien.model import BuiltWorld, build_world, configure_physx
 from orbit_sapien.native import physx, sapien
@@ -58,7 +58,7 @@ class SapienEngine(PartedEngine[State, Parameters]):
         self._system.timestep = self._dt = layout.scene.physics_dt
         self._world: BuiltWorld = build_world(layout, num_envs, config, self._system)
         self._state = State(layout, self._world, self._system)
-        self._drives = Drives(layout, self._world)
+        self._drives = Drives(layout, self._world, config.position_iterations)
         self._parameters = Parameters(layout, self._world, self._state)
         self._contacts = ContactMeter(layout, self._world, self._system, held_links(layout))
         self._wrenches = WrenchMeter(layout, self._world, self._contacts, self._parameters)
@@ -86,7 +86,8 @@ class SapienEngine(PartedEngine[State, Parameters]):
             raise divergence_error(failed)
         if self._world.shared_ground and (strayed := self._state.beyond(self._world.reach)):
             self._refuse_strayed(strayed)
-        self._drives.measure(*self._commands, self._state.joint_positions, self._state.joint_velocities)
+        after = JointState(self._state.joint_positions, self._state.joint_velocities)
+        self._drives.measure(self._commands, JointState(*self._state.joints_before), after)
         if self.layout.wrench_links:
             self._wrenches.read(self._state.link_poses)
 

@@ -32,7 +32,7 @@ from orbit_core.interfaces import (
 )
 from orbit_sapien import physx_gpu
 from orbit_sapien.config import SapienConfig
-from orbit_sapien.drives import Drives
+from orbit_sapien.drives import Drives, JointState
 from orbit_sapien.kinematics import rotate
 from orbit_sapien.model import BuiltWorld, build_world, configure_physx
 from orbit_sapien.native import physx, sapien
@@ -98,7 +98,7 @@ class SapienGpuEngine(Engine):
         self._system.timestep = self._dt = layout.scene.physics_dt
         self._world: BuiltWorld = build_world(layout, num_envs, config, self._system)
         # The drives' properties are those of the bodies on the host, which PhysX takes over when it starts.
-        self._drives = Drives(layout, self._world).to(device)
+        self._drives = Drives(layout, self._world, config.position_iterations).to(device)
         self._system.gpu_init()
         self._system.gpu_set_cuda_stream(torch.cuda.current_stream(device).cuda_stream)
         self._buffers = _Buffers.of(self._system)
@@ -150,10 +150,15 @@ class SapienGpuEngine(Engine):
         self._system.gpu_apply_articulation_target_velocity()
         self._system.gpu_apply_articulation_qf()
         self._contacts.clear()
-        for _ in range(steps):
-            if self._drives.follows_state:
+        before = self._joint_state
+        for step in range(steps):
+            last = step == steps - 1 > 0
+            if self._drives.follows_state or last:
                 self._system.gpu_fetch_articulation_qpos()
                 self._system.gpu_fetch_articulation_qvel()
+            if last:
+                before = self._joint_state
+            if self._drives.follows_state:
                 forces = self._drives.forces(commands, self.joint_positions, self.joint_velocities, self._dt)
                 self._scatter(self._buffers.forces, forces)
                 self._system.gpu_apply_articulation_qf()
@@ -165,9 +170,12 @@ class SapienGpuEngine(Engine):
         failed = diverged(self.link_poses, self.link_velocities).nonzero().flatten().tolist()
         if failed and self.raises_divergence:
             raise divergence_error(failed)
-        self._drives.measure(
-            self.position_targets, self.velocity_targets, self.efforts, self.joint_positions, self.joint_velocities
-        )
+        commanded = self.position_targets, self.velocity_targets, self.efforts
+        self._drives.measure(commanded, before, self._joint_state)
+
+    @property
+    def _joint_state(self) -> JointState:
+        return JointState(self.joint_positions, self.joint_velocities)
 
     def _fetch(self) -> None:
         self._system.gpu_fetch_rigid_dynamic_data()

@@ -37,6 +37,8 @@ _FREE_CELLS = 2.5
 _SHARED_SPREAD = 4.0
 """Environments on a shared ground stand so many times farther apart."""
 _SLIPS = "PhysX's TGS solver slips before the whole normal force is there; temporal_gauss_seidel=False holds"
+_FRICTION_REACH = 0.004
+"""Metres between two shapes at the beginning of a step beyond which PhysX gives their contact no friction."""
 _NO_REBOUND = "PhysX takes slower contacts for resting, by the setting 'bounce_threshold'"
 
 
@@ -122,6 +124,10 @@ class _Builder:
             environment.offset = grid_offset(index, self.spacing)
             self._fill(environment, index)
         self.report += self.rule.approximations(layout)
+        if 2.0 * config.contact_offset > _FRICTION_REACH:
+            asked, got = "friction of fast impacts", f"none of contacts found beyond {1000 * _FRICTION_REACH:g} mm"
+            why = f"contacts are looked for at {2000 * config.contact_offset:g} mm, by the setting 'contact_offset'"
+            self.report.append(Approximation("contacts", asked, got, why))
         self.world = BuiltWorld(
             tuple(environments), self.rule, tuple(self.report), self.shared_ground, _FREE_CELLS * self.spacing
         )

@@ -125,6 +125,11 @@ class State:
         return self._values["joint_velocities"]
 
     @property
+    def joints_before(self) -> tuple[Tensor, Tensor]:
+        """(N, J) positions and velocities before the last step."""
+        return self.before[:, self._position_columns], self.before[:, self._velocity_columns]
+
+    @property
     def _roots(self) -> Tensor:
         """(N, E, 13) in double precision, in each environment's own frame; of the centre of mass."""
         if "roots" not in self._values:

@@ -78,3 +78,23 @@ def test_torsional_friction_that_is_not_met_is_reported(
 ) -> None:
     report = engine_of(Scene(objects=things, terrain=(ground(0.1, 0.0),)), 1, **settings).build_report
     assert any("torsional friction" in line.asked and why in line.why for line in report), report
+
+
+@pytest.mark.parametrize(("offset", "lines"), [(0.001, 0), (0.002, 0), (0.01, 1)])
+def test_contacts_that_are_looked_for_too_far_away_have_no_friction_and_that_is_reported(
+    offset: float, lines: int
+) -> None:
+    scene = Scene(objects=(ball("ball", 0.5, 0.0),), terrain=(ground(0.5, 0.0),))
+    report = engine_of(scene, contact_offset=offset).build_report
+    assert [line.got for line in report] == ["none of contacts found beyond 4 mm"] * lines
+
+
+def test_a_ball_that_lands_fast_gets_coulombs_friction_at_any_part_of_a_step() -> None:
+    slippery = ball("ball", 0.15, 0.0)
+    engine = engine_of(Scene(objects=(slippery,), terrain=(ground(0.0, 0.0),), gravity=(0.0, 0.0, 0.0)), 8)
+    pose, parts = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]).repeat(8, 1), torch.arange(8) / 8
+    pose[:, 2] = _RADIUS + 0.06 + 0.015 * parts  # of a step at 3 m/s
+    engine.write_root_state(0, pose, torch.tensor([[3.0, 0.0, -3.0, 0.0, 0.0, 0.0]]).repeat(8, 1))
+    engine.step(12)
+    lost = 3.0 - engine.link_velocities[:, 0, 0]
+    torch.testing.assert_close(lost, torch.full((8,), 0.45), rtol=0.02, atol=0.0)

@@ -15,13 +15,14 @@ from torch import Tensor
 from orbit_core.interfaces import Approximation, BuiltModel, RayHits, SceneLayout
 from orbit_core.plugin_kit.parts import PartedEngine
 from orbit_core.plugin_kit.rows import Rows, rows_of
+from orbit_mjmodel.drives import implicit_bounds, spring_lead
 from orbit_warp.buffers import BufferSizes, buffer_sizes
 from orbit_warp.capture import WarpCapture
 from orbit_warp.config import WarpConfig
 from orbit_warp.contacts import ContactMeter
 from orbit_warp.faults import Faults
 from orbit_warp.field_contacts import FieldContacts
-from orbit_warp.kernels import reset_state, write_commands
+from orbit_warp.kernels import read_efforts, reset_state, write_commands
 from orbit_warp.model import build_models, on_device, read_back_kinds
 from orbit_warp.native import Native
 from orbit_warp.parameters import Parameters
@@ -81,7 +82,13 @@ class WarpEngine(PartedEngine[State, Parameters]):
         self._commands = (self.position_targets, self.velocity_targets, self.efforts)
         self._warp_commands = tuple(wp.from_torch(command) for command in self._commands)
         self._home_targets = wp.from_torch(self.position_targets[0].clone())
-        self._joint_efforts = wp.to_torch(self._data.actuator_force)
+        self._efforts = wp.zeros_like(self._data.actuator_force)
+        self._joint_efforts = wp.to_torch(self._efforts)
+        self._bounds = wp.array(implicit_bounds(built.model), dtype=float)
+        self._spring_lead = spring_lead(built.model)
+        self._columns = [
+            wp.array(columns, dtype=int) for columns in (addresses.joint_positions, addresses.joint_velocities)
+        ]
         self._contact_forces = wp.to_torch(self._contacts.forces)
         self._wrenches = wp.to_torch(self._data.sensordata).unflatten(1, (-1, 6)) if layout.wrench_links else None
         self._applied = wp.to_torch(self._data.xfrc_applied)
@@ -135,15 +142,31 @@ class WarpEngine(PartedEngine[State, Parameters]):
             wp.launch(write_commands, dim=self._data.ctrl.shape, inputs=inputs, outputs=[self._data.ctrl])
 
     def _advance(self, share: float) -> None:
+        self._wrench_meter.begin()
         if self._looped:  # their constraints take velocities as the step before left them
             self._state.derive_bodies()
         mjw.step(self._model, self._data)
         self._contacts.add(share)
 
     def _finish(self) -> None:
+        self._read_efforts()
         self._wrench_meter.settle()
         self._faults.note()
         self._state.derive()
+
+    def _read_efforts(self) -> None:
+        if not self.layout.joints:
+            return
+        data = self._data
+        wp.launch(
+            read_efforts,
+            dim=self._efforts.shape,
+            inputs=[
+                data.ctrl, data.actuator_force, self._model.actuator_biasprm, self._bounds, self._spring_lead,
+                *self._columns, data.qpos, data.qvel,
+            ],
+            outputs=[self._efforts],
+        )  # fmt: skip
 
     def check(self) -> None:
         """Wait for the device, and raise what the last step noted rather than when the next begins.
@@ -198,7 +221,7 @@ class WarpEngine(PartedEngine[State, Parameters]):
                 reset_tensors,
                 dim=len(ids),
                 inputs=[ids, self._home_targets],
-                outputs=[*self._warp_commands, data.actuator_force, self._contacts.forces, data.sensordata],
+                outputs=[*self._warp_commands, self._efforts, self._contacts.forces, data.sensordata],
             )
         self._state.mark_written()
 

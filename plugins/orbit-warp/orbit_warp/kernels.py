@@ -50,6 +50,30 @@ def write_commands(
 
 
 @wp.kernel(enable_backward=False)
+def read_efforts(
+    ctrl: wp.array2d[float],
+    force: wp.array2d[float],
+    biasprm: wp.array2d[vec10f],
+    bounds: wp.array[float],
+    lead: float,
+    position_columns: wp.array[int],
+    velocity_columns: wp.array[int],
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    efforts: wp.array2d[float],
+):
+    """The law of drives at the end of a step; at and beyond its bound a force is as the step began with it."""
+    env, joint = wp.tid()
+    effort = force[env, joint]
+    if wp.abs(effort) < bounds[joint]:
+        bias = biasprm[env % biasprm.shape[0], joint]
+        velocity = qvel[env, velocity_columns[joint]]
+        position = qpos[env, position_columns[joint]] - lead * velocity
+        effort = ctrl[env, joint] + bias[1] * position + bias[2] * velocity
+    efforts[env, joint] = effort
+
+
+@wp.kernel(enable_backward=False)
 def write_root(
     env_ids: wp.array[wp.int64],
     mocap: int,

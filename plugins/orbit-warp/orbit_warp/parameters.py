@@ -39,6 +39,8 @@ class Parameters:
         links = addresses.link_of_geom[:-1]
         self._link_of_geom = torch.as_tensor(np.where(links == TERRAIN, len(layout.links), links), device=device)
         self._links = len(layout.links)
+        pairs = np.stack((native.host_model.pair_geom1, native.host_model.pair_geom2), -1)
+        self._pair_geoms = torch.as_tensor(pairs, dtype=torch.long, device=device)
         self._velocity_columns = torch.as_tensor(addresses.joint_velocities, device=device)
         self._time_step = layout.scene.physics_dt
         self._driven = torch.as_tensor([joint.mimic is None for joint in layout.joints], device=device)
@@ -76,6 +78,9 @@ class Parameters:
         column = columns[self._link_of_geom]
         asked = coefficients.clamp_min(LEAST_FRICTION)[:, column.clamp_min(0)]
         friction[rows, :, 0] = torch.where(column >= 0, asked, friction[rows, :, 0])
+        if self._pair_geoms.numel():
+            larger = friction[rows, :, 0][:, self._pair_geoms].amax(-1)
+            self._field("pair_friction")[rows, :, :2] = larger[..., None]
 
     def set_drive_gains(self, joints: Tensor, stiffness: Tensor, damping: Tensor, rows: Rows) -> None:
         bias = self._field("actuator_biasprm")
