@@ -33,7 +33,7 @@ _TRIANGLE_TOLERANCE = 1e-3
 """Tolerance as a share of the largest principal moment: published models round their inertias to three digits."""
 _CLOSED = 1e-3
 """Metres by which a loop may be open at home, and radians by which a weld may be turned."""
-_HOME_TOLERANCE = 1e-4
+_HOME_TOLERANCE = 1e-3
 """rad or m: files round home positions, and those that were recorded in a simulation press on soft limits."""
 _MEND = "compute its inertia from its shape, or have it mended by ReadOptions(repair=Repair.BALANCE)"
 _POWERS = 3

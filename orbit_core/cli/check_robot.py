@@ -81,7 +81,13 @@ def _figures(report: RobotReport) -> list[tuple[str, str]]:
         ("mass", f"{spec.articulation.mass:.4g} kg in {len(spec.articulation.links)} links"),
     ]
     for hand in report.hands:
-        told = f"opens to {1e3 * hand.opening:.1f} mm along y, closes to {1e3 * hand.closing:.1f} mm"
+        opened = (
+            "meets nothing along y when open"
+            if hand.meets_nothing_open
+            else f"opens to {1e3 * hand.opening:.1f} mm along y"
+        )
+        closed = "nor when closed" if hand.meets_nothing_closed else f"closes to {1e3 * hand.closing:.1f} mm"
+        told = f"{opened}, {closed}"
         figures.append((f"gripper at {hand.frame}", told))
     if stance := report.stance:
         told = (

@@ -40,8 +40,8 @@ def divergence_error(environments: Sequence[int]) -> SimulationError:
     which = f"environments {first_few(environments)}" if environments else "environments that have begun anew since"
     return SimulationError(
         f"{which} diverged: something moved faster than {MAX_SPEED:g} m/s or rad/s, "
-        f"went further than {MAX_DISTANCE:g} m or rad, or is not a number; reset them, and use a smaller physics_dt or "
-        "softer drives"
+        f"went further than {MAX_DISTANCE:g} m or rad, or is not a number; reset them, and use a smaller physics_dt, "
+        "softer drives, or armature on light joints, followers among them (orbit check-robot finds them)"
     )
 
 

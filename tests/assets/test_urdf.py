@@ -17,6 +17,7 @@ from orbit_core.assets.meshes import load_mesh, load_parts, simplified_hull
 from orbit_core.assets.options import ReadOptions, Unsupported
 from orbit_core.assets.urdf import read_urdf
 from orbit_core.assets.validation import validate
+from orbit_core.audit.geometry import shape_points
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.scene import Articulation, Box, Capsule, Cylinder, JointType, Mesh, Mimic, Plane, Pose, Sphere
 
@@ -286,8 +287,37 @@ def test_a_shape_without_size_is_left_out_where_it_is_only_drawn(tmp_path: Path,
     articulation = read(tmp_path, f'<link name="a"><visual>{shape}</visual></link>')
     assert articulation.root.visuals == ()
     assert articulation.notes == ("a <visual> of size zero, which shows nothing, is left out of link 'a'",)
-    with pytest.raises(AssetError, match=r"(radius|half_extents|half_length|scaled by).*0"):
-        validate(read(tmp_path, f'<link name="a"><collision>{shape}</collision></link>'))
+
+
+@pytest.mark.parametrize(
+    ("thin", "half_extents"),
+    [
+        ("<sphere radius='0'/>", None),
+        ("<box size='0 0 0'/>", None),
+        ("<box size='1 0 0'/>", None),
+        ("<cylinder radius='0' length='1'/>", None),
+        ("<capsule radius='0' length='1'/>", None),
+        ("<box size='1 0 1'/>", (0.5, 0.0005, 0.5)),
+        ("<cylinder radius='1' length='0'/>", (1.0, 1.0, 0.0005)),
+        ("<mesh filename='tile.stl'/>", (1.0, 2.0, 0.0005)),
+    ],
+)
+def test_what_collides_without_volume_is_a_plate_or_nothing(
+    tmp_path: Path, thin: str, half_extents: tuple[float, float, float] | None
+) -> None:
+    corners = [(-1, -2, 0), (1, -2, 0), (1, 2, 0), (-1, 2, 0)]
+    trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)]).export(tmp_path / "tile.stl")
+    body = f'<link name="a"><collision><geometry>{thin}</geometry></collision></link>'
+    articulation = validate(read(tmp_path, body))
+    notes = set(articulation.notes) - {"collision meshes of the URDF collide as their convex hulls"}
+    if half_extents is None:
+        assert articulation.root.collisions == ()
+        assert notes == {"a <collision> of size zero, which nothing touches, is left out of link 'a'"}
+        return
+    (shape,) = articulation.root.collisions
+    points = shape_points(shape)
+    np.testing.assert_allclose(points.max(axis=0), half_extents, atol=1e-6)
+    assert notes == {"a flat <collision> of link 'a' is a plate 1 mm thick"}
 
 
 def test_what_is_not_read_is_noted_once_a_kind(tmp_path: Path) -> None:

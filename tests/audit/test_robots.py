@@ -47,6 +47,19 @@ def test_grippers_and_stances_are_measured() -> None:
     assert stance.margin > 0.03
 
 
+def test_a_frame_that_only_closing_fingers_reach_has_no_opening(capsys: pytest.CaptureFixture[str]) -> None:
+    report = audit_robot("kinova_kg2")
+    (hand,) = report.hands
+    assert hand.meets_nothing_open
+    assert hand.closing < 1e-3
+    assert hand.overhang == pytest.approx(0.004, abs=1e-3)
+    assert any("note kg2_tcp: nothing is within 200 mm of it along y when open" in line for line in told(report))
+    main(["check-robot", "kinova_kg2"])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "meets nothing along y when open, closes to 0.0 mm" in printed
+    assert "400" not in printed
+
+
 def joints(**values: Any) -> Edit:
     def edit(spec: RobotSpec) -> RobotSpec:
         changed = tuple(replace(joint, **values) for joint in spec.articulation.joints)
@@ -132,6 +145,16 @@ def exchanged(spec: RobotSpec) -> RobotSpec:
             "warning panda_hand_tcp: the fingers move 90 degrees from its y",
         ),
         ("panda_hand", turned("panda_hand_tcp", Pose((0.0, 0.0, -0.1))), "mm are free about it along y when open"),
+        (
+            "panda_hand",
+            turned("panda_hand_tcp", Pose((0.0, 0.0, 0.1))),
+            "warning panda_hand_tcp: nothing is within 200 mm .* open or closed, the fingers end 9. mm short",
+        ),
+        (
+            "robotiq_2f85",
+            joints(armature=0.0),
+            r"warning .*: follows another joint, moves as little as \S+e-\S+ kg m\^2 \(kg\) and has no armature",
+        ),
         ("panda_hand", exchanged, "are the positions exchanged"),
         ("unitree_go1", raised(0.1), "warning pose: starts 1.. mm above the ground"),
         ("unitree_go1", raised(-0.1), "fault pose: starts .* mm within the ground"),

@@ -12,6 +12,7 @@ from orbit_core.assets.naming import naming
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.outside import resolve_file
 from orbit_core.assets.sdf.fields import SdfFields
+from orbit_core.assets.thin_shapes import touchable
 from orbit_core.assets.urdf.shapes import SIZELESS, TEXTURES, facing, is_sizeless
 from orbit_core.scene import Box, Capsule, Color, Cylinder, Geometry, PhysicsMaterial, Plane, Pose, Shape, Sphere
 from orbit_core.scene.pose import Vector3
@@ -50,10 +51,13 @@ class SdfShapes:
         for kind, child in self._geometry(element, where):
             if kind == "mesh":
                 self.fields.findings.note(_HULLS)
-                yield Shape(self.meshes.mesh(*self._mesh_file(child, where)), pose, material, name=name)
+                solids = [(self.meshes.mesh(*self._mesh_file(child, where)), Pose())]
             else:
-                for solid, turned in self._primitive(kind, child, where):
-                    yield Shape(solid, pose @ turned, material, name=name)
+                solids = self._primitive(kind, child, where)
+            for solid, turned in solids:
+                shape = touchable(solid, self.fields.findings, where)
+                if shape is not None:
+                    yield Shape(shape, pose @ turned, material, name=name)
 
     def visual(self, element: Element, pose: Pose, where: str) -> Iterator[Shape]:
         """What is drawn, at ``pose`` in the link, one shape for each colour of a mesh.

@@ -13,6 +13,7 @@ from orbit_core.assets.meshes import MeshFiles
 from orbit_core.assets.naming import naming
 from orbit_core.assets.options import ReadOptions
 from orbit_core.assets.outside import resolve_file
+from orbit_core.assets.thin_shapes import touchable
 from orbit_core.assets.xml_fields import Fields
 from orbit_core.scene import Box, Capsule, Color, Cylinder, Geometry, Plane, Pose, Shape, Sphere
 from orbit_core.scene.pose import Vector3
@@ -55,10 +56,13 @@ class UrdfShapes:
         mesh = geometry.find("mesh")
         if mesh is not None:
             self.fields.findings.note(HULLS)
-            yield Shape(self.meshes.mesh(*self._mesh_file(mesh, where)), pose, name=name)
+            solids = [(self.meshes.mesh(*self._mesh_file(mesh, where)), _UPRIGHT)]
         else:
-            for solid, turned in self._primitive(geometry, where):
-                yield Shape(solid, pose if turned is _UPRIGHT else pose @ turned, name=name)
+            solids = self._primitive(geometry, where)
+        for solid, turned in solids:
+            shape = touchable(solid, self.fields.findings, where)
+            if shape is not None:
+                yield Shape(shape, pose if turned is _UPRIGHT else pose @ turned, name=name)
 
     def visual(self, element: Element, where: str) -> Iterator[Shape]:
         """The shapes that are drawn, one for each colour of a mesh.

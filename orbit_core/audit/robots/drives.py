@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from orbit_core.dynamics.drive_design import DriveResponse, drive_responses
 from orbit_core.dynamics.drive_stability import ExplicitGains, unstable_drive
 from orbit_core.dynamics.kinematics import mimic_matrix
 from orbit_core.dynamics.rigid_body import RigidBodyModel
+from orbit_core.dynamics.workspace import workspace_mass_matrices
 from orbit_core.interfaces.layout import JointParameters, SceneLayout, actuator_of_joint
 from orbit_core.scene import ImplicitPd, RobotSpec, Scene
 
@@ -22,6 +23,8 @@ _SLOW = 1.0
 """Hz: a joint of a lower natural frequency is left hanging."""
 _LOOSE, _STIFF = 0.3, 10.0
 """Damping ratios: below the first a joint rings, beyond the second it creeps."""
+_LIGHT = 1e-3
+"""kg m^2 or kg that a joint without armature moves: less is light. Motors reflect more, see MOTOR_TIME."""
 _SAG = 0.02
 """rad or m that a drive may give way at home."""
 
@@ -82,9 +85,33 @@ def check_drives(spec: RobotSpec, rows: tuple[JointRow, ...]) -> Iterator[Findin
     ):
         if lacking:
             yield Finding(Severity.WARNING, names_in_short(row.name for row in lacking), words)
+    yield from _check_followers(spec)
     for row in motors:
         yield from _check_response(row)
         yield from _check_load(row)
+
+
+def _check_followers(spec: RobotSpec) -> Iterator[Finding]:
+    """Find joints that follow others and move next to nothing: no drive of their own would show it."""
+    armature = _parameters(spec).armature
+    bare = [
+        index
+        for index, joint in enumerate(spec.articulation.movable_joints)
+        if joint.mimic is not None and armature[index] == 0.0
+    ]
+    if not bare:
+        return
+    freed = tuple(replace(joint, mimic=None) for joint in spec.articulation.joints)
+    matrices = workspace_mass_matrices(replace(spec.articulation, joints=freed), armature=armature.tolist())
+    smallest = np.diagonal(matrices, axis1=1, axis2=2).min(axis=0)
+    light = [index for index in bare if smallest[index] < _LIGHT]
+    if light:
+        text = (
+            f"follows another joint, moves as little as {min(smallest[light]):.2g} kg m^2 (kg) and has no armature: "
+            "an engine that holds it to its leader by a stiff spring may diverge, at any step and gains; give it some "
+            "by edit_joints(..., armature=...), for with_armature() leaves followers out"
+        )
+        yield Finding(Severity.WARNING, names_in_short(spec.articulation.joint_names[index] for index in light), text)
 
 
 def check_stability(spec: RobotSpec, time_step: float) -> Iterator[Finding]:

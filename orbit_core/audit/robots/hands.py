@@ -16,11 +16,15 @@ from orbit_core.audit.robots.postures import (
     all_shapes,
     frame_pose,
     gripper_posture,
+    gripping_links,
+    shapes_in_frame,
 )
 from orbit_core.scene import EndEffector, Gripper, Pose, RobotSpec
 
 _WIDEST = 0.2
 """Metres to either side of the frame, between which fingers are looked for."""
+_NOTHING = 2.0 * _WIDEST - 1e-6
+"""Metres that are free where nothing is met on either side."""
 _PROBE = (0.004, 0.002)
 """Half extents (m) along x and z of what is widened along y until it touches the fingers."""
 _NARROW = 0.005
@@ -43,6 +47,18 @@ class HandReport:
     """The same when it is closed."""
     along_y: float
     """Cosine between y and the direction in which the fingers move against each other."""
+    overhang: float
+    """Metres along z by which the frame is beyond the ends of the fingers when open; negative where they pass it."""
+
+    @property
+    def meets_nothing_open(self) -> bool:
+        """True if no shape is near the frame along y when the gripper is open: ``opening`` is then no opening."""
+        return self.opening >= _NOTHING
+
+    @property
+    def meets_nothing_closed(self) -> bool:
+        """True if no shape is near the frame along y when the gripper is closed."""
+        return self.closing >= _NOTHING
 
 
 def measure_hand(spec: RobotSpec, effector: EndEffector, gripper: Gripper) -> HandReport:
@@ -51,7 +67,9 @@ def measure_hand(spec: RobotSpec, effector: EndEffector, gripper: Gripper) -> Ha
         gripper_posture(spec, gripper, value) for value in (gripper.open_position, gripper.closed_position)
     )
     gaps = [_gap(all_shapes(spec, at), frame_pose(spec, effector.frame, at)) for at in (opened, closed)]
-    return HandReport(effector.frame, gaps[0], gaps[1], _along_y(spec, effector, opened, closed))
+    fingers = shapes_in_frame(spec, effector.frame, gripping_links(spec, gripper), opened)
+    overhang = -max((float(points[:, 2].max()) for points in fingers), default=0.0)
+    return HandReport(effector.frame, gaps[0], gaps[1], _along_y(spec, effector, opened, closed), overhang)
 
 
 def check_hand(effector: EndEffector, hand: HandReport) -> Iterator[Finding]:
@@ -59,7 +77,9 @@ def check_hand(effector: EndEffector, hand: HandReport) -> Iterator[Finding]:
     if hand.opening < _NARROW:
         text = f"{1e3 * hand.opening:.1f} mm are free about it along y when open: put it between the fingers"
         yield Finding(Severity.WARNING, effector.frame, text)
-    if hand.closing > max(hand.opening - 1e-3, 0.0):
+    if hand.meets_nothing_open:
+        yield _nothing_met(effector, hand)
+    elif hand.closing > max(hand.opening - 1e-3, 0.0):
         text = (
             f"closing leaves {1e3 * hand.closing:.1f} mm of {1e3 * hand.opening:.1f} mm: are the positions exchanged?"
         )
@@ -68,6 +88,16 @@ def check_hand(effector: EndEffector, hand: HandReport) -> Iterator[Finding]:
         angle = np.degrees(np.arccos(np.clip(hand.along_y, -1.0, 1.0)))
         text = f"the fingers move {angle:.0f} degrees from its y: turn the frame, so that they open along y"
         yield Finding(Severity.WARNING, effector.frame, text)
+
+
+def _nothing_met(effector: EndEffector, hand: HandReport) -> Finding:
+    """The finding that there are no fingers to the sides of the frame."""
+    where = f"the fingers end {1e3 * hand.overhang:.0f} mm short of it" if hand.overhang > 0.0 else "no finger is there"
+    near = f"nothing is within {1e3 * _WIDEST:.0f} mm of it along y when"
+    if hand.meets_nothing_closed:
+        text = f"{near} open or closed, {where}: put it between the fingers"
+        return Finding(Severity.WARNING, effector.frame, text)
+    return Finding(Severity.NOTE, effector.frame, f"{near} open, {where}: closing brings them to it")
 
 
 def check_approach(spec: RobotSpec, effector: EndEffector, home: Mapping[str, float]) -> Iterator[Finding]:
