@@ -211,9 +211,8 @@ def _judged(audit: TaskAudit, environment: Environment) -> TaskAudit:
         if held is None:
             verdicts.append(Verdict(check, Status.ABSENT, "", figure))
         elif check in declared:
-            stale = (
-                held and check is not TaskCheck.VELOCITY_LIMITS
-            )  # some engines enforce them whatever the expert does
+            # Some engines enforce velocity limits whatever the expert does.
+            stale = held and check is not TaskCheck.VELOCITY_LIMITS
             verdicts.append(Verdict(check, Status.STALE if stale else Status.DECLARED, figure, declared[check]))
         else:
             verdicts.append(Verdict(check, Status.HOLDS if held else Status.FAILS, figure))

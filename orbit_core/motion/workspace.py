@@ -172,7 +172,8 @@ def _commanded_limits(spec: RobotSpec, home: Tensor) -> Tensor:
     limits = torch.tensor([(joint.lower_limit, joint.upper_limit) for joint in joints], dtype=torch.float32)
     low, high = limits.unbind(1)
     inside = torch.where(limits.isfinite().all(1), _MARGIN * (high - low), 0.0)
-    scale = joint_commands(spec).position_scale or torch.inf
+    # What a walker's own commands allow is for its legs.
+    scale = torch.inf if spec.feet else joint_commands(spec).position_scale or torch.inf
     low, high = torch.maximum(low + inside, home - scale), torch.minimum(high - inside, home + scale)
     return torch.stack((torch.minimum(low, home), torch.maximum(high, home)), dim=1)
 
