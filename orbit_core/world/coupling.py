@@ -2,8 +2,8 @@
 
 At each physics step the engine moves first, under the wrenches of the matter's step before; the matter then follows,
 against links that go evenly from their old poses to the new. The forces that a link feels are thus those of one physics
-step ago, and their impulses those that the matter received. Of free bodies it learns the velocities as well, with which
-it may reckon where these go next.
+step ago, and their impulses those that the matter received. Of free bodies it is given the velocities and the wrenches
+that users set as well, with which it may move these itself; the engine then gets the wrench that makes its own follow.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Free bodies under what matter does to them, within a physics step.
+"""Free bodies that touch matter and are not attached to it, within a physics step.
 
 Of other links the matter knows the way that the engine has taken them, and what it does to them they feel a step later.
 That is too late for a body that lies on cloth: it would bounce on its contacts, ever higher. So the matter goes on

@@ -16,6 +16,7 @@ from orbit_core.interfaces import SceneLayout, World
 from orbit_core.scene import Attachment, Cloth, ObjectSpec, Pose, Rope, Scene
 from orbit_core.world import simulate
 from orbit_matter import stability, substeps
+from orbit_matter.part import Part
 
 G = 9.81
 ROPE = Rope("rope", line(0.2, 11), 0.1, Pose((0.0, 0.3, 0.1)), damping=0.0)
@@ -191,6 +192,19 @@ def test_a_swing_repeats_in_every_environment_after_a_snapshot_and_a_reset() -> 
     world.step(80)
     assert torch.equal(block.root_pose[1], end[1])
     world.close()
+
+
+def test_kernels_of_a_cpu_swing_bodies_as_those_of_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    def swung() -> torch.Tensor:
+        world = world_of(hung(ROPE, 0.05), 2)
+        world.step(40)
+        found = world.objects["block"].root_pose.clone()
+        world.close()
+        return found
+
+    in_rows = swung()
+    monkeypatch.setattr(Part, "takes_rows", property(lambda part: False))
+    assert torch.equal(swung(), in_rows)
 
 
 def test_a_state_that_is_written_is_where_a_swing_goes_on_from() -> None:
