@@ -10,7 +10,7 @@ import torch
 
 from orbit_core.assets.objects import box
 from orbit_core.conformance.bodies import SMOOTH, G, scene
-from orbit_core.conformance.contact import marble, smooth_material
+from orbit_core.conformance.contact import marble, positions, smooth_material
 from orbit_core.conformance.scenario import Metric, Scenario, Trial
 from orbit_core.interfaces import Capability
 from orbit_core.plugin_kit.meshes import height_field_mesh
@@ -18,7 +18,7 @@ from orbit_core.scene import HeightField, Mesh, MeshCollision, Pose, Shape
 
 Form = Callable[[HeightField], HeightField | Mesh]
 _RADIUS, _SPEED, _SLIDING, _MU = 0.05, 1.0, 1.5, 0.3
-_HEADINGS = (0.0, 0.3, 1.2)
+_HEADINGS = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
 """Radians: along the cells' sides, and across their diagonals."""
 _BOWL, _AMPLITUDE = 1.0, 0.3
 """Radius of the bowl and first distance of the ball's middle from its axis, in metres."""
@@ -40,31 +40,33 @@ def _level_field() -> HeightField:
 
 
 def _level(trial: Trial, form: Form) -> Mapping[str, float]:
-    things = (
-        marble("ball", _RADIUS, smooth_material(1.0), Pose((-0.7, -0.3, _RADIUS))),
-        box("box", (0.15, 0.15, 0.06), mass=1.0, material=smooth_material(_MU), pose=Pose((-0.9, -0.9, 0.03))),
-    )
+    ball = marble("ball", _RADIUS, smooth_material(1.0), Pose((-0.7, -0.3, _RADIUS)))
+    boxes = [
+        box(f"box{n}", (0.15, 0.15, 0.06), mass=1.0, material=smooth_material(_MU), pose=Pose((x, y, 0.03)))
+        for n, (x, y) in enumerate(((-1.6, -1.5), (-0.8, -1.487), (-1.587, -0.8)))
+    ]
     floor = Shape(form(_level_field()), material=SMOOTH, name="floor")
-    world = trial.world(scene(*things, terrain=(floor,)), len(_HEADINGS))
+    world = trial.world(scene(ball, *boxes, terrain=(floor,)), len(_HEADINGS))
     trial.step(world, trial.steps(0.1))
     angles = torch.tensor(_HEADINGS, device=world.device)
     ahead = torch.stack((angles.cos(), angles.sin()), -1)
     left = torch.stack((-angles.sin(), angles.cos()), -1)
-    ball, sliding = world.objects["ball"], world.objects["box"]
+    rolling_ball, *sliding = world.objects.values()
     rolling, pushed = torch.zeros(2, len(angles), 6, device=world.device)
     rolling[:, :2], rolling[:, 3:5] = _SPEED * ahead, _SPEED / _RADIUS * left
     pushed[:, :2] = _SLIDING * ahead
-    before = sliding.root_pose[:, :2].clone()
-    ball.set_root_velocity(rolling)
-    sliding.set_root_velocity(pushed)
+    before = positions(world)[:, 1:, :2]
+    rolling_ball.set_root_velocity(rolling)
+    for thing in sliding:
+        thing.set_root_velocity(pushed)
     trial.step(world, trial.steps(1.2))
-    velocity, way = ball.root_velocity[:, :2], sliding.root_pose[:, :2] - before
+    velocity, way = rolling_ball.root_velocity[:, :2], positions(world)[:, 1:, :2] - before
     truth = _SLIDING**2 / (2 * _MU * G)
     return {
         "speed": float(((velocity * ahead).sum(-1) / _SPEED - 1).abs().max()),
         "turn": float((velocity * left).sum(-1).abs().max()) / _SPEED,
-        "way": float(((way * ahead).sum(-1) / truth - 1).abs().max()),
-        "aside": float((way * left).sum(-1).abs().max()) / truth,
+        "way": float(((way * ahead[:, None]).sum(-1) / truth - 1).abs().max()),
+        "aside": float((way * left[:, None]).sum(-1).abs().max()) / truth,
     }
 
 
@@ -102,7 +104,7 @@ _FLOOR = (
     Metric(
         name="way",
         unit="",
-        tolerance=0.03,
+        tolerance=0.05,
         meaning="largest relative error of the way of a sliding box",
         looser_because="integrators of first order err by mu g dt / v, 1 % here",
     ),

@@ -51,7 +51,7 @@ CAPABILITIES = Capabilities(
             "Bullet collides triangle meshes that stand still: split the mesh into convex pieces"
         ),
         Capability.HEIGHT_FIELDS: approximate(
-            "edges between its triangles are felt: on a level floor of cells of 0.1 m a ball at 1 m/s loses 0.12 of "
+            "edges between its triangles are felt: on a level floor of cells of 0.1 m a ball at 1 m/s loses 0.18 of "
             "its speed and turns by 0.09 rad in 1.2 s; as level as a mesh where the whole field has no more than eight "
             "planes"
         ),

@@ -86,7 +86,7 @@ _CONTACT = (
     Gap("stopping_distance", "turn", 1.4, _FIXED_DIRECTIONS),
     Gap("oblique_impact", "rebound", 0.3, _REBOUND),
     Gap("level_mesh", "speed", 0.03, _EDGES),
-    Gap("level_height_field", "speed", 0.25, _EDGES),
+    Gap("level_height_field", "speed", 0.3, _EDGES),
     Gap("level_height_field", "turn", 0.15, _EDGES),
     Gap("level_height_field", "aside", 0.06, _EDGES),
     Gap("mesh_bowl", "amplitude", 0.3, _EDGES),

@@ -11,9 +11,9 @@ CAPABILITIES = Capabilities(
             "found by descent from 40 points, other ones from step to step: what rests on them creeps and trembles"
         ),
         Capability.HEIGHT_FIELDS: approximate(
-            "prism by prism, whose sides are felt: on a level floor of cells of 0.1 m a ball at 1 m/s loses 0.05 of "
-            "its speed and turns by 0.045 rad in 1.2 s, and a box stops after 0.83 of its way; exact where the whole "
-            "field has no more than eight planes"
+            "prism by prism, whose sides are felt: on a level floor of cells of 0.1 m a ball at 1 m/s loses 0.06 of "
+            "its speed and turns by 0.045 rad in 1.2 s, and a box stops after 0.5 to 0.9 of its way; exact where the "
+            "whole field has no more than eight planes"
         ),
         Capability.COPIED_STATES: EXACT,
         Capability.DETERMINISTIC: EXACT,

@@ -29,10 +29,10 @@ _PRISMS = (
 )
 
 _FIELDS = (
-    Gap("level_height_field", "speed", 0.1, _PRISMS),
+    Gap("level_height_field", "speed", 0.12, _PRISMS),
     Gap("level_height_field", "turn", 0.1, _PRISMS),
-    Gap("level_height_field", "way", 0.3, _PRISMS),
-    Gap("level_height_field", "aside", 0.05, _PRISMS),
+    Gap("level_height_field", "way", 0.8, _PRISMS),
+    Gap("level_height_field", "aside", 0.25, _PRISMS),
     Gap("height_field_bowl", "amplitude", 0.3, _PRISMS),
 )
 

@@ -12,8 +12,8 @@ CAPABILITIES = Capabilities(
         ),
         Capability.HEIGHT_FIELDS: approximate(
             "balls meet the surface itself; other shapes meet it prism by prism, whose sides are felt: on a level "
-            "floor of cells of 0.1 m a box stops after 0.78 of its way; exact where the whole field has no more than "
-            "eight planes"
+            "floor of cells of 0.1 m a box stops after 0.55 to 0.95 of its way; exact where the whole field has no "
+            "more than eight planes"
         ),
         Capability.COPIED_STATES: approximate("contacts begin anew: what follows differs a little where things touch"),
         Capability.DETERMINISTIC: approximate(
