@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -219,6 +220,14 @@ def test_flat_plates_are_built_as_described(make_engine: MakeEngine, beyond: flo
         joints.append(Joint(f"j{number}", JointType.CONTINUOUS, "base", f"plate{number}"))
     articulation = Articulation("plates", tuple(links), tuple(joints))
     check_build(make_engine(scene(RobotSpec(name="plates", articulation=articulation, fixed_base=True))), "this")
+
+
+def test_a_joint_without_effort_is_built(make_engine: MakeEngine) -> None:
+    """As URDF files have it of passive joints: ``effort="0"``."""
+    robot = pendulum()
+    joints = tuple(dataclasses.replace(joint, effort_limit=0.0) for joint in robot.articulation.joints)
+    passive = dataclasses.replace(robot, articulation=dataclasses.replace(robot.articulation, joints=joints))
+    check_build(make_engine(scene(passive)), "this")
 
 
 def test_a_continuous_joint_counts_whole_turns(make_engine: MakeEngine) -> None:

@@ -61,6 +61,8 @@ _TORQUE_SCALE = 10
 """Among a weld's data, the weight of its angles beside its distances."""
 _NO_WIDTH = 5e-7
 """Radians or metres on either side of a joint whose limits are one position, as MuJoCo takes no range without width."""
+_NO_FORCE = 1e-9
+"""N or N m of a drive whose effort limit is zero, as MuJoCo takes no range without width here either."""
 _FIRM_IMPRATIO = 10.0
 """Where a scene asks for firm friction: what it holds creeps sixteen times slower."""
 _HARD_FRICTION = (0.999, 0.9999, 0.001, 0.5, 2.0)
@@ -417,6 +419,7 @@ class _Builder:
         limit = float(parameters.effort_limit[number])
         actuator.forcelimited = bool(np.isfinite(limit))
         if np.isfinite(limit):
+            limit = max(limit, _NO_FORCE)
             actuator.forcerange = (-limit, limit)
 
 
