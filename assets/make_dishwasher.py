@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from orbit_core.assets.boards import box_between, solid_part
-from orbit_core.assets.usd import write_usd
+from orbit_assets.boards import box_between, solid_part
+from orbit_assets.usd import write_usd
 from orbit_core.scene import Articulation, Capsule, Color, Frame, Joint, JointType, PhysicsMaterial, Pose, Shape
 from orbit_core.scene.pose import Vector3
 

@@ -29,8 +29,8 @@ from typing import Any
 
 import torch
 
-from orbit_core.capture.fusion import Fused
 from orbit_core.envs import Environment, make
+from orbit_motion.fusion import Fused
 
 BASELINE = "joint_position"
 ACTIONS = ("rmpflow", "osc", "impedance", "hybrid", "joint_impedance", "differential_ik", "qp_ik", "full_ik")

@@ -14,7 +14,7 @@ import time
 import torch
 
 from orbit_core.envs import Environment, make
-from orbit_core.envs.mppi import Mppi, MppiConfig
+from orbit_motion.experts.mppi import Mppi, MppiConfig
 
 
 def main() -> None:

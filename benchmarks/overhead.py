@@ -3,7 +3,7 @@
     python benchmarks/overhead.py --task Lift --num-envs 64 --json overhead.json
     python benchmarks/overhead.py --sweep 1 4 16 64 256 1024 --plot overhead.png
 
-:mod:`orbit_core.conformance.throughput` says how it is measured.
+:mod:`orbit_conformance.throughput` says how it is measured.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Any
 
 import tyro
 
+from orbit_conformance.throughput import Throughput, measure_once
 from orbit_core.backends import default_backend, versions_of
 from orbit_core.cli.checks import check_output
 from orbit_core.cli.output import console, new_table, write_json
-from orbit_core.conformance.throughput import Throughput, measure_once
 from orbit_core.files import written_whole
 
 

@@ -16,14 +16,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from orbit_core.data.manifest import Manifest
-from orbit_core.data.recorder import DemonstrationRecorder
-from orbit_core.data.recording import RecordingFile, Shares
 from orbit_core.envs import ObservationTerm, make
 from orbit_core.envs.actors import scripted_actor
+from orbit_core.manifest.manifest import Manifest
 from orbit_core.mdp.images import camera_color
 from orbit_core.rollout.stepping import StepObserver, roll_out
 from orbit_core.scene import Channel
+from orbit_data.recorder import DemonstrationRecorder
+from orbit_data.recording import RecordingFile, Shares
 from orbit_tasks.lift import Lift
 from orbit_tasks.pixels import FRONT, HAND, ArmPixels
 

@@ -22,15 +22,15 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
-from orbit_core.data.recording import RecordingFile
 from orbit_core.dynamics.transforms import quat_to_matrix
 from orbit_core.envs import make
-from orbit_core.teleoperation.browser import Browser
-from orbit_core.teleoperation.device import Speeds
-from orbit_core.teleoperation.driver import Driver
-from orbit_core.teleoperation.session import Session
-from orbit_core.teleoperation.views import Views
-from orbit_core.viewer.viewer import Viewer
+from orbit_data.recording import RecordingFile
+from orbit_data.teleoperation.browser import Browser
+from orbit_data.teleoperation.device import Speeds
+from orbit_data.teleoperation.driver import Driver
+from orbit_data.teleoperation.session import Session
+from orbit_data.teleoperation.views import Views
+from orbit_viewer.viewer import Viewer
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]

@@ -14,7 +14,7 @@ def height(world, task):
 
 rewards = LiftRewards(lift=RewardTerm(height, weight=30.0), joint_speed=None)
 task = Lift(action="ik_relative", rewards=rewards)
-env = gymnasium.make_vec("orbit_core.learning:orbit/Lift-v0", num_envs=16, backend="mujoco", task=task)
+env = gymnasium.make_vec("orbit_learn:orbit/Lift-v0", num_envs=16, backend="mujoco", task=task)
 expert = env.unwrapped.environment.expert()
 observation, _ = env.reset(seed=0)  # {"policy": tensor (16, 38)}
 for _ in range(250):

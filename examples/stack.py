@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from orbit_core.assets.catalogue import robot
-from orbit_core.assets.objects import box
-from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task, make
+from orbit_assets.objects import box
+from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task, make
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
+from orbit_core.robots import robot
 from orbit_core.scene import Scene
+from orbit_motion.experts import Expert, Phase
 
 EDGE = 0.05
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vecdot, vector_norm
 
-from orbit_core.assets.rods import Course, bent_rod, ring_on_handle, spline
+from orbit_assets.rods import Course, bent_rod, ring_on_handle, spline
 from orbit_core.dynamics.transforms import (
     pose_inverse,
     pose_multiply,
@@ -18,24 +18,16 @@ from orbit_core.dynamics.transforms import (
     quat_rotate,
     quat_rotate_inverse,
 )
-from orbit_core.envs import (
-    EventTerm,
-    EventTime,
-    Expert,
-    ObservationGroup,
-    ObservationTerm,
-    Phase,
-    PremiseTerm,
-    RewardTerm,
-    Task,
-)
+from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, PremiseTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import Meaning, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common, held, randomize
+from orbit_core.mdp import common, randomize
 from orbit_core.scene import ContactSensorSpec, Pose, Scene, look_at
 from orbit_core.sensors import ContactSensor
+from orbit_motion.experts import Expert, Phase
+from orbit_tasks.mdp import held
 
 ROD, RING, TOUCH = "rod", "ring", "touch"
 HEIGHT = 0.2

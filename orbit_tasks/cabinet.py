@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.objects import SolidOptions, box, cabinet
+from orbit_assets.objects import SolidOptions, box, cabinet
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import EventTerm, EventTime, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
+from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
 from orbit_core.envs.task_checks import TaskCheck, TaskException
@@ -20,6 +20,7 @@ from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, RobotSpec, Scene, look_at
+from orbit_motion.experts import Expert, Phase
 
 DRAWER = "drawer_joint"
 HANDLE = "drawer_handle"

@@ -14,7 +14,8 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.assets.catalogue import robot
+from orbit_core.actions import ActionTerms, JointEffortConfig
+from orbit_core.actions.joint_effort import JointEffort
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task_checks import TaskCheck, TaskException
@@ -22,8 +23,7 @@ from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, Node, Port, World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
-from orbit_core.motion import ActionTerms, JointEffortConfig
-from orbit_core.motion.joint_effort import JointEffort
+from orbit_core.robots import robot
 from orbit_core.scene import Pose, RobotSpec, Scene, look_at
 
 SLIDER, HINGE = "slider", "hinge"

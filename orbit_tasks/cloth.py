@@ -8,17 +8,20 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.deformables import corners, sheet
-from orbit_core.assets.objects import SolidOptions, box
-from orbit_core.audit.robots.postures import gripper_positions, gripper_posture, gripping_links, shapes_in_frame
-from orbit_core.envs import ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
+from orbit_assets.audit.robots.postures import gripper_posture, gripping_links, shapes_in_frame
+from orbit_assets.deformables import corners, sheet
+from orbit_assets.objects import SolidOptions, box
+from orbit_core.envs import ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import ROBOT
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, matter
+from orbit_core.interfaces.layout import gripper_positions
+from orbit_core.mdp import common
 from orbit_core.scene import Cloth, MarkerSpec, ObjectSpec, PhysicsMaterial, Pose, Scene
 from orbit_core.scene.pose import Vector3
+from orbit_motion.experts import Phase
+from orbit_tasks.mdp import matter
 
 CLOTH = "cloth"
 SMOOTH = PhysicsMaterial(static_friction=0.2, dynamic_friction=0.2)

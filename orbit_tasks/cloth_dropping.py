@@ -8,15 +8,17 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.assets.deformables import open_box
-from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, Retry, RewardTerm
+from orbit_assets.deformables import open_box
+from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import measured_in, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, matter
+from orbit_core.mdp import common
 from orbit_core.scene import Pose, Region, Scene, look_at
+from orbit_motion.experts import Expert, Phase, Retry
 from orbit_tasks import cloth
 from orbit_tasks.cloth import CARRIED, CLOTH, TRAY, middle
+from orbit_tasks.mdp import matter
 
 CONTAINER = "container"
 INNER = (0.18, 0.18, 0.12)

@@ -10,14 +10,16 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.envs import EventTerm, Expert, ObservationGroup, Phase, Retry, RewardTerm
+from orbit_core.envs import EventTerm, ObservationGroup, RewardTerm
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, matter
+from orbit_core.mdp import common
 from orbit_core.scene import PhysicsMaterial, Pose, Scene, look_at
+from orbit_motion.experts import Expert, Phase, Retry
 from orbit_tasks import cloth
 from orbit_tasks.cloth import CLOTH, TRAY
+from orbit_tasks.mdp import matter
 
 PAIRS = (("corner--", "corner++"), ("side-", "back"), ("front", "side+"))
 """Key points that the fold along the other diagonal lays on each other; the first is taken."""

@@ -9,14 +9,16 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm
+from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import ENVIRONMENT, Meaning, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, matter
+from orbit_core.mdp import common
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
+from orbit_motion.experts import Expert, Phase
 from orbit_tasks import cloth
 from orbit_tasks.cloth import CLOTH, TRAY, middle
+from orbit_tasks.mdp import matter
 
 
 @once_per_state

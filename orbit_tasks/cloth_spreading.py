@@ -9,15 +9,17 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.envs import EventTerm, Expert, ObservationGroup, Phase, RewardTerm
+from orbit_core.envs import EventTerm, ObservationGroup, RewardTerm
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import TermFunction, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, matter
-from orbit_core.mdp.crumpled import crumpled
+from orbit_core.mdp import common
 from orbit_core.scene import Pose, Scene, look_at
+from orbit_motion.experts import Expert, Phase
 from orbit_tasks import cloth
 from orbit_tasks.cloth import CLOTH, TRAY
+from orbit_tasks.mdp import matter
+from orbit_tasks.mdp.crumpled import crumpled
 
 STROKES = ("corner++", "corner--", "corner+-", "corner-+")
 """Key points that the expert draws outwards, in this order."""

@@ -10,15 +10,17 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.objects import SolidOptions, box
-from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm
+from orbit_assets.objects import SolidOptions, box
+from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, matter
+from orbit_core.mdp import common
 from orbit_core.scene import Attachment, MarkerShape, MarkerSpec, Pose, Scene, look_at
+from orbit_motion.experts import Expert, Phase
 from orbit_tasks import cloth
 from orbit_tasks.cloth import CLOTH, TRAY
+from orbit_tasks.mdp import matter
 
 STAFF, MAST = "staff", "mast"
 THICK, TALL = 0.014, 0.03

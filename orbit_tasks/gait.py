@@ -22,12 +22,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from orbit_core.actions import JointPosition
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.envs import Task
 from orbit_core.interfaces import ConfigurationError, Node, Port, World
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.mdp import common
-from orbit_core.motion import JointPosition
 from orbit_tasks import biped, walking
 
 _DAMPING = 1e-4

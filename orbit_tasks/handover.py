@@ -11,16 +11,18 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.objects import box, table
+from orbit_assets.objects import box, table
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import EventTerm, EventTime, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm
+from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, measured_in, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, picking, randomize, tabletop
+from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
+from orbit_motion.experts import Expert, Phase
+from orbit_tasks.mdp import picking, tabletop
 
 GIVER, RECEIVER = "giver", "receiver"
 LENGTH, WIDTH = 0.24, 0.03

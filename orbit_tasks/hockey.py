@@ -10,15 +10,17 @@ import torch
 from torch import Tensor
 from torch.linalg import vecdot, vector_norm
 
-from orbit_core.assets.hockey import BLADE_HALF, DEPTH, WHITE, WIDTH, net, stick
-from orbit_core.assets.objects import box, cylinder, table
-from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, PremiseTerm, RewardTerm
+from orbit_assets.hockey import BLADE_HALF, DEPTH, WHITE, WIDTH, net, stick
+from orbit_assets.objects import box, cylinder, table
+from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import Meaning, TermFunction, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, held, premises, tabletop
+from orbit_core.mdp import common
 from orbit_core.scene import PhysicsMaterial, Pose, Scene, look_at
+from orbit_motion.experts import Expert, Phase
+from orbit_tasks.mdp import held, premises, tabletop
 
 ICE = PhysicsMaterial(0.04, 0.04)
 THICKNESS = 0.01

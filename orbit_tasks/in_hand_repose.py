@@ -14,8 +14,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.catalogue import robot
-from orbit_core.assets.object_kinds import BoxConfig, ObjectConfig
+from orbit_assets.object_kinds import BoxConfig
 from orbit_core.dynamics import transforms
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
@@ -24,6 +23,8 @@ from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
+from orbit_core.objects import ObjectConfig
+from orbit_core.robots import robot
 from orbit_core.scene import MarkerSpec, Pose, RobotSpec, Scene, look_at
 from orbit_core.scene.pose import Vector3
 
@@ -185,7 +186,7 @@ class InHandRepose(Task):
         discount=0.995,
     )
     object: ObjectConfig = BoxConfig(size=(0.065, 0.065, 0.065), mass=0.08, color=(0.85, 0.6, 0.2, 1.0))
-    """What is turned; :func:`orbit_core.assets.object_kinds.object_kinds` has other kinds."""
+    """What is turned; :func:`orbit_core.objects.object_kinds` has other kinds."""
     offset: Vector3 | None = None
     """Metres from the hand's frame to the place, above the palm, where the object starts; None: :data:`OFFSETS`'."""
     reach: float = 0.15

@@ -10,17 +10,19 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.objects import WOOD, box
-from orbit_core.assets.towers import SIZE, cell_poses, tower
+from orbit_assets.objects import WOOD, box
+from orbit_assets.towers import SIZE, cell_poses, tower
 from orbit_core.dynamics.transforms import pose_inverse, pose_multiply, quat_multiply, quat_rotate, quat_rotate_inverse
-from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, RewardTerm, TerminationTerm
+from orbit_core.envs import EventTerm, ObservationTerm, PremiseTerm, RewardTerm, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, picking, tabletop
+from orbit_core.mdp import common
 from orbit_core.scene import Color, PhysicsMaterial, Pose, RobotSpec, Scene, look_at
+from orbit_motion.experts import Expert, Phase
+from orbit_tasks.mdp import picking, tabletop
 
 PLINTH = 0.2
 """Metres of the plinth's height, on which the tower stands: arms reach no lower with such a hand."""

@@ -11,26 +11,19 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.object_kinds import BoxConfig, ObjectConfig
-from orbit_core.envs import (
-    EventTerm,
-    EventTime,
-    Expert,
-    ObservationGroup,
-    ObservationTerm,
-    Phase,
-    RewardTerm,
-    Task,
-    TerminationTerm,
-)
+from orbit_assets.object_kinds import BoxConfig
+from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
 from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, means, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common, picking, randomize
+from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
+from orbit_core.objects import ObjectConfig
 from orbit_core.scene import MarkerShape, MarkerSpec, ObjectSpec, Pose, Scene
 from orbit_core.scene.pose import Vector3
+from orbit_motion.experts import Expert, Phase
+from orbit_tasks.mdp import picking
 from orbit_tasks.pixels import ArmPixels
 
 
@@ -209,7 +202,7 @@ class Lift(Task):
     episode_length: float = 5.0
     ppo: PpoSettings = PpoSettings(iterations=1000, initial_std=0.3, entropy_weight=0.005)
     cube: ObjectConfig = BoxConfig(size=(0.05, 0.05, 0.05), mass=0.1, color=(0.8, 0.2, 0.15, 1.0))
-    """What is lifted; :func:`orbit_core.assets.object_kinds.object_kinds` has other kinds."""
+    """What is lifted; :func:`orbit_core.objects.object_kinds` has other kinds."""
     tolerance: float = 0.02
     """Metres."""
     observations: LiftObservations | LiftPixelObservations = field(default_factory=LiftObservations)

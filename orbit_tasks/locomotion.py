@@ -9,17 +9,17 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.assets.catalogue import robot, robot_names
+from orbit_core.actions import ActionTerm, MotionGenerator, preset_terms
+from orbit_core.actions.base import JointTarget
+from orbit_core.actions.base_velocity import ROUNDING
+from orbit_core.actions.embodiment import leg_joints
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.transforms import pose_error, quat_rotate_inverse
 from orbit_core.interfaces import ConfigurationError, Robot, World
-from orbit_core.learning.policy import Policy, load_policy
-from orbit_core.motion import ActionTerm, MotionGenerator, preset_terms
-from orbit_core.motion.base import JointTarget
-from orbit_core.motion.base_velocity import ROUNDING
-from orbit_core.motion.embodiment import leg_joints
-from orbit_core.pretrained import policy_path
+from orbit_core.robots import robot, robot_names
 from orbit_core.scene import RobotSpec
+from orbit_learn.policy import Policy, load_policy
+from orbit_learn.pretrained import policy_path
 from orbit_tasks.walking import COMMAND, JOINT_READINGS, LAST_ACTION, READINGS, carries_arm
 
 _PURSUIT_RATE = 1.0

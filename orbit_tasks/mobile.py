@@ -10,14 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from orbit_core.audit.geometry import shape_points
+from orbit_assets.audit.geometry import shape_points
+from orbit_core.actions import ActionTerm, preset_terms
+from orbit_core.actions.embodiment import arm_joints_of
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import Task
 from orbit_core.envs.terms import POSE, EventFunction, TermFunction, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
 from orbit_core.mdp import common
-from orbit_core.motion import ActionTerm, preset_terms
-from orbit_core.motion.embodiment import arm_joints_of
 from orbit_core.scene import RobotSpec
 from orbit_tasks.locomotion import LocomotionConfig
 

@@ -6,10 +6,11 @@ from dataclasses import dataclass, field, replace
 
 from torch import Tensor
 
-from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, TerminationTerm
+from orbit_core.envs import EventTerm, ObservationTerm, RewardTerm, TerminationTerm
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.scene import Pose, Scene, look_at
+from orbit_motion.experts import Expert, Phase
 from orbit_tasks import cabinet
 from orbit_tasks.cabinet import (
     Cabinet,

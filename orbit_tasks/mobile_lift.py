@@ -10,12 +10,13 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from orbit_core.assets.objects import table
-from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, TerminationTerm
+from orbit_assets.objects import table
+from orbit_core.envs import EventTerm, ObservationTerm, RewardTerm, TerminationTerm
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, picking
-from orbit_core.motion.planning import BasePlannerConfig
+from orbit_core.mdp import common
 from orbit_core.scene import Pose, RobotSpec, Scene, look_at
+from orbit_motion.experts import Expert, Phase
+from orbit_motion.planning import BasePlannerConfig
 from orbit_tasks.lift import (
     GOAL,
     Lift,
@@ -29,6 +30,7 @@ from orbit_tasks.lift import (
     at_goal,
     cube_pose,
 )
+from orbit_tasks.mdp import picking
 from orbit_tasks.mobile import Mobile, base_pose, base_radius, mobile, near_to, sag_rate, start_in_ring, tipped
 
 DEPTH, WIDTH = 0.6, 1.4

@@ -11,10 +11,11 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import quat_from_euler, quat_multiply
-from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, RewardTerm, TerminationTerm
+from orbit_core.envs import EventTerm, ObservationTerm, RewardTerm, TerminationTerm
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.scene import MarkerShape, MarkerSpec, Pose, Scene, look_at
+from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mobile import (
     Mobile,
     ahead_of,

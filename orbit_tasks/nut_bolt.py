@@ -10,15 +10,17 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.objects import WOOD, box
-from orbit_core.assets.threads import Thread, ThreadOptions, bolt_on_base, hexagonal_nut
-from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, RewardTerm, TerminationTerm
+from orbit_assets.objects import WOOD, box
+from orbit_assets.threads import Thread, ThreadOptions, bolt_on_base, hexagonal_nut
+from orbit_core.envs import EventTerm, ObservationTerm, PremiseTerm, RewardTerm, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common, picking, premises, tabletop
+from orbit_core.mdp import common
 from orbit_core.scene import PhysicsMaterial, Pose, Scene
+from orbit_motion.experts import Expert, Phase
+from orbit_tasks.mdp import picking, premises, tabletop
 
 RADIUS, COARSE, CLEARANCE = 0.008, 0.004, 4e-4
 """Metres: of M16, and of the finest lead and fit that fields of distances resolve."""

@@ -12,15 +12,17 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.pegs import BOARD_HEIGHT, COLORS, GRIP_HEIGHT, block, board, section
+from orbit_assets.pegs import BOARD_HEIGHT, COLORS, GRIP_HEIGHT, block, board, section
 from orbit_core.dynamics import transforms
-from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, Retry, RewardTerm
+from orbit_core.envs import EventTerm, ObservationTerm, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import POSE, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common, picking, stages, tabletop
+from orbit_core.mdp import common
 from orbit_core.scene import PhysicsMaterial, Scene
+from orbit_motion.experts import Expert, Phase, Retry
+from orbit_tasks.mdp import picking, stages, tabletop
 
 SMOOTH = PhysicsMaterial(static_friction=0.3, dynamic_friction=0.3)
 GENTLE = 0.0015
@@ -224,7 +226,7 @@ class PegInHole(tabletop.TabletopTask):
     episode_length: float = 24.0
     ppo: PpoSettings = PpoSettings(iterations=1500, initial_std=0.4, entropy_weight=0.001)
     shapes: tuple[str, ...] = ("square",)
-    """Sections of the blocks, :data:`orbit_core.assets.pegs.SECTIONS`, a block each: give each about 24 s."""
+    """Sections of the blocks, :data:`orbit_assets.pegs.SECTIONS`, a block each: give each about 24 s."""
     clearance: float = 0.002
     """Metres by which a hole is wider than its block."""
     tolerance: float = 0.005

@@ -11,13 +11,14 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_core.dynamics.transforms import pose_error, quat_from_euler, quat_multiply
-from orbit_core.envs import EventTerm, EventTime, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
+from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.terms import ENVIRONMENT, POSE, Meaning, once_per_state
 from orbit_core.interfaces import World
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.randomize import Range
 from orbit_core.scene import MarkerShape, MarkerSpec, Scene
+from orbit_motion.experts import Expert, Phase
 from orbit_tasks.mobile import sag_rate
 from orbit_tasks.pixels import ArmPixels
 

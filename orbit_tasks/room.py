@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from orbit_core.assets.objects import DENSITY, WOOD, box, solid_link, table
+from orbit_assets.objects import DENSITY, WOOD, box, solid_link, table
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.scene import Articulation, Box, ObjectSpec, Pose, Shape

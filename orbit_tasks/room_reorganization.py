@@ -9,24 +9,16 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.objects import box, cylinder
-from orbit_core.envs import (
-    EventTerm,
-    Expert,
-    ObservationGroup,
-    ObservationTerm,
-    Phase,
-    Retry,
-    RewardTerm,
-    Task,
-    TerminationTerm,
-)
+from orbit_assets.objects import box, cylinder
+from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
 from orbit_core.envs.terms import ENVIRONMENT, Meaning, measured_in, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, picking
-from orbit_core.motion.planning import BasePlannerConfig
+from orbit_core.mdp import common
 from orbit_core.scene import MarkerShape, MarkerSpec, ObjectSpec, Pose, Scene, look_at
+from orbit_motion.experts import Expert, Phase, Retry
+from orbit_motion.planning import BasePlannerConfig
 from orbit_tasks import room
+from orbit_tasks.mdp import picking
 from orbit_tasks.mobile import Mobile, base_pose, base_radius, mobile, sag_rate, start_within, tipped
 
 THINGS = ("cube", "can", "carton")

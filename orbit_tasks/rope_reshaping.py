@@ -10,14 +10,16 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.deformables import line
-from orbit_core.envs import EventTerm, Expert, ObservationGroup, ObservationTerm, Phase, RewardTerm, Task
+from orbit_assets.deformables import line
+from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import ENVIRONMENT, Meaning, once_per_state
 from orbit_core.interfaces import World
-from orbit_core.mdp import common, matter
+from orbit_core.mdp import common
 from orbit_core.scene import KeyPoint, MarkerShape, MarkerSpec, Pose, Rope, Scene, look_at
+from orbit_motion.experts import Expert, Phase
+from orbit_tasks.mdp import matter
 
 ROPE = "rope"
 KEY_POINTS = 5

@@ -11,16 +11,18 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_core.assets.objects import box
+from orbit_assets.objects import box
 from orbit_core.dynamics.transforms import quat_rotate
-from orbit_core.envs import EventTerm, Expert, ObservationTerm, Phase, PremiseTerm, Retry, RewardTerm
+from orbit_core.envs import EventTerm, ObservationTerm, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.envs.terms import POSE, TermFunction, once_per_state
 from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common, picking, stages, tabletop
+from orbit_core.mdp import common
 from orbit_core.scene import Color, Pose, Scene
+from orbit_motion.experts import Expert, Phase, Retry
+from orbit_tasks.mdp import picking, stages, tabletop
 from orbit_tasks.pixels import ArmLabels
 
 COLORS: tuple[dict[str, Color], ...] = (

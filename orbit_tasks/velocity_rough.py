@@ -27,11 +27,11 @@ from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
 from orbit_core.mdp.scans import height_scan
-from orbit_core.mdp.terrain import OnTerrain, by_distance, place_on_terrain
 from orbit_core.scene import Pose, RayCasterSpec, Scene, look_at
 from orbit_core.sensors import grid_pattern
 from orbit_tasks import walking
 from orbit_tasks.biped import contacts_of
+from orbit_tasks.mdp.terrain import OnTerrain, by_distance, place_on_terrain
 from orbit_tasks.velocity_flat import (
     VelocityEvents,
     VelocityFlat,

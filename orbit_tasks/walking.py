@@ -10,12 +10,12 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from orbit_core.actions import joint_commands
+from orbit_core.actions.embodiment import leg_joints
 from orbit_core.dynamics.transforms import quat_rotate_inverse, yaw_angle
 from orbit_core.interfaces import ConfigurationError, Robot, World, match_names
 from orbit_core.interfaces.layout import joint_limits
 from orbit_core.mdp import common
-from orbit_core.motion import joint_commands
-from orbit_core.motion.embodiment import leg_joints
 from orbit_core.scene import ActuatorConfig, RobotSpec
 
 _BIPED_SCALE = 1.0

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_assets.compound_joints import BALL, compound
+from orbit_conformance.bodies import pendulum, scene, slider
 from orbit_core import backends
-from orbit_core.assets.compound_joints import BALL, compound
-from orbit_core.conformance.bodies import pendulum, scene, slider
 from orbit_core.interfaces import TERRAIN, ConfigurationError, ContactQuery, SceneLayout
 from orbit_core.plugin_kit.deformable_surface import DeformableSurface
 from orbit_core.plugin_kit.markers import AXIS_COLORS, marker_shapes

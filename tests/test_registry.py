@@ -116,7 +116,7 @@ def test_a_package_brings_a_learning_library(tmp_path: Path) -> None:
     assert listed.returncode == 0
     assert {"rsl-rl", "distill", "mine", "lost"} <= {line.split()[0] for line in listed.stdout.splitlines()}
     assert "of distribution theirs" in listed.stdout
-    command = "import sys; from orbit_core.learning.learners import trainer_type; trainer_type(sys.argv[1])"
+    command = "import sys; from orbit_learn.learners import trainer_type; trainer_type(sys.argv[1])"
     for name, complaint in (
         ("mine", "is no Trainer"),
         ("lost", "cannot be loaded (AttributeError"),

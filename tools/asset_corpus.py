@@ -15,10 +15,10 @@ from concurrent.futures import TimeoutError as Late
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from orbit_core.assets.files import load_articulation
-from orbit_core.assets.options import ReadOptions, Repair, Unsupported
-from orbit_core.audit.audit import INERTIA_TOLERANCE, KINEMATICS_TOLERANCE, MASS_TOLERANCE, reference_of
-from orbit_core.audit.reference import Comparison, compare
+from orbit_assets.audit.audit import INERTIA_TOLERANCE, KINEMATICS_TOLERANCE, MASS_TOLERANCE, reference_of
+from orbit_assets.audit.reference import Comparison, compare
+from orbit_assets.files import load_articulation
+from orbit_assets.options import ReadOptions, Repair, Unsupported
 from orbit_core.interfaces.errors import AssetError
 
 PACKAGES = (

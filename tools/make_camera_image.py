@@ -15,8 +15,8 @@ import torch
 
 from orbit_core.envs import make
 from orbit_core.scene import CameraSpec, Channel, Scene, look_at
-from orbit_core.viewer.camera_pictures import picture_of
 from orbit_tasks.lift import Lift
+from orbit_viewer.camera_pictures import picture_of
 
 CAMERA = CameraSpec(
     name="camera",

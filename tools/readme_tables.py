@@ -13,8 +13,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from orbit_conformance.report.declared import declarations_of
 from orbit_core.backends import backend
-from orbit_core.conformance.report.declared import declarations_of
 from orbit_core.interfaces import Capability, Level
 
 ROOT = Path(__file__).parents[1]

@@ -23,7 +23,7 @@ LOAD_INERTIA, LOAD_MOMENT = 0.4, 6.0  # kg m^2, N m
 
 
 def record(seconds: float, rate: float = 200.0, joints: int = 4, seed: int = 0) -> dict[str, np.ndarray]:
-    """Joints that follow targets of their own, as :mod:`orbit_core.actuators.recordings` describes a recording."""
+    """Joints that follow targets of their own, as :mod:`orbit_learn.actuators.recordings` describes a recording."""
     random = np.random.default_rng(seed)
     fine = 20  # steps of the simulation in one that is recorded
     dt = 1.0 / (rate * fine)

@@ -14,12 +14,12 @@ from orbit_core.actuators.factory import model_of
 from orbit_core.actuators.model import ActuatorContext, ActuatorModel
 from orbit_core.actuators.models import DcMotorModel, PdModel
 from orbit_core.actuators.motors import REFERENCE
-from orbit_core.actuators.network_model import NetworkModel
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout
 from orbit_core.interfaces.layout import actuator_of_joint
 from orbit_core.scene import ActuatorConfig, IdealPd
+from orbit_learn.actuators.network_model import NetworkModel
 
 _ORDER = (PdModel, DcMotorModel, NetworkModel)
 

@@ -7,10 +7,10 @@ from functools import cache
 
 from orbit_core.actuators.model import ActuatorModel
 from orbit_core.actuators.models import DcMotorModel, PdModel
-from orbit_core.actuators.network_model import NetworkModel
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.registry import Registry
 from orbit_core.scene import ActuatorConfig, ActuatorNetwork, DcMotor, IdealPd, ImplicitPd
+from orbit_learn.actuators.network_model import NetworkModel
 
 GROUP = "orbit.actuators"
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from orbit_core.envs.actors import ACTORS, scripted_actor
 from orbit_core.interfaces.errors import UnknownNameError
-from orbit_core.pretrained import policy_path, pretrained_policies
+from orbit_learn.pretrained import policy_path, pretrained_policies
 
 if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor
@@ -34,6 +34,6 @@ def make_actor(name: str, environment: Environment, seed: int) -> Actor:
     check_actor(name)
     if name in ACTORS:
         return scripted_actor(name, environment, seed)
-    from orbit_core.learning.policy import PolicyActor
+    from orbit_learn.policy import PolicyActor
 
     return PolicyActor(environment, policy_path(name))

@@ -13,8 +13,6 @@ from rich.table import Table
 from rich.text import Text
 from tyro.conf import Positional, arg
 
-from orbit_core.assets.catalogue import robot_info, robot_names
-from orbit_core.assets.object_kinds import ObjectConfig, object_kinds
 from orbit_core.backends import backend, backend_names, installable_backends, renderer, renderer_names
 from orbit_core.cli.info_scene import show_object, show_sensor
 from orbit_core.cli.output import console as make_console
@@ -24,6 +22,8 @@ from orbit_core.envs.registry import task_entries
 from orbit_core.interfaces.capabilities import Capability
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.interfaces.requirements import IMAGES
+from orbit_core.objects import ObjectConfig, object_kinds
+from orbit_core.robots import robot_info, robot_names
 from orbit_core.sensors import sensor_types
 
 if TYPE_CHECKING:
@@ -204,8 +204,8 @@ def _show_plugin(console: Console, title: str, plugin: Backend, shown: Sequence[
 def _show_gaps(console: Console, plugin: Backend) -> None:
     if not plugin.gaps():
         return
-    from orbit_core.conformance.robots.checks import CHECKS
-    from orbit_core.conformance.scenarios import SCENARIOS
+    from orbit_conformance.robots.checks import CHECKS
+    from orbit_conformance.scenarios import SCENARIOS
 
     units = {(asked.name, metric.name): metric.unit for asked in (*SCENARIOS, *CHECKS) for metric in asked.metrics}
     table = new_table("scenario or check", "metric", "error up to", "why", title="Declared gaps")

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from rich.console import Console
 from rich.text import Text
 
-from orbit_core.assets.object_kinds import object_config, object_kinds
 from orbit_core.cli.output import print_heading, print_line, print_rows
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.objects import object_config, object_kinds
 from orbit_core.registry import first_line
 from orbit_core.scene import SensorSpec
 from orbit_core.sensors import TimedSensor, sensor_types

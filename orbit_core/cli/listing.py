@@ -40,13 +40,13 @@ def _tasks() -> list[tuple[str, str]]:
 
 
 def _robots() -> list[tuple[str, str]]:
-    from orbit_core.assets.catalogue import robot_info, robot_names
+    from orbit_core.robots import robot_info, robot_names
 
     return [(name, robot_info(name).description) for name in robot_names()]
 
 
 def _objects() -> list[tuple[str, str]]:
-    from orbit_core.assets.object_kinds import object_kinds
+    from orbit_core.objects import object_kinds
 
     return [*object_kinds().descriptions.items()]
 
@@ -88,25 +88,25 @@ def _matter() -> list[tuple[str, str]]:
 
 
 def _policies() -> list[tuple[str, str]]:
-    from orbit_core.pretrained import pretrained_policies
+    from orbit_learn.pretrained import pretrained_policies
 
     return [(policy.name, policy.description) for policy in pretrained_policies().values()]
 
 
 def _libraries() -> list[tuple[str, str]]:
-    from orbit_core.learning.learners import library_description, library_names
+    from orbit_learn.learners import library_description, library_names
 
     return [(name, library_description(name)) for name in library_names()]
 
 
 def _actions() -> list[tuple[str, str]]:
-    from orbit_core.motion import action_words
+    from orbit_core.actions import action_words
 
     return [*action_words().items()]
 
 
 def _motion() -> list[tuple[str, str]]:
-    from orbit_core.motion import generator_descriptions
+    from orbit_core.actions import generator_descriptions
 
     return [*generator_descriptions().items()]
 

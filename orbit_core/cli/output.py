@@ -16,7 +16,7 @@ from rich.text import Text
 from orbit_core.files import written_whole
 
 if TYPE_CHECKING:
-    from orbit_core.audit.findings import Finding
+    from orbit_assets.audit.findings import Finding
 
 _WIDTH = 140
 """Characters of a line where the output is no terminal, so that pipes and files get whole names."""
@@ -53,7 +53,7 @@ def new_table(*headings: str, title: str | None = None) -> Table:
 
 def findings_table(findings: Sequence[Finding]) -> Table:
     """What an audit found, the gravest first."""
-    from orbit_core.audit.findings import Severity
+    from orbit_assets.audit.findings import Severity
 
     table = new_table("", "where", "what")
     for level in Severity:

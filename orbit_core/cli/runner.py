@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from orbit_core.envs.environment import Environment, EpisodeEnd
     from orbit_core.envs.premises import PremiseCheck
-    from orbit_core.viewer.video import VideoRecorder
+    from orbit_core.rollout.video import VideoRecorder
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def _video(environment: Environment, settings: RunSettings) -> AbstractContextMa
     """The recorder of the video that the settings ask for, or None."""
     if settings.video is None:
         return nullcontext()
-    from orbit_core.viewer.video import VideoRecorder
+    from orbit_core.rollout.video import VideoRecorder
 
     width, height = settings.video_size
     return VideoRecorder(environment, settings.video, width=width, height=height, frames=settings.frames)

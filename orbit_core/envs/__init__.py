@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
-    from orbit_core.envs.expert import Expert, Phase, Retry
     from orbit_core.envs.expert_starts import ExpertStarts
     from orbit_core.envs.making import make
     from orbit_core.envs.ppo import PpoSettings
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
         TerminationTerm,
         once_per_state,
     )
+    from orbit_motion.experts.expert import Expert, Phase, Retry
 
 _MODULES: dict[str, tuple[str, ...]] = {
     "environment": ("Environment",),

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping
 
 from torch import Tensor
 
+from orbit_core.actions import ActionTerm, Actuate, MotionGenerator
 from orbit_core.agent import Edge, FunctionNode
 from orbit_core.envs.task import COMPOSED, Task
 from orbit_core.interfaces import ConfigurationError, Node, Port, World
-from orbit_core.motion import ActionTerm, Actuate, MotionGenerator
 
 _SPLIT = "split"
 

@@ -6,10 +6,10 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import replace
 
+from orbit_core.actions import ActionTerm, with_drives_for
 from orbit_core.envs.task import COMPOSED, Task
 from orbit_core.envs.terms import terms_of
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.motion import ActionTerm, with_drives_for
 from orbit_core.scene import RobotSpec, Scene
 
 

@@ -7,12 +7,12 @@ from dataclasses import is_dataclass
 from functools import partial
 from typing import Any, TypeVar
 
-from orbit_core.assets.object_kinds import ObjectConfig, object_config, object_kinds
+from orbit_core.actions import ActionTerms
 from orbit_core.configuration import Presets, configured, field_types
 from orbit_core.envs.action_terms import action_terms
 from orbit_core.envs.task import COMPOSED, Task
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.motion import ActionTerms
+from orbit_core.objects import ObjectConfig, object_config, object_kinds
 
 DEFAULT_PRESET = "state"
 """Stands for what a task observes by default."""
@@ -25,7 +25,7 @@ def configure(task_type: type[_TaskType], values: Mapping[str, Any]) -> _TaskTyp
     """A task with some of its fields set, by path: :func:`orbit_core.configuration.configured`.
 
     A word for ``observations`` takes the task's preset of that name; a word for a field annotated
-    :class:`~orbit_core.assets.object_kinds.ObjectConfig` takes the kind of object of that name. A path
+    :class:`~orbit_core.objects.ObjectConfig` takes the kind of object of that name. A path
     below ``actions`` changes the task's own action terms, or those that its action space stands for.
 
     Raises:

@@ -17,8 +17,8 @@ from orbit_core.interfaces import ConfigurationError, Node
 from orbit_core.scene import Pose, RobotSpec, Scene, look_at
 
 if TYPE_CHECKING:
+    from orbit_core.actions import ActionTerm, MotionGenerator
     from orbit_core.interfaces import World
-    from orbit_core.motion import ActionTerm, MotionGenerator
 
 ROBOT = "robot"
 """The robot that acts, where a task has one."""
@@ -60,7 +60,7 @@ class Task(ABC):
     robot: str
     """Name of a robot in the catalogue."""
     action: str
-    """Name of an action space, :func:`orbit_core.motion.preset_terms`; ``"composed"`` where ``actions`` are given."""
+    """Name of an action space, :func:`orbit_core.actions.preset_terms`; ``"composed"`` where ``actions`` are given."""
     physics_dt: float = 0.005
     """Seconds."""
     decimation: int = 4
@@ -68,8 +68,8 @@ class Task(ABC):
     episode_length: float = 5.0
     """Seconds."""
     actions: Any = None
-    """Action terms in the place of an action space: :class:`orbit_core.motion.ActionTerms`, or a dataclass of one's own
-    with fields of :class:`~orbit_core.motion.ActionTerm`. None takes those that ``action`` stands for."""
+    """Action terms in the place of an action space: :class:`orbit_core.actions.ActionTerms`, or a dataclass of one's own
+    with fields of :class:`~orbit_core.actions.ActionTerm`. None takes those that ``action`` stands for."""
     observations: Any = None
     rewards: Any = None
     terminations: Any = None
@@ -141,7 +141,7 @@ class Task(ABC):
         Raises:
             UnknownNameError: there is no such action space.
         """
-        from orbit_core.motion import preset_terms  # heavier than what is needed to list tasks
+        from orbit_core.actions import preset_terms  # heavier than what is needed to list tasks
 
         return preset_terms(spec, self.action, prefix)
 
@@ -188,7 +188,7 @@ class Task(ABC):
         """What a run reports, by name with its unit, (N,) each, taken at an episode's last step; the first leads."""
 
     def subtasks(self) -> tuple[Subtask, ...]:
-        """What a demonstration is made of, in order (:mod:`orbit_core.data.augmentation`). Override where it is known.
+        """What a demonstration is made of, in order (:mod:`orbit_data.augmentation`). Override where it is known.
 
         Raises:
             ConfigurationError: nobody says it.

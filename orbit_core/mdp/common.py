@@ -9,13 +9,13 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from orbit_core.assets.catalogue import robot
-from orbit_core.assets.objects import table
-from orbit_core.audit.robots.postures import gripper_positions
+from orbit_assets.objects import table
+from orbit_core.actions.workspace import with_workspace
 from orbit_core.envs.task import ROBOT, Task
 from orbit_core.envs.terms import ENVIRONMENT, POSE, ObservationGroup, means, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, Robot, World
-from orbit_core.motion.workspace import with_workspace
+from orbit_core.interfaces.layout import gripper_positions
+from orbit_core.robots import robot
 from orbit_core.scene import ObjectSpec, Plane, Pose, RobotSpec, Shape, Workspace
 from orbit_core.scene.pose import Vector3
 
@@ -43,7 +43,7 @@ def arm(
     Raises:
         UnknownNameError: there is none of that name.
         ConfigurationError: it has no end effector, no arm that moves it, or no gripper; or it has no workspace, and
-            none is found (:func:`orbit_core.motion.workspace.with_workspace`), or one that is smaller than the task's
+            none is found (:func:`orbit_core.actions.workspace.with_workspace`), or one that is smaller than the task's
             ``room``, m along x, y and z.
     """
     spec = robot(name, name=agent)
@@ -117,7 +117,7 @@ def workspace_of(spec: RobotSpec) -> Workspace:
     if spec.end_effector.workspace is None:
         raise ConfigurationError(
             f"robot '{spec.articulation.name}' has no workspace: take it through "
-            "orbit_core.motion.workspace.with_workspace, or give its end effector one"
+            "orbit_core.actions.workspace.with_workspace, or give its end effector one"
         )
     return spec.end_effector.workspace
 

@@ -195,7 +195,7 @@ def colors(
 
 
 def textures(entities: Sequence[str], choices: Sequence[Texture], links: Sequence[str] = (".*",)) -> EventFunction:
-    """Give links whose names match one of these textures each, in pictures (:mod:`orbit_core.assets.textures`).
+    """Give links whose names match one of these textures each, in pictures (:mod:`orbit_assets.textures`).
 
     Raises:
         ConfigurationError: there are no choices.
@@ -204,7 +204,7 @@ def textures(entities: Sequence[str], choices: Sequence[Texture], links: Sequenc
         UnsupportedCapabilityError: the renderer cannot; names those that can.
     """
     if not choices:
-        raise ConfigurationError("randomize.textures needs one texture at least: see orbit_core.assets.textures")
+        raise ConfigurationError("randomize.textures needs one texture at least: see orbit_assets.textures")
 
     def event(world: World, task: Task, env_ids: Tensor) -> None:
         for name in entities:

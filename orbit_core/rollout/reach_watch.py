@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor
 
-from orbit_core.motion.reach import PoseFollower
+from orbit_core.actions.reach import PoseFollower
 from orbit_core.rollout.stepping import StepObserver
 
 if TYPE_CHECKING:

@@ -75,4 +75,4 @@ class ActuatorNetwork(ActuatorConfig):
     """
 
     file: str
-    """Path of a file that :func:`orbit_core.actuators.networks.write_network` wrote."""
+    """Path of a file that :func:`orbit_learn.actuators.networks.write_network` wrote."""

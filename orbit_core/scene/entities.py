@@ -76,7 +76,7 @@ class EndEffector:
     finger_tips: tuple[str, ...] = ()
     """Links or frames at the ends of a hand's fingers."""
     workspace: Workspace | None = None
-    """None: a task computes it (:func:`orbit_core.motion.workspace.with_workspace`)."""
+    """None: a task computes it (:func:`orbit_core.actions.workspace.with_workspace`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +188,7 @@ class RobotSpec(Entity):
     walking_drives: tuple[ActuatorConfig, ...] = ()
     """What drives a robot that learns to walk, over ``actuators`` where both name a joint; none where those do."""
     joint_commands: JointCommands | None = None
-    """None: as :func:`orbit_core.motion.joint_commands` makes it of the end effectors and feet."""
+    """None: as :func:`orbit_core.actions.joint_commands` makes it of the end effectors and feet."""
     planar_base: PlanarBase | None = None
     differential_base: DifferentialBase | None = None
     wheels: tuple[str, ...] = ()

@@ -8,12 +8,12 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from orbit_core.assets.scene_data import check_data
 from orbit_core.dynamics.arguments import FRICTIONS, POSITIONS, VELOCITIES, Bounds, columns_chosen
 from orbit_core.dynamics.indexing import Masking
 from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.interfaces import ArgumentError, ConfigurationError, Deformable, Engine, Object, find_name
 from orbit_core.interfaces.matter import PARAMETERS
+from orbit_core.preparation.scene_data import check_data
 from orbit_core.scene import Cloth, DeformableSpec, Region
 from orbit_core.world.clock import Clock
 from orbit_core.world.covered_area import CoveredArea

@@ -11,8 +11,6 @@ from torch import Tensor
 
 from orbit_core.actuators import Actuators
 from orbit_core.actuators.stability import check_drives
-from orbit_core.assets.deformable_checks import check_attachments
-from orbit_core.assets.scene_data import check_data
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_config, check_capability, check_scene, choose_matter
 from orbit_core.backends import renderer as find_renderer
@@ -42,6 +40,9 @@ from orbit_core.interfaces import (
 )
 from orbit_core.interfaces.fields import settings_table
 from orbit_core.interfaces.requirements import IMAGES
+from orbit_core.preparation.deformable_checks import check_attachments
+from orbit_core.preparation.scene_data import check_data
+from orbit_core.preparation.scenes import prepared
 from orbit_core.scene import CameraSpec, Scene
 from orbit_core.sensors import SensorContext, create_sensor
 from orbit_core.world.active import ActiveModels
@@ -59,7 +60,6 @@ from orbit_core.world.frames import with_frames
 from orbit_core.world.markers import SimulatedMarker, identity_poses
 from orbit_core.world.matter_pictures import with_matter
 from orbit_core.world.painting import Painting
-from orbit_core.world.preparation import prepared
 from orbit_core.world.robots import SimulatedRobot
 from orbit_core.world.settling import settle
 from orbit_core.world.world_state import WorldState

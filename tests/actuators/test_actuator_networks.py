@@ -18,9 +18,6 @@ import pytest
 import torch
 
 from orbit_core.actuators import Actuators
-from orbit_core.actuators.fitting import FitSettings, fit
-from orbit_core.actuators.networks import NetworkDescription, read_network, write_network
-from orbit_core.actuators.recordings import QUANTITIES, read_recording
 from orbit_core.cli import main
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.envs import Environment
@@ -29,6 +26,9 @@ from orbit_core.interfaces import ConfigurationError, NonFiniteError
 from orbit_core.reading.budget import ReadBudget
 from orbit_core.scene import ActuatorNetwork, DcMotor, IdealPd, Scene, Transmission, Windings
 from orbit_core.tensor_file import write_tensors
+from orbit_learn.actuators.fitting import FitSettings, fit
+from orbit_learn.actuators.networks import NetworkDescription, read_network, write_network
+from orbit_learn.actuators.recordings import QUANTITIES, read_recording
 from orbit_tasks.velocity_flat import VelocityFlat
 from tests.fuzz.watch import watched
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbit_core.assets.compose import add_frames, attach, edit_joints, edit_links, subtree
-from orbit_core.assets.merge import merge_fixed_links
-from orbit_core.assets.validation import validate
+from orbit_assets.compose import add_frames, attach, edit_joints, edit_links, subtree
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
+from orbit_core.preparation.merge import merge_fixed_links
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, DriveGains, Frame, Joint, JointType, Link, Mimic, Pose
 
 BODY = {"mass": 1.0, "inertia": np.eye(3)}

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.assets.compound_joints import BALL, FLOATING, PLANAR, Freedom, chain, compound
-from orbit_core.assets.validation import validate
+from orbit_assets.compound_joints import BALL, FLOATING, PLANAR, Freedom, chain, compound
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import quat_distance
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, Shape, Sphere
 
 INERTIA = np.diag([0.01, 0.02, 0.02])

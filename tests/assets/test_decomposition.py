@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from orbit_core.assets import decomposition
-from orbit_core.assets.cache import cache_folder
-from orbit_core.assets.decomposition import ConvexDecomposition, convex_pieces
-from orbit_core.assets.inertia import mass_properties
-from orbit_core.assets.usd import read_usd, write_usd
+from orbit_assets import decomposition
+from orbit_assets.cache import cache_folder
+from orbit_assets.decomposition import ConvexDecomposition, convex_pieces
+from orbit_assets.usd import read_usd, write_usd
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.preparation.inertia import mass_properties
 from orbit_core.scene import Articulation, Link, Mesh, MeshCollision, ObjectSpec, Pose, Scene, Shape, Sphere
 from orbit_core.world import simulate
 

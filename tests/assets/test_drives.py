@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbit_core.assets.drives import drives_from_model, home_from_model
-from orbit_core.assets.validation import validate
+from orbit_assets.drives import drives_from_model, home_from_model
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.interfaces.layout import SceneLayout
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, DriveGains, Joint, JointType, Link, RobotSpec, Scene
 
 LINKS = tuple(Link(name, 1.0, inertia=np.eye(3)) for name in "abcd")

@@ -8,16 +8,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.assets.catalogue import robot
-from orbit_core.assets.installed import installed_urdf
-from orbit_core.assets.objects import cylinder
-from orbit_core.assets.validation import validate_entity
+from orbit_assets.installed import installed_urdf
+from orbit_assets.objects import cylinder
+from orbit_core.actions import BinaryGripperConfig, JointTarget, joint_commands
 from orbit_core.backends import default_backend
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.envs import make
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.interfaces.names import match_names
-from orbit_core.motion import BinaryGripperConfig, JointTarget, joint_commands
+from orbit_core.preparation.validation import validate_entity
+from orbit_core.robots import robot
 from orbit_core.scene import Pose, RobotSpec, Scene
 from orbit_core.world import simulate
 

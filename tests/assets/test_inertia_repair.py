@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orbit_core.assets.files import load_articulation
-from orbit_core.assets.inertia_repair import balance_inertias, balanced
-from orbit_core.assets.options import ReadOptions, Repair
-from orbit_core.assets.sdf import read_sdf
-from orbit_core.assets.urdf import read_urdf
-from orbit_core.assets.usd import read_usd
-from orbit_core.assets.validation import validate
+from orbit_assets.files import load_articulation
+from orbit_assets.inertia_repair import balance_inertias, balanced
+from orbit_assets.options import ReadOptions, Repair
+from orbit_assets.sdf import read_sdf
+from orbit_assets.urdf import read_urdf
+from orbit_assets.usd import read_usd
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose
 
 moments = st.tuples(st.floats(-1.0, 1.0), st.floats(0.0, 1.0), st.floats(1e-3, 1.0))

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orbit_core.assets.merge import merge_fixed_links
-from orbit_core.assets.validation import validate
+from orbit_core.preparation.merge import merge_fixed_links
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Frame, Joint, JointType, Link, LoopJoint, LoopType, Pose, Shape, Sphere
 
 _number = st.floats(-1.0, 1.0)

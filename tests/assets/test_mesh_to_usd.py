@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from orbit_core.assets import load_articulation
-from orbit_core.assets.mesh_to_usd import MeshBody, mesh_articulation, mesh_to_usd
+from orbit_assets import load_articulation
+from orbit_assets.mesh_to_usd import MeshBody, mesh_articulation, mesh_to_usd
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Mesh, MeshCollision
 

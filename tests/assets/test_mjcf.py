@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from orbit_core.assets.mjcf import read_mjcf
-from orbit_core.assets.options import ReadOptions, Unsupported
-from orbit_core.assets.validation import validate
+from orbit_assets.mjcf import read_mjcf
+from orbit_assets.options import ReadOptions, Unsupported
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Box, JointType, Mesh, Pose, Sphere
 
 

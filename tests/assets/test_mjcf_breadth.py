@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from orbit_core.assets.mjcf import read_mjcf, read_mjcf_all
-from orbit_core.assets.options import ReadLimits, ReadOptions, Unsupported
-from orbit_core.assets.validation import validate
-from orbit_core.audit.mechanics import mass_matrix, posture
+from orbit_assets.audit.mechanics import mass_matrix, posture
+from orbit_assets.mjcf import read_mjcf, read_mjcf_all
+from orbit_assets.options import ReadLimits, ReadOptions, Unsupported
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, DriveGains, HeightField, JointType, LoopType, Plane
 
 DROP = ReadOptions(unsupported=Unsupported.DROP)

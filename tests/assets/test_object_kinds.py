@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from orbit_core.assets.object_kinds import BoxConfig, ObjectConfig, SphereConfig, object_config, object_kinds
-from orbit_core.assets.validation import validate_entity
+from orbit_assets.object_kinds import BoxConfig, SphereConfig
 from orbit_core.envs.configuration import configure
 from orbit_core.interfaces import ConfigurationError, OrbitError, UnknownNameError
+from orbit_core.objects import ObjectConfig, object_config, object_kinds
+from orbit_core.preparation.validation import validate_entity
 from orbit_core.scene import Geometry, Mesh, ObjectSpec, Pose
 from orbit_tasks.lift import Lift
 

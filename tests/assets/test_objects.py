@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from orbit_core.assets.files import asset_folder
-from orbit_core.assets.merge import merge_fixed_links
-from orbit_core.assets.objects import DENSITY, box, cabinet, capsule, cylinder, keyed_block, mesh_object, sphere, table
-from orbit_core.assets.usd import read_usd
-from orbit_core.assets.validation import validate, validate_entity
+from orbit_assets.files import asset_folder
+from orbit_assets.objects import DENSITY, box, cabinet, capsule, cylinder, keyed_block, mesh_object, sphere, table
+from orbit_assets.usd import read_usd
+from orbit_core.preparation.merge import merge_fixed_links
+from orbit_core.preparation.validation import validate, validate_entity
 from orbit_core.scene import Box, JointType, Mesh, PhysicsMaterial, Pose, Shape
 
 
@@ -180,7 +180,7 @@ def test_a_warm_cache_needs_no_usd(own_cache: Path) -> None:
     cabinet()
     code = (
         "import sys; sys.modules['pxr'] = None\n"
-        "from orbit_core.assets.objects import cabinet\n"
+        "from orbit_assets.objects import cabinet\n"
         "print(cabinet().articulation.mass)"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)

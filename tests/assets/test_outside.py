@@ -13,13 +13,13 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from orbit_core.assets import load_articulation
-from orbit_core.assets.meshes import load_mesh, load_parts
-from orbit_core.assets.options import ReadLimits, ReadOptions
-from orbit_core.assets.outside import model_folder, resolve_file
-from orbit_core.assets.textures import texture_file
-from orbit_core.assets.urdf import read_urdf
-from orbit_core.audit.audit import audit_file
+from orbit_assets import load_articulation
+from orbit_assets.audit.audit import audit_file
+from orbit_assets.meshes import load_mesh, load_parts
+from orbit_assets.options import ReadLimits, ReadOptions
+from orbit_assets.outside import model_folder, resolve_file
+from orbit_assets.textures import texture_file
+from orbit_assets.urdf import read_urdf
 from orbit_core.interfaces.errors import ArgumentError, AssetError
 from tests.fuzz.watch import watched
 

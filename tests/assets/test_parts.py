@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from orbit_core.assets import sources
-from orbit_core.assets.cache import cached_articulation
-from orbit_core.assets.catalogue import robot, robot_info, robots
-from orbit_core.assets.parts import compose
-from orbit_core.assets.posture import link_poses
-from orbit_core.assets.validation import validate_entity
+from orbit_assets import sources
+from orbit_assets.cache import cached_articulation
+from orbit_assets.parts import compose
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.interfaces.errors import AssetError, ConfigurationError, UnknownNameError
+from orbit_core.preparation.posture import link_poses
+from orbit_core.preparation.validation import validate_entity
+from orbit_core.robots import robot, robot_info, robots
 from orbit_core.scene import EndEffector, PlanarBase, Pose, RobotCategory, Scene, Sphere, Workspace
 from orbit_core.world import simulate
 
@@ -169,7 +169,7 @@ def test_an_unknown_part_offers_the_nearest_part():
 
 def test_parts_load_without_the_tensor_library():
     script = (
-        "import sys; from orbit_core.assets.catalogue import robots\n"
+        "import sys; from orbit_core.robots import robots\n"
         "for entry in robots().entries.values():\n"
         "    if entry.part: entry.load_part()\n"
         "sys.exit('loaded torch' if 'torch' in sys.modules else 0)"

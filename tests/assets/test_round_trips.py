@@ -13,12 +13,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orbit_core.assets.files import load_articulation
-from orbit_core.assets.mjcf import read_mjcf, write_mjcf
-from orbit_core.assets.urdf import read_urdf, write_urdf
-from orbit_core.assets.usd import read_usd, write_usd
-from orbit_core.assets.validation import sort_links, validate
+from orbit_assets.files import load_articulation
+from orbit_assets.mjcf import read_mjcf, write_mjcf
+from orbit_assets.urdf import read_urdf, write_urdf
+from orbit_assets.usd import read_usd, write_usd
 from orbit_core.interfaces import SceneLayout
+from orbit_core.preparation.validation import sort_links, validate
 from orbit_core.scene import (
     Articulation,
     Box,

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orbit_core.assets.objects import box, capsule, cylinder, sphere, table
-from orbit_core.assets.scene_data import check_data
+from orbit_assets.objects import box, capsule, cylinder, sphere, table
 from orbit_core.interfaces import ArgumentError, AssetError
+from orbit_core.preparation.scene_data import check_data
 from orbit_core.scene import (
     AmbientLight,
     Box,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orbit_core.assets.scene_files import load_scene
+from orbit_assets.scene_files import load_scene
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import AmbientLight, Box, DirectionalLight, ImplicitPd, Plane, Scene
 from tests.assets.usd_files import CUBE, body, stage

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from orbit_core.assets.files import load_articulation
-from orbit_core.assets.merge import merge_fixed_links
-from orbit_core.assets.options import ReadOptions, Unsupported
-from orbit_core.assets.sdf import read_sdf, read_sdf_models
-from orbit_core.assets.validation import validate
+from orbit_assets.files import load_articulation
+from orbit_assets.options import ReadOptions, Unsupported
+from orbit_assets.sdf import read_sdf, read_sdf_models
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.preparation.merge import merge_fixed_links
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import (
     Articulation,
     Box,

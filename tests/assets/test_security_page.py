@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from orbit_core.assets import load_articulation
-from orbit_core.assets.options import ReadLimits, ReadOptions
-from orbit_core.assets.xacro import expansion, expressions, markup, values
+from orbit_assets import load_articulation
+from orbit_assets.options import ReadLimits, ReadOptions
+from orbit_assets.xacro import expansion, expressions, markup, values
 from orbit_core.interfaces.errors import AssetError
 from tests.fuzz.mutations import MUTATIONS
 from tests.fuzz.run import MEMORY, SECONDS

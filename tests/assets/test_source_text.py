@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from orbit_core.assets.options import ReadLimits, ReadOptions
-from orbit_core.assets.source_text import parse_xml, read_xml
+from orbit_assets.options import ReadLimits, ReadOptions
+from orbit_assets.source_text import parse_xml, read_xml
 from orbit_core.interfaces.errors import AssetError
 
 TEXT = '<robot name="Käfer"><link name="base"/></robot>'

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orbit_core.assets.objects import box
-from orbit_core.assets.validation import validate
+from orbit_assets.objects import box
 from orbit_core.interfaces import ArgumentError, AssetError
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import (
     Articulation,
     Box,

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orbit_core.assets.catalogue import robot
-from orbit_core.assets.terrain import (
+from orbit_assets.terrain import (
     Boxes,
     Flat,
     Gap,
@@ -25,6 +24,7 @@ from orbit_core.assets.terrain import (
     Waves,
 )
 from orbit_core.interfaces import ConfigurationError
+from orbit_core.robots import robot
 from orbit_core.scene import HeightField, Mesh
 
 KINDS: tuple[TerrainKind, ...] = (

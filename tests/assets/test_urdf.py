@@ -12,13 +12,13 @@ from trimesh.exchange.dae import export_collada
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from orbit_core.assets.files import asset_file, load_articulation
-from orbit_core.assets.meshes import load_mesh, load_parts, simplified_hull
-from orbit_core.assets.options import ReadOptions, Unsupported
-from orbit_core.assets.urdf import read_urdf
-from orbit_core.assets.validation import validate
-from orbit_core.audit.geometry import shape_points
+from orbit_assets.audit.geometry import shape_points
+from orbit_assets.files import asset_file, load_articulation
+from orbit_assets.meshes import load_mesh, load_parts, simplified_hull
+from orbit_assets.options import ReadOptions, Unsupported
+from orbit_assets.urdf import read_urdf
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Box, Capsule, Cylinder, JointType, Mesh, Mimic, Plane, Pose, Sphere
 
 INERTIAL = """<inertial><mass value="2"/><origin xyz="0.1 0 0" rpy="0 0 1.5707963267948966"/>

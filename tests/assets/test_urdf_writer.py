@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from orbit_core.assets.files import asset_file, load_articulation
-from orbit_core.assets.merge import merge_fixed_links
-from orbit_core.assets.urdf import read_urdf, write_urdf
-from orbit_core.assets.urdf.text import roll_pitch_yaw
-from orbit_core.assets.validation import validate
+from orbit_assets.files import asset_file, load_articulation
+from orbit_assets.urdf import read_urdf, write_urdf
+from orbit_assets.urdf.text import roll_pitch_yaw
 from orbit_core.interfaces.errors import AssetError, StorageError
+from orbit_core.preparation.merge import merge_fixed_links
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import (
     Articulation,
     Box,

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from orbit_core.assets.usd import read_usd, write_usd
-from orbit_core.assets.validation import validate
+from orbit_assets.usd import read_usd, write_usd
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import (
     Articulation,
     Box,
@@ -323,7 +323,7 @@ def test_what_usd_cannot_hold_is_refused(tmp_path: Path) -> None:
 def test_without_usd_the_error_says_how_to_get_it(tmp_path: Path) -> None:
     code = (
         "import sys; sys.modules['pxr'] = None\n"
-        "from orbit_core.assets.usd import read_usd\n"
+        "from orbit_assets.usd import read_usd\n"
         f"read_usd({str(tmp_path / 'a.usda')!r})"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orbit_core.assets import load_articulation
-from orbit_core.assets.options import ReadOptions, Unsupported
-from orbit_core.assets.usd import read_usd
-from orbit_core.assets.validation import validate
+from orbit_assets import load_articulation
+from orbit_assets.options import ReadOptions, Unsupported
+from orbit_assets.usd import read_usd
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import DriveGains, JointType, LoopType, Mimic
 from tests.assets.usd_files import CENTIMETRES, body, joint, stage
 

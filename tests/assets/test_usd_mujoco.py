@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orbit_core.assets import load_articulation
-from orbit_core.assets.options import ReadOptions, Unsupported
-from orbit_core.assets.posture import link_poses
+from orbit_assets import load_articulation
+from orbit_assets.options import ReadOptions, Unsupported
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.preparation.posture import link_poses
 from orbit_core.scene import Articulation, DriveGains, Mimic
 from tests.assets.usd_files import body, joint, stage
 

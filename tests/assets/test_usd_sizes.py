@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 from pxr import UsdUtils
 
-from orbit_core.assets import load_articulation, robot
-from orbit_core.assets.options import ReadLimits, ReadOptions
-from orbit_core.assets.usd import write_usd
+from orbit_assets import load_articulation
+from orbit_assets.options import ReadLimits, ReadOptions
+from orbit_assets.usd import write_usd
 from orbit_core.interfaces.errors import AssetError
+from orbit_core.robots import robot
 
 BODY = (
     'def Cube "ball" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"])\n{\n    double size = 1\n}\n'

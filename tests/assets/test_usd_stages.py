@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orbit_core.assets import load_articulation
-from orbit_core.assets.options import ReadLimits, ReadOptions
-from orbit_core.assets.usd import read_usd, read_usd_all
+from orbit_assets import load_articulation
+from orbit_assets.options import ReadLimits, ReadOptions
+from orbit_assets.usd import read_usd, read_usd_all
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Box, Sphere
 from tests.assets.usd_files import CENTIMETRES, CUBE, body, joint, stage

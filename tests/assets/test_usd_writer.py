@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orbit_core.assets.usd import read_usd, write_usd
-from orbit_core.assets.validation import validate
+from orbit_assets.usd import read_usd, write_usd
+from orbit_core.preparation.validation import validate
 from orbit_core.scene import (
     Articulation,
     Box,

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from orbit_core.assets.objects import box, cabinet, sphere
-from orbit_core.assets.validation import validate_entity
+from orbit_assets.objects import box, cabinet, sphere
 from orbit_core.interfaces import AssetError, Capability, SceneLayout, required_capabilities
+from orbit_core.preparation.validation import validate_entity
 from orbit_core.scene import Articulation, Frame, ObjectSpec, Plane, Scene, Shape
 
 

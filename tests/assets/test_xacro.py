@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from orbit_core.assets.files import load_articulation
-from orbit_core.assets.options import ReadOptions
-from orbit_core.assets.urdf import read_urdf
-from orbit_core.assets.xacro import expansion
-from orbit_core.audit.audit import INERTIA_TOLERANCE, KINEMATICS_TOLERANCE, MASS_TOLERANCE, reference_of
-from orbit_core.audit.reference import compare
+from orbit_assets.audit.audit import INERTIA_TOLERANCE, KINEMATICS_TOLERANCE, MASS_TOLERANCE, reference_of
+from orbit_assets.audit.reference import compare
+from orbit_assets.files import load_articulation
+from orbit_assets.options import ReadOptions
+from orbit_assets.urdf import read_urdf
+from orbit_assets.xacro import expansion
 from orbit_core.interfaces.errors import AssetError
 from tools.asset_corpus import corpus, options_for
 
@@ -222,9 +222,9 @@ def test_modules_in_the_working_folder_are_not_run(tmp_path: Path, monkeypatch: 
 FENCED = """
 import contextlib, os, socket, subprocess, sys, tempfile
 from pathlib import Path
-from orbit_core.assets.options import ReadLimits
-from orbit_core.assets.xacro.order import Order
-from orbit_core.assets.xacro.process import restrict
+from orbit_assets.options import ReadLimits
+from orbit_assets.xacro.order import Order
+from orbit_assets.xacro.process import restrict
 
 folder, outside = sys.argv[1:]
 restrict(Order(f"{folder}/a.xacro", {}, (), {}, ReadLimits(), 1, 2**30, 20), [])

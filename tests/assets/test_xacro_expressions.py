@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from orbit_core.assets.xacro.expressions import evaluate
-from orbit_core.assets.xacro.functions import global_symbols, launch_symbols, tokenize
-from orbit_core.assets.xacro.values import ExpressionError, Function, Namespace
+from orbit_assets.xacro.expressions import evaluate
+from orbit_assets.xacro.functions import global_symbols, launch_symbols, tokenize
+from orbit_assets.xacro.values import ExpressionError, Function, Namespace
 
 XACRO = Namespace(
     {name: Function(name, lambda *values: "") for name in ("load_yaml", "abs_filename", "dotify")}

@@ -13,12 +13,12 @@ from types import ModuleType
 
 import pytest
 
-from orbit_core.assets import load_articulation
-from orbit_core.assets.options import ReadOptions
-from orbit_core.assets.scene_files import load_scene
-from orbit_core.audit.audit import INERTIA_TOLERANCE, KINEMATICS_TOLERANCE, MASS_TOLERANCE, reference_of
-from orbit_core.audit.mjcf_reference import urdf_without_shapes
-from orbit_core.audit.reference import compare
+from orbit_assets import load_articulation
+from orbit_assets.audit.audit import INERTIA_TOLERANCE, KINEMATICS_TOLERANCE, MASS_TOLERANCE, reference_of
+from orbit_assets.audit.mjcf_reference import urdf_without_shapes
+from orbit_assets.audit.reference import compare
+from orbit_assets.options import ReadOptions
+from orbit_assets.scene_files import load_scene
 from orbit_core.interfaces.errors import AssetError
 
 ROOT = Path(__file__).parents[2]

@@ -14,14 +14,16 @@ import numpy as np
 import pytest
 import trimesh.creation
 
-from orbit_core.assets import load_articulation, merge_fixed_links, robot
-from orbit_core.assets.mjcf import write_mjcf
-from orbit_core.assets.mjcf.bodies_writer import renamed_world
-from orbit_core.assets.object_kinds import object_config, object_kinds
-from orbit_core.assets.urdf import write_urdf
-from orbit_core.assets.usd import write_usd
-from orbit_core.audit.geometry import shape_points
-from orbit_core.audit.mechanics import FloatArray, Posture, mass_matrix, posture
+from orbit_assets import load_articulation
+from orbit_assets.audit.geometry import shape_points
+from orbit_assets.audit.mechanics import FloatArray, Posture, mass_matrix, posture
+from orbit_assets.mjcf import write_mjcf
+from orbit_assets.mjcf.bodies_writer import renamed_world
+from orbit_assets.urdf import write_urdf
+from orbit_assets.usd import write_usd
+from orbit_core.objects import object_config, object_kinds
+from orbit_core.preparation.merge import merge_fixed_links
+from orbit_core.robots import robot
 from orbit_core.scene import Articulation, Joint
 
 TOLERANCE = 1e-6

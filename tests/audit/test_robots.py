@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from orbit_core.assets.catalogue import RobotEntry, robot, robot_info
-from orbit_core.audit.findings import Severity
-from orbit_core.audit.robots.report import RobotReport, audit_robot, audit_spec
+from orbit_assets.audit.findings import Severity
+from orbit_assets.audit.robots.report import RobotReport, audit_robot, audit_spec
 from orbit_core.cli import main
+from orbit_core.robots import RobotEntry, robot, robot_info
 from orbit_core.scene import IdealPd, Pose, RobotSpec
 
 Edit = Callable[[RobotSpec], RobotSpec]
@@ -196,6 +196,6 @@ def test_the_command_prints_figures_and_exits_with_1_for_a_fault(
     assert "did you mean 'panda_hand'" in capsys.readouterr().err
     assert main(["check-robot", "panda_hand", "--time-step", "0"]) == 2
     sunk = audited("unitree_go1", raised(-0.1))
-    monkeypatch.setattr("orbit_core.cli.check_robot.audit_robot", lambda name, step: sunk)
+    monkeypatch.setattr("orbit_assets.cli.check_robot.audit_robot", lambda name, step: sunk)
     assert main(["check-robot", "unitree_go1"]) == 1
     assert "1 fault," in capsys.readouterr().out

@@ -12,11 +12,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.capture.fusion import Fused, fusing, kernel
-from orbit_core.capture.fusion import fused as fused_module
-from orbit_core.capture.fusion.source import Program
 from orbit_core.dynamics.linear import solve_spd
 from orbit_core.dynamics.transforms import pose_error, quat_from_matrix, quat_to_matrix
+from orbit_motion.fusion import Fused, fusing, kernel
+from orbit_motion.fusion import fused as fused_module
+from orbit_motion.fusion.source import Program
 
 Given = Callable[..., tuple[Tensor, ...]]
 

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
+from orbit_conformance.robots.checks import CHECKS
+from orbit_conformance.scenarios import SCENARIOS
 from orbit_core import cli
 from orbit_core.backends import backend, default_backend
 from orbit_core.cli import main
-from orbit_core.conformance.robots.checks import CHECKS
-from orbit_core.conformance.scenarios import SCENARIOS
 from orbit_core.envs import task_entries
 from orbit_core.interfaces import Capability, UnknownNameError
 

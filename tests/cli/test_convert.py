@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orbit_core import assets
-from orbit_core.assets import load_articulation
+import orbit_assets as assets
+from orbit_assets import load_articulation
+from orbit_assets.cli.reading import in_flags
 from orbit_core.cli import main
-from orbit_core.cli.reading import in_flags
 from tests.faults import no_file_beyond
 
 ROBOT = """<robot name="lamp">

@@ -12,14 +12,14 @@ import torch
 
 from orbit_core.backends import default_backend
 from orbit_core.cli.making import make_environment
-from orbit_core.cli.play import main, restored_settings
 from orbit_core.cli.settings import PlaySettings
-from orbit_core.cli.train import TrainSettings, _table, for_training
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.learning.description import PolicyDescription
-from orbit_core.learning.networks import Perceptron
-from orbit_core.learning.policy import Policy
-from orbit_core.learning.trainer import Progress
+from orbit_learn.cli.play import main, restored_settings
+from orbit_learn.cli.train import TrainSettings, _table, for_training
+from orbit_learn.description import PolicyDescription
+from orbit_learn.networks import Perceptron
+from orbit_learn.policy import Policy
+from orbit_learn.trainer import Progress
 
 BACKEND = default_backend()
 Trained = Callable[..., Path]

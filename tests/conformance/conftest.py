@@ -16,13 +16,13 @@ from typing import Any
 import pytest
 import torch
 
+from orbit_conformance.execution import Outcome, execute
+from orbit_conformance.merge import merge
+from orbit_conformance.pools import Work
+from orbit_conformance.report.page import write_report
+from orbit_conformance.runner import run
+from orbit_conformance.settings import Part, choose
 from orbit_core import backends
-from orbit_core.conformance.execution import Outcome, execute
-from orbit_core.conformance.merge import merge
-from orbit_core.conformance.pools import Work
-from orbit_core.conformance.report.page import write_report
-from orbit_core.conformance.runner import run
-from orbit_core.conformance.settings import Part, choose
 from orbit_core.interfaces import Backend, Capability, Engine, SceneLayout, UnsupportedCapabilityError
 from orbit_core.scene import Scene
 

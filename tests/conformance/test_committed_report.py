@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from orbit_core.assets.catalogue import robot_names
-from orbit_core.conformance.jobs import Kind
-from orbit_core.conformance.results import load
-from orbit_core.conformance.scenarios import SCENARIOS
-from orbit_core.conformance.tolerances import loose_tolerances
+from orbit_conformance.jobs import Kind
+from orbit_conformance.results import load
+from orbit_conformance.scenarios import SCENARIOS
+from orbit_conformance.tolerances import loose_tolerances
+from orbit_core.robots import robot_names
 
 ROBOTS = [name for name in robot_names() if not name.startswith("maniskill_")]
 ENGINES = ("bullet", "mujoco", "sapien", "warp")

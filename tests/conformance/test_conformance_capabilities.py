@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_conformance.bodies import cube, fixed, geared, index, pendulum, rotor, scene
+from orbit_conformance.scenarios.linkages import four_bar
 from orbit_core import backends
-from orbit_core.conformance.bodies import cube, fixed, geared, index, pendulum, rotor, scene
-from orbit_core.conformance.scenarios.linkages import four_bar
 from orbit_core.interfaces import Backend, Capability, Engine, Level, UnsupportedCapabilityError, required_capabilities
 from orbit_core.scene import (
     Cloth,

@@ -13,16 +13,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.assets.compound_joints import BALL, compound
-from orbit_core.conformance.bodies import (
-    WEIGHTLESS,
-    G,
-    ball,
-    cube,
-    fixed,
-    index,
-    scene,
-)
+from orbit_assets.compound_joints import BALL, compound
+from orbit_conformance.bodies import WEIGHTLESS, G, ball, cube, fixed, index, scene
 from orbit_core.interfaces import TERRAIN, Capability, Engine
 from orbit_core.scene import (
     Articulation,

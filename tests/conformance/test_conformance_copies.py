@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from orbit_core.conformance.bodies import index
+from orbit_conformance.bodies import index
 from orbit_core.interfaces import Backend, Capability, Level
 
 from .conftest import MakeEngine, Needs

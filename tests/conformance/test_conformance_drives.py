@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.conformance.bodies import WEIGHTLESS, geared, index, pendulum, rotor, scene, slider
+from orbit_conformance.bodies import WEIGHTLESS, geared, index, pendulum, rotor, scene, slider
 from orbit_core.dynamics.drive_stability import ExplicitGains, unstable_drive
 from orbit_core.interfaces import Backend, Capability, DriveIntegration
 from orbit_core.scene import Articulation, IdealPd, ImplicitPd, Joint, JointType, Link, Pose, RobotSpec

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from orbit_core.conformance.bodies import scene
-from orbit_core.conformance.scenarios.linkages import PARALLELOGRAM, four_bar
+from orbit_conformance.bodies import scene
+from orbit_conformance.scenarios.linkages import PARALLELOGRAM, four_bar
 from orbit_core.interfaces import Capability
 
 from .conftest import MakeEngine, Needs

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from orbit_core.conformance.bodies import WEIGHTLESS, cube, index, scene, yaw_quaternion
+from orbit_conformance.bodies import WEIGHTLESS, cube, index, scene, yaw_quaternion
 from orbit_core.interfaces import BACKGROUND, TERRAIN, Capability
 
 from .conftest import MakeEngine, Needs

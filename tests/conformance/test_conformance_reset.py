@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.conformance.bodies import cube, index, pendulum, scene
+from orbit_conformance.bodies import cube, index, pendulum, scene
 from orbit_core.interfaces import Backend, Capability, Engine, SimulationError
 from orbit_core.scene import ImplicitPd, Pose, Scene, SensorSpec
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from orbit_core.conformance.bodies import cube, index, scene
+from orbit_conformance.bodies import cube, index, scene
 from orbit_core.interfaces import Capability
 from orbit_core.scene import Articulation, Box, Capsule, Cylinder, ObjectSpec, Pose, Shape, Sphere
 from orbit_core.scene.shapes import Geometry

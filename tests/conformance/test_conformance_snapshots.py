@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.conformance.bodies import cube, index, pendulum, scene
+from orbit_conformance.bodies import cube, index, pendulum, scene
 from orbit_core.interfaces import TERRAIN, Backend, Capability, Engine, Level
 from orbit_core.scene import ContactSensorSpec, ForceTorqueSpec
 

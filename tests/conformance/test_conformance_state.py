@@ -11,18 +11,7 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from orbit_core.conformance.bodies import (
-    WEIGHTLESS,
-    ball,
-    body,
-    cube,
-    index,
-    pendulum,
-    rotor,
-    scene,
-    tree,
-    yaw_quaternion,
-)
+from orbit_conformance.bodies import WEIGHTLESS, ball, body, cube, index, pendulum, rotor, scene, tree, yaw_quaternion
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, RobotSpec
 from orbit_core.world.build_check import check_build
 

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from orbit_core.conformance.bodies import WEIGHTLESS, G, cube, index, pendulum, rotor, scene, yaw_quaternion
+from orbit_conformance.bodies import WEIGHTLESS, G, cube, index, pendulum, rotor, scene, yaw_quaternion
 from orbit_core.interfaces import Capability
 from orbit_core.scene import ForceTorqueSpec, IdealPd, ImplicitPd, Pose
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from orbit_conformance.courses import course_of
+from orbit_conformance.hardware import Hardware
+from orbit_conformance.report.courses import courses
+from orbit_conformance.results import Header, Result
+from orbit_conformance.settings import Part, Settings
+from orbit_conformance.tasks import run_task
 from orbit_core.backends import default_backend
-from orbit_core.conformance.courses import course_of
-from orbit_core.conformance.hardware import Hardware
-from orbit_core.conformance.report.courses import courses
-from orbit_core.conformance.results import Header, Result
-from orbit_core.conformance.settings import Part, Settings
-from orbit_core.conformance.tasks import run_task
 from orbit_core.rollout.recording import Recording
 
 

@@ -10,14 +10,14 @@ from typing import Any, ClassVar
 
 import pytest
 
+from orbit_conformance.declarations import check_declarations
+from orbit_conformance.report.declared import declarations_of
+from orbit_conformance.results import load
+from orbit_conformance.scenario import Metric, Scenario, Trial
+from orbit_conformance.verdict import Status, judge, run_scenario
 from orbit_core import backends
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
-from orbit_core.conformance.declarations import check_declarations
-from orbit_core.conformance.report.declared import declarations_of
-from orbit_core.conformance.results import load
-from orbit_core.conformance.scenario import Metric, Scenario, Trial
-from orbit_core.conformance.verdict import Status, judge, run_scenario
 from orbit_core.interfaces import (
     EXACT,
     Backend,
@@ -186,9 +186,9 @@ def test_a_pass_and_a_declared_gap_say_nothing_of_curves() -> None:
 
 def test_settings_of_backends_reach_scenarios_and_the_result(tmp_path: Path) -> None:
     """A setting that the backend refuses when its engine is made would be told by the job's record."""
-    from orbit_core.conformance.execution import execute
-    from orbit_core.conformance.jobs import Job, Kind
-    from orbit_core.conformance.settings import choose
+    from orbit_conformance.execution import execute
+    from orbit_conformance.jobs import Job, Kind
+    from orbit_conformance.settings import choose
 
     name = default_backend()
     seen: list[Mapping[str, Any]] = []

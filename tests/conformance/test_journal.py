@@ -12,15 +12,15 @@ from pathlib import Path
 
 import pytest
 
+from orbit_conformance import execution
+from orbit_conformance.execution import Outcome
+from orbit_conformance.jobs import Job, Kind, plan
+from orbit_conformance.journal import DROPPED, JOURNAL, Journal
+from orbit_conformance.results import RESULT_FILE, Ending, Header, Record, load
+from orbit_conformance.runner import header_of
+from orbit_conformance.settings import choose
+from orbit_conformance.sources import CORE, backend_packages, source_digests, sources_of
 from orbit_core.backends import backend_names
-from orbit_core.conformance import execution
-from orbit_core.conformance.execution import Outcome
-from orbit_core.conformance.jobs import Job, Kind, plan
-from orbit_core.conformance.journal import DROPPED, JOURNAL, Journal
-from orbit_core.conformance.results import RESULT_FILE, Ending, Header, Record, load
-from orbit_core.conformance.runner import header_of
-from orbit_core.conformance.settings import choose
-from orbit_core.conformance.sources import CORE, backend_packages, source_digests, sources_of
 from orbit_core.interfaces import ConfigurationError, StorageError
 from tests.faults import no_file_beyond
 from tests.forked import run_forked
@@ -133,8 +133,8 @@ def test_a_digest_is_of_a_plugins_files_and_of_those_that_it_shares(tmp_path: Pa
         (about / "METADATA").write_text("\n".join(["Metadata-Version: 2.1", f"Name: {name}", "Version: 1", *lines]))
     (tmp_path / "plugin_a-1.dist-info" / "entry_points.txt").write_text("[orbit.backends]\na = plugin_a:Plugin\n")
     script = (
-        "from orbit_core.conformance.settings import choose\n"
-        "from orbit_core.conformance.sources import backend_packages, source_digests\n"
+        "from orbit_conformance.settings import choose\n"
+        "from orbit_conformance.sources import backend_packages, source_digests\n"
         "print(backend_packages('a'), source_digests(choose(backends=['a'], scenarios=['free_fall'])))\n"
     )
 
@@ -176,8 +176,8 @@ def test_a_plugins_own_package_is_among_its_source() -> None:
 
 def test_no_job_runs_what_is_left_out_of_the_cores_digest() -> None:
     script = (
-        "import sys; import orbit_core.conformance.execution;"
-        "left_out = [n for n in sys.modules if n.startswith(('orbit_core.cli', 'orbit_core.conformance.report'))];"
+        "import sys; import orbit_conformance.execution;"
+        "left_out = [n for n in sys.modules if n.startswith(('orbit_core.cli', 'orbit_conformance.report'))];"
         "sys.exit(f'loaded {left_out}' if left_out else 0)"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)

@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
-from orbit_core.cli.conformance import main
-from orbit_core.conformance.execution import Outcome
-from orbit_core.conformance.hardware import Hardware
-from orbit_core.conformance.jobs import Job, Kind
-from orbit_core.conformance.journal import Journal
-from orbit_core.conformance.merge import merge
-from orbit_core.conformance.results import Ending, Record, load
-from orbit_core.conformance.runner import header_of
-from orbit_core.conformance.settings import FULL, QUICK, Settings, choose
+from orbit_conformance.cli.conformance import main
+from orbit_conformance.execution import Outcome
+from orbit_conformance.hardware import Hardware
+from orbit_conformance.jobs import Job, Kind
+from orbit_conformance.journal import Journal
+from orbit_conformance.merge import merge
+from orbit_conformance.results import Ending, Record, load
+from orbit_conformance.runner import header_of
+from orbit_conformance.settings import FULL, QUICK, Settings, choose
 from orbit_core.interfaces import ConfigurationError, Gap, StorageError
 from tests.faults import no_file_beyond
 

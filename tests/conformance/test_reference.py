@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 import torch
 
-from orbit_core.conformance.reference import (
+from orbit_conformance.reference import (
     PlanarChain,
     RotaryPendulum,
     euler_equations,
@@ -17,7 +17,7 @@ from orbit_core.conformance.reference import (
     pendulum_period,
     trajectory,
 )
-from orbit_core.conformance.scenarios.rolling import RADIUS, THICKNESS, steady_roll
+from orbit_conformance.scenarios.rolling import RADIUS, THICKNESS, steady_roll
 
 
 def test_runge_kutta_is_of_fourth_order() -> None:

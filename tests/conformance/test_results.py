@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from orbit_core.conformance.compare import compare
-from orbit_core.conformance.execution import Outcome
-from orbit_core.conformance.hardware import Hardware
-from orbit_core.conformance.jobs import Job, Kind
-from orbit_core.conformance.journal import PREVIOUS, Journal
-from orbit_core.conformance.results import Ending, Header, Record, Result, ScenarioInfo, ScenarioResult, load, save
-from orbit_core.conformance.scenario import Metric
-from orbit_core.conformance.settings import Part, Settings
-from orbit_core.conformance.tolerances import loose_tolerances
-from orbit_core.conformance.verdict import Status
+from orbit_conformance.compare import compare
+from orbit_conformance.execution import Outcome
+from orbit_conformance.hardware import Hardware
+from orbit_conformance.jobs import Job, Kind
+from orbit_conformance.journal import PREVIOUS, Journal
+from orbit_conformance.results import Ending, Header, Record, Result, ScenarioInfo, ScenarioResult, load, save
+from orbit_conformance.scenario import Metric
+from orbit_conformance.settings import Part, Settings
+from orbit_conformance.tolerances import loose_tolerances
+from orbit_conformance.verdict import Status
 from orbit_core.interfaces import AssetError, ConfigurationError
 
 METRIC = Metric(name="drift", unit="m", tolerance=0.1, meaning="how far")

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from orbit_core.conformance.episodes import TaskResult
-from orbit_core.conformance.execution import RECORDING, TRACES, VIDEO, execute
-from orbit_core.conformance.jobs import Job, Kind, plan
-from orbit_core.conformance.report.page import write_report
-from orbit_core.conformance.results import Ending, Result, load
-from orbit_core.conformance.runner import run
-from orbit_core.conformance.scenarios import SCENARIOS
-from orbit_core.conformance.settings import Part, choose
-from orbit_core.conformance.verdict import Status
+from orbit_conformance.episodes import TaskResult
+from orbit_conformance.execution import RECORDING, TRACES, VIDEO, execute
+from orbit_conformance.jobs import Job, Kind, plan
+from orbit_conformance.report.page import write_report
+from orbit_conformance.results import Ending, Result, load
+from orbit_conformance.runner import run
+from orbit_conformance.scenarios import SCENARIOS
+from orbit_conformance.settings import Part, choose
+from orbit_conformance.verdict import Status
 from orbit_core.interfaces import UnknownNameError
 from orbit_core.rollout.estimates import Estimate
 
@@ -77,7 +77,7 @@ def test_an_exception_is_the_jobs_own(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*arguments: object) -> None:
         raise ZeroDivisionError("no time")
 
-    monkeypatch.setattr("orbit_core.conformance.execution.run_scenario", fail)
+    monkeypatch.setattr("orbit_conformance.execution.run_scenario", fail)
     settings = choose(backends=PAIR, scenarios=["free_fall"])
     record = execute(Job(Kind.SCENARIO, "free_fall", PAIR[0], 0.005), settings, {}).record
     assert (record.ending, record.reason, record.status) == (Ending.ERROR, "ZeroDivisionError: no time", Status.FAIL)
@@ -94,7 +94,7 @@ def test_one_episode_that_misses_is_looked_at_again(
         success = Estimate(rate, 0.0, 1.0)
         return TaskResult(task, backend, seed, {}, num_envs, success, {}, success, None, expert_success=0.8)
 
-    monkeypatch.setattr("orbit_core.conformance.execution.run_task", run_task)
+    monkeypatch.setattr("orbit_conformance.execution.run_task", run_task)
     settings = choose(backends=PAIR, tasks=["Nut-Bolt"], quick=True)
     record = execute(Job(Kind.TASK, "Nut-Bolt", PAIR[0]), settings, {}).record
     assert asked == counts

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from orbit_conformance.scenario import Scenario, Trial
+from orbit_conformance.scenarios import SCENARIOS
+from orbit_conformance.verdict import Status, run_scenario
 from orbit_core.backends import matter_names
-from orbit_core.conformance.scenario import Scenario, Trial
-from orbit_core.conformance.scenarios import SCENARIOS
-from orbit_core.conformance.verdict import Status, run_scenario
 from orbit_core.interfaces import Backend
 from orbit_core.interfaces.matter import NATIVE
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from orbit_core.conformance.slender import Edge, catenary, chain_period, elastica_droop, loaded_chain_period
+from orbit_conformance.slender import Edge, catenary, chain_period, elastica_droop, loaded_chain_period
 
 G = 9.81
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import psutil
 import pytest
 
+from orbit_conformance.journal import JOURNAL
+from orbit_conformance.results import Ending, load
+from orbit_conformance.verdict import Status
 from orbit_core.cli import main
-from orbit_core.conformance.journal import JOURNAL
-from orbit_core.conformance.results import Ending, load
-from orbit_core.conformance.verdict import Status
 
 from .conftest import PAIR, PROGRAM
 

@@ -10,14 +10,15 @@ import pytest
 import torch
 from torch import Tensor
 
+from orbit_conformance.task_audit import EXPERT, Status, TaskAudit, audit_task
+from orbit_conformance.task_starts import coverage
 from orbit_core.cli import main
-from orbit_core.conformance.task_audit import EXPERT, Status, TaskAudit, audit_task
-from orbit_core.conformance.task_starts import coverage
-from orbit_core.envs import EventTerm, Expert
+from orbit_core.envs import EventTerm
 from orbit_core.envs.registry import task_entries
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
+from orbit_motion.experts import Expert
 from orbit_tasks.reach import Reach
 
 QUICK = ("Reach", "Lift", "Stack", "Cabinet", "Hockey", "Cartpole-Balance", "Velocity-Flat")

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from orbit_conformance.replay import replay
+from orbit_conformance.tasks import compare_recordings, run_task
+from orbit_conformance.throughput import measure_once
 from orbit_core.backends import default_backend
-from orbit_core.conformance.replay import replay
-from orbit_core.conformance.tasks import compare_recordings, run_task
-from orbit_core.conformance.throughput import measure_once
 from orbit_core.interfaces import AssetError, ConfigurationError
 
 SHORT = {"episode_length": 1.0}

@@ -7,22 +7,22 @@ from pathlib import Path
 
 import pytest
 
+from orbit_conformance.compare import compare
+from orbit_conformance.episodes import TaskResult
+from orbit_conformance.execution import execute
+from orbit_conformance.hardware import Hardware
+from orbit_conformance.jobs import Job, Kind, plan
+from orbit_conformance.report.page import write_report
+from orbit_conformance.results import Ending, Header, PolicyInfo, Record, Result, load, save
+from orbit_conformance.settings import Part, Settings, choose
+from orbit_conformance.sources import source_digests, sources_of
+from orbit_conformance.transfer import TransferResult, judge, transfer
+from orbit_conformance.verdict import Status
 from orbit_core import backends
 from orbit_core.backends import default_backend
-from orbit_core.conformance.compare import compare
-from orbit_core.conformance.episodes import TaskResult
-from orbit_core.conformance.execution import execute
-from orbit_core.conformance.hardware import Hardware
-from orbit_core.conformance.jobs import Job, Kind, plan
-from orbit_core.conformance.report.page import write_report
-from orbit_core.conformance.results import Ending, Header, PolicyInfo, Record, Result, load, save
-from orbit_core.conformance.settings import Part, Settings, choose
-from orbit_core.conformance.sources import source_digests, sources_of
-from orbit_core.conformance.transfer import TransferResult, judge, transfer
-from orbit_core.conformance.verdict import Status
 from orbit_core.interfaces import Capabilities, Capability, unsupported
-from orbit_core.pretrained import PretrainedPolicy, TransferGap
 from orbit_core.rollout.estimates import mean, proportion
+from orbit_learn.pretrained import PretrainedPolicy, TransferGap
 
 SLIPS = TransferGap(backend="slippery", least_success=0.6, reason="its bars are oiled")
 KEPT = PretrainedPolicy("pull", Path(), "Pulls", least_success=0.9, gaps=(SLIPS,))

@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from orbit_core.assets.objects import box, cylinder, mesh_object, sphere
-from orbit_core.conformance.bodies import cube
+from orbit_assets.objects import box, cylinder, mesh_object, sphere
+from orbit_conformance.bodies import cube
 from orbit_core.interfaces import Backend, Capability, World
 from orbit_core.scene import CameraSpec, Channel, ContactSensorSpec, Mesh, ObjectSpec, Pose, Scene, look_at
 from orbit_core.world import simulate

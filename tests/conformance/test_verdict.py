@@ -9,10 +9,10 @@ from unittest.mock import patch
 
 import pytest
 
+from orbit_conformance.scenario import Trial
+from orbit_conformance.scenarios import SCENARIOS
+from orbit_conformance.verdict import Status, Verdict, run_scenario
 from orbit_core import backends
-from orbit_core.conformance.scenario import Trial
-from orbit_core.conformance.scenarios import SCENARIOS
-from orbit_core.conformance.verdict import Status, Verdict, run_scenario
 from orbit_core.interfaces import Gap, SimulationError
 
 

@@ -10,14 +10,14 @@ import torch
 
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.cli import main
-from orbit_core.data.augmentation import cut, hand_pose
-from orbit_core.data.formats import opened
-from orbit_core.data.hdf5 import Hdf5Dataset
-from orbit_core.data.recording import RecordingFile, record
-from orbit_core.data.replay import replay
 from orbit_core.envs import Environment, make
 from orbit_core.envs.actors import scripted_actor
 from orbit_core.interfaces import ConfigurationError
+from orbit_data.augmentation import cut, hand_pose
+from orbit_data.formats import opened
+from orbit_data.hdf5 import Hdf5Dataset
+from orbit_data.recording import RecordingFile, record
+from orbit_data.replay import replay
 
 BACKEND = default_backend()
 OTHER = next(name for name in backend_names() if name != BACKEND)

@@ -13,15 +13,15 @@ import pytest
 
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
-from orbit_core.data.episodes import Episode, EpisodeInfo
-from orbit_core.data.formats import common_manifest, divided, opened, write_dataset
-from orbit_core.data.hdf5 import Hdf5Dataset, write_hdf5
-from orbit_core.data.lerobot import write_lerobot
-from orbit_core.data.lerobot_reader import LeRobotDataset
-from orbit_core.data.recording import RecordingFile, record
 from orbit_core.envs import make
 from orbit_core.envs.actors import scripted_actor
 from orbit_core.interfaces import ConfigurationError
+from orbit_data.episodes import Episode, EpisodeInfo
+from orbit_data.formats import common_manifest, divided, opened, write_dataset
+from orbit_data.hdf5 import Hdf5Dataset, write_hdf5
+from orbit_data.lerobot import write_lerobot
+from orbit_data.lerobot_reader import LeRobotDataset
+from orbit_data.recording import RecordingFile, record
 
 BACKEND = default_backend()
 STEPS = 10

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from orbit_core.cli import main
-from orbit_core.data.episodes import Episode, EpisodeInfo
-from orbit_core.data.formats import opened, write_dataset
-from orbit_core.data.hdf5 import write_hdf5
 from orbit_core.files import sweep
 from orbit_core.interfaces import ConfigurationError
+from orbit_data.episodes import Episode, EpisodeInfo
+from orbit_data.formats import opened, write_dataset
+from orbit_data.hdf5 import write_hdf5
 from tests.faults import kills, no_file_beyond, small_disk
 
 

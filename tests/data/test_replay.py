@@ -11,13 +11,13 @@ import pytest
 
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.cli import main
-from orbit_core.data.formats import opened, write_dataset
-from orbit_core.data.hdf5 import Hdf5Dataset
-from orbit_core.data.recording import RecordingFile, record
-from orbit_core.data.replay import fields_of, replay
 from orbit_core.envs import Environment, make
 from orbit_core.envs.actors import scripted_actor
 from orbit_core.interfaces import ConfigurationError
+from orbit_data.formats import opened, write_dataset
+from orbit_data.hdf5 import Hdf5Dataset
+from orbit_data.recording import RecordingFile, record
+from orbit_data.replay import fields_of, replay
 
 BACKEND = default_backend()
 OTHER = next(name for name in backend_names() if name != BACKEND)

@@ -12,9 +12,9 @@ import zarr
 import zarr.storage
 
 from orbit_core.cli import main
-from orbit_core.data.formats import opened, write_dataset
-from orbit_core.data.zarr_reader import ZarrDataset
 from orbit_core.interfaces import ConfigurationError
+from orbit_data.formats import opened, write_dataset
+from orbit_data.zarr_reader import ZarrDataset
 
 ACTION = np.arange(20, dtype=np.float32).reshape(10, 2)
 PICTURES = np.arange(10 * 4 * 4 * 3, dtype=np.uint8).reshape(10, 4, 4, 3)

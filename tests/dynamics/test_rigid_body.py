@@ -13,13 +13,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orbit_core.assets import load_articulation
-from orbit_core.assets.catalogue import robot
-from orbit_core.assets.merge import merge_fixed_links
-from orbit_core.assets.options import ReadOptions, Unsupported
-from orbit_core.audit.mechanics import posture
-from orbit_core.audit.mjcf_reference import MujocoReference
+from orbit_assets import load_articulation
+from orbit_assets.audit.mechanics import posture
+from orbit_assets.audit.mjcf_reference import MujocoReference
+from orbit_assets.options import ReadOptions, Unsupported
 from orbit_core.dynamics.rigid_body import RigidBodyModel
+from orbit_core.preparation.merge import merge_fixed_links
+from orbit_core.robots import robot
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose
 
 Build = Callable[[Articulation, bool], Any]

@@ -9,13 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.assets.catalogue import robot as catalogue_robot
-from orbit_core.assets.compose import attach
-from orbit_core.backends import default_backend
-from orbit_core.envs import Environment, make
-from orbit_core.envs.configuration import configure
-from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.motion import (
+from orbit_assets.compose import attach
+from orbit_core.actions import (
     ActionTerms,
     BaseVelocityConfig,
     BinaryGripperConfig,
@@ -24,6 +19,11 @@ from orbit_core.motion import (
     JointPositionConfig,
     JointVelocityConfig,
 )
+from orbit_core.backends import default_backend
+from orbit_core.envs import Environment, make
+from orbit_core.envs.configuration import configure
+from orbit_core.interfaces import ConfigurationError, UnknownNameError
+from orbit_core.robots import robot as catalogue_robot
 from orbit_core.scene import (
     Articulation,
     EndEffector,

@@ -14,7 +14,7 @@ from orbit_core.backends import backend, backend_config, default_backend
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.interfaces import ArgumentError, ClosedError, ConfigurationError, NonFiniteError, OrbitError, ShapeError
-from orbit_core.learning.gymnasium import SingleEnvironment, VectorEnvironment
+from orbit_learn.gymnasium import SingleEnvironment, VectorEnvironment
 
 BACKEND = default_backend()
 N = 3

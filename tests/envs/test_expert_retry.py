@@ -8,9 +8,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.envs import Environment, Expert, Phase, Retry, Task, make
+from orbit_core.envs import Environment, Task, make
 from orbit_core.interfaces import ConfigurationError, World
-from orbit_core.mdp import common, picking
+from orbit_core.mdp import common
+from orbit_motion.experts import Expert, Phase, Retry
+from orbit_tasks.mdp import picking
 
 
 @pytest.fixture(scope="module")

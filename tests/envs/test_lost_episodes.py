@@ -10,8 +10,8 @@ import torch
 from orbit_core.envs import Environment, PpoSettings, make
 from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.interfaces import SimulationError
-from orbit_core.learning.learners import trainer_type
-from orbit_core.learning.training import Training
+from orbit_learn.learners import trainer_type
+from orbit_learn.training import Training
 
 
 def break_one(env: Environment, which: int) -> None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 import torch
 
+from orbit_core.actions.full_ik import FullIk
 from orbit_core.backends import backend_names
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import pose_inverse, pose_multiply
 from orbit_core.envs import Environment, make
-from orbit_core.envs.mppi import Mppi, MppiConfig
 from orbit_core.interfaces import ArgumentError, ConfigurationError
 from orbit_core.mdp import common
-from orbit_core.motion.full_ik import FullIk
+from orbit_motion.experts.mppi import Mppi, MppiConfig
 from orbit_tasks.cartpole import state
 
 BACKENDS = [name for name in ("mujoco", "bullet") if name in backend_names()]

@@ -10,11 +10,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from orbit_conformance.tasks import run_task
 from orbit_core.backends import backend as find_backend
 from orbit_core.cli.run import _table
 from orbit_core.cli.runner import run
 from orbit_core.cli.settings import RunSettings
-from orbit_core.conformance.tasks import run_task
 from orbit_core.envs import Environment, EventTerm, PremiseTerm
 from orbit_core.interfaces import Capability, ConfigurationError, Level, PremiseError, World
 from orbit_tasks.hockey import Hockey, HockeyEvents, HockeyPremises, place_puck
@@ -159,7 +159,7 @@ def test_a_run_and_the_conformance_suite_say_how_often_a_premise_fails(monkeypat
     cells = [str(cell) for column in _table(result).columns for cell in column.cells]
     assert "premise 'fallen'" in cells
     assert f"fails in {failed} of 8 sampled starts: the puck floats above the ice" in cells
-    monkeypatch.setattr("orbit_core.conformance.episodes.make", lambda *_, **__: lenient(HighHockey(), 8))
+    monkeypatch.setattr("orbit_conformance.episodes.make", lambda *_, **__: lenient(HighHockey(), 8))
     assert run_task("Hockey", "mujoco", num_envs=8).premises[1].failed == failed
 
 

@@ -9,9 +9,10 @@ import torch
 
 from orbit_core.backends import default_backend
 from orbit_core.dynamics.kinematics import KinematicTree
-from orbit_core.envs import Environment, Expert, ObservationTerm, Phase, RewardTerm, make
+from orbit_core.envs import Environment, ObservationTerm, RewardTerm, make
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.mdp import common
+from orbit_motion.experts import Expert, Phase
 from orbit_tasks.handover import GIVER, GRIP, RECEIVER, Handover, grip
 from orbit_tasks.lift import Lift
 

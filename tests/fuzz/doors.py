@@ -8,13 +8,12 @@ from typing import Any
 
 import torch
 
-from orbit_core.assets.catalogue import robot, robot_info
-from orbit_core.assets.objects import box, capsule, cylinder, sphere, table
+from orbit_assets.objects import box, capsule, cylinder, sphere, table
 from orbit_core.backends import backend, renderer
 from orbit_core.cli import main
 from orbit_core.envs import make
 from orbit_core.interfaces import OrbitError
-from orbit_core.learning.gymnasium import SingleEnvironment, VectorEnvironment
+from orbit_core.robots import robot, robot_info
 from orbit_core.scene import (
     CameraSpec,
     Channel,
@@ -29,6 +28,7 @@ from orbit_core.scene import (
     Scene,
 )
 from orbit_core.world import simulate
+from orbit_learn.gymnasium import SingleEnvironment, VectorEnvironment
 from tests.fuzz.pool import Pool
 
 N = 3

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from orbit_core.assets import load_articulation
-from orbit_core.assets.meshes import load_mesh, load_parts
+from orbit_assets import load_articulation
+from orbit_assets.meshes import load_mesh, load_parts
 from orbit_core.interfaces.errors import AssetError
 from tests.fuzz.mutations import mutate
 

@@ -15,8 +15,8 @@ from rsl_rl.runners import OnPolicyRunner
 
 from orbit_core.backends import default_backend
 from orbit_core.envs import PpoSettings, make
-from orbit_core.learning.rsl_rl import RslRlTrainer
-from orbit_core.learning.training import Training
+from orbit_learn.rsl_rl import RslRlTrainer
+from orbit_learn.training import Training
 
 
 def on_cpu(runner: OnPolicyRunner) -> None:

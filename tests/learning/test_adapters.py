@@ -14,12 +14,12 @@ from torchrl.envs.utils import check_env_specs
 
 from orbit_core.backends import default_backend
 from orbit_core.envs import Environment, make
-from orbit_core.learning.rl_games import RlGamesEnvironment
-from orbit_core.learning.rsl_rl import RslRlEnvironment
-from orbit_core.learning.sb3 import Sb3Environment
-from orbit_core.learning.skrl import SkrlEnvironment
-from orbit_core.learning.torchrl import TorchRlEnvironment
 from orbit_core.rollout.ends import EpisodeTally, true_next
+from orbit_learn.rl_games import RlGamesEnvironment
+from orbit_learn.rsl_rl import RslRlEnvironment
+from orbit_learn.sb3 import Sb3Environment
+from orbit_learn.skrl import SkrlEnvironment
+from orbit_learn.torchrl import TorchRlEnvironment
 
 BACKEND = default_backend()
 COUNT, STEPS = 3, 4

@@ -14,8 +14,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import NormalizeReward, RecordEpisodeStatistics
 from stable_baselines3 import PPO
 
-import orbit_core.learning.gymnasium
-from orbit_core.assets.terrain import Rough, TerrainGrid
+import orbit_learn.gymnasium
+from orbit_assets.terrain import Rough, TerrainGrid
 from orbit_core.backends import default_backend
 from orbit_core.envs import RewardTerm, make, task_entries
 from orbit_core.envs.captured_step import CapturedStep
@@ -27,7 +27,7 @@ BACKEND = default_backend()
 
 
 def test_every_task_has_an_id() -> None:
-    orbit_core.learning.register()  # again: harmless
+    orbit_learn.register()  # again: harmless
     assert {f"orbit/{name}-v0" for name in task_entries()} <= set(gymnasium.registry)
 
 
@@ -114,7 +114,7 @@ def test_a_single_environment_shows_the_end_of_its_episode() -> None:
 def test_a_single_environment_waits_for_reset_and_skips_no_episode(captured: bool) -> None:
     """As one of a batch begins its episodes, so does it; in between it shows how the last one ended."""
     kept = {"backend": BACKEND, "episode_length": 0.06, "seed": 3}
-    single = orbit_core.learning.gymnasium.SingleEnvironment("Reach", render_mode="rgb_array", **kept)
+    single = orbit_learn.gymnasium.SingleEnvironment("Reach", render_mode="rgb_array", **kept)
     inner = single.environment
     inner._closed = CapturedStep(inner, compile=False, whole=False, renews=False) if captured else None
     batch = make("Reach", num_envs=1, **kept)
@@ -165,7 +165,7 @@ def test_the_policy_gradient_climbs_in_a_vector_environment() -> None:
     """REINFORCE (Williams, 1992), by hand: the mean return of 64 environments' episodes rises by a quarter."""
     torch.manual_seed(0)
     task = Reach(rewards=Height(), episode_length=0.5)
-    environment = orbit_core.learning.gymnasium.VectorEnvironment(task, num_envs=64, backend=BACKEND)
+    environment = orbit_learn.gymnasium.VectorEnvironment(task, num_envs=64, backend=BACKEND)
     mean = torch.zeros(environment.single_action_space.shape, requires_grad=True)
     optimizer = torch.optim.Adam([mean], lr=0.1)
     environment.reset(seed=0)
@@ -190,7 +190,7 @@ def test_the_policy_gradient_climbs_in_a_vector_environment() -> None:
 def test_a_library_learns_in_a_single_environment() -> None:
     """Stable-Baselines3 as it is, which wraps Gymnasium's environments itself."""
     task = Reach(rewards=Height(), episode_length=0.5)
-    environment = orbit_core.learning.gymnasium.SingleEnvironment(task, backend=BACKEND)
+    environment = orbit_learn.gymnasium.SingleEnvironment(task, backend=BACKEND)
     settings = {"n_steps": 250, "batch_size": 125, "gamma": 0.9, "learning_rate": 3e-3, "seed": 0}
     model = PPO("MultiInputPolicy", environment, policy_kwargs={"ortho_init": False}, **settings)
     model.learn(250)

@@ -17,17 +17,17 @@ from torchrl.envs.utils import check_env_specs
 from orbit_core.backends import default_backend, renderer_names
 from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, PpoSettings
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.learning.checkpoint import read_checkpoint
-from orbit_core.learning.convolutional import Convolutional
-from orbit_core.learning.groups import tensors_by_name
-from orbit_core.learning.learners import trainer_type
-from orbit_core.learning.policy import PolicyActor, load_policy
-from orbit_core.learning.sb3_pictures import seen_arrays
-from orbit_core.learning.torchrl import TorchRlEnvironment
-from orbit_core.learning.training import Training
 from orbit_core.mdp import common
 from orbit_core.mdp.images import camera_color, camera_depth, camera_segmentation
 from orbit_core.scene import CameraSpec, Channel, look_at
+from orbit_learn.checkpoint import read_checkpoint
+from orbit_learn.convolutional import Convolutional
+from orbit_learn.groups import tensors_by_name
+from orbit_learn.learners import trainer_type
+from orbit_learn.policy import PolicyActor, load_policy
+from orbit_learn.sb3_pictures import seen_arrays
+from orbit_learn.torchrl import TorchRlEnvironment
+from orbit_learn.training import Training
 from orbit_tasks.reach import Reach, ReachState
 
 BACKEND = default_backend()

@@ -12,10 +12,10 @@ import torch
 from torch import nn
 
 from orbit_core.interfaces import OrbitError
-from orbit_core.learning import network_registry
-from orbit_core.learning.description import Part, PolicyDescription
-from orbit_core.learning.network_registry import register_network
-from orbit_core.learning.policy import Policy, load_policy
+from orbit_learn import network_registry
+from orbit_learn.description import Part, PolicyDescription
+from orbit_learn.network_registry import register_network
+from orbit_learn.policy import Policy, load_policy
 
 DESCRIPTION = PolicyDescription(
     "Reach", "a_robot", "joint_position", (Part("seen", 3),), (Part("moved", 2),), 0.02, "an_engine", "a_library", 1

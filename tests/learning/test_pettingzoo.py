@@ -21,9 +21,9 @@ from torch import Tensor, nn
 from orbit_core.backends import default_backend
 from orbit_core.envs import RewardTerm
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.learning.networks import perceptron
-from orbit_core.learning.pettingzoo import ParallelEnvironment
 from orbit_core.mdp import common
+from orbit_learn.networks import perceptron
+from orbit_learn.pettingzoo import ParallelEnvironment
 from orbit_tasks.handover import GIVER, RECEIVER, Handover
 
 BACKEND = default_backend()

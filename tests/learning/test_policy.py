@@ -14,8 +14,8 @@ import torch
 from orbit_core.backends import default_backend
 from orbit_core.envs import Environment, make
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.learning.networks import Perceptron, perceptron, perceptron_actor
-from orbit_core.learning.policy import Policy, PolicyActor, PolicyDescription, load_policy, whole_agent
+from orbit_learn.networks import Perceptron, perceptron, perceptron_actor
+from orbit_learn.policy import Policy, PolicyActor, PolicyDescription, load_policy, whole_agent
 
 BACKEND = default_backend()
 

@@ -21,12 +21,12 @@ from orbit_core.backends import default_backend
 from orbit_core.cli import main
 from orbit_core.envs import Environment, ObservationGroup, ObservationTerm, PpoSettings, RewardTerm
 from orbit_core.interfaces import ConfigurationError, StorageError, UnknownNameError
-from orbit_core.learning.checkpoint import read_checkpoint
-from orbit_core.learning.learners import library_names, trainer_type
-from orbit_core.learning.policy import PolicyActor, load_policy
-from orbit_core.learning.trainer import Progress, Trainer
-from orbit_core.learning.training import Training, check_new
 from orbit_core.mdp import common
+from orbit_learn.checkpoint import read_checkpoint
+from orbit_learn.learners import library_names, trainer_type
+from orbit_learn.policy import PolicyActor, load_policy
+from orbit_learn.trainer import Progress, Trainer
+from orbit_learn.training import Training, check_new
 from orbit_tasks.reach import Reach
 from tests.faults import no_file_beyond
 
@@ -307,7 +307,7 @@ def test_the_command_line_trains_plays_and_exports(tmp_path: Path, capsys: pytes
 def test_several_processes_need_gpus_and_a_library_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {"RANK": "1", "LOCAL_RANK": "1", "WORLD_SIZE": "2"}.items():
         monkeypatch.setenv(name, value)
-    from orbit_core.cli.train import TrainSettings, train
+    from orbit_learn.cli.train import TrainSettings, train
 
     settings = TrainSettings(task="Reach", backend=BACKEND)
     with pytest.raises(ConfigurationError, match="add --device cuda"):
@@ -350,7 +350,7 @@ def test_a_library_that_is_not_installed_is_named_with_its_extra(monkeypatch: py
     with pytest.raises(UnknownNameError, match="rsl-rl"):
         trainer_type("rsl_rl")
     for module in [*sys.modules]:  # as in a process that has loaded nothing of it
-        if module.startswith(("stable_baselines3.", "orbit_core.learning.sb3")):
+        if module.startswith(("stable_baselines3.", "orbit_learn.sb3")):
             monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     with pytest.raises(ConfigurationError, match=r"pip install 'orbit-core\[sb3\]'"):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_core.actions import BaseVelocityConfig
 from orbit_core.dynamics.transforms import yaw_angle
 from orbit_core.interfaces import ConfigurationError, PlanningError
-from orbit_core.motion import BaseVelocityConfig
-from orbit_core.motion.planning import BasePathFollower, BasePlanner, BasePlannerConfig
 from orbit_core.scene import Box, ObjectSpec, Plane, Pose, Shape, single_link
+from orbit_motion.planning import BasePathFollower, BasePlanner, BasePlannerConfig
 from tests.motion.servo_world import BACKENDS, Held, held
 
 MAP = BasePlannerConfig(radius=0.45, height=0.4, low=(-1.5, -2.5), high=(4.0, 2.5))

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 import torch
 
+from orbit_core.actions import BaseVelocityConfig, action_words, motion_generators, preset_terms
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.motion import BaseVelocityConfig, action_words, motion_generators, preset_terms
 
 MakeRobot = Callable[..., Any]
 JOINTS = ("panda_joint2", "panda_joint4", "panda_joint1")  # any three will do where there is no physics
@@ -65,7 +65,7 @@ def test_a_word_for_what_the_robot_lacks_is_refused(kinematic_robot: MakeRobot) 
 _THEIRS = '''
 from dataclasses import dataclass
 from typing import ClassVar
-from orbit_core.motion import CommandMode, JointPosition, JointPositionConfig
+from orbit_motion import CommandMode, JointPosition, JointPositionConfig
 
 @dataclass(frozen=True, kw_only=True)
 class Gentle(JointPositionConfig):

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_core.actions import CommandMode, JointPositionConfig
+from orbit_core.actions.full_ik import FullIk
+from orbit_core.actions.term import ActionTerm
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import quat_multiply, quat_rotate
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.motion import AdmittanceConfig, CommandMode, HybridForceMotionConfig, JointPositionConfig
-from orbit_core.motion.full_ik import FullIk
-from orbit_core.motion.term import ActionTerm
 from orbit_core.scene import (
     Articulation,
     Box,
@@ -29,6 +29,7 @@ from orbit_core.scene import (
     single_link,
 )
 from orbit_core.sensors import ContactSensor, ForceTorqueSensor
+from orbit_motion import AdmittanceConfig, HybridForceMotionConfig
 from tests.motion.servo_world import BACKENDS, ENGINES, Held, held, wrench_on_hand
 
 TOUCH = ContactSensorSpec(name="touch", entity="robot", links=("panda_link7", ".*finger"), rate=500.0)

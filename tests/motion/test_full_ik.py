@@ -8,13 +8,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.assets import robot
-from orbit_core.assets.catalogue import robot_names
+from orbit_core.actions.full_ik import FullIk
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces.layout import home_positions
 from orbit_core.interfaces.names import match_names
-from orbit_core.motion.full_ik import FullIk
+from orbit_core.robots import robot, robot_names
 
 
 @dataclass

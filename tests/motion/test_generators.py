@@ -9,17 +9,12 @@ from typing import Any
 import pytest
 import torch
 
-from orbit_core.dynamics.rigid_body import RigidBodyModel
-from orbit_core.dynamics.transforms import pose_error, pose_multiply
-from orbit_core.interfaces import ConfigurationError
-from orbit_core.motion import (
+from orbit_core.actions import (
     ActionTerm,
-    CartesianImpedanceConfig,
     CommandMode,
     DifferentialIk,
     DifferentialIkConfig,
     FullIkTermConfig,
-    HybridForceMotionConfig,
     IkMethod,
     JointEffort,
     JointEffortConfig,
@@ -27,10 +22,12 @@ from orbit_core.motion import (
     JointPositionConfig,
     JointVelocity,
     JointVelocityConfig,
-    PrioritizedIkConfig,
-    RmpFlowConfig,
     joint_delta,
 )
+from orbit_core.dynamics.rigid_body import RigidBodyModel
+from orbit_core.dynamics.transforms import pose_error, pose_multiply
+from orbit_core.interfaces import ConfigurationError
+from orbit_motion import CartesianImpedanceConfig, HybridForceMotionConfig, PrioritizedIkConfig, RmpFlowConfig
 from tests.motion.servo_world import BACKENDS, held
 
 MakeRobot = Callable[..., Any]

@@ -10,7 +10,7 @@ import torch
 
 from orbit_core.envs import Environment, make
 from orbit_core.interfaces import ArgumentError, ConfigurationError, UnknownNameError
-from orbit_core.motion.grasping import GraspWorkflow, Stage
+from orbit_motion.grasping import GraspWorkflow, Stage
 from tests.motion.servo_world import BACKENDS
 
 

@@ -8,21 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.assets.catalogue import robot as catalogue_robot
-from orbit_core.assets.objects import box
+from orbit_assets.objects import box
+from orbit_core.actions import JointPositionConfig
 from orbit_core.dynamics.transforms import quat_to_matrix
 from orbit_core.interfaces import ArgumentError, ConfigurationError, PlanningError
-from orbit_core.motion import JointPositionConfig
-from orbit_core.motion.grasping import (
-    GraspConfig,
-    GraspPlanner,
-    HandBoxes,
-    grasp_candidates,
-    surface_of,
-    surface_of_cloud,
-)
-from orbit_core.motion.planning import PlannerConfig, StillWorld
+from orbit_core.robots import robot as catalogue_robot
 from orbit_core.scene import Box, Cylinder, Geometry, Plane, Pose, Shape, Sphere, single_link
+from orbit_motion.grasping import GraspConfig, GraspPlanner, HandBoxes, grasp_candidates, surface_of, surface_of_cloud
+from orbit_motion.planning import PlannerConfig, StillWorld
 from tests.motion.servo_world import BACKENDS, Held, held
 
 UP = torch.tensor([0.0, 0.0, 1.0])

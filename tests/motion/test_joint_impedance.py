@@ -7,11 +7,12 @@ import math
 import pytest
 import torch
 
+from orbit_core.actions import CommandMode
+from orbit_core.actions.ik import towards_pose
 from orbit_core.envs import make
 from orbit_core.envs.captured_step import CapturedStep
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.motion import CommandMode, GainCommand, GainRange, JointImpedanceConfig
-from orbit_core.motion.ik import towards_pose
+from orbit_motion import GainCommand, GainRange, JointImpedanceConfig
 from tests.motion.servo_world import BACKENDS, held, wrench_on_hand
 
 STIFFNESS = 60.0

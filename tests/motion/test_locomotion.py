@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
+from orbit_core.actions import ActionTerms
 from orbit_core.dynamics.transforms import quat_rotate_inverse
 from orbit_core.envs import make
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.motion import ActionTerms
 from orbit_tasks.locomotion import LocomotionConfig
 from tests.motion.servo_world import BACKENDS, held
 

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.dynamics.transforms import pose_error, quat_yaw
-from orbit_core.interfaces import ConfigurationError
-from orbit_core.motion import (
+from orbit_core.actions import (
     BaseVelocityConfig,
     CommandMode,
     DifferentialDriveConfig,
     GraspSynergiesConfig,
-    WholeBodyIkConfig,
     preset_terms,
 )
-from orbit_core.motion.grasp_synergies import synergies_of
+from orbit_core.actions.grasp_synergies import synergies_of
+from orbit_core.dynamics.transforms import pose_error, quat_yaw
+from orbit_core.interfaces import ConfigurationError
 from orbit_core.scene import Plane, Shape
+from orbit_motion import WholeBodyIkConfig
 from tests.motion.servo_world import BACKENDS, held
 
 MakeRobot = Callable[..., Any]

@@ -7,8 +7,8 @@ import torch
 
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.motion.mpc import Gait, HandMpcConfig, Plan, Predictive, TrunkMpc, TrunkMpcConfig, stance_at
 from orbit_core.scene import Plane, Shape
+from orbit_motion.mpc import Gait, HandMpcConfig, Plan, Predictive, TrunkMpc, TrunkMpcConfig, stance_at
 from tests.motion.servo_world import BACKENDS, Held, held
 
 pytest.importorskip(

@@ -7,9 +7,10 @@ import math
 import pytest
 import torch
 
+from orbit_core.actions import CommandMode
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.motion import CartesianImpedanceConfig, CommandMode, GainCommand, OperationalSpaceConfig
+from orbit_motion import CartesianImpedanceConfig, GainCommand, OperationalSpaceConfig
 from tests.motion.servo_world import BACKENDS, ENGINES, held, wrench_on_hand
 
 OPEN = torch.ones(6, dtype=torch.bool)

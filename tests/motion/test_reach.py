@@ -9,23 +9,21 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from orbit_core.motion import (
+from orbit_core.actions import CommandMode, DifferentialIkConfig, FullIkTermConfig
+from orbit_core.actions.differential_ik import PoseTermConfig
+from orbit_core.actions.reach import PoseFollower
+from orbit_core.rollout.reach_watch import ReachWatch
+from orbit_motion import (
     Admittance,
     AdmittanceConfig,
     CartesianImpedanceConfig,
-    CommandMode,
-    DifferentialIkConfig,
-    FullIkTermConfig,
     HybridForceMotionConfig,
     OperationalSpaceConfig,
     PrioritizedIkConfig,
     RmpFlow,
     RmpFlowConfig,
 )
-from orbit_core.motion.compliant import Compliant
-from orbit_core.motion.differential_ik import PoseTermConfig
-from orbit_core.motion.reach import PoseFollower
-from orbit_core.rollout.reach_watch import ReachWatch
+from orbit_motion.compliant import Compliant
 from tests.motion.conftest import KinematicRobot
 
 MakeRobot = Callable[..., KinematicRobot]

@@ -13,11 +13,12 @@ from typing import Any
 import pytest
 import torch
 
+from orbit_core.actions import ActionTerm, Actuate
+from orbit_core.actions.registry import motion_generators
 from orbit_core.agent import AgentGraph, Edge
 from orbit_core.interfaces import ArgumentError, ConfigurationError, NonFiniteError, ShapeError, UnknownNameError
-from orbit_core.motion import ActionTerm, Actuate, GainRange
-from orbit_core.motion.registry import motion_generators
 from orbit_core.scene import ContactSensorSpec
+from orbit_motion import GainRange
 from tests.motion.servo_world import BACKENDS, Held, held
 
 MakeRobot = Callable[..., Any]

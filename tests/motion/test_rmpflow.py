@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.assets.catalogue import robot as catalogue_robot
-from orbit_core.assets.objects import cabinet
+from orbit_assets.objects import cabinet
+from orbit_core.actions.full_ik import FullIk
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.motion import RmpFlow, RmpFlowConfig
-from orbit_core.motion.barrier import Barrier
-from orbit_core.motion.collision_spheres import _surface, collision_spheres
-from orbit_core.motion.full_ik import FullIk
-from orbit_core.motion.obstacles import Obstacles
+from orbit_core.robots import robot as catalogue_robot
 from orbit_core.scene import Box, Capsule, Cylinder, ObjectSpec, Pose, Scene, Shape, Sphere, single_link
 from orbit_core.scene.shapes import Geometry
 from orbit_core.world import simulate
+from orbit_motion import RmpFlow, RmpFlowConfig
+from orbit_motion.barrier import Barrier
+from orbit_motion.collision_spheres import _surface, collision_spheres
+from orbit_motion.obstacles import Obstacles
 from tests.motion.servo_world import BACKENDS, ENGINES, held
 
 GEOMETRIES: tuple[Geometry, ...] = (Sphere(0.08), Box((0.05, 0.05, 0.15)), Capsule(0.05, 0.1), Cylinder(0.06, 0.1))

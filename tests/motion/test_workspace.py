@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.assets import catalogue
+from orbit_core import robots as catalogue
+from orbit_core.actions import workspace
+from orbit_core.actions.full_ik import FullIk
+from orbit_core.actions.workspace import fitted_workspace, with_workspace
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.dynamics.transforms import quat_multiply
 from orbit_core.envs import make
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.interfaces.layout import home_positions
 from orbit_core.mdp import common
-from orbit_core.motion import workspace
-from orbit_core.motion.full_ik import FullIk
-from orbit_core.motion.workspace import fitted_workspace, with_workspace
 from orbit_core.scene import (
     Articulation,
     EndEffector,

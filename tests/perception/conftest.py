@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.conformance.raytracing import pixel_directions, trace
+from orbit_conformance.raytracing import pixel_directions, trace
 from orbit_core.scene import CameraSpec, Pose
 from orbit_core.scene.shapes import Geometry
 

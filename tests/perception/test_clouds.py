@@ -11,10 +11,10 @@ from orbit_core.agent import AgentGraph, Edge
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.dynamics.transforms import pose_inverse, transform_points
 from orbit_core.interfaces import ConfigurationError, Port, ShapeError
-from orbit_core.perception import CloudFrame, PointCloudConfig, PointCloudNode, Sampling, TsdfConfig, TsdfNode
-from orbit_core.perception import sample_point_cloud as sample
 from orbit_core.scene import CameraSpec, Plane, Pose, Sphere, look_at
 from orbit_core.sensors.mount import pose_tensor
+from orbit_motion.perception import CloudFrame, PointCloudConfig, PointCloudNode, Sampling, TsdfConfig, TsdfNode
+from orbit_motion.perception import sample_point_cloud as sample
 
 CPU = torch.device("cpu")
 CAMERA = CameraSpec(name="eye", width=40, height=30, vertical_fov=0.8, pose=look_at((1.0, 0.5, 1.2), (0.0, 0.0, 0.0)))

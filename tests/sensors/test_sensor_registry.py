@@ -47,7 +47,7 @@ not_a_sensor = 3
 """
 _PROGRAM = """
 import theirs
-from orbit_core.assets.objects import box
+from orbit_assets.objects import box
 from orbit_core.scene import Pose, Scene
 from orbit_core.world import simulate
 

@@ -6,7 +6,8 @@ from typing import Any
 
 from torch import Tensor
 
-from orbit_core.envs import Environment, Expert, make
+from orbit_core.envs import Environment, make
+from orbit_motion.experts import Expert
 
 
 def episode(

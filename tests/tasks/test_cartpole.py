@@ -7,8 +7,8 @@ import math
 import pytest
 import torch
 
-from orbit_core.conformance.jobs import Kind, plan
-from orbit_core.conformance.settings import choose
+from orbit_conformance.jobs import Kind, plan
+from orbit_conformance.settings import choose
 from orbit_core.envs import make
 from orbit_core.interfaces import ConfigurationError
 from orbit_tasks import cartpole, running

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from orbit_core.assets.objects import dishwasher
+from orbit_assets.objects import dishwasher
 from orbit_core.envs import make
 from orbit_core.scene import Scene
 from orbit_core.world import simulate

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from orbit_core.assets.object_kinds import BoxConfig
+from orbit_assets.object_kinds import BoxConfig
 from orbit_core.dynamics import transforms
 from orbit_core.envs import Environment, make
 from orbit_core.interfaces import ConfigurationError

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from orbit_core.assets.terrain import Flat, Slope, Stairs, TerrainGrid
+from orbit_assets.terrain import Flat, Slope, Stairs, TerrainGrid
 from orbit_core.envs import make
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.sensors import RayCaster

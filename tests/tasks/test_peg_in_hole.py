@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.assets import pegs
+from orbit_assets import pegs
 from orbit_core.dynamics import transforms
 from orbit_core.envs import make
 from orbit_core.interfaces import AssetError, ConfigurationError, UnknownNameError

@@ -11,9 +11,9 @@ from contextlib import ExitStack, suppress
 import pytest
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.teleoperation import leader as module
-from orbit_core.teleoperation.device import MOST_EVENTS, DeviceLostError, Event, Reading
-from orbit_core.teleoperation.leader import Leader
+from orbit_data.teleoperation import leader as module
+from orbit_data.teleoperation.device import MOST_EVENTS, DeviceLostError, Event, Reading
+from orbit_data.teleoperation.leader import Leader
 
 NOTHING = Reading()
 PAGE = (

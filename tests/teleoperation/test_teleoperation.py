@@ -17,19 +17,19 @@ import pytest
 
 from orbit_core.backends import default_backend
 from orbit_core.cli import main
-from orbit_core.data.hdf5 import Hdf5Dataset
-from orbit_core.data.recording import RecordingFile
 from orbit_core.dynamics.transforms import pose_error
 from orbit_core.envs import Environment, make
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
-from orbit_core.teleoperation.browser import Browser
-from orbit_core.teleoperation.device import FARTHEST, MOST_EVENTS, Device, DeviceLostError, Event, Reading, Speeds
-from orbit_core.teleoperation.devices import open_device
-from orbit_core.teleoperation.driver import Driver
-from orbit_core.teleoperation.gamepad import Gamepad
-from orbit_core.teleoperation.keyboard import Keyboard
-from orbit_core.teleoperation.session import Session
-from orbit_core.teleoperation.spacemouse import SpaceMouse
+from orbit_data.hdf5 import Hdf5Dataset
+from orbit_data.recording import RecordingFile
+from orbit_data.teleoperation.browser import Browser
+from orbit_data.teleoperation.device import FARTHEST, MOST_EVENTS, Device, DeviceLostError, Event, Reading, Speeds
+from orbit_data.teleoperation.devices import open_device
+from orbit_data.teleoperation.driver import Driver
+from orbit_data.teleoperation.gamepad import Gamepad
+from orbit_data.teleoperation.keyboard import Keyboard
+from orbit_data.teleoperation.session import Session
+from orbit_data.teleoperation.spacemouse import SpaceMouse
 
 BACKEND = default_backend()
 SPEEDS = Speeds()

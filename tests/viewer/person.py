@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, sync_playwright
 
-from orbit_core.viewer.viewer import Viewer
+from orbit_viewer.viewer import Viewer
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 ARGUMENTS = [

@@ -12,9 +12,9 @@ from playwright.sync_api import Page
 
 from orbit_core.backends import backend_names
 from orbit_core.envs import make
-from orbit_core.motion.grasping import GraspWorkflow, Stage
-from orbit_core.viewer.grasp_tool import GraspedEnvironment, GraspTool
-from orbit_core.viewer.viewer import Viewer
+from orbit_motion.grasping import GraspWorkflow, Stage
+from orbit_motion.grasping.tool import GraspedEnvironment, GraspTool
+from orbit_viewer.viewer import Viewer
 
 
 @pytest.fixture

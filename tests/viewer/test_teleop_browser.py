@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from playwright.sync_api import Page
 
 from orbit_core.backends import default_backend
-from orbit_core.data.hdf5 import Hdf5Dataset
-from orbit_core.data.recording import RecordingFile
 from orbit_core.dynamics.transforms import quat_to_matrix
 from orbit_core.envs import make
-from orbit_core.teleoperation.browser import Browser
-from orbit_core.teleoperation.device import Event, Speeds
-from orbit_core.teleoperation.driver import Driver
-from orbit_core.teleoperation.pad import Pad
-from orbit_core.teleoperation.session import Session
-from orbit_core.teleoperation.views import Views
-from orbit_core.viewer.viewer import Viewer
+from orbit_data.hdf5 import Hdf5Dataset
+from orbit_data.recording import RecordingFile
+from orbit_data.teleoperation.browser import Browser
+from orbit_data.teleoperation.device import Event, Speeds
+from orbit_data.teleoperation.driver import Driver
+from orbit_data.teleoperation.pad import Pad
+from orbit_data.teleoperation.session import Session
+from orbit_data.teleoperation.views import Views
+from orbit_viewer.viewer import Viewer
 
 Running = tuple[Viewer, Session, Browser, Driver]
 

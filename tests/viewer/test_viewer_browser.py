@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page
 
-from orbit_core.viewer.scene_view import Frame, SceneView
-from orbit_core.viewer.viewer import Viewer
+from orbit_viewer.scene_view import Frame, SceneView
+from orbit_viewer.viewer import Viewer
 
 
 @pytest.fixture(scope="module")

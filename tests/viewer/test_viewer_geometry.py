@@ -28,8 +28,8 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
-from orbit_core.viewer.camera_pictures import picture_of
-from orbit_core.viewer.geometry import Drawing
+from orbit_viewer.camera_pictures import picture_of
+from orbit_viewer.geometry import Drawing
 
 
 @pytest.mark.parametrize(

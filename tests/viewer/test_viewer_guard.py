@@ -18,8 +18,8 @@ import websockets
 from websockets.exceptions import InvalidStatus
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.viewer.guard import Guard, guarded, is_loopback
-from orbit_core.viewer.viewer import Viewer
+from orbit_viewer.guard import Guard, guarded, is_loopback
+from orbit_viewer.viewer import Viewer
 
 PROTOCOL = f"viser-v{importlib.metadata.version('viser')}"
 

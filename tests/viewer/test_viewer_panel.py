@@ -13,13 +13,13 @@ import torch
 from torch import Tensor
 from viser import ViserServer
 
-from orbit_core.assets.catalogue import robot
-from orbit_core.assets.objects import box, sphere
+from orbit_assets.objects import box, sphere
 from orbit_core.interfaces import SceneLayout
+from orbit_core.robots import robot
 from orbit_core.scene import CameraSpec, Channel, Cloth, Mesh, Scene
 from orbit_core.sensors import CameraSensor
-from orbit_core.viewer.scene_view import Frame, SceneView
-from orbit_core.viewer.viewer import Viewer
+from orbit_viewer.scene_view import Frame, SceneView
+from orbit_viewer.viewer import Viewer
 
 
 class PaintedCamera(CameraSensor):

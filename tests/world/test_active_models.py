@@ -8,10 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from orbit_conformance.bodies import WEIGHTLESS, cube, scene
+from orbit_conformance.scenarios.seals import _drawer
 from orbit_core.active import ActiveLaw, active_laws
 from orbit_core.capture.replay import CapturedFunction
-from orbit_core.conformance.bodies import WEIGHTLESS, cube, scene
-from orbit_core.conformance.scenarios.seals import _drawer
 from orbit_core.dynamics.indexing import Masking
 from orbit_core.interfaces import ArgumentError, ConfigurationError, Object, OrbitError, UnknownNameError, World
 from orbit_core.mdp import randomize

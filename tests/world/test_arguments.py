@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from orbit_core.assets.catalogue import robot
-from orbit_core.assets.objects import box
+from orbit_assets.objects import box
 from orbit_core.backends import backend_names, default_backend
 from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import (
@@ -23,6 +22,7 @@ from orbit_core.interfaces import (
     UnknownNameError,
     World,
 )
+from orbit_core.robots import robot
 from orbit_core.scene import CameraSpec, JointSensorSpec, MarkerSpec, Pose, Scene
 from orbit_core.world import simulate
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from orbit_conformance.bodies import pendulum, scene
 from orbit_core import backends
-from orbit_core.conformance.bodies import pendulum, scene
 from orbit_core.interfaces import BuildError, BuiltModel, Engine, SceneLayout
 from orbit_core.scene import Joint, JointType, RobotSpec
 from orbit_core.world import simulate

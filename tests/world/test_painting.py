@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from orbit_core.assets.objects import box
-from orbit_core.assets.textures import checker, stripes, texture_file
+from orbit_assets.objects import box
+from orbit_assets.textures import checker, stripes, texture_file
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_names
 from orbit_core.envs import EventTerm, EventTime, make

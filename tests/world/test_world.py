@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.assets.catalogue import robot
-from orbit_core.assets.compound_joints import BALL, compound
-from orbit_core.assets.objects import box
+from orbit_assets.compound_joints import BALL, compound
+from orbit_assets.objects import box
 from orbit_core.backends import default_backend
 from orbit_core.dynamics.kinematics import KinematicTree
 from orbit_core.interfaces import (
@@ -23,6 +22,7 @@ from orbit_core.interfaces import (
     UnknownNameError,
     World,
 )
+from orbit_core.robots import robot
 from orbit_core.scene import (
     Articulation,
     ContactSensorSpec,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gymnasium
 import torch
 
-import orbit_core.learning  # noqa: F401 -- registers the environments
+import orbit_learn  # noqa: F401 -- registers the environments
 
 
 def test_lift_repeats_alone_what_it_does_among_eight() -> None:

@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from orbit_assets import sources
+from orbit_assets.files import load_articulation
 from orbit_bullet import BulletConfig, stage, urdf
 from orbit_bullet.actuation import Actuation
 from orbit_bullet.buffers import private_buffers, shapes_of
 from orbit_bullet.library import Client
 from orbit_bullet.readback import read_model
 from orbit_bullet.stage import Stage, write_scene
-from orbit_core.assets import sources
-from orbit_core.assets.catalogue import robot
-from orbit_core.assets.files import load_articulation
 from orbit_core.interfaces import AssetError, BuildError, BuiltModel, ConfigurationError, SceneLayout
 from orbit_core.plugin_kit.meshes import height_field_mesh
+from orbit_core.robots import robot
 from orbit_core.scene import (
     Articulation,
     Entity,

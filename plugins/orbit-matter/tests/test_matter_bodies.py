@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.assets.deformables import line, sheet
-from orbit_core.assets.objects import box, sphere
+from orbit_assets.deformables import line, sheet
+from orbit_assets.objects import box, sphere
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.interfaces import SceneLayout, World
 from orbit_core.scene import Attachment, Cloth, ObjectSpec, Pose, Rope, Scene

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from orbit_core.assets.deformables import line, sheet
-from orbit_core.assets.objects import box
+from orbit_assets.deformables import line, sheet
+from orbit_assets.objects import box
 from orbit_core.interfaces import World
 from orbit_core.scene import Attachment, Cloth, Pose, Rope, Scene
 from orbit_core.world import simulate

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.assets.deformables import corners, line, sheet
-from orbit_core.assets.objects import box
+from orbit_assets.deformables import corners, line, sheet
+from orbit_assets.objects import box
 from orbit_core.dynamics.transforms import quat_rotate, quat_rotate_inverse
 from orbit_core.interfaces import ArgumentError, ConfigurationError, UnknownNameError, UnsupportedCapabilityError, World
 from orbit_core.scene import (

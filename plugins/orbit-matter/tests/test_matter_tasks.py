@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from orbit_core.assets.catalogue import robot
 from orbit_core.envs import make
-from orbit_core.mdp.matter import with_grip_force
+from orbit_core.robots import robot
+from orbit_tasks.mdp.matter import with_grip_force
 
 
 @pytest.mark.parametrize(("name", "travel"), [("franka_panda", 1.0), ("ur10_robotiq_2f85", 0.0531)])

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.assets.deformables import line, sheet
-from orbit_core.assets.objects import box
-from orbit_core.conformance.bodies import on_slope, slope
+from orbit_assets.deformables import line, sheet
+from orbit_assets.objects import box
+from orbit_conformance.bodies import on_slope, slope
 from orbit_core.interfaces import ConfigurationError, UnsupportedCapabilityError, World
 from orbit_core.scene import (
     Articulation,

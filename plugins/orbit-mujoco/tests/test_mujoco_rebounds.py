@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.assets.objects import box, sphere
+from orbit_assets.objects import box, sphere
 from orbit_core.backends import backend_names
 from orbit_core.interfaces import World
 from orbit_core.scene import (

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from orbit_core.conformance.bodies import WEIGHTLESS, cube, pendulum, rotor, scene
+from orbit_conformance.bodies import WEIGHTLESS, cube, pendulum, rotor, scene
 from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout, SimulationError
 from orbit_core.scene import ImplicitPd, JointType
 from orbit_newton.backends import FeatherstoneBackend, NewtonBackend, XpbdBackend

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from orbit_core.assets.objects import box
+from orbit_assets.objects import box
 from orbit_core.scene import Plane, Pose, Scene, Shape
 from orbit_core.world import simulate
 from orbit_sapien.motion import moved_velocities

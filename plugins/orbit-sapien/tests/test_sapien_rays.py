@@ -6,8 +6,8 @@ import math
 
 import torch
 
+from orbit_assets.objects import cylinder
 from orbit_core import backends
-from orbit_core.assets.objects import cylinder
 from orbit_core.interfaces import SceneLayout
 from orbit_core.scene import Pose, Scene
 

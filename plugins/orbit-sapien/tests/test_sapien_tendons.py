@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from orbit_core.conformance.bodies import WEIGHTLESS, body, scene
+from orbit_conformance.bodies import WEIGHTLESS, body, scene
 from orbit_core.scene import Articulation, IdealPd, Joint, JointType, Mimic, RobotSpec
 from orbit_core.world import simulate
 

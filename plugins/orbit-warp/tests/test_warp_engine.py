@@ -11,7 +11,7 @@ import pytest
 import torch
 import warp as wp
 
-from orbit_core.assets.terrain import Rough, TerrainGrid
+from orbit_assets.terrain import Rough, TerrainGrid
 from orbit_core.envs import make
 from orbit_core.interfaces import ConfigurationError, SceneLayout, SimulationError
 from orbit_core.interfaces.layout import TERRAIN

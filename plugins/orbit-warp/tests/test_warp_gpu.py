@@ -8,10 +8,10 @@ import warnings
 import pytest
 import torch
 
-from orbit_core.capture.fusion import Fused
 from orbit_core.envs import make
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.episode import StepInfo
+from orbit_motion.fusion import Fused
 
 TASKS = ["Lift", "Reach", "Cabinet", "Velocity-Flat", "Handover"]
 LAWS = ["rmpflow", "osc", "impedance", "hybrid", "joint_impedance"]

@@ -1,0 +1,122 @@
+"""Differential inverse kinematics: the joint displacement that moves a frame by a small twist.
+
+Sources: Buss, Introduction to Inverse Kinematics with Jacobian Transpose, Pseudoinverse and Damped Least Squares
+Methods (2004); Nakamura and Hanafusa, Inverse Kinematic Solutions with Singularity Robustness for Robot Manipulator
+Control (1986), for damped least squares; Maciejewski and Klein, Numerical Filtering for the Operation of Robotic
+Manipulators through Kinematically Singular Configurations (1988), for damping that sets in near singularities.
+"""
+
+from __future__ import annotations
+
+import functools
+from enum import Enum
+
+import torch
+from torch import Tensor
+
+from orbit_core.actions.embodiment import end_effector_moved_by
+from orbit_core.dynamics.linear import solve_spd
+from orbit_core.dynamics.transforms import pose_error
+from orbit_core.interfaces import Robot
+
+_TOWARDS_POSE_DAMPING = 0.05
+
+
+class IkMethod(Enum):
+    """How the Jacobian is inverted."""
+
+    PSEUDO_INVERSE = "pseudo_inverse"
+    """Exact and of least norm; unbounded at singularities."""
+    DAMPED_LEAST_SQUARES = "damped_least_squares"
+    """Trades accuracy for bounded joint motion everywhere; the fastest."""
+    TRANSPOSE = "transpose"
+    """A gradient step of the length that is best along its direction; never unstable, slow near the goal."""
+    SVD_ADAPTIVE = "svd_adaptive"
+    """Exact away from singularities, damped near them."""
+
+
+def joint_delta(
+    method: IkMethod, jacobian: Tensor, error: Tensor, damping: float = 0.05, singular_threshold: float = 0.1
+) -> Tensor:
+    """Joint displacement (N, k) for the displacement ``error`` (N, 6) of a frame with ``jacobian`` (N, 6, k).
+
+    Args:
+        method: how to invert.
+        jacobian: linear rows, then angular.
+        error: metres, then radians.
+        damping: lambda of damped least squares; its largest value, at the singularity, if adaptive.
+        singular_threshold: singular value below which adaptive damping sets in.
+    """
+    return _METHODS[method](jacobian, error, damping, singular_threshold)
+
+
+def damped_least_squares(jacobian: Tensor, error: Tensor, damping: float, more: Tensor | None = None) -> Tensor:
+    """``J^T (J J^T + lambda^2 I)^-1 e`` (N, k), by Cholesky's factors of the 6 x 6 matrices.
+
+    ``more`` (N,) is added to lambda^2, such as :func:`steadying`.
+    """
+    transposed = jacobian.transpose(1, 2)
+    regular = _scaled_identity(jacobian.shape[1], damping**2, jacobian.device)
+    if more is not None:
+        regular = regular + more[:, None, None] * _scaled_identity(jacobian.shape[1], 1.0, jacobian.device)
+    square = torch.baddbmm(regular, jacobian, transposed)
+    return torch.bmm(transposed, solve_spd(square, error.unsqueeze(-1))).squeeze(-1)
+
+
+def steadying(error: Tensor) -> Tensor:
+    """(N,) m^2 of damping with which steps towards a goal that stays where it is settle, be it out of reach.
+
+    Where the hand cannot go, what is left of the error e (N, 6) bends ``|e|^2 / 2`` by up to |e| L along the joints, L
+    their distance from the hand, of which the Jacobian knows nothing: steps with a lambda^2 of less than half of that
+    throw a stretched arm to and fro. It is the error's length times a metre, and goes with the error (as the damping of
+    Chan and Lawrence, General Inverse Kinematics with the Error Damped Pseudoinverse, ICRA 1988, does).
+    """
+    return torch.linalg.vector_norm(error[:, :3], dim=1)
+
+
+@functools.lru_cache(maxsize=64)
+def _scaled_identity(size: int, scale: float, device: torch.device) -> Tensor:
+    return scale * torch.eye(size, device=device)
+
+
+def _damped_least_squares(jacobian: Tensor, error: Tensor, damping: float, _: float) -> Tensor:
+    return damped_least_squares(jacobian, error, damping)
+
+
+def _pseudo_inverse(jacobian: Tensor, error: Tensor, _: float, __: float) -> Tensor:
+    return (torch.linalg.pinv(jacobian) @ error.unsqueeze(-1)).squeeze(-1)
+
+
+def _transpose(jacobian: Tensor, error: Tensor, _: float, __: float) -> Tensor:
+    gradient = (jacobian.transpose(1, 2) @ error.unsqueeze(-1)).squeeze(-1)
+    effect = (jacobian @ gradient.unsqueeze(-1)).squeeze(-1)
+    length = (error * effect).sum(-1, keepdim=True) / effect.square().sum(-1, keepdim=True).clamp_min(1e-12)
+    return length * gradient
+
+
+def _svd_adaptive(jacobian: Tensor, error: Tensor, damping: float, threshold: float) -> Tensor:
+    left, values, right = torch.linalg.svd(jacobian, full_matrices=False)
+    nearness = (1.0 - (values[:, -1:] / threshold).square()).clamp_min(0.0)
+    # The floor keeps an exactly singular direction at rest where the damping is given as zero.
+    inverse = values / (values.square() + nearness * damping**2).clamp_min(1e-12)
+    along = (left.transpose(1, 2) @ error.unsqueeze(-1)).squeeze(-1)
+    return (right.transpose(1, 2) @ (inverse * along).unsqueeze(-1)).squeeze(-1)
+
+
+_METHODS = {
+    IkMethod.PSEUDO_INVERSE: _pseudo_inverse,
+    IkMethod.DAMPED_LEAST_SQUARES: _damped_least_squares,
+    IkMethod.TRANSPOSE: _transpose,
+    IkMethod.SVD_ADAPTIVE: _svd_adaptive,
+}
+
+
+def towards_pose(robot: Robot, joints: list[int], pose: Tensor) -> Tensor:
+    """Displacement (N, k) of ``joints`` by one damped least-squares step from the measured state to ``pose`` (N, 7).
+
+    Raises:
+        ConfigurationError: the robot has no end effector.
+    """
+    frame = end_effector_moved_by(robot.spec, joints).frame
+    error = pose_error(robot.frame_pose(frame), pose)
+    return damped_least_squares(robot.jacobian(frame, joints), error, _TOWARDS_POSE_DAMPING)

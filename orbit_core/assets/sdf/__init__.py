@@ -1,5 +1,0 @@
-"""SDFormat files to articulations."""
-
-from orbit_core.assets.sdf.reader import read_sdf, read_sdf_models
-
-__all__ = ["read_sdf", "read_sdf_models"]

@@ -1,6 +1,0 @@
-"""URDF files to articulations and back."""
-
-from orbit_core.assets.urdf.reader import read_urdf
-from orbit_core.assets.urdf.writer import write_urdf
-
-__all__ = ["read_urdf", "write_urdf"]

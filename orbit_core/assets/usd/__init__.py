@@ -1,6 +1,0 @@
-"""USD files to articulations and back."""
-
-from orbit_core.assets.usd.reader import read_usd, read_usd_all
-from orbit_core.assets.usd.writer import write_usd
-
-__all__ = ["read_usd", "read_usd_all", "write_usd"]

@@ -1,5 +1,0 @@
-"""Xacro files to URDF, in a process with limits and by expressions that are not Python."""
-
-from orbit_core.assets.xacro.expansion import ExpandedXml, expand_xacro, read_expanded
-
-__all__ = ["ExpandedXml", "expand_xacro", "read_expanded"]

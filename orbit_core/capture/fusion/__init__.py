@@ -1,5 +1,0 @@
-"""Functions of a few numbers for each environment, as one kernel: a loop on a CPU, a launch on a GPU."""
-
-from orbit_core.capture.fusion.fused import Fused, fusing
-
-__all__ = ["Fused", "fusing"]

@@ -1,0 +1,190 @@
+"""Robots by name. Any installed package may add its own through the entry point group ``orbit.robots``.
+
+An entry point names a function ``register(catalogue)`` that calls :meth:`RobotCatalogue.add`. Listing names builds
+nothing and imports nothing heavy.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Any
+
+from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+from orbit_core.registry import Registry, faults_named
+
+if TYPE_CHECKING:
+    from orbit_assets.parts import RobotPart
+    from orbit_core.scene import RobotSpec
+
+ENTRY_POINT_GROUP = "orbit.robots"
+
+
+@dataclass(frozen=True)
+class RobotEntry:
+    """A robot that can be built by name, or a part of one.
+
+    ``build`` takes nothing and returns the robot; as text, ``"module:function"``, it is imported only when needed.
+    Where it is empty, the robot is ``part`` with its own end effector.
+    """
+
+    name: str
+    description: str
+    build: Callable[[], RobotSpec] | str = ""
+    source: str = ""
+    """The package that the model comes from."""
+    licence: str = ""
+    part: str = ""
+    """``"module:NAME"`` of a :class:`~orbit_assets.parts.RobotPart`; empty where this is no part."""
+
+    def load(self) -> RobotSpec:
+        """Build the robot.
+
+        Raises:
+            AssetError: its model cannot be had.
+            ConfigurationError: the module that builds it cannot be imported.
+        """
+        if callable(self.build):
+            return self.build()
+        if not self.build:
+            return composed(self.name)
+        return self._imported(self.build)()
+
+    def load_part(self) -> RobotPart:
+        """The part that a robot may be composed of.
+
+        Raises:
+            ConfigurationError: this robot is none, or the module of it cannot be imported.
+        """
+        if not self.part:
+            parts = [name for name, entry in robots().entries.items() if entry.part]
+            raise ConfigurationError(
+                f"robot '{self.name}' is whole, and no part to compose robots of: take one of {', '.join(parts)}"
+            )
+        return self._imported(self.part)
+
+    def _imported(self, where: str) -> Any:
+        module, _, attribute = where.partition(":")
+        with faults_named(f"robot '{self.name}' ({where})"):
+            return getattr(importlib.import_module(module), attribute)
+
+    @cached_property
+    def dof(self) -> int:
+        """The number of joints that move freely, mimics left out. Builds the robot."""
+        return sum(joint.mimic is None for joint in self.load().articulation.movable_joints)
+
+
+class RobotCatalogue:
+    """Robots by name; each entry point is a function that takes one of these and adds to it."""
+
+    def __init__(self) -> None:
+        self._registry = Registry[RobotEntry]("robot", ENTRY_POINT_GROUP, lambda register: register(self))
+
+    @property
+    def entries(self) -> dict[str, RobotEntry]:
+        """All robots by name, those of broken packages left out."""
+        return self._registry.values
+
+    def add(self, entry: RobotEntry) -> None:
+        """Add a robot.
+
+        Raises:
+            ConfigurationError: the name is taken.
+        """
+        self._registry.add(entry.name, entry)
+
+    def entry(self, name: str) -> RobotEntry:
+        """The robot's entry; of a composition such as ``"ur10+allegro_right"``, one made of its parts' entries.
+
+        Spaces around names do not count.
+
+        Raises:
+            UnknownNameError: there is none of that name.
+            ConfigurationError: two packages bring it, or a part's name is empty.
+        """
+        if not isinstance(name, str) or "+" not in name:
+            return self._registry.get(name.strip() if isinstance(name, str) else name)
+        parts = self.parts(name)
+        return RobotEntry(
+            name,
+            "; ".join(part.description for part in parts),
+            lambda: composed(name),
+            ", ".join(dict.fromkeys(part.source for part in parts)),
+            "; ".join(dict.fromkeys(f"{part.licence} ({part.name})" for part in parts)),
+        )
+
+    def parts(self, names: str) -> list[RobotEntry]:
+        """The entries of the names that stand between plus signs.
+
+        Raises:
+            UnknownNameError: there is no robot of a name.
+            ConfigurationError: two packages bring one, or a name is empty.
+        """
+        found: list[RobotEntry] = []
+        for name in (part.strip() for part in names.split("+")):
+            if not name:
+                raise ConfigurationError(
+                    f"robot '{names}' has an empty part: name one on either side of each plus sign, as in "
+                    "'ur10+robotiq_2f85'"
+                )
+            if name not in self._registry.names:
+                parts = [other for other, entry in self.entries.items() if entry.part]
+                raise UnknownNameError("part", name, parts, f"robot '{names}'", "; ".join(self._registry.faults))
+            found.append(self._registry.get(name))
+        return found
+
+
+def composed(names: str) -> RobotSpec:
+    """The robot of the parts whose names stand between plus signs, the base first; see :mod:`orbit_assets.parts`.
+
+    An arm named last mounts its own end effector, if it has one.
+
+    Raises:
+        UnknownNameError: there is no robot of a name.
+        ConfigurationError: a robot is no part, or the parts cannot be mounted on each other.
+        AssetError: a part's model cannot be had.
+    """
+    from orbit_assets.parts import compose
+
+    parts = [entry.load_part() for entry in robots().parts(names)]
+    if parts[-1].end_effector:
+        parts.append(robots().entry(parts[-1].end_effector).load_part())
+    return compose(names.replace(" ", ""), parts)
+
+
+@cache
+def robots() -> RobotCatalogue:
+    """The catalogue of all installed robots, read once."""
+    return RobotCatalogue()
+
+
+def robot_names() -> list[str]:
+    """Names of all installed robots, sorted."""
+    return sorted(robots().entries)
+
+
+def robot_info(name: str) -> RobotEntry:
+    """Description, source, licence and degrees of freedom of a robot.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+    """
+    return robots().entry(name)
+
+
+def robot(name: str, /, **overrides: Any) -> RobotSpec:
+    """The robot of that name, with fields of :class:`~orbit_core.scene.RobotSpec` replaced by ``overrides``.
+
+    Raises:
+        UnknownNameError: there is no such robot or field.
+        AssetError: the package that the model comes from is neither installed nor cached.
+    """
+    spec = robot_info(name).load()
+    fields = [field.name for field in dataclasses.fields(spec)]
+    for field in overrides:
+        if field not in fields:
+            raise UnknownNameError("robot field", field, fields, f"robot('{name}', ...)")
+    return replace(spec, **overrides)

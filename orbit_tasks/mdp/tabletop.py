@@ -1,0 +1,157 @@
+"""What tasks of an arm at the work bench have in common: scene, groups of terms, how they are randomised."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, PremiseTerm, TerminationTerm
+from orbit_core.envs.task import ROBOT, Task
+from orbit_core.envs.terms import TermFunction, meaning_of, measured_in, once_per_state
+from orbit_core.interfaces import World
+from orbit_core.mdp import common, randomize
+from orbit_core.mdp.randomize import Range
+from orbit_core.scene import ObjectSpec, RobotSpec, Scene
+from orbit_tasks.mdp import picking, premises
+
+
+@once_per_state
+def piece_poses(world: World, task: TabletopTask) -> Tensor:
+    """(N, B, 7) of the task's pieces, in order."""
+    return torch.stack([world.objects[name].root_pose for name in task.pieces], dim=1)
+
+
+def piece_turns(world: World, task: TabletopTask) -> Tensor:
+    """(N, B) rad, at most an eighth of a turn: by how much pieces that are square are turned against the hand."""
+    hand = common.turn_facing_down(common.hand_pose(world, task)[:, 3:])
+    return picking.quarter(picking.quarter_yaw(piece_poses(world, task)[..., 3:]) - hand[:, None])
+
+
+def dropped(world: World, task: TabletopTask) -> Tensor:
+    """(N,) bool: one of the task's pieces fell off the table."""
+    return (piece_poses(world, task)[..., 2] < -0.05).any(1)
+
+
+def fine(term: TermFunction, scale: float = 0.01) -> ObservationTerm:
+    """The term in [-1, 1]: its hyperbolic tangent in units of ``scale``, for what is to be told apart near zero."""
+    own = meaning_of(ObservationTerm(term))
+    meaning = replace(own, formula=f"tanh(x / {scale:g}), where x is: {own.formula}")
+    return ObservationTerm(lambda world, task: torch.tanh(term(world, task) / scale), unit="1", meaning=meaning)
+
+
+def put(world: World, names: Sequence[str], poses: Tensor, env_ids: Tensor) -> None:
+    """Put objects to poses (n, len(names), 7), one each, in the environments' frames."""
+    for index, name in enumerate(names):
+        world.objects[name].set_root_pose(poses[:, index], env_ids)
+
+
+def pieces_stand(height: float) -> PremiseTerm:
+    """Premise: the pieces stand free on the table, their origins ``height`` (m) above it."""
+    return PremiseTerm(
+        lambda world, task: premises.standing(world, task.pieces, height),
+        "a block does not stand still and upright on the table, so that it began inside another thing, or fell over",
+    )
+
+
+@dataclass
+class ArmState(ObservationGroup):
+    """The arm's joints and its hand. Tasks add what is moved, and the last action."""
+
+    joint_positions: ObservationTerm | None = ObservationTerm(common.joint_positions)
+    joint_velocities: ObservationTerm | None = ObservationTerm(common.joint_velocities)
+    hand_pose: ObservationTerm | None = ObservationTerm(common.hand_pose)
+
+
+@measured_in("rad/s or m/s")
+def arm_velocities(world: World, task: TabletopTask) -> Tensor:
+    """(N, A) of the joints that move the first arm's hand, without its fingers."""
+    return world.robots[task.agents[0]].joint_velocities.index_select(1, task.arm_joints)
+
+
+@dataclass
+class GraspState(ArmState):
+    """Without the fingers' velocities: of fingers that rest on what they hold engines tell none, or 0.13 m/s."""
+
+    joint_velocities: ObservationTerm | None = ObservationTerm(arm_velocities)
+
+
+@dataclass
+class StateObservations:
+    """Policy and critic see the state, unless the policy sees less."""
+
+    policy: ObservationGroup
+    critic: ObservationGroup | None = None
+    teacher: ObservationGroup | None = None
+
+
+def state(group: Callable[[], ObservationGroup]) -> Callable[[], StateObservations]:
+    """Makes a task's observations: the state in that group of terms."""
+    return lambda: StateObservations(group())
+
+
+def sensed(
+    sensors: Callable[[], ObservationGroup], group: Callable[[], ObservationGroup]
+) -> Callable[[], StateObservations]:
+    """Makes a task's observations: the policy sees what sensors show, critic and teacher the state in that group."""
+    return lambda: StateObservations(sensors(), group(), group())
+
+
+@dataclass
+class DropTerminations:
+    """An episode ends early where one of the task's pieces falls off the table."""
+
+    dropped: TerminationTerm | None = TerminationTerm(dropped)
+
+
+@dataclass
+class ArmEvents:
+    """The arm is placed anew for each episode; with domain randomisation friction and its gains differ between
+    environments. Tasks add what else is placed."""  # fmt: skip
+
+    place_robot: EventTerm | None = EventTerm(common.randomize_robot_start(0.05))
+    friction: EventTerm | None = None
+    gains: EventTerm | None = None
+
+
+@dataclass(kw_only=True)
+class TabletopTask(Task):
+    """An arm at the work bench, which moves the task's ``pieces``. Its ``events`` are :class:`ArmEvents`."""
+
+    robot: str = "franka_panda"
+    action: str = "joint_position"
+    arm_joints: Tensor = field(init=False)
+    """(A,) indices of the joints that move the first arm's hand."""
+
+    def start(self, world: World) -> None:
+        super().start(world)
+        robot = world.robots[self.agents[0]]
+        self.arm_joints = torch.tensor(robot.find_joints(*robot.spec.end_effector.arm_joints), device=world.device)
+
+    @property
+    def pieces(self) -> tuple[str, ...]:
+        """Names of the objects that are moved."""
+        return ()
+
+    def bench(self, *objects: ObjectSpec, robot: RobotSpec | None = None) -> Scene:
+        """The arm, or the ``robot`` in its place, with objects on the work bench."""
+        return Scene(
+            robots=(robot or common.arm(self.robot),),
+            objects=(*objects, common.work_bench()),
+            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            physics_dt=self.physics_dt,
+        )
+
+    def vary(self, rubbing: Sequence[str], friction: tuple[float, float], **noise: float) -> None:
+        """Randomise between environments, and give what is observed noise.
+
+        Args:
+            rubbing: the entities whose friction is drawn.
+            friction: its least and its greatest value.
+            noise: standard deviations of observed terms, by name; joints have theirs.
+        """
+        self.events.friction = EventTerm(randomize.friction(rubbing, Range(*friction)), EventTime.STARTUP)
+        self.events.gains = EventTerm(randomize.uncertain_gains(ROBOT), EventTime.STARTUP)
+        common.add_noise(self.observations.policy, joint_positions=0.005, joint_velocities=0.05, **noise)

@@ -1,0 +1,219 @@
+"""Meshes split into convex pieces, which every engine collides as they are; each split is made once and kept on disk.
+
+By CoACD: Wei, Liu, Ling and Su, Approximate convex decomposition for 3D meshes with collision-aware concavity and tree
+search, ACM Transactions on Graphics, 2022.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_assets.cache import cache_folder, digest_arrays, write_cached
+from orbit_core.interfaces.errors import ArgumentError, AssetError, StorageError
+from orbit_core.plugin_kit.scratch import ScratchFolder
+from orbit_core.preparation.surface_checks import check_mesh, extents
+from orbit_core.scene import Articulation, Entity, Mesh, MeshCollision, ObjectSpec, Shape
+
+_EntityType = TypeVar("_EntityType", bound=Entity)
+_Pieces = list[tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvexDecomposition:
+    """How finely a mesh is split."""
+
+    concavity: float = 0.05
+    """The most by which pieces may differ from the surface, as a share of half the mesh's longest side: 0.01 to 1."""
+    max_pieces: int | None = None
+    """Pieces are merged until no more are left, whatever the concavity then is."""
+    time_limit: float = 600.0
+    """Seconds that a split may take; what the cache holds takes none."""
+
+
+def convex_pieces(
+    mesh: Mesh, settings: ConvexDecomposition = ConvexDecomposition(), *, where: str = "the mesh"
+) -> tuple[Mesh, ...]:
+    """The mesh as convex pieces in its own frame, from ORBIT's cache where the same mesh was split so before.
+
+    Args:
+        mesh: any triangle mesh; one that is not closed is closed first.
+        settings: how finely it is split.
+        where: its name, for messages.
+
+    Raises:
+        AssetError: it is no mesh of finite points, it encloses no volume, the settings cannot be, the split takes
+            longer than its limit, or the package ``coacd`` is not installed.
+    """
+    most = settings.max_pieces
+    if not settings.time_limit > 0.0:
+        raise AssetError(f"{where} cannot be split by {settings}: give a time limit above zero")
+    if not 0.01 <= settings.concavity <= 1.0 or not (most is None or (isinstance(most, int) and most >= 1)):
+        raise AssetError(f"{where} cannot be split by {settings}: give a concavity of 0.01 to 1 and at least one piece")
+    try:
+        check_mesh(mesh, where)  # the package reads whatever lies where a triangle points
+    except ArgumentError as error:
+        raise AssetError(str(error)) from None
+    vertices = np.ascontiguousarray(mesh.vertices, dtype=np.float64)
+    faces = np.ascontiguousarray(mesh.faces, dtype=np.int64)
+    limits = np.array((settings.concavity, settings.max_pieces or 0), dtype=np.float64)
+    path = cache_folder() / "decompositions" / f"{digest_arrays(vertices, faces, limits)}.npz"
+    pieces = _stored(path)
+    if pieces is None:
+        pieces = _split(vertices, faces, settings, where)
+        _store(path, pieces)
+    return tuple(Mesh(*piece) for piece in pieces)
+
+
+def decomposed_shapes(shapes: tuple[Shape, ...], where: str) -> tuple[Shape, ...]:
+    """The shapes, with the pieces of each mesh that asks for them in its place.
+
+    Raises:
+        AssetError: as :func:`convex_pieces`.
+    """
+    if not any(_asks(shape) for shape in shapes):
+        return shapes
+    return tuple(piece for shape in shapes for piece in _pieces_of(shape, where))
+
+
+def decomposed_entity(entity: _EntityType) -> _EntityType:
+    """The entity, and its variants, with the pieces of each colliding mesh that asks for them in its place.
+
+    Raises:
+        AssetError: as :func:`convex_pieces`.
+    """
+    if isinstance(entity, ObjectSpec) and entity.variants:
+        variants = tuple(_decomposed(variant, entity.name) for variant in entity.variants)
+        entity = replace(entity, variants=variants)
+    return replace(entity, articulation=_decomposed(entity.articulation, entity.name))
+
+
+def _decomposed(articulation: Articulation, name: str) -> Articulation:
+    if not any(_asks(shape) for link in articulation.links for shape in link.collisions):
+        return articulation
+    links = tuple(
+        replace(link, collisions=decomposed_shapes(link.collisions, f"link '{link.name}' of '{name}'"))
+        for link in articulation.links
+    )
+    return replace(articulation, links=links)
+
+
+def _asks(shape: Shape) -> bool:
+    return isinstance(shape.geometry, Mesh) and shape.geometry.collision is MeshCollision.CONVEX_DECOMPOSITION
+
+
+def _pieces_of(shape: Shape, where: str) -> Iterator[Shape]:
+    if not (isinstance(shape.geometry, Mesh) and _asks(shape)):
+        yield shape
+        return
+    named = f"mesh '{shape.name}' of {where}" if shape.name else f"a mesh of {where}"
+    for number, piece in enumerate(convex_pieces(shape.geometry, where=named)):
+        yield replace(shape, geometry=piece, name=f"{shape.name}_{number}" if shape.name else "")
+
+
+def _split(
+    vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int64], settings: ConvexDecomposition, where: str
+) -> _Pieces:
+    """The pieces, while a line on a terminal says what is being split."""
+    from rich.console import Console
+    from rich.text import Text
+
+    if importlib.util.find_spec("coacd") is None:
+        raise AssetError(
+            f'{where} asks for convex pieces, which need the package coacd: pip install "orbit-core[decomposition]", '
+            "or have it collide as its hull"
+        )
+    if extents(vertices) < 3:
+        raise _failed(where, "it lies in a plane")
+    with ScratchFolder("orbit-decomposition-") as folder:
+        np.savez(folder / "mesh.npz", vertices=vertices, faces=faces)
+        with Console(stderr=True).status(Text(f"splitting {where} into convex pieces ({len(faces)} triangles)")):
+            _run(folder, settings, where)
+        with np.load(folder / "pieces.npz", allow_pickle=False) as file:
+            pieces = _read(file)
+    solid = [piece for piece in pieces if extents(piece[0]) == 3]
+    if not solid:
+        raise _failed(where, "no piece has a volume")
+    return solid
+
+
+def _run(folder: Path, settings: ConvexDecomposition, where: str) -> None:
+    """Split the mesh in this folder in a process of its own, which is ended at the time limit."""
+    script = str(Path(__file__).with_name("split_process.py"))
+    command = [
+        sys.executable,
+        "-P",
+        script,
+        str(folder),
+        str(float(settings.concavity)),
+        str(settings.max_pieces or -1),
+    ]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    try:
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, timeout=settings.time_limit, check=False
+        )
+    except subprocess.TimeoutExpired:
+        raise AssetError(
+            f"{where} was not split into convex pieces within {settings.time_limit:g} s: give it fewer triangles, a "
+            f"concavity above {settings.concavity:g} or a longer time_limit, or have it collide as its hull"
+        ) from None
+    if done.returncode != 0:
+        told = done.stderr.strip().splitlines()
+        raise _failed(where, told[-1] if told else f"the process that splits it ended with {done.returncode}")
+
+
+def _failed(where: str, reason: str) -> AssetError:
+    return AssetError(
+        f"{where} could not be split into convex pieces ({reason}): close its surface in its file, or have it collide "
+        "as its hull"
+    )
+
+
+def _stored(path: Path) -> _Pieces | None:
+    """What the cache holds; ``None`` for nothing, or a file that is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = _read(file)
+        for piece in found:
+            check_mesh(Mesh(*piece), "a piece")
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        KeyError,
+        NotImplementedError,
+        zlib.error,
+        zipfile.BadZipFile,
+        ArgumentError,
+    ):
+        return None
+    return found or None
+
+
+def _read(file: Mapping[str, npt.NDArray[Any]]) -> _Pieces:
+    return [
+        (np.asarray(file[f"vertices_{number}"], np.float64), np.asarray(file[f"faces_{number}"], np.int64))
+        for number in range(len(file) // 2)
+    ]
+
+
+def _store(path: Path, pieces: _Pieces) -> None:
+    arrays: dict[str, npt.NDArray[np.generic]] = {}
+    for number, (vertices, faces) in enumerate(pieces):
+        arrays |= {f"vertices_{number}": vertices, f"faces_{number}": faces}
+    try:
+        write_cached(path, lambda file: np.savez(file, allow_pickle=False, **arrays))
+    except (StorageError, OSError):
+        return  # a cache that cannot be written costs time at the next start, and nothing else

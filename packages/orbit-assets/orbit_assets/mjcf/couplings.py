@@ -1,0 +1,203 @@
+"""Constraints of a compiled MJCF model on its joints: some follow others, some stand still."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from orbit_assets.mjcf.model import Compiled, vector_of
+from orbit_assets.mjcf.relations import Law, linear_law, polynomial_law
+from orbit_assets.mjcf.tendons import Share, share_of
+from orbit_assets.mjcf.trees import Tree
+from orbit_core.scene import Joint, JointType, Pose
+
+
+@dataclass(eq=False)
+class Couplings:
+    """Those of one tree of a model, from its constraints on joints and tendons and from its tendons."""
+
+    compiled: Compiled
+    tree: Tree
+    laws: dict[int, Law] = field(default_factory=dict)
+    """Laws by their followers' numbers."""
+    shares: dict[int, list[Share]] = field(default_factory=dict)
+    """What tendons over one joint add to it, by the joint's number."""
+
+    def __post_init__(self) -> None:
+        self._members = set(self.tree.bodies)
+        self._names = self.compiled.names_of("EQUALITY")
+        self._tendon_names = self.compiled.names_of("TENDON")
+        for index in range(self.compiled.model.neq):
+            self._read(index)
+        self._meet_tendons()
+        self._settle()
+
+    def applied(self, joint: Joint, number: int) -> Joint:
+        """A joint of the file with what its constraint says: it follows another, or is fixed where it is held."""
+        for share in self.shares.get(number, ()):
+            joint = share.added(joint)
+        law = self.laws.get(number)
+        if law is None:
+            return joint
+        if law.leader is not None:
+            return replace(joint, mimic=law.mimic(self.compiled.joint_names[law.leader]))
+        at = law.coefficients[0]
+        along = vector_of(at * np.asarray(joint.axis))
+        moved = Pose(along) if joint.type is JointType.PRISMATIC else Pose.from_axis_angle(joint.axis, at)
+        held = joint.parent_pose @ moved
+        return Joint(joint.name, JointType.FIXED, joint.parent, joint.child, held, joint.child_pose)
+
+    def _read(self, index: int) -> None:
+        model = self.compiled.model
+        kind = self.compiled.mujoco.mjtEq(model.eq_type[index]).name.removeprefix("mjEQ_")
+        if kind not in ("JOINT", "TENDON"):
+            return
+        called = f"constraint '{self._names[index] or index}'"
+        if not model.eq_active0[index]:
+            self.compiled.notes.append(f"{called} is inactive at first and left out")
+        elif kind == "JOINT":
+            self._read_joints(index, called)
+        else:
+            self._read_tendons(index, called)
+
+    def _read_joints(self, index: int, called: str) -> None:
+        model = self.compiled.model
+        follower, leader = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+        if not self._here([joint for joint in (follower, leader) if joint >= 0], called):
+            return
+        other = (leader, self._reference(leader)) if leader >= 0 else None
+        self._add(
+            polynomial_law((follower, self._reference(follower)), other, model.eq_data[index, :5], (1.0, 1.0)), called
+        )
+
+    def _read_tendons(self, index: int, called: str) -> None:
+        """Two fixed tendons whose lengths follow a law, or one whose length is held."""
+        model = self.compiled.model
+        tendons = [int(tendon) for tendon in (model.eq_obj1id[index], model.eq_obj2id[index]) if tendon >= 0]
+        parts = [self.fixed_tendon(tendon) for tendon in tendons]
+        coefficients = np.asarray(model.eq_data[index, :5])
+        if any(part is None for part in parts):
+            self.compiled.unsupported(f"{called} is on a tendon that runs through space", "couple its joints instead")
+            return
+        joints = [joint for part in parts if part for joint in part]
+        if not self._here(joints, called):
+            return
+        own, other = parts[0] or {}, (parts[1] or {}) if len(parts) > 1 else {}
+        if len(own) == 1 and len(other) == 1 and own.keys() != other.keys():
+            ((follower, scale),), ((leader, others),) = own.items(), other.items()
+            ends = (follower, self._reference(follower)), (leader, self._reference(leader))
+            law: Law | None = polynomial_law(*ends, coefficients, (scale, others))
+        elif np.any(coefficients[2:]):
+            law = None
+        else:
+            slope = float(coefficients[1]) if other else 0.0
+            sums = {joint: own.get(joint, 0.0) - slope * other.get(joint, 0.0) for joint in {*own, *other}}
+            rest = sum(value * self._reference(joint) for joint, value in sums.items())
+            law = linear_law(sums, rest + float(coefficients[0]))
+        if law is None:
+            self.compiled.unsupported(f"{called} couples more than two joints by tendons", "couple joints in pairs")
+        else:
+            self._add(law, called)
+
+    def _add(self, law: Law, called: str) -> None:
+        """Keep a law; one that follows where another is already in force is turned round."""
+        chosen = law
+        if law.follower in self.laws:
+            turned = law.turned()
+            if turned is None or turned.follower in self.laws:
+                name = self.compiled.joint_names[law.follower]
+                self.compiled.unsupported(
+                    f"{called} couples joint '{name}', which another constraint couples", "keep one"
+                )
+                return
+            chosen = turned
+        self.laws[chosen.follower] = chosen
+
+    def _settle(self) -> None:
+        """Let followers of followers follow the first leader, or stand where it does; what runs in a circle stays."""
+        for number in list(self.laws):
+            law, seen = self.laws[number], {number}
+            while law.leader in self.laws and law.leader not in seen:
+                seen.add(law.leader)
+                above = self.laws[law.leader]
+                powers = np.polynomial.Polynomial(law.coefficients)(np.polynomial.Polynomial(above.coefficients))
+                law = Law(number, above.leader, tuple(np.atleast_1d(powers.coef).tolist()))
+            self.laws[number] = law
+
+    def fixed_tendon(self, tendon: int) -> dict[int, float] | None:
+        """The joints of a tendon whose length is a weighted sum of their positions, with the weights."""
+        model = self.compiled.model
+        first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
+        joint_kind = int(self.compiled.mujoco.mjtWrap.mjWRAP_JOINT)
+        found: dict[int, float] = {}
+        for wrap in range(first, first + count):
+            if model.wrap_type[wrap] != joint_kind:
+                return None
+            joint = int(model.wrap_objid[wrap])
+            found[joint] = found.get(joint, 0.0) + float(model.wrap_prm[wrap])
+        return found
+
+    def _meet_tendons(self) -> None:
+        """Those that pull or hold by themselves are refused; one whose motor alone moves two joints couples them."""
+        model = self.compiled.model
+        driven = {
+            int(model.actuator_trnid[actuator, 0])
+            for actuator in range(model.nu)
+            if model.actuator_trntype[actuator] == int(self.compiled.mujoco.mjtTrn.mjTRN_TENDON)
+        }
+        for tendon in range(model.ntendon):
+            weights = self.fixed_tendon(tendon)
+            if weights is not None and not any(self._body(joint) in self._members for joint in weights):
+                continue
+            called = f"tendon '{self._tendon_names[tendon] or tendon}'"
+            if weights is not None and len(weights) == 1:
+                ((joint, coefficient),) = weights.items()
+                share = share_of(self.compiled, tendon, coefficient)
+                if share is not None:
+                    self.shares.setdefault(joint, []).append(share)
+                    continue
+            if acts := self._acts(tendon):
+                self.compiled.unsupported(f"{called} has {' and '.join(acts)}", "remove it or move it to the joints")
+            if tendon in driven and weights is not None and len(weights) == 2:
+                self._couple(weights, called)
+
+    def _couple(self, weights: dict[int, float], called: str) -> None:
+        """Let two joints that one motor drives through a tendon move in proportion, as it pulls on them."""
+        leader, follower = sorted(weights)
+        if {leader, follower} & self.laws.keys() or not self._here([leader, follower], called):
+            return
+        slope = weights[follower] / weights[leader]
+        offset = self._reference(follower) - slope * self._reference(leader)
+        self.laws[follower] = Law(follower, leader, (offset, slope))
+        one, other = (self.compiled.joint_names[joint] for joint in (leader, follower))
+        self.compiled.notes.append(
+            f"{called}, by which one motor pulls on joints '{one}' and '{other}', couples them: '{other}' follows "
+            f"'{one}' at {slope:.4g}, where the file lets what they touch move them apart"
+        )
+
+    def _acts(self, tendon: int) -> list[str]:
+        model = self.compiled.model
+        properties = (
+            ("a limit", model.tendon_limited),
+            ("a spring", model.tendon_stiffness),
+            ("a spring that is not linear", model.tendon_stiffnesspoly),
+            ("damping", model.tendon_damping),
+            ("damping that is not linear", model.tendon_dampingpoly),
+            ("friction", model.tendon_frictionloss),
+            ("armature", model.tendon_armature),
+        )
+        return [word for word, values in properties if np.any(values[tendon])]
+
+    def _here(self, joints: list[int], called: str) -> bool:
+        """Whether a constraint on joints is this tree's, and wholly."""
+        inside = [self._body(joint) in self._members for joint in joints]
+        if any(inside) and not all(inside):
+            self.compiled.unsupported(f"{called} couples joints of two articulations", "remove it")
+        return all(inside)
+
+    def _body(self, joint: int) -> int:
+        return int(self.compiled.model.jnt_bodyid[joint])
+
+    def _reference(self, joint: int) -> float:
+        return float(self.compiled.model.qpos0[self.compiled.model.jnt_qposadr[joint]])

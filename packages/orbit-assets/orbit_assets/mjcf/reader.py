@@ -1,0 +1,142 @@
+"""Reads articulations from MJCF, with the format's own parser and compiler.
+
+Everything is taken from the compiled model, in which defaults, units, nested frames and inertias are settled.
+
+* A body with several joints becomes a chain of links, one a joint; those in between have no mass. A ball is three.
+* A geom collides if its ``contype`` or ``conaffinity`` is set, and is drawn if its group is 0, 1 or 2.
+* Masks say which links may collide: ``self_collisions`` and exclusions follow from them.
+* Friction acts in the directions that ``condim`` opens.
+* Sites become frames. Planes and height fields that do not move are terrain, and terrain is the scene's.
+* Constraints on joints and fixed tendons become mimic joints, ``connect`` and ``weld`` loops.
+* Actuators become drives, and the keyframe becomes the home pose, for whoever takes them over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from orbit_assets.inertia_repair import repaired
+from orbit_assets.mjcf.actuators import Actuators
+from orbit_assets.mjcf.collisions import self_collisions
+from orbit_assets.mjcf.couplings import Couplings
+from orbit_assets.mjcf.geometry import Geoms
+from orbit_assets.mjcf.joints import body_chain, check_root
+from orbit_assets.mjcf.leftovers import meet_leftovers
+from orbit_assets.mjcf.loops import OWN_SITES, Loops
+from orbit_assets.mjcf.model import Compiled, compile_file, pose_of, vector_of
+from orbit_assets.mjcf.trees import WORLD, Tree, Trees
+from orbit_assets.naming import names_file
+from orbit_assets.options import ReadOptions
+from orbit_assets.placed import PlacedArticulation
+from orbit_core.scene import Articulation, Frame, Joint, Link, Pose
+
+
+@names_file
+def read_mjcf(path: Path | str, *, options: ReadOptions = ReadOptions()) -> Articulation:
+    """The one articulation in an MJCF file, or the one that the options name.
+
+    Its root is the one body that floats freely or stands fixed in the world; where several bodies hang from the world,
+    or one by a joint, the root is a link ``world`` without mass, for a fixed base. ``options.articulation`` names a
+    body right below the world, or ``"world"`` for all that does not float.
+
+    Raises:
+        AssetError: the file does not compile, holds several articulations of which none is named, or something that the
+            description cannot hold and the options do not have left out, or MuJoCo, whose format it is, is not
+            installed.
+    """
+    compiled = compile_file(Path(path), options)
+    tree = Trees(compiled).one()
+    return _read_tree(compiled, tree, compiled.name, terrain=False)
+
+
+@names_file
+def read_mjcf_all(path: Path | str, *, options: ReadOptions = ReadOptions()) -> tuple[PlacedArticulation, ...]:
+    """All articulations in an MJCF file: each body right below the world with what hangs on it, and the world's shapes.
+
+    Bodies that hang from the world and that a constraint connects are one articulation, rooted in a link ``world``. The
+    shapes of the world, ground included, are an articulation ``world`` of one link. Each is named by its root.
+
+    Raises:
+        AssetError: as :func:`read_mjcf`, but for the number of articulations.
+    """
+    compiled = compile_file(Path(path), options)
+    placed: list[PlacedArticulation] = []
+    for tree in Trees(compiled).every():
+        own = replace(compiled, notes=list(compiled.notes))
+        articulation = _read_tree(own, tree, own.body_names[_namesake(tree)], terrain=True)
+        placed.append(PlacedArticulation(articulation, _placed(compiled, tree), not tree.floating))
+    return tuple(placed)
+
+
+def _namesake(tree: Tree) -> int:
+    """The body after which the articulation is called: its root, or what hangs from the world as its root."""
+    return tree.bodies[1] if tree.root == 0 and len(tree.bodies) > 1 and not tree.world_geoms else tree.root
+
+
+def _placed(compiled: Compiled, tree: Tree) -> Pose:
+    """The root's pose in the world, in the pose that is home."""
+    if not tree.floating:
+        return compiled.body_pose(tree.root) if tree.root else Pose()
+    values = Actuators(compiled).home_values()
+    first = int(compiled.model.jnt_qposadr[compiled.joints_of(tree.root)[0]])
+    return pose_of(values[first : first + 3], values[first + 3 : first + 7])
+
+
+def _read_tree(compiled: Compiled, tree: Tree, name: str, *, terrain: bool) -> Articulation:
+    if tree.floating:
+        check_root(compiled, tree.root)
+    geoms = Geoms(compiled, tree, terrain=terrain)
+    actuators = Actuators(compiled)
+    couplings = Couplings(compiled, tree)
+    limits = actuators.effort_limits()
+    numbers = {own: number for number, own in enumerate(compiled.joint_names)}
+    links: list[Link] = []
+    joints: list[Joint] = []
+    for body in tree.bodies:
+        between, chain = body_chain(compiled, body, limits) if body != tree.root else ([], [])
+        links += [*between, _link(compiled, geoms, body)]
+        joints += [couplings.applied(each, numbers.get(each.name, -1)) for each in chain]
+    meet_leftovers(compiled, tree)
+    moving = {joint.name for joint in joints if joint.movable}
+    bodies = set(tree.bodies)
+    may_collide, apart = self_collisions(compiled, geoms, tree)
+    articulation = Articulation(
+        name,
+        tuple(links),
+        tuple(joints),
+        _frames(compiled, bodies),
+        may_collide,
+        apart,
+        loops=Loops(compiled, tree).read(),
+        drives=tuple(drive for drive in actuators.drives(bodies) if drive.joint in moving),
+        home=tuple((joint, position) for joint, position in actuators.home(bodies) if joint in moving),
+        notes=tuple(dict.fromkeys(compiled.notes)),
+    )
+    return repaired(articulation, compiled.options)
+
+
+def _link(compiled: Compiled, geoms: Geoms, body: int) -> Link:
+    model = compiled.model
+    collisions, visuals = geoms.shapes(body)
+    axes = pose_of((0.0, 0.0, 0.0), model.body_iquat[body]).rotation_matrix()
+    inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    name = compiled.body_names[body] if body else WORLD
+    return Link(name, float(model.body_mass[body]), vector_of(model.body_ipos[body]), inertia, collisions, visuals)
+
+
+def _frames(compiled: Compiled, bodies: set[int]) -> tuple[Frame, ...]:
+    """The sites, without those that only hold a constraint's ends."""
+    model = compiled.model
+    ends = {f"{name}{end}" for name in compiled.names_of("EQUALITY") if name for end in OWN_SITES}
+    return tuple(
+        Frame(
+            name,
+            compiled.body_names[int(model.site_bodyid[site])],
+            pose_of(model.site_pos[site], model.site_quat[site]),
+        )
+        for site, name in enumerate(compiled.site_names)
+        if int(model.site_bodyid[site]) in bodies and name not in ends
+    )

@@ -1,0 +1,259 @@
+"""Things to put into a scene: solids, a table, a cabinet with a drawer and a door."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from numbers import Real
+from pathlib import Path
+from typing import TypedDict, Unpack
+
+import numpy as np
+
+from orbit_core.interfaces.errors import AssetError
+from orbit_core.preparation.inertia import MassProperties, mass_properties, shapes_mass_properties
+from orbit_core.preparation.scene_data import check_data
+from orbit_core.scene import (
+    Articulation,
+    Box,
+    Capsule,
+    Color,
+    Cylinder,
+    Geometry,
+    Link,
+    MagneticSeal,
+    Mesh,
+    ObjectSpec,
+    PhysicsMaterial,
+    Pose,
+    Shape,
+    Sphere,
+)
+from orbit_core.scene.pose import Vector3
+
+DENSITY = 500.0
+"""kg/m^3, of an object whose mass is not given: that of soft wood."""
+GRAY: Color = (0.7, 0.7, 0.7, 1.0)
+WOOD: Color = (0.72, 0.55, 0.38, 1.0)
+
+
+class SolidOptions(TypedDict, total=False):
+    """What every solid may be given besides its shape."""
+
+    mass: float
+    """kg; overrides ``density``."""
+    density: float
+    """kg/m^3; :data:`DENSITY` where it is left out."""
+    color: Color
+    material: PhysicsMaterial
+    pose: Pose
+    """Pose of the object at reset, in the environment's frame."""
+    fixed_base: bool
+    label: str
+    """Semantic label; the object's name where it is left out."""
+
+
+def box(name: str, size: Vector3, **options: Unpack[SolidOptions]) -> ObjectSpec:
+    """A solid box of full ``size`` in metres, its frame at the middle."""
+    return _solid(name, Box(_halves(name, size)), options)
+
+
+def sphere(name: str, radius: float, **options: Unpack[SolidOptions]) -> ObjectSpec:
+    """A solid ball, its frame at the middle."""
+    return _solid(name, Sphere(radius), options)
+
+
+def cylinder(name: str, radius: float, length: float, **options: Unpack[SolidOptions]) -> ObjectSpec:
+    """A solid cylinder along z of full ``length``, its frame at the middle."""
+    return _solid(name, Cylinder(radius, _half(name, length)), options)
+
+
+def capsule(name: str, radius: float, length: float, **options: Unpack[SolidOptions]) -> ObjectSpec:
+    """A solid capsule along z, its frame at the middle; ``length`` leaves out the round caps."""
+    return _solid(name, Capsule(radius, _half(name, length)), options)
+
+
+def keyed_block(
+    name: str,
+    edge: float = 0.06,
+    *,
+    mass: float = 0.08,
+    color: Color = GRAY,
+    key_color: Color = (0.75, 0.15, 0.1, 1.0),
+    pose: Pose | None = None,
+) -> ObjectSpec:
+    """A cube with a ridge along one edge of its top, so that it looks alike in no two orientations.
+
+    The frame is the cube's middle, z through the face with the ridge. That is 0.3 of ``edge`` wide and 0.2 high, lies
+    at the face's edge towards +x, and ends 0.4 of ``edge`` before its corner towards -y. Both are of one density.
+
+    Raises:
+        AssetError: a length or a mass that is not above zero.
+    """
+    half, wide, high = _half(name, edge), 0.15 * edge, 0.1 * edge
+    ridge = Box((wide, 0.3 * edge, high))
+    middle = Pose((half - wide, half - 0.3 * edge, half + high))
+    shapes = (
+        Shape(Box((half, half, half)), color=color, name="cube"),
+        Shape(ridge, middle, color=key_color, name="key"),
+    )
+    body = shapes_mass_properties(shapes, _positive(name, mass, "mass") / (edge**3 * (1.0 + 0.3 * 0.6 * 0.2)))
+    return _object(name, shapes, body, pose, False, "")
+
+
+def mesh_object(name: str, mesh: Mesh | str | Path, scale: float = 1.0, **options: Unpack[SolidOptions]) -> ObjectSpec:
+    """A solid with the surface of a mesh or mesh file, in the mesh's own frame.
+
+    ``scale`` takes a file's unit to metres; a :class:`Mesh` is in metres already and is not scaled.
+
+    Raises:
+        AssetError: the file cannot be read, or the mesh encloses no volume.
+    """
+    if not isinstance(mesh, Mesh):
+        from orbit_assets.meshes import load_mesh
+
+        return _solid(name, load_mesh(Path(mesh), (scale, scale, scale)), options)
+    return _solid(name, mesh, options)
+
+
+def table(
+    name: str = "table",
+    size: Vector3 = (0.8, 1.2, 0.7),
+    *,
+    color: Color = WOOD,
+    material: PhysicsMaterial | None = None,
+    pose: Pose | None = None,
+    label: str = "table",
+) -> ObjectSpec:
+    """A static table whose frame lies in the middle of the TOP surface: things at z = 0 of it stand on the table.
+
+    ``size`` is depth (x), width (y) and height in metres; the legs reach down to ``z = -height``. With ``pose`` at
+    height ``size[2]`` the table stands on the ground z = 0.
+    """
+    half = _halves(name, size)
+    thickness, leg = min(0.04, half[2]), 0.06
+    surface = material or PhysicsMaterial()
+    parts = [Shape(Box((half[0], half[1], thickness / 2)), Pose((0.0, 0.0, -thickness / 2)), surface, color, "top")]
+    length = size[2] - thickness
+    for index, (x, y) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1))):
+        center = (x * (size[0] - leg) / 2, y * (size[1] - leg) / 2, -thickness - length / 2)
+        parts.append(Shape(Box((leg / 2, leg / 2, length / 2)), Pose(center), surface, color, f"leg_{index}"))
+    shapes = tuple(parts)
+    return _object(name, shapes, shapes_mass_properties(shapes, DENSITY), pose, True, label)
+
+
+def cabinet(name: str = "cabinet", *, pose: Pose | None = None) -> ObjectSpec:
+    """A cabinet on the floor, 0.5 m wide and deep and 0.62 m high, with a drawer above and a door below.
+
+    Its frame lies on the floor in the middle of its footprint, and its front faces -x: the default ``pose`` stands it
+    before a robot at the origin that looks along +x, with the drawer's handle at x = 0.635, z = 0.49.
+
+    * ``drawer_joint`` (prismatic, 0 to 0.4 m) opens the drawer towards -x.
+    * ``door_joint`` (revolute, 0 to 1.57 rad) opens the door, hinged at +y, towards -x.
+    * Frames ``drawer_handle`` and ``door_handle`` lie in the middle of the handle's bar, with z into the cabinet
+      (the approach of a gripper that grasps it) and y across the bar (the opening direction of its fingers).
+
+    Raises:
+        AssetError: the cache has no copy of it and the extra ``usd`` is not installed.
+    """
+    return ObjectSpec(
+        name=name,
+        articulation=_own_asset("cabinet.usda"),
+        pose=pose or Pose((0.93, 0.0, 0.0)),
+        fixed_base=True,
+        semantic_label="cabinet",
+    )
+
+
+def dishwasher(name: str = "dishwasher", *, seal: float = 25.0, pose: Pose | None = None) -> ObjectSpec:
+    """A small dishwasher on a table, 0.44 m wide, 0.4 m deep and 0.36 m high, with a door before a rack.
+
+    Its frame lies on the table in the middle of its footprint, and its front faces -x: the default ``pose`` stands it
+    before a robot at the origin that looks along +x.
+
+    * ``door_joint`` (revolute, 0 to 1.5 rad) opens the door, hinged at its bottom, towards -x. A magnetic seal named
+      ``seal`` holds it shut with ``seal`` newtons at its upper edge, 0.22 m above the hinge
+      (:class:`~orbit_core.scene.MagneticSeal`); once it is ajar its weight opens it.
+    * ``rack_joint`` (prismatic, 0 to 0.22 m) brings the rack out towards -x, over the open door; the shut one holds it
+      back.
+    * Frames ``door_bar`` and ``rack_bar`` lie in the middles of two round bars along y, axes as the dishwasher's where
+      it is shut. A hand that points down reaches behind either from above.
+
+    Raises:
+        AssetError: the cache has no copy of it and the extra ``usd`` is not installed.
+    """
+    latch = MagneticSeal(name="seal", joint="door_joint", force=seal, decay=0.003, arm=0.22)
+    return ObjectSpec(
+        name=name,
+        articulation=_own_asset("dishwasher.usda"),
+        pose=pose or Pose((0.82, 0.0, 0.0)),
+        fixed_base=True,
+        semantic_label="dishwasher",
+        active=(latch,),
+    )
+
+
+def _own_asset(file_name: str) -> Articulation:
+    """An articulation of ORBIT's own USD files, from the cache unless the file or its readers changed."""
+    from orbit_assets.cache import Model, cached_articulation
+    from orbit_assets.files import asset_file
+    from orbit_assets.usd import read_usd
+
+    path = asset_file(file_name)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+    packages = ("usd-core", "newton-usd-schemas")
+    return cached_articulation(Model(f"{path.stem}-{digest}", lambda: read_usd(path), packages, "BSD-3-Clause"))
+
+
+def _solid(name: str, geometry: Geometry, options: SolidOptions) -> ObjectSpec:
+    check_data(geometry, f"'{name}'")
+    mass = options.get("mass")
+    density = options.get("density", DENSITY) if mass is None else None
+    _positive(name, density if mass is None else mass, "density" if mass is None else "mass")
+    shape = Shape(
+        geometry, material=options.get("material", PhysicsMaterial()), color=options.get("color", GRAY), name=name
+    )
+    return _object(
+        name,
+        (shape,),
+        mass_properties(geometry, mass=mass, density=density),
+        options.get("pose"),
+        options.get("fixed_base", False),
+        options.get("label", ""),
+    )
+
+
+def _halves(name: str, size: Vector3) -> Vector3:
+    if not isinstance(size, Sequence | np.ndarray) or len(size) != 3:
+        raise AssetError(f"the size of '{name}' is {size!r}: give three lengths in metres")
+    return (_half(name, size[0]), _half(name, size[1]), _half(name, size[2]))
+
+
+def solid_link(name: str, shapes: Sequence[Shape], density: float) -> Link:
+    """A link that is drawn and collides as shapes of one density in kg/m^3. Where shapes overlap, mass counts twice."""
+    body = shapes_mass_properties(shapes, density)
+    return Link(name, body.mass, body.center_of_mass, body.inertia, tuple(shapes), tuple(shapes))
+
+
+def _half(name: str, length: float) -> float:
+    return _positive(name, length, "length") / 2
+
+
+def _positive(name: str, value: object, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0.0 < float(value) < math.inf:
+        raise AssetError(f"a {what} of '{name}' is {value!r}: give a number above zero")
+    return float(value)
+
+
+def _object(
+    name: str, shapes: tuple[Shape, ...], properties: MassProperties, pose: Pose | None, fixed_base: bool, label: str
+) -> ObjectSpec:
+    link = Link(name, properties.mass, properties.center_of_mass, properties.inertia, shapes, shapes)
+    return ObjectSpec(
+        name=name,
+        articulation=Articulation(name, (link,)),
+        pose=pose or Pose(),
+        fixed_base=fixed_base,
+        semantic_label=label,
+    )

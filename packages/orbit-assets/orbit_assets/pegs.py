@@ -1,0 +1,274 @@
+"""Blocks of several sections and a board with a matching hole for each, all of boxes, cylinders and convex prisms.
+
+Every engine has these shapes as they are, so that a tight fit is the same on each.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_assets.objects import DENSITY, WOOD, solid_link
+from orbit_core.interfaces.errors import AssetError, UnknownNameError
+from orbit_core.scene import (
+    Articulation,
+    Box,
+    Color,
+    Cylinder,
+    Frame,
+    Geometry,
+    Mesh,
+    ObjectSpec,
+    PhysicsMaterial,
+    Pose,
+    Shape,
+)
+
+Polygon = npt.NDArray[np.float64]
+"""Corners (K, 2) in metres, counter-clockwise seen from above."""
+
+BODY_HEIGHT = 0.05
+"""Metres from a block's base to the top of its section."""
+KNOB = 0.024
+"""Metres, the edge of the square knob on top of a block, by which a gripper holds it; as high as it is wide."""
+GRIP_HEIGHT = BODY_HEIGHT + 0.5 * KNOB
+"""Metres from a block's base to the middle of its knob."""
+BOARD_HEIGHT = 0.03
+"""Metres of the board's thickness, through which its holes go."""
+TILE = 0.09
+"""Metres, the edge of the square of board around each hole."""
+COLORS: Sequence[Color] = (
+    (0.80, 0.20, 0.15, 1.0),
+    (0.15, 0.35, 0.75, 1.0),
+    (0.95, 0.70, 0.10, 1.0),
+    (0.20, 0.60, 0.30, 1.0),
+    (0.55, 0.30, 0.65, 1.0),
+)
+"""For blocks that are to look different."""
+FIT = 0.001
+"""Metres from which engines may make contacts between block and board."""
+_LEAST_RIM = 0.01
+"""Metres of board that a hole leaves at its tile's edge."""
+_ROUND_SIDES = 24
+"""Sides of the polygon around a round hole."""
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """What a block looks like from above.
+
+    ``turns`` equal turns bring it onto itself; none stands for any turn, of a round section with that ``radius``.
+    """
+
+    outline: Polygon
+    turns: int
+    radius: float = 0.0
+
+    @property
+    def turn(self) -> float:
+        """rad of the least turn that brings it onto itself; zero where any does."""
+        return 2.0 * math.pi / self.turns if self.turns else 0.0
+
+    @property
+    def width(self) -> float:
+        """Metres along x."""
+        return 2.0 * self.radius or float(np.ptp(self.outline[:, 0]))
+
+
+def _regular(corners: int, *radii: float) -> Polygon:
+    """Corners on circles about the origin, whose radii take turns."""
+    angles = 2.0 * math.pi * np.arange(corners) / corners
+    return np.stack((np.cos(angles), np.sin(angles)), 1) * np.resize(radii, corners)[:, None]
+
+
+def _around(radius: float) -> Polygon:
+    """The polygon whose sides touch the circle."""
+    return _regular(_ROUND_SIDES, radius / math.cos(math.pi / _ROUND_SIDES))
+
+
+_SQUARE = np.array(((-0.02, -0.02), (0.02, -0.02), (0.02, 0.02), (-0.02, 0.02)))
+_CORNER = np.array(((-0.02, -0.02), (0.02, -0.02), (0.02, 0.0), (0.0, 0.0), (0.0, 0.02), (-0.02, 0.02)))
+
+SECTIONS: Mapping[str, Section] = {
+    "round": Section(_around(0.02), turns=0, radius=0.02),
+    "square": Section(_SQUARE, turns=4),
+    "hexagon": Section(_regular(6, 0.023), turns=6),
+    "star": Section(_regular(10, 0.027, 0.013), turns=5),
+    "l": Section(_CORNER + 0.01 / 3.0, turns=1),  # the origin is the centroid
+}
+"""Sections by name, each about its centroid."""
+
+
+def section(name: str) -> Section:
+    """The section of that name.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    if name not in SECTIONS:
+        raise UnknownNameError("section of a block", name, SECTIONS)
+    return SECTIONS[name]
+
+
+def block(name: str, kind: str, *, color: Color, material: PhysicsMaterial | None = None) -> ObjectSpec:
+    """A block of the section ``kind`` with a knob on top; its frame lies in the middle of its base, z upward.
+
+    Raises:
+        UnknownNameError: there is no such section.
+    """
+    own, surface = section(kind), material or PhysicsMaterial()
+    if own.radius:
+        middle = Pose((0.0, 0.0, 0.5 * BODY_HEIGHT))
+        parts: list[tuple[Geometry, Pose]] = [(Cylinder(own.radius, 0.5 * BODY_HEIGHT), middle)]
+    else:
+        parts = [prism(piece, BODY_HEIGHT) for piece in _inside(own.outline)]
+    parts.append((Box((0.5 * KNOB, 0.5 * KNOB, 0.5 * KNOB)), Pose((0.0, 0.0, GRIP_HEIGHT))))
+    shapes = tuple(Shape(geometry, pose, surface, color, contact_distance=FIT) for geometry, pose in parts)
+    articulation = Articulation(name, (solid_link(name, shapes, DENSITY),))
+    return ObjectSpec(name=name, articulation=articulation, semantic_label="block")
+
+
+def board(
+    name: str, kinds: Sequence[str], clearance: float, *, color: Color = WOOD, material: PhysicsMaterial | None = None
+) -> ObjectSpec:
+    """A static board with a hole for each of the sections ``kinds``, in a row along y.
+
+    Its frame lies in the middle of its underside. Frames ``hole_0``, ``hole_1``, ... lie where the base of a block is
+    that is all the way in.
+
+    Args:
+        name: of the object in its scene.
+        kinds: names of sections.
+        clearance: metres by which each hole is wider than its block, half of it on either side.
+
+    Raises:
+        UnknownNameError: there is no such section.
+        AssetError: there are no kinds, a block is as wide as its hole or wider, or a hole too wide for the board.
+    """
+    if not kinds:
+        raise AssetError(f"board '{name}' has no holes: name at least one section of a block")
+    surface = material or PhysicsMaterial()
+    shapes: list[Shape] = []
+    frames: list[Frame] = []
+    for index, kind in enumerate(kinds):
+        place = Pose((0.0, (index - 0.5 * (len(kinds) - 1)) * TILE, 0.0))
+        frames.append(Frame(f"hole_{index}", name, place))
+        for piece in _outside(_hole(kind, clearance)):
+            geometry, pose = prism(piece, BOARD_HEIGHT)
+            shapes.append(Shape(geometry, place @ pose, surface, color, contact_distance=FIT))
+    articulation = Articulation(name, (solid_link(name, shapes, DENSITY),), frames=tuple(frames))
+    return ObjectSpec(name=name, articulation=articulation, fixed_base=True, semantic_label="board")
+
+
+def _hole(kind: str, clearance: float) -> Polygon:
+    own = section(kind)
+    width = 1000.0 * own.width
+    if not clearance > 0.0:
+        raise AssetError(
+            f"the block '{kind}' is {width:g} mm wide and its hole {width + 1000.0 * clearance:g} mm, so that it does "
+            "not go in: give a clearance above zero"
+        )
+    hole = _widened(own.outline, 0.5 * clearance)
+    if np.abs(hole).max() > 0.5 * TILE - _LEAST_RIM:
+        raise AssetError(
+            f"the hole of the block '{kind}', {width:g} mm wide, with a clearance of {1000.0 * clearance:g} mm breaks "
+            f"through its tile of {1000.0 * TILE:g} mm: give a smaller clearance"
+        )
+    return hole
+
+
+def _widened(outline: Polygon, margin: float) -> Polygon:
+    """The polygon whose sides are ``margin`` metres further out."""
+    sides = np.roll(outline, -1, axis=0) - outline
+    normals = np.stack((sides[:, 1], -sides[:, 0]), 1) / np.linalg.norm(sides, axis=1, keepdims=True)
+    offsets = (normals * outline).sum(1) + margin
+    rows = np.stack((np.roll(normals, 1, axis=0), normals), 1)
+    return np.linalg.solve(rows, np.stack((np.roll(offsets, 1), offsets), 1)[..., None])[..., 0]
+
+
+def _inside(outline: Polygon) -> list[Polygon]:
+    """Convex parts of a section: itself, rectangles, or a kite about each of a star's tips."""
+    sides = np.roll(outline, -1, axis=0) - outline
+    bends = _cross(np.roll(sides, 1, axis=0), sides)
+    if (bends > 0.0).all():
+        return [outline]
+    if _rectilinear(outline):
+        return [piece for piece, inside in _rectangles(outline) if inside]
+    tips = np.flatnonzero(bends > 0.0)
+    return [np.stack((np.zeros(2), outline[tip - 1], outline[tip], outline[(tip + 1) % len(outline)])) for tip in tips]
+
+
+def _outside(hole: Polygon) -> list[Polygon]:
+    """Convex parts of the tile around a hole whose sides are all in sight of its middle: one a side, or rectangles."""
+    if _rectilinear(hole):
+        return [piece for piece, inside in _rectangles(hole) if not inside]
+    pieces = []
+    for first, second in zip(hole, np.roll(hole, -1, axis=0), strict=True):
+        piece = _tile()
+        for along, through in ((first, np.zeros(2)), (-second, np.zeros(2)), (first - second, first)):
+            piece = _left_of(piece, along, through)
+        pieces.append(piece)
+    return pieces
+
+
+def _rectangles(outline: Polygon) -> list[tuple[Polygon, bool]]:
+    """The tile cut along x at every corner, and each strip at the sides that cross it; True where inside."""
+    half = 0.5 * TILE
+    levels = (-half, *np.unique(outline[:, 1].round(9)), half)
+    starts, ends = outline, np.roll(outline, -1, axis=0)
+    found = []
+    for low, high in itertools.pairwise(levels):
+        middle = 0.5 * (low + high)
+        crossing = (np.minimum(starts[:, 1], ends[:, 1]) < middle) & (middle < np.maximum(starts[:, 1], ends[:, 1]))
+        cuts = (-half, *np.sort(starts[crossing, 0]), half)
+        for number, (left, right) in enumerate(itertools.pairwise(cuts)):
+            found.append((np.array(((left, low), (right, low), (right, high), (left, high))), number % 2 == 1))
+    return found
+
+
+def prism(polygon: Polygon, height: float) -> tuple[Geometry, Pose]:
+    """The solid of a height (m) above a convex polygon, and where its frame lies."""
+    low, high = polygon.min(0), polygon.max(0)
+    if len(polygon) == 4 and _rectilinear(polygon):
+        x, y = 0.5 * (low + high)
+        return Box((*(0.5 * (high - low)).tolist(), 0.5 * height)), Pose((float(x), float(y), 0.5 * height))
+    count = len(polygon)
+    vertices = np.concatenate([np.c_[polygon, np.full(count, z)] for z in (-0.5 * height, 0.5 * height)])
+    faces = [(0, k + 1, k) for k in range(1, count - 1)] + [
+        (count, count + k, count + k + 1) for k in range(1, count - 1)
+    ]
+    for k in range(count):
+        after = (k + 1) % count
+        faces += [(k, after, count + after), (k, count + after, count + k)]
+    return Mesh(vertices, np.array(faces)), Pose((0.0, 0.0, 0.5 * height))
+
+
+def _tile() -> Polygon:
+    return _regular(4, TILE / math.sqrt(2.0)) @ np.array(((1.0, 1.0), (-1.0, 1.0))) / math.sqrt(2.0)
+
+
+def _left_of(polygon: Polygon, along: Polygon, through: Polygon) -> Polygon:
+    """The part of a convex polygon on the left of a line, by Sutherland and Hodgman's clipping (1974)."""
+    heights = _cross(along, polygon - through)
+    kept: list[Polygon] = []
+    for k, (corner, height) in enumerate(zip(polygon, heights, strict=True)):
+        before, below = polygon[k - 1], heights[k - 1]
+        if (height > 0.0) != (below > 0.0):
+            kept.append(before + (corner - before) * (below / (below - height)))
+        if height > 0.0:
+            kept.append(corner)
+    return np.array(kept)
+
+
+def _rectilinear(outline: Polygon) -> bool:
+    sides = np.roll(outline, -1, axis=0) - outline
+    return bool(np.isclose(sides, 0.0, atol=1e-12).any(1).all())
+
+
+def _cross(first: Polygon, second: Polygon) -> Polygon:
+    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]

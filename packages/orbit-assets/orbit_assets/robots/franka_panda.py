@@ -1,0 +1,53 @@
+"""Franka Emika Panda, an arm of seven joints."""
+
+from __future__ import annotations
+
+import math
+
+from orbit_assets.cache import Model
+from orbit_assets.compose import add_frames, edit_joints, simplify_collisions, without
+from orbit_assets.installed import installed_urdf
+from orbit_assets.parts import PartKind, RobotPart
+from orbit_core.preparation.merge import merge_fixed_links
+from orbit_core.scene import Articulation, Frame, ImplicitPd, Pose, Workspace
+
+SOURCE = "example-robot-data"
+LICENCE = "Apache-2.0"
+FILE = "robots/panda_description/urdf/panda.urdf"
+
+
+def arm() -> Articulation:
+    """The arm up to the frame ``panda_flange``, which has z out of it and carries a hand 45 degrees about z."""
+    source = merge_fixed_links(without(installed_urdf(SOURCE, FILE, "franka_panda"), "panda_hand"))
+    flange = Frame("panda_flange", "panda_link7", Pose.from_euler(0.0, 0.0, -math.pi / 4, (0.0, 0.0, 0.107)))
+    return simplified(add_frames(source, flange))
+
+
+def simplified(articulation: Articulation) -> Articulation:
+    """The arm, or its hand, with the motors' inertia and fewer points in its collision shapes."""
+    # The URDF leaves the motors' inertia out. 0.1 is that of a 10 kg mm^2 rotor behind a gear of 100:1; the fingers
+    # (15 g) get as many kg, so that the drive and the contact forces act on bodies of like weight.
+    note = "armature of 0.1 kg m^2 (arm) and 0.1 kg (fingers) is the catalogue's choice: the URDF has none"
+    return simplify_collisions(edit_joints(articulation, (".*",), note, armature=0.1))
+
+
+PART = RobotPart(
+    name="franka_panda",
+    kind=PartKind.ARM,
+    model=Model("franka_panda_arm", arm, (SOURCE,), LICENCE),
+    # The open hand points 46 degrees forward from straight down, before the base.
+    home={
+        "panda_joint1": 0.0,
+        "panda_joint2": -0.569,
+        "panda_joint3": 0.0,
+        "panda_joint4": -2.810,
+        "panda_joint5": 0.0,
+        "panda_joint6": 3.037,
+        "panda_joint7": 0.741,
+    },
+    drives=(ImplicitPd(joints=("panda_joint[1-7]",), stiffness=400.0, damping=80.0),),
+    mount="panda_flange",
+    joints=("panda_joint[1-7]",),
+    workspace=Workspace(),
+    end_effector="panda_hand",
+)

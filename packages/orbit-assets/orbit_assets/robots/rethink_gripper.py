@@ -1,0 +1,38 @@
+"""Rethink Robotics' electric gripper with two parallel jaws, which Baxter carries."""
+
+from __future__ import annotations
+
+from orbit_assets.cache import Model
+from orbit_assets.compose import add_frames, edit_joints, inertia_of_shapes, subtree
+from orbit_assets.installed import installed_urdf
+from orbit_assets.parts import PartKind, RobotPart
+from orbit_assets.robots.baxter import FILE, LICENCE, SOURCE
+from orbit_core.preparation.merge import merge_fixed_links
+from orbit_core.scene import Articulation, Frame, Gripper, ImplicitPd, Pose
+
+FINGER = "l_gripper_l_finger_joint"
+
+
+def gripper() -> Articulation:
+    """The gripper in its wider setting: 16 to 58 mm between the pads, which are boxes in the URDF already.
+
+    The frame ``rethink_tcp`` lies in the middle of the pads; the URDF's own, ``left_gripper``, is at their tips.
+    """
+    source = merge_fixed_links(subtree(installed_urdf(SOURCE, FILE), "left_gripper_base_link", "rethink_gripper"))
+    fingers = inertia_of_shapes(source, ("l_gripper_._finger", "left_gripper_base_link"))
+    note = "armature of 0.1 kg on the Rethink gripper's fingers is the catalogue's choice: they weigh 30 g"
+    fingers = edit_joints(fingers, (".*",), note, armature=0.1)
+    note = "effort limit of 40 N on the Rethink gripper's drive, which moves both fingers: the URDF's 20 N at each pad"
+    fingers = edit_joints(fingers, (FINGER,), note, effort_limit=40.0)
+    return add_frames(fingers, Frame("rethink_tcp", "left_gripper", Pose((0.0, 0.0, -0.015))))
+
+
+PART = RobotPart(
+    name="rethink_gripper",
+    kind=PartKind.END_EFFECTOR,
+    model=Model("rethink_gripper", gripper, (SOURCE,), LICENCE, parts=(inertia_of_shapes,)),
+    home={FINGER: 0.0208, "l_gripper_r_finger_joint": -0.0208},
+    drives=(ImplicitPd(joints=(FINGER,), stiffness=4000.0, damping=80.0),),
+    frame="rethink_tcp",
+    gripper=Gripper((FINGER,), 0.0208, 0.0),
+)

@@ -1,0 +1,132 @@
+"""XML files in any encoding, read into element trees under the limits of the caller."""
+
+from __future__ import annotations
+
+import codecs
+import re
+from pathlib import Path
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+
+from orbit_assets.options import ReadLimits, ReadOptions
+from orbit_assets.outside import check_file
+from orbit_core.interfaces.errors import AssetError
+
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8"),
+    (codecs.BOM_UTF32_LE, "utf-32-le"),
+    (codecs.BOM_UTF32_BE, "utf-32-be"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+    (b"<\0", "utf-16-le"),
+    (b"\0<", "utf-16-be"),
+)
+"""How files of each encoding begin; UTF-32 before UTF-16, of whose marks its own begins with one."""
+_DECLARATION = re.compile(r"\s*<\?xml\b[^>]*\?>")
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_ENCODING = re.compile(rb"<\?xml[^>]*\bencoding\s*=\s*[\"']([\w.:-]+)[\"']")
+
+
+def read_xml(path: Path | str, options: ReadOptions) -> Element:
+    """The root element of an XML file. Comments and instructions are left out; prefixes stay in names, ``xacro:if``.
+
+    Prefixes need no declaration, for published files use ``xacro:`` and ``gazebo:`` without one.
+
+    Raises:
+        AssetError: the file is missing, too large, not well formed, declares entities, or goes beyond the limits.
+    """
+    return parse_xml(read_text(path, options), str(path), options.limits)
+
+
+def read_text(path: Path | str, options: ReadOptions) -> str:
+    """The text of an XML file: by its byte-order mark, else as it declares, else UTF-8, else Latin-1.
+
+    Raises:
+        AssetError: the file is missing or too large, or its bytes are not of the encoding that it declares.
+    """
+    check_file(path, options)
+    data = Path(path).read_bytes()
+    for mark, encoding in _MARKS:
+        if data.startswith(mark):
+            return _decoded(data, encoding, path).removeprefix("\ufeff")
+    declared = _ENCODING.search(data[:200])
+    if declared is not None:
+        name = declared.group(1).decode("ascii")
+        # Without a mark, bytes in which the declaration could be read are no UTF-16, whatever it says.
+        return _decoded(data, "utf-8" if name.lower().startswith(("utf-16", "utf-32", "ucs")) else name, path)
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def parse_xml(text: str, name: str, limits: ReadLimits) -> Element:
+    """The root element of XML text, as :func:`read_xml` gives it.
+
+    Args:
+        text: the document; an encoding that it declares no longer matters.
+        name: of the document, for messages.
+        limits: of elements and of nesting.
+
+    Raises:
+        AssetError: as :func:`read_xml`.
+    """
+    builder = _Builder(name, limits)
+    parser = expat.ParserCreate("utf-8")
+    parser.buffer_text = True
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.tree.data
+    parser.EntityDeclHandler = builder.refuse_entity
+    try:
+        parser.Parse(plain_document(text), True)
+    except expat.ExpatError as error:
+        raise AssetError(f"{name} is not well-formed XML ({error}): correct it") from None
+    return builder.tree.close()
+
+
+def plain_document(text: str) -> bytes:
+    """Return XML text as UTF-8 without its declaration and comments, which parsers would stop at."""
+    document = _DECLARATION.sub("", text, count=1) if _DECLARATION.match(text) else text
+    # Published files draw lines of hyphens in comments, which the standard forbids; line numbers stay as they are.
+    document = _COMMENT.sub(lambda comment: "\n" * comment.group().count("\n"), document)
+    return document.lstrip().encode("utf-8", "replace")
+
+
+class _Builder:
+    """Builds the tree as the parser goes, and stops it at what is refused."""
+
+    def __init__(self, name: str, limits: ReadLimits) -> None:
+        self.name = name
+        self.limits = limits
+        self.tree = TreeBuilder()
+        self.elements = 0
+        self.depth = 0
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        self.elements += 1
+        self.depth += 1
+        if self.elements > self.limits.elements:
+            raise AssetError(
+                f"{self.name} has more than {self.limits.elements} elements: split it, or raise ReadLimits.elements"
+            )
+        if self.depth > self.limits.nesting:
+            raise AssetError(
+                f"{self.name} nests <{tag}> in {self.limits.nesting} others: flatten it, or raise ReadLimits.nesting"
+            )
+        self.tree.start(tag, attributes)
+
+    def end(self, tag: str) -> None:
+        self.depth -= 1
+        self.tree.end(tag)
+
+    def refuse_entity(self, entity: str, *_: object) -> None:
+        """An entity may stand for gigabytes, or for another file."""
+        raise AssetError(f"{self.name} declares the entity '{entity}': write out what it stands for")
+
+
+def _decoded(data: bytes, encoding: str, path: Path | str) -> str:
+    try:
+        return data.decode(encoding)
+    except (UnicodeDecodeError, LookupError) as error:
+        raise AssetError(f"{path} is not in its encoding, {encoding} ({error}): save it as UTF-8") from None

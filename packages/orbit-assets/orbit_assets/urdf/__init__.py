@@ -1,0 +1,6 @@
+"""URDF files to articulations and back."""
+
+from orbit_assets.urdf.reader import read_urdf
+from orbit_assets.urdf.writer import write_urdf
+
+__all__ = ["read_urdf", "write_urdf"]

@@ -1,0 +1,243 @@
+"""URDF files read into the articulation description."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_assets.compound_joints import BALL, FLOATING, PLANAR, compound
+from orbit_assets.couplings import resolve_chains
+from orbit_assets.findings import Findings
+from orbit_assets.inertia_repair import repaired
+from orbit_assets.naming import names_file
+from orbit_assets.options import ReadOptions, Repair
+from orbit_assets.trees import choose_tree
+from orbit_assets.urdf.shapes import UrdfShapes, facing
+from orbit_assets.urdf.text import UNLIMITED
+from orbit_assets.xacro import read_expanded
+from orbit_assets.xml_fields import Fields
+from orbit_core.preparation.validation import sort_links
+from orbit_core.scene import Articulation, Joint, JointType, Link, Mimic
+
+_JOINT_TYPES = {type_.value: type_ for type_ in JointType}
+_COMPOUND = {"floating": FLOATING, "planar": PLANAR, "spherical": BALL, "ball": BALL}
+"""The last two are no words of ROS, but common ones."""
+_KNOWN = {
+    "robot": {"link", "joint", "material"},
+    "link": {"inertial", "visual", "collision"},
+    "joint": {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic"},
+}
+"""Elements that are read; all others are left out with a note."""
+
+
+@names_file
+def read_urdf(
+    path: Path | str,
+    packages: Mapping[str, Path] | None = None,
+    name: str | None = None,
+    *,
+    options: ReadOptions = ReadOptions(),
+) -> Articulation:
+    """The articulation that a URDF or xacro file describes, in link order depth first, fixed joints kept.
+
+    ``packages`` adds folders of packages that ``package://`` names to those of ``options``; one that neither has is
+    looked for among the folders above the file. Collision meshes collide as their convex hulls. Visual meshes keep
+    their files' colours where the URDF gives none, a texture as its median colour. Floating, planar and ball joints
+    become chains of simple ones, but for a floating joint that carries the whole robot: it is left out, for the
+    entity's ``fixed_base`` says that. A joint that mimics a mimic follows the leader of both. What is not read, such as
+    transmissions, safety controllers and simulators' own elements, is in the notes. Of a file of several trees,
+    ``options.articulation`` names the root link of the one to read.
+
+    Raises:
+        AssetError: the file, or one that it names, is missing, malformed or describes what ORBIT has no word for.
+    """
+    path = Path(path)
+    return _Reader(path, replace(options, packages={**options.packages, **(packages or {})})).read(name)
+
+
+class _Reader:
+    """One file's reading."""
+
+    def __init__(self, path: Path, options: ReadOptions) -> None:
+        self.path = path
+        self.options = options
+        self.findings = Findings(f"URDF file '{path}'", options)
+        self.fields = Fields(self.findings)
+
+    def read(self, name: str | None) -> Articulation:
+        root = self._root()
+        self.shapes = UrdfShapes(root, self.path, self.fields, self.options)
+        self._note_unread(root, "the robot")
+        self._leave_free_base(root)
+        links = [self._link(element) for element in root.findall("link")]
+        joints: list[Joint] = []
+        for element in root.findall("joint"):
+            made, single = self._joint(element)
+            links += made
+            joints += single
+        articulation = Articulation(name or root.get("name") or self.path.stem, tuple(links), tuple(joints))
+        articulation = resolve_chains(self._without_lost_leaders(articulation))
+        articulation = sort_links(choose_tree(articulation, self.options.articulation))
+        return repaired(replace(articulation, notes=(*articulation.notes, *self.findings.notes)), self.options)
+
+    def _root(self) -> Element:
+        expanded = read_expanded(self.path, self.options)
+        root = expanded.root
+        for note in expanded.notes:
+            self.findings.note(note)
+        if root.tag != "robot":
+            raise self.findings.error(f"its root element is <{root.tag}>", "give a URDF file, whose root is <robot>")
+        return root
+
+    def _link(self, element: Element) -> Link:
+        name = self.fields.attribute(element, "name", "a link")
+        where = f"link '{name}'"
+        self._note_unread(element, where)
+        shapes = self.shapes
+        collisions = [shape for child in element.findall("collision") for shape in shapes.collision(child, where)]
+        visuals = [shape for child in element.findall("visual") for shape in shapes.visual(child, where)]
+        link = Link(name, collisions=tuple(collisions), visuals=tuple(visuals))
+        inertial = element.find("inertial")
+        if inertial is None:
+            return link
+        pose = shapes.origin(inertial, where)
+        mass = self.fields.number(self.fields.child(inertial, "mass", where), "value", where)
+        inertia = self._inertia(inertial, where)
+        rotation = pose.rotation_matrix()
+        return replace(link, mass=mass, center_of_mass=pose.position, inertia=rotation @ inertia @ rotation.T)
+
+    def _joint(self, element: Element) -> tuple[tuple[Link, ...], tuple[Joint, ...]]:
+        """A joint, or the joints and links that a compound one becomes."""
+        name = self.fields.attribute(element, "name", "a joint")
+        where = f"joint '{name}'"
+        kind = self.fields.attribute(element, "type", where)
+        if kind not in _JOINT_TYPES and kind not in _COMPOUND:
+            known = ", ".join((*_JOINT_TYPES, *_COMPOUND))
+            raise self.findings.error(f"{where} is of type '{kind}'", f"use one of {known}")
+        self._note_unread(element, where)
+        joint = Joint(
+            name,
+            _JOINT_TYPES.get(kind, JointType.CONTINUOUS),
+            self.fields.attribute(self.fields.child(element, "parent", where), "link", where),
+            self.fields.attribute(self.fields.child(element, "child", where), "link", where),
+            parent_pose=self.shapes.origin(element, where),
+        )
+        if not joint.movable:
+            return (), (joint,)
+        joint = self._with_motion(joint, element, where)
+        if kind not in _COMPOUND:
+            return (), (joint,)
+        return self._compound(joint, kind, where)
+
+    def _compound(self, joint: Joint, kind: str, where: str) -> tuple[tuple[Link, ...], tuple[Joint, ...]]:
+        if joint.mimic is not None:
+            raise self.findings.error(f"{where}, of type '{kind}', mimics another", "mimic by simple joints")
+        if kind == "planar":  # URDF's axis is the plane's normal
+            normal = facing(joint.axis)
+            joint = replace(joint, parent_pose=joint.parent_pose @ normal, child_pose=normal)
+        freedoms = _COMPOUND[kind]
+        self.findings.note(f"{where}, of type '{kind}', is {len(freedoms)} simple joints one after another")
+        return compound(joint, freedoms)
+
+    def _with_motion(self, joint: Joint, element: Element, where: str) -> Joint:
+        axis, mimic, dynamics = (element.find(tag) for tag in ("axis", "mimic", "dynamics"))
+        number = self.fields.number
+        # URDF's default axis is x.
+        joint = replace(joint, axis=(1.0, 0.0, 0.0) if axis is None else self.fields.vector(axis, "xyz", where))
+        if dynamics is not None:
+            damping, friction = (number(dynamics, key, where, 0.0) for key in ("damping", "friction"))
+            joint = replace(joint, damping=damping, friction=friction)
+        if mimic is not None:
+            leader = self.fields.attribute(mimic, "joint", where)
+            law = Mimic(leader, number(mimic, "multiplier", where, 1.0), number(mimic, "offset", where, 0.0))
+            joint = replace(joint, mimic=law)
+        return self._with_limits(joint, element, where)
+
+    def _with_limits(self, joint: Joint, element: Element, where: str) -> Joint:
+        limit = element.find("limit")
+        if limit is None:
+            if joint.type is JointType.CONTINUOUS:
+                return joint
+            raise self.findings.error(f"{where} has no <limit>", "give it one, or make the joint continuous")
+        number = self.fields.number
+        effort, velocity = (_limit(number(limit, key, where, math.inf)) for key in ("effort", "velocity"))
+        joint = replace(joint, effort_limit=effort, velocity_limit=velocity)
+        if joint.type is JointType.CONTINUOUS:
+            return joint
+        lower, upper = (_limit(number(limit, key, where, 0.0)) for key in ("lower", "upper"))
+        return replace(joint, lower_limit=lower, upper_limit=upper)
+
+    def _without_lost_leaders(self, articulation: Articulation) -> Articulation:
+        """The articulation without laws that name a joint which does not exist, where the caller lets them go."""
+        known = {joint.name for joint in articulation.joints}
+        joints: list[Joint] = []
+        for joint in articulation.joints:
+            if joint.mimic is not None and joint.mimic.joint not in known:
+                self.findings.unsupported(
+                    f"a <mimic> of the unknown joint '{joint.mimic.joint}'",
+                    f"joint '{joint.name}'",
+                    "name a joint of the file",
+                )
+                joint = replace(joint, mimic=None)
+            joints.append(joint)
+        return replace(articulation, joints=tuple(joints))
+
+    def _inertia(self, inertial: Element, where: str) -> npt.NDArray[np.float64]:
+        """The inertia in the frame of ``<inertial>``; zero where none is given and repairs are asked for."""
+        element = inertial.find("inertia")
+        if element is None and self.options.repair is Repair.BALANCE:
+            return np.zeros((3, 3))
+        if element is None:
+            raise self.findings.error(
+                f"{where} lacks <inertia> in <inertial>",
+                "add it, or have it that of a ball of water by ReadOptions(repair=Repair.BALANCE)",
+            )
+        number = self.fields.number
+        xx, yy, zz = (number(element, key, where) for key in ("ixx", "iyy", "izz"))
+        xy, xz, yz = (number(element, key, where, 0.0) for key in ("ixy", "ixz", "iyz"))
+        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+    def _leave_free_base(self, root: Element) -> None:
+        """Take a floating joint that carries the whole robot out of the file, and the empty link that holds it."""
+        found = _free_base(root)
+        if found is None:
+            return
+        joint, holder = found
+        for tag, name in (("joint", joint), ("link", holder)):
+            root.remove(next(element for element in root.findall(tag) if element.get("name", "") == name))
+        self.findings.note(
+            f"joint '{joint}' lets the whole robot float and is left out with link '{holder}': give the entity "
+            "fixed_base=False"
+        )
+
+    def _note_unread(self, element: Element, where: str) -> None:
+        for child in element:
+            if child.tag not in _KNOWN[element.tag]:
+                self.findings.leave_out(f"<{child.tag}>", where)
+
+
+def _free_base(root: Element) -> tuple[str, str] | None:
+    """The floating joint that carries the whole robot, and the empty link that it hangs on, if there are such."""
+    links = {element.get("name"): element for element in root.findall("link")}
+    ends = [[(joint.find(tag), joint) for tag in ("parent", "child")] for joint in root.findall("joint")]
+    parents, children = ([end[at][0] for end in ends] for at in (0, 1))
+    held = [element.get("link") for element in parents if element is not None]
+    carried = {element.get("link") for element in children if element is not None}
+    for parent, joint in (end[0] for end in ends):
+        holder = parent.get("link") if parent is not None else None
+        if joint.get("type") != "floating" or holder in carried or held.count(holder) > 1:
+            continue
+        link = links.get(holder)
+        if link is not None and not any(link.find(tag) is not None for tag in _KNOWN["link"]):
+            return joint.get("name", ""), holder or ""
+    return None
+
+
+def _limit(value: float) -> float:
+    return math.copysign(math.inf, value) if abs(value) >= UNLIMITED else value

@@ -1,0 +1,233 @@
+"""The articulations of a USD stage: its bodies and joints put together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from orbit_assets.placed import PlacedArticulation
+from orbit_assets.usd.actuators import Actuators
+from orbit_assets.usd.contents import STAGE, collect, is_frame
+from orbit_assets.usd.geometry import Placements
+from orbit_assets.usd.joints import Joints
+from orbit_assets.usd.library import pxr
+from orbit_assets.usd.links import Links
+from orbit_assets.usd.names import unique_names
+from orbit_assets.usd.stage import Reading, applies, attribute, is_authored, label, numbers, rotation, targets
+from orbit_assets.usd.tree import Edge, Tree, grow, stacked
+from orbit_core.interfaces.errors import AssetError
+from orbit_core.preparation.validation import sort_links
+from orbit_core.scene import Articulation, Frame, Joint, Link, Pose
+
+WORLD = "world"
+"""The root link of an articulation whose first movable joint hangs from the world."""
+_ADDS = "newton:jointsAddMobility"
+_MOVING = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsSphericalJoint")
+"""Types of joints of which several may act one after another between the same bodies."""
+
+
+class StageReader:
+    """Reads what one stage holds.
+
+    Raises:
+        AssetError: the stage holds something that the description lacks.
+    """
+
+    def __init__(self, reading: Reading) -> None:
+        self.reading = reading
+        self.contents = collect(reading)
+        self.placements = Placements(reading.units)
+        self.links = Links(reading, self.contents, self.placements)
+        self.actuators = Actuators(self.contents.actuators, self.contents.joints, reading)
+
+    def articulations(self) -> list[PlacedArticulation]:
+        """All that rigid bodies and joints make, in the stage's order; of a stage without bodies, one static link.
+
+        Raises:
+            AssetError: the stage holds nothing that could collide, or something that the description lacks.
+        """
+        bodies = self.contents.bodies
+        if not bodies:
+            return [self._static()]
+        marked = [path for path, body in bodies.items() if body.HasAPI(pxr().UsdPhysics.ArticulationRootAPI)]
+        trees = grow(list(bodies), stacked(self._edges(), self._adds_mobility), marked)
+        names = self._names(trees)
+        return [self._placed(tree, *name) for tree, name in zip(trees, names, strict=True)]
+
+    def _static(self) -> PlacedArticulation:
+        if not self.contents.static_colliders:
+            raise AssetError(
+                f"{self.reading.path} holds no rigid body and no collider: apply PhysicsRigidBodyAPI to a prim"
+            )
+        self.reading.note("the stage has no rigid body: its colliders are one link without mass, for a fixed base")
+        link = self.links.static(self.reading.stage.GetPseudoRoot(), self.contents.parts[STAGE], WORLD)
+        frames = tuple(self._frames({STAGE: WORLD}))
+        return PlacedArticulation(Articulation(self._only_name(), (link,), frames=frames), fixed_base=True, path=STAGE)
+
+    def _only_name(self) -> str:
+        top = self.reading.stage.GetDefaultPrim()
+        return label(top) if top else self.reading.path.stem
+
+    def _names(self, trees: list[Tree]) -> list[tuple[str, str]]:
+        """Path and name of each articulation: the default prim's name for the only one."""
+        paths = [self._around(tree) for tree in trees]
+        if len(trees) == 1:
+            return [(paths[0], self._only_name())]
+        names = unique_names({path: label(self.reading.stage.GetPrimAtPath(path)) for path in paths})
+        return [(path, names[path]) for path in paths]
+
+    def _around(self, tree: Tree) -> str:
+        """The path of the innermost prim that holds all bodies of an articulation, or of its first body.
+
+        The stage's default prim holds everything and stands for nothing.
+        """
+        bodies = [path for path in tree.bodies if path != STAGE]
+        first = tree.root if tree.root != STAGE else bodies[0]
+        common = pxr().Sdf.Path(first)
+        for path in bodies:
+            common = common.GetCommonPrefix(pxr().Sdf.Path(path))
+        top = self.reading.stage.GetDefaultPrim()
+        alone = str(common) != STAGE and not (top and common == top.GetPath())
+        return str(common) if alone else first
+
+    def _edges(self) -> Iterator[Edge]:
+        for prim in self.contents.joints:
+            if self._acts(prim) and (edge := self._edge(prim)) is not None:
+                yield edge
+
+    def _acts(self, prim: Any) -> bool:
+        if attribute(prim, "physics:collisionEnabled", False):
+            self.reading.note(f"the links that '{label(prim)}' connects do not collide, though it lets them")
+        enabled = attribute(prim, "physics:jointEnabled", True)
+        if not enabled:
+            self.reading.note(f"joint '{label(prim)}' is disabled and left out")
+        elif prim.GetTypeName() == "PhysicsDistanceJoint":
+            self.reading.lack(f"{prim.GetPath()} is a distance joint")
+            return False
+        return enabled
+
+    def _adds_mobility(self, edge: Edge) -> bool:
+        """As the articulation's root says; else as MuJoCo's joints do, which are known by their schema."""
+        if edge.prim.GetTypeName() not in _MOVING:
+            return False
+        for body in (path for path in edge.bodies if path != STAGE):
+            prim = self.reading.stage.GetPrimAtPath(body)
+            while prim and not prim.IsPseudoRoot():
+                if is_authored(prim, _ADDS):
+                    return bool(attribute(prim, _ADDS))
+                prim = prim.GetParent()
+        return applies(edge.prim, "MjcJointAPI")
+
+    def _edge(self, prim: Any) -> Edge:
+        bodies, frames = [], []
+        stage = self.reading.stage
+        for side in "01":
+            named = targets(prim, f"physics:body{side}")
+            target = stage.GetPrimAtPath(named[0]) if named else stage.GetPseudoRoot()
+            if not target:
+                raise AssetError(f"{prim.GetPath()} connects {named[0]}, which the stage lacks: correct the path")
+            body = self.contents.owners.get(str(target.GetPath()), STAGE)
+            placement = self.placements.of(target, stage.GetPrimAtPath(body))
+            position = numbers(prim, f"physics:localPos{side}", (0.0, 0.0, 0.0))
+            frames.append(placement.frame(position, rotation(prim, f"physics:localRot{side}")))
+            bodies.append(body)
+        if bodies[0] == bodies[1]:
+            raise AssetError(f"{prim.GetPath()} connects {bodies[0]} with itself: name two rigid bodies")
+        closing = bool(attribute(prim, "physics:excludeFromArticulation", False))
+        return Edge(prim, (bodies[0], bodies[1]), (frames[0], frames[1]), closing)
+
+    def _placed(self, tree: Tree, path: str, name: str) -> PlacedArticulation:
+        own = replace(self.reading, notes=[])
+        names = self._link_names(tree)
+        inner = (part for edge, _ in tree.parent_edges.values() for part in edge.parts)
+        edges = [*inner, *(part for edge in tree.loops for part in edge.parts)]
+        joint_names = unique_names({str(edge.prim.GetPath()): label(edge.prim) for edge in edges})
+        joints = Joints(own, names, joint_names, self._pose, self.actuators)
+        joints.gather(tree)
+        links = [self._link(body, names[body]) for body in tree.bodies]
+        if tree.root == STAGE:
+            own.note(f"link '{WORLD}', without mass, stands for what joints hang from: fix the base")
+        articulation = Articulation(
+            name,
+            (*links, *joints.links),
+            tuple(joints.joints),
+            tuple(self._frames(names)),
+            self._self_collisions(tree),
+            tuple(self._exclusions(names, own)),
+            tuple(own.notes),
+            tuple(joints.loops),
+            tuple(joints.drives),
+            tuple(joints.home),
+        )
+        ordered = articulation if _in_order(articulation) else sort_links(articulation)
+        kinematic = tree.root != STAGE and attribute(self.contents.bodies[tree.root], "physics:kinematicEnabled", False)
+        return PlacedArticulation(ordered, self._pose(tree.root), tree.fixed_base or bool(kinematic), path)
+
+    def _link_names(self, tree: Tree) -> dict[str, str]:
+        """Names of the links by their bodies' paths."""
+        bodies = {path: label(self.contents.bodies[path]) for path in tree.bodies if path != STAGE}
+        world = {STAGE: WORLD} if tree.root == STAGE else {}
+        return world | unique_names(bodies, frozenset(world.values()))
+
+    def _link(self, path: str, name: str) -> Link:
+        return self.links.body(path, name) if path != STAGE else Link(name)
+
+    def _pose(self, path: str) -> Pose:
+        """Where the link of a body stands in the world."""
+        return self.placements.root(self.contents.bodies[path]) if path != STAGE else Pose()
+
+    def _frames(self, names: dict[str, str]) -> Iterator[Frame]:
+        marked = {
+            str(prim.GetPath()): (path, prim)
+            for path in names
+            for prim in self.contents.parts.get(path, [])
+            if is_frame(prim)
+        }
+        labels = {path: label(prim) for path, (_, prim) in marked.items()}
+        unique = unique_names(labels, frozenset(names.values()))
+        for path, (body, prim) in marked.items():
+            host = self.reading.stage.GetPrimAtPath(body)
+            yield Frame(unique[path], names[body], self.placements.of(prim, host).pose)
+
+    def _self_collisions(self, tree: Tree) -> bool:
+        """As the articulation's root says; UsdPhysics itself lets all bodies collide that no joint connects."""
+        if len(tree.bodies) == 1:
+            return False
+        names = ("newton:selfCollisionEnabled", "physxArticulation:enabledSelfCollisions")
+        around = [prim for path in tree.bodies if path != STAGE for prim in self._upwards(self.contents.bodies[path])]
+        around += [prim for edge, _ in tree.parent_edges.values() for prim in (edge.prim,)]
+        values = (attribute(prim, name) for prim in dict.fromkeys(around) for name in names)
+        return next((bool(value) for value in values if value is not None), True)
+
+    def _upwards(self, prim: Any) -> Iterator[Any]:
+        while prim and not prim.IsPseudoRoot():
+            if prim.HasAPI(pxr().UsdPhysics.ArticulationRootAPI):
+                yield prim
+            prim = prim.GetParent()
+
+    def _exclusions(self, names: dict[str, str], own: Reading) -> Iterator[tuple[str, str]]:
+        for path, name in names.items():
+            if path == STAGE:
+                continue
+            for target in targets(self.contents.bodies[path], "physics:filteredPairs"):
+                if target in names:
+                    yield (name, names[target])
+                else:
+                    own.note(f"the collision filter of {path} against {target} is left out: it is no body here")
+
+
+def _in_order(articulation: Articulation) -> bool:
+    """Whether every parent comes before its children, the root first."""
+    place = {name: index for index, name in enumerate(articulation.link_names)}
+    children = {joint.child for joint in articulation.joints}
+    return (
+        articulation.root.name not in children
+        and all(place[joint.parent] < place[joint.child] for joint in articulation.joints)
+        and _joints_follow_links(articulation.joints, place)
+    )
+
+
+def _joints_follow_links(joints: tuple[Joint, ...], place: dict[str, int]) -> bool:
+    places = [place[joint.child] for joint in joints]
+    return places == sorted(places)

@@ -1,0 +1,244 @@
+"""Where things stand in a USD stage, and the shapes found there, in SI units with z up."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_assets.urdf.shapes import is_sizeless
+from orbit_assets.usd.contents import STAGE
+from orbit_assets.usd.library import pxr
+from orbit_assets.usd.stage import Reading, Units, array, attribute, axis, label, number
+from orbit_assets.usd.surfaces import Surfaces
+from orbit_core.interfaces.errors import AssetError
+from orbit_core.scene import Box, Capsule, Cylinder, Geometry, Mesh, MeshCollision, Plane, Pose, Shape, Sphere
+from orbit_core.scene.pose import FloatArray, Quaternion, Vector3, canonical
+
+UNNAMED = "orbit:unnamed"
+"""The attribute that marks a shape without a name, as every prim has one."""
+_TO_Z = {"X": Pose.from_euler(0.0, math.pi / 2, 0.0), "Y": Pose.from_euler(-math.pi / 2, 0.0, 0.0), "Z": Pose()}
+"""The rotation that takes z to a prim's own axis."""
+_SIDES = 32
+"""Of the pyramid that a cone becomes."""
+_SHEAR = 1e-4
+"""Relative; stages hold most numbers in single precision."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """A prim's pose in its link's frame, and the stretch (3, 3) of its own axes into metres."""
+
+    pose: Pose
+    stretch: FloatArray
+
+    def point(self, position: Any) -> FloatArray:
+        """A point (3,) of the prim's own space in the link's frame."""
+        return self.pose.transform(self.stretch @ np.asarray(position, dtype=float))
+
+    def frame(self, position: Any, rotation: Any) -> Pose:
+        """A USD vector and quaternion of the prim's own space as a pose in the link's frame."""
+        return self.pose @ Pose(_vector(self.stretch @ np.asarray(position, dtype=float)), _quaternion(rotation))
+
+    def scale(self, prim: Any) -> FloatArray:
+        """The stretch along each of the prim's axes (3,), without sign.
+
+        Raises:
+            AssetError: the prim is sheared.
+        """
+        scale = np.abs(np.diag(self.stretch))
+        if np.abs(self.stretch - np.diag(np.diag(self.stretch))).max() > _SHEAR * scale.max():
+            raise AssetError(f"{prim.GetPath()} is sheared by its transforms: only a mesh can be")
+        return scale
+
+
+class Placements:
+    """Where the prims of a stage stand, each body worked out once."""
+
+    def __init__(self, units: Units) -> None:
+        self._units = units
+        self._cache = pxr().UsdGeom.XformCache(pxr().Usd.TimeCode.Default())
+        self._bodies: dict[str, Pose] = {}
+        self._inverses: dict[str, Pose] = {}
+
+    def of(self, prim: Any, body: Any) -> Placement:
+        """The pose of a prim that moves with the prim ``body``."""
+        matrix = self._matrix(prim)
+        rigid = _rigid(matrix)
+        stretch = rigid[:3, :3].T @ matrix[:3, :3]
+        path = str(body.GetPath())
+        if path not in self._inverses:
+            self._inverses[path] = self._units.up @ self._body(body).inverse()
+        return Placement(self._inverses[path] @ Pose.from_matrix(rigid), stretch)
+
+    def root(self, body: Any) -> Pose:
+        """Where the link frame of a body stands in the world, z up."""
+        up = self._units.up
+        return up @ self._body(body) @ up.inverse()
+
+    def _body(self, body: Any) -> Pose:
+        path = str(body.GetPath())
+        if path not in self._bodies:
+            self._bodies[path] = Pose.from_matrix(_rigid(self._matrix(body))) if path != STAGE else Pose()
+        return self._bodies[path]
+
+    def _matrix(self, prim: Any) -> FloatArray:
+        """The prim's transform (4, 4) in the stage, acting on columns, translation in metres."""
+        length = self._units.length
+        if prim.IsPseudoRoot():
+            return np.diag((length, length, length, 1.0))
+        try:
+            matrix = np.array(self._cache.GetLocalToWorldTransform(prim)).T
+        except pxr().Tf.ErrorException as error:
+            raise AssetError(f"{prim.GetPath()} has a transform that USD cannot work out: {error}") from None
+        matrix[:3] *= length
+        if not np.isfinite(matrix).all():
+            raise AssetError(f"{prim.GetPath()} has a transform that is not finite: correct it")
+        return matrix
+
+
+APPROXIMATIONS = {
+    "none": MeshCollision.TRIANGLES,
+    "convexHull": MeshCollision.CONVEX_HULL,
+    "convexDecomposition": MeshCollision.CONVEX_DECOMPOSITION,
+    "sdf": MeshCollision.SIGNED_DISTANCE,  # of PhysX' schema
+}
+"""By USD's name of a collision approximation."""
+
+
+class Shapes:
+    """Reads the geometry of one stage."""
+
+    def __init__(self, reading: Reading, placements: Placements, gprims: list[Any]) -> None:
+        self._reading = reading
+        self._placements = placements
+        self.surfaces = Surfaces(reading, gprims)
+
+    def read(self, prim: Any, body: Any, *, collides: bool) -> Shape | None:
+        """The shape of a geometric prim in its link's frame; ``None`` for a kind that holds no surface.
+
+        Raises:
+            AssetError: no engine has a shape like it.
+        """
+        placement = self._placements.of(prim, body)
+        kind = prim.GetTypeName()
+        if kind == "Mesh":
+            geometry: Geometry | None = self._mesh(prim, placement, collides)
+            pose = placement.pose
+        elif kind == "Cone":
+            geometry, pose = _cone(prim, placement), placement.pose
+            self._reading.note(f"{prim.GetPath()} is a cone and is read as a pyramid of {_SIDES} sides")
+        else:
+            geometry = _primitive(prim, kind, placement)
+            pose = placement.pose @ _TO_Z[axis(prim)]
+        if geometry is None:
+            return None
+        if not collides and is_sizeless(geometry):
+            self._reading.note(f"{prim.GetPath()} is drawn with size zero, which shows nothing, and is left out")
+            return None
+        name = "" if attribute(prim, UNNAMED, False) else label(prim)
+        return Shape(geometry, pose, self.surfaces.material(prim), self.surfaces.color(prim), name)
+
+    def _mesh(self, prim: Any, placement: Placement, collides: bool) -> Mesh:
+        points = array(prim, "points", 3, float)
+        counts = array(prim, "faceVertexCounts", 1, int)
+        indices = array(prim, "faceVertexIndices", 1, int)
+        most = self._reading.options.limits.vertices
+        if max(len(points), len(indices)) > most:
+            raise AssetError(f"{prim.GetPath()} has over {most} vertices: simplify it, or raise ReadLimits.vertices")
+        if len(counts) and (counts.min() < 0 or counts.sum(dtype=float) != len(indices)):
+            raise AssetError(
+                f"{prim.GetPath()} has faces of {counts.sum(dtype=float):g} corners in all and names {len(indices)}: "
+                "export it again"
+            )
+        if len(points) == 0 or len(indices) == 0 or indices.min() < 0 or indices.max() >= len(points):
+            raise AssetError(f"{prim.GetPath()} is a mesh without faces, or with faces of vertices that it lacks")
+        faces = _triangles(counts, indices)
+        mirrored = np.linalg.det(placement.stretch) < 0
+        if mirrored != (attribute(prim, "orientation") == "leftHanded"):
+            faces = faces[:, ::-1]
+        collision = self._collision(prim) if collides else MeshCollision.CONVEX_HULL
+        return Mesh(points @ placement.stretch.T, np.ascontiguousarray(faces), collision)
+
+    def _collision(self, prim: Any) -> MeshCollision:
+        approximation = attribute(prim, "physics:approximation")
+        if approximation in APPROXIMATIONS:
+            return APPROXIMATIONS[approximation]
+        if approximation is not None:
+            self._reading.note(
+                f"{prim.GetPath()} asks for the collision approximation '{approximation}'; it has its convex hull"
+            )
+        return MeshCollision.CONVEX_HULL
+
+
+def _primitive(prim: Any, kind: str, placement: Placement) -> Geometry | None:
+    if kind == "Plane":
+        return Plane()
+    if kind not in ("Cube", "Sphere", "Capsule", "Cylinder"):
+        return None
+    scale = placement.scale(prim)
+    if kind == "Cube":
+        x, y, z = (float(value) for value in 0.5 * number(prim, "size") * scale)
+        return Box((x, y, z))
+    along = "XYZ".index(axis(prim))
+    round_axes = (0, 1, 2) if kind == "Sphere" else tuple(index for index in range(3) if index != along)
+    across = scale[list(round_axes)]
+    # A capsule's round caps stay round only where it is scaled the same along all its axes.
+    must_agree = scale if kind == "Capsule" else across
+    if np.ptp(must_agree) > _SHEAR * scale.max():
+        raise AssetError(f"{prim.GetPath()} is a {kind.lower()} scaled by {scale}: make it round, or a mesh")
+    radius = float(number(prim, "radius") * across[0])
+    if kind == "Sphere":
+        return Sphere(radius)
+    half_length = float(0.5 * number(prim, "height") * scale[along])
+    return Capsule(radius, half_length) if kind == "Capsule" else Cylinder(radius, half_length)
+
+
+def _cone(prim: Any, placement: Placement) -> Mesh:
+    """A cone as a pyramid of the same volume."""
+    turn = 2.0 * np.pi / _SIDES
+    radius = number(prim, "radius") * math.sqrt(turn / math.sin(turn))
+    half = 0.5 * number(prim, "height")
+    angles = turn * np.arange(_SIDES)
+    rim = np.stack((radius * np.cos(angles), radius * np.sin(angles), np.full(_SIDES, -half)), axis=1)
+    points = _TO_Z[axis(prim)].transform(np.concatenate((rim, [(0.0, 0.0, half), (0.0, 0.0, -half)])))
+    first, following = np.arange(_SIDES), np.roll(np.arange(_SIDES), -1)
+    tip, centre = np.full(_SIDES, _SIDES), np.full(_SIDES, _SIDES + 1)
+    faces = np.concatenate((np.stack((first, following, tip), 1), np.stack((following, first, centre), 1)))
+    mirrored = np.linalg.det(placement.stretch) < 0
+    return Mesh(points @ placement.stretch.T, np.ascontiguousarray(faces[:, ::-1] if mirrored else faces))
+
+
+def _triangles(counts: npt.NDArray[np.int_], indices: npt.NDArray[np.int_]) -> npt.NDArray[np.int_]:
+    """Fans of triangles (F, 3) of polygons given one after another."""
+    starts = np.cumsum(counts) - counts
+    fans = np.maximum(counts - 2, 0)
+    first = np.repeat(starts, fans)
+    step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
+    return indices[np.stack((first, first + step + 1, first + step + 2), axis=1)]
+
+
+def _rigid(matrix: FloatArray) -> FloatArray:
+    """The nearest rigid transform: the rotation of the polar decomposition, and the translation."""
+    rotation = matrix[:3, :3]
+    if np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-12:  # no rotation yet
+        u, _, vt = np.linalg.svd(rotation)
+        rotation = u @ vt
+    result = matrix.copy()
+    result[:3, :3] = rotation if np.linalg.det(rotation) > 0 else -rotation
+    return result
+
+
+def _vector(values: FloatArray) -> Vector3:
+    x, y, z = (float(value) for value in values)
+    return (x, y, z)
+
+
+def _quaternion(rotation: Any) -> Quaternion:
+    x, y, z = (float(value) for value in rotation.GetImaginary())
+    quaternion = (float(rotation.GetReal()), x, y, z)
+    # USD's way to say that principal axes are the body's own is a quaternion of zeros.
+    return canonical(quaternion) if any(quaternion) else (1.0, 0.0, 0.0, 0.0)

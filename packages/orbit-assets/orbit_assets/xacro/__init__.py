@@ -1,0 +1,5 @@
+"""Xacro files to URDF, in a process with limits and by expressions that are not Python."""
+
+from orbit_assets.xacro.expansion import ExpandedXml, expand_xacro, read_expanded
+
+__all__ = ["ExpandedXml", "expand_xacro", "read_expanded"]

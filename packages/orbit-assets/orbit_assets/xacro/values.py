@@ -1,0 +1,138 @@
+"""Values of xacro expressions, and the bounds that they keep."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+LARGEST = 1_000_000
+"""Characters and items of one value, those of its parts included."""
+_BITS = 4096
+"""Most bits of an integer."""
+NUMBERS = (int, float, bool)
+_CONTAINERS = (list, tuple, set, dict)
+DATA = (*NUMBERS, str, type(None), *_CONTAINERS)
+"""Types of values. They are compared exactly: a subclass could bring code of its own."""
+
+
+class ExpressionError(Exception):
+    """Raised where an expression uses what is not allowed, or asks for a value that is too large."""
+
+
+class Namespace(dict[str, Any]):
+    """Named functions and constants, such as ``math``."""
+
+
+@dataclass(frozen=True, repr=False)
+class Function:
+    """Callable of expressions.
+
+    Args:
+        name: for messages.
+        call: checks its arguments itself, for they may be of any type in :data:`DATA`.
+        kind: the type of the values that it makes, if it makes one type, for ``isinstance``.
+    """
+
+    name: str
+    call: Callable[..., Any]
+    kind: type | None = None
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """Return the result, which is a value in bounds."""
+        return check_value(self.call(*arguments, **options))
+
+    def bound(self, owner: Any) -> Function:
+        """Return the method of a value, whose first argument is the value."""
+        return Function(self.name, lambda *arguments, **options: self.call(owner, *arguments, **options))
+
+    def __repr__(self) -> str:
+        return f"<function {self.name}>"
+
+
+METHODS: dict[type, Mapping[str, Function]] = {}
+"""Methods of values by type; :mod:`orbit_assets.xacro.functions` lists them."""
+
+
+def methods_of(value: Any) -> Mapping[str, Function]:
+    """Return the methods that expressions may call on a value."""
+    return METHODS.get(type(value), {})
+
+
+def is_namespace(value: Any) -> bool:
+    """Return True for named functions or properties: a dictionary of a class of its own, as xacro's tables are."""
+    return isinstance(value, dict) and type(value) is not dict
+
+
+def known(value: Any, name: str) -> Any:
+    """Return what a name stands for, if it is a value, a function or a namespace.
+
+    Raises:
+        ExpressionError: it is something else, such as an XML element.
+    """
+    if type(value) in DATA or isinstance(value, Function) or is_namespace(value):
+        return value
+    raise ExpressionError(f"'{name}' is no value that an expression may use")
+
+
+def items_of(value: Any) -> list[Any]:
+    """Return the items of a container or the characters of text.
+
+    Raises:
+        TypeError: the value has none.
+    """
+    if type(value) not in (str, *_CONTAINERS):
+        raise TypeError(f"{type(value).__name__} has no items")
+    return list(value)
+
+
+def check_integer(number: Any) -> Any:
+    """Return a number, if it is real and no larger than integers may be.
+
+    Raises:
+        ExpressionError: it is complex or too large.
+    """
+    if type(number) not in NUMBERS:
+        raise ExpressionError(f"{type(number).__name__} numbers are not allowed in expressions")
+    if type(number) is int and number.bit_length() > _BITS:
+        raise ExpressionError(f"an integer has {number.bit_length()} bits: give at most {_BITS}")
+    return number
+
+
+def check_power(base: Any, exponent: Any, *, shift: bool) -> None:
+    """Check that a power or a shift to the left stays within :func:`check_integer`, before it is computed.
+
+    Raises:
+        ExpressionError: it does not.
+    """
+    if type(base) is float or type(exponent) is float or exponent <= 0:
+        return  # arithmetic of floats has bounds, and shifts to the other side are errors of their own
+    bits = exponent + base.bit_length() if shift else exponent * (abs(base) - 1).bit_length()
+    if base and bits > _BITS:
+        raise ExpressionError(f"a power has some {bits} bits: give at most {_BITS}")
+
+
+def check_value(value: Any) -> Any:
+    """Return a value, if all of it is of known types and it is no larger than values may be.
+
+    Raises:
+        ExpressionError: it is not.
+    """
+    size = 0
+    waiting = [value]
+    while waiting:
+        each = waiting.pop()
+        size += 1
+        if type(each) in NUMBERS:
+            check_integer(each)
+        elif type(each) is str:
+            size += len(each)
+        elif type(each) in _CONTAINERS:
+            waiting.extend(each)
+            if type(each) is dict:
+                waiting.extend(each.values())
+        elif each is not None and not isinstance(each, Function):
+            raise ExpressionError(f"a value of type {type(each).__name__} is not allowed in expressions")
+        if size > LARGEST:
+            raise ExpressionError(f"a value has more than {LARGEST} characters and items")
+    return value

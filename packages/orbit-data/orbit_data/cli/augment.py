@@ -1,0 +1,109 @@
+"""``orbit augment``: a few demonstrations become many."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from orbit_core.cli.checks import check_output, check_positive
+from orbit_core.cli.making import make_environment
+from orbit_core.cli.output import console, progress_bar
+from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.read_budget import ReadSettings
+from orbit_core.cli.settings import EnvironmentSettings, KeyValues, Name
+from orbit_core.files import check_apart
+from orbit_core.interfaces.errors import ConfigurationError
+
+
+@dataclass(frozen=True, kw_only=True)
+class AugmentSettings(ReadSettings):
+    """Cut demonstrations at the ends of subtasks, do the pieces where things are in new episodes, keep successes."""
+
+    dataset: Annotated[Positional[Path], arg(metavar="DATASET")]
+    """An HDF5 file that orbit record wrote."""
+    output: Annotated[Path, arg(metavar="FILE")]
+    """The new dataset, HDF5."""
+    demonstrations: int = 10
+    """How many of the dataset's first successful ones are cut."""
+    episodes: int = 1000
+    """How many are wanted."""
+    num_envs: int = 64
+    """Environments stepped together; as many as demonstrations at least."""
+    most_attempts: Annotated[int | None, arg(metavar="INT")] = None
+    """Attempts after which to end with fewer; ten times the episodes if left out."""
+    backend: Name = None
+    """Engine; the one that it was recorded on if left out."""
+    device: Annotated[str, arg(metavar="NAME")] = "cpu"
+    """Torch device that holds all state."""
+    seed: int = 1
+    """Of the new episodes, and of which demonstration is drawn for each."""
+    set: KeyValues = ()
+    """A field of the task over those of the dataset."""
+    overwrite: bool = False
+    """Replace the dataset that is there already, once the new one is whole."""
+
+
+def main(words: Sequence[str]) -> None:
+    """Augment, with a progress bar, and tell the yield.
+
+    Raises:
+        OrbitError: of many kinds; each names the setting.
+    """
+    from orbit_core.manifest.compare import check_manifest
+    from orbit_data.augmentation import augment, cut
+    from orbit_data.formats import opened
+    from orbit_data.recording import RecordingFile
+    from orbit_data.replay import fields_of
+
+    settings = parse_words(AugmentSettings, words, "orbit augment")
+    for name in ("demonstrations", "episodes", "num_envs"):
+        check_positive(name, getattr(settings, name))
+    if settings.most_attempts is not None:
+        check_positive("most_attempts", settings.most_attempts)
+    check_apart(settings.output, (settings.dataset,))
+    check_output(settings.output, ".hdf5", settings.overwrite)
+    file = RecordingFile(settings.output)
+    file.check_begun(resume=False, overwrite=settings.overwrite)
+    with opened(settings.dataset, settings.budget) as dataset:
+        manifest = dataset.known()
+        chosen = [place for place, info in enumerate(dataset.episodes) if info.success][: settings.demonstrations]
+        if not chosen:
+            raise ConfigurationError(f"no episode of {settings.dataset} succeeded: there is nothing to multiply")
+        if settings.num_envs < len(chosen):
+            raise ConfigurationError(
+                f"{len(chosen)} demonstrations are cut side by side, in {len(chosen)} environments: give a larger "
+                "--num-envs or fewer --demonstrations"
+            )
+        made = EnvironmentSettings(
+            task=manifest.task,
+            backend=settings.backend or manifest.backend,
+            device=settings.device,
+            seed=settings.seed,
+            set=settings.set,
+            fields=fields_of(manifest),
+        )
+        environment = make_environment(made, settings.num_envs)
+        try:
+            check_manifest(manifest, environment, str(settings.dataset), groups=())
+            pieces = cut(environment, dataset, chosen)
+            if settings.overwrite:
+                file.begin_anew()
+            most = settings.most_attempts or 10 * settings.episodes
+            with progress_bar() as bar:
+                line = bar.add_task(f"{manifest.task} demonstrations", total=settings.episodes)
+                done = augment(
+                    environment, pieces, file, manifest.task, settings.episodes, settings.seed, most,
+                    lambda kept: bar.update(line, completed=kept),
+                )  # fmt: skip
+        finally:
+            file.release()
+            environment.close()
+    console().print(
+        f"{settings.output}: {done.kept} kept; {done.successes} of {done.attempts} attempts on {made.backend} "
+        f"succeeded, {done.share.percent()}, of {len(chosen)} demonstrations",
+        soft_wrap=True,
+    )

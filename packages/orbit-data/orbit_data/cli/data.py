@@ -1,0 +1,245 @@
+"""``orbit data``: datasets told about, converted, put together, taken apart and replayed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from orbit_core.cli.checks import check_output, check_positive, make_folder
+from orbit_core.cli.output import console, new_table
+from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.read_budget import ReadSettings
+from orbit_core.files import check_apart
+from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
+
+if TYPE_CHECKING:
+    from orbit_core.reading.budget import ReadBudget
+    from orbit_data.episodes import Dataset
+
+Source = Annotated[Positional[Path], arg(metavar="DATASET")]
+_HDF5 = (".hdf5", ".h5")
+
+
+@dataclass(frozen=True, kw_only=True)
+class InfoSettings(ReadSettings):
+    """Tell what a dataset holds: task, robot, engine, versions, success, lengths, arrays."""
+
+    dataset: Source
+    """An HDF5 file in robomimic's layout, a folder in LeRobot's, or a Zarr replay buffer."""
+    card: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Write it here as Markdown."""
+    overwrite: bool = False
+    """Replace the card that is there already."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Written(ReadSettings):
+    """What is written of one dataset or several."""
+
+    output: Annotated[Path, arg(metavar="PATH")]
+    """HDF5 where the name ends in .hdf5, else a folder in LeRobot's layout."""
+    compression: Literal["gzip", "lzf"] | None = None
+    """Of all arrays of an HDF5 file; pictures alone, by lzf, if left out."""
+    rate: float | None = None
+    """Steps in a second, for LeRobot, where the dataset does not say it."""
+    overwrite: bool = False
+    """Replace the dataset that is there already, once the new one is whole."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvertSettings(_Written):
+    """Write a dataset in another format, or compressed otherwise."""
+
+    dataset: Source
+    """An HDF5 file in robomimic's layout, a folder in LeRobot's, or a Zarr replay buffer."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MergeSettings(_Written):
+    """Put datasets of one task, robot and action together."""
+
+    datasets: Annotated[Positional[tuple[Path, ...]], arg(metavar="DATASET")]
+    """HDF5 files, folders of LeRobot's, or Zarr replay buffers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterSettings(ConvertSettings):
+    """Keep the episodes of a dataset that are wanted; all that is asked for must hold."""
+
+    success: bool = False
+    """Those that reached the goal."""
+    subset: str | None = None
+    """Those of a subset, such as train."""
+    least_return: float | None = None
+    """Those whose rewards sum to this at least."""
+    most_steps: int | None = None
+    """Those no longer than this."""
+    first: int | None = None
+    """The first so many of those that are left."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitSettings(ReadSettings):
+    """Divide an HDF5 dataset into the subsets train and valid, which robomimic calls filter keys."""
+
+    dataset: Source
+    """An HDF5 file in robomimic's layout; it is replaced."""
+    valid: float = 0.1
+    """Share of the episodes that validation gets."""
+    seed: int = 0
+    """Of the drawing."""
+
+
+def main(words: Sequence[str]) -> None:
+    """Run one of the commands on datasets.
+
+    Raises:
+        UnknownNameError: there is no such command.
+    """
+    if not words or words[0] in ("-h", "--help"):
+        told = "\n".join(f"  {name:<8} {about}" for name, (_, about) in _COMMANDS.items())
+        print(f"usage: orbit data COMMAND ...\n\n{told}\n\n'orbit data COMMAND --help' describes a command's options.")
+        return
+    if words[0] not in _COMMANDS:
+        raise UnknownNameError("command of orbit data", words[0], _COMMANDS)
+    _COMMANDS[words[0]][0](words[1:])
+
+
+def _info(words: Sequence[str]) -> None:
+    from orbit_core.files import written_whole
+    from orbit_data.card import arrays, card, facts
+    from orbit_data.formats import opened
+
+    settings = parse_words(InfoSettings, words, "orbit data info")
+    check_output(settings.card, ".md", settings.overwrite)
+    with opened(settings.dataset, settings.budget) as dataset:
+        table = new_table("", "value", title=str(settings.dataset))
+        for name, value in facts(dataset).items():
+            table.add_row(name, value)
+        console().print(table)
+        if dataset.episodes:
+            table = new_table("array", "shape, of a step", "type", "unit")
+            for row in arrays(dataset):
+                table.add_row(*row)
+            console().print(table)
+        if settings.card is not None:
+            with written_whole(settings.card) as written:
+                written.write_text(card(dataset), encoding="utf-8")
+
+
+def _convert(words: Sequence[str]) -> None:
+    settings = parse_words(ConvertSettings, words, "orbit data convert")
+    with _opened((settings.dataset,), settings.budget) as (dataset,):
+        _write(settings, (dataset,), [*range(len(dataset.episodes))])
+
+
+def _merge(words: Sequence[str]) -> None:
+    settings = parse_words(MergeSettings, words, "orbit data merge")
+    if len(settings.datasets) < 2:
+        raise ConfigurationError("name two datasets at least: orbit data merge ONE OTHER --output BOTH")
+    with _opened(settings.datasets, settings.budget) as datasets:
+        _write(settings, datasets, None)
+
+
+def _filter(words: Sequence[str]) -> None:
+    settings = parse_words(FilterSettings, words, "orbit data filter")
+    for name in ("first", "most_steps"):
+        if (value := getattr(settings, name)) is not None:
+            check_positive(name, value)
+    with _opened((settings.dataset,), settings.budget) as (dataset,):
+        positions = _wanted(settings, dataset)
+        if not positions:
+            raise ConfigurationError(f"no episode of {settings.dataset} is what is asked for: ask for less")
+        _write(settings, (dataset,), positions)
+
+
+def _split(words: Sequence[str]) -> None:
+    from orbit_data.formats import check_target, divided, write_dataset
+
+    settings = parse_words(SplitSettings, words, "orbit data split")
+    if settings.seed < 0:
+        raise ConfigurationError(f"seed must not be below zero, but is {settings.seed}")
+    if settings.dataset.suffix not in _HDF5:
+        raise ConfigurationError(f"{settings.dataset} has no place for subsets: convert it to HDF5 first")
+    check_target(settings.dataset)
+    with _opened((settings.dataset,), settings.budget) as (dataset,):
+        masks = {**dataset.masks, **divided(len(dataset.episodes), settings.valid, settings.seed)}
+        episodes = map(dataset.read, range(len(dataset.episodes)))
+        write_dataset(settings.dataset.resolve(), episodes, dataset.manifest, masks=masks)
+    sizes = ", ".join(f"{name} {len(masks[name])}" for name in ("train", "valid"))
+    console().print(f"{settings.dataset}: {sizes} episodes", soft_wrap=True)
+
+
+def _play(words: Sequence[str]) -> None:
+    from orbit_data.cli.replay import main as replay
+
+    replay(words)
+
+
+_COMMANDS: dict[str, tuple[Callable[[Sequence[str]], None], str]] = {
+    "info": (_info, "Tell what a dataset holds"),
+    "convert": (_convert, "Write it in another format: HDF5 as robomimic's, or LeRobot's"),
+    "play": (_play, "Replay its episodes on any engine, and measure how far that leads apart"),
+    "merge": (_merge, "Put datasets together"),
+    "filter": (_filter, "Keep the episodes that are wanted"),
+    "split": (_split, "Divide it into training and validation"),
+}
+
+
+@contextmanager
+def _opened(paths: Sequence[Path], budget: ReadBudget) -> Iterator[list[Dataset]]:
+    from orbit_data.formats import opened
+
+    with ExitStack() as stack:
+        yield [stack.enter_context(opened(path, budget)) for path in paths]
+
+
+def _write(settings: _Written, datasets: Sequence[Dataset], positions: Sequence[int] | None) -> None:
+    """The episodes of several datasets, or some of one, in a new place."""
+    from orbit_data.formats import check_target, common_manifest, read_all, write_dataset
+    from orbit_data.recording import RecordingFile
+
+    output = settings.output
+    if settings.rate is not None and not 0.0 < settings.rate < math.inf:
+        raise ConfigurationError(f"rate must be above zero and finite, not {settings.rate:g}")
+    if output.exists() and not settings.overwrite:
+        raise ConfigurationError(f"{output} is there already: give another name, or --overwrite")
+    check_apart(output, [dataset.path for dataset in datasets])
+    check_target(output)
+    RecordingFile(output).check_none()
+    manifest = common_manifest(datasets)
+    make_folder(output)
+    (first, *_) = datasets
+    episodes = read_all(datasets) if positions is None else map(first.read, positions)
+    masks = None if positions is None or output.suffix not in _HDF5 else _moved(first, positions)
+    left_out = write_dataset(output, episodes, manifest, settings.rate, masks, settings.compression)
+    console().print(f"{output} is written", soft_wrap=True)
+    if left_out:
+        console().print(f"not held: {', '.join(sorted(left_out))}", soft_wrap=True)
+
+
+def _moved(dataset: Dataset, positions: Sequence[int]) -> dict[str, list[int]]:
+    """The subsets of a dataset, by the places that the chosen positions get."""
+    places = {position: place for place, position in enumerate(positions)}
+    return {name: [places[p] for p in listed if p in places] for name, listed in dataset.masks.items()}
+
+
+def _wanted(settings: FilterSettings, dataset: Dataset) -> list[int]:
+    """Positions of the episodes that are asked for."""
+    if settings.subset is not None and settings.subset not in dataset.masks:
+        raise UnknownNameError("subset", settings.subset, dataset.masks, str(dataset.path))
+    tests = {
+        "success": lambda info: bool(info.success),
+        "least_return": lambda info: info.episode_return >= settings.least_return,
+        "most_steps": lambda info: info.length <= settings.most_steps,
+    }
+    asked = [test for name, test in tests.items() if getattr(settings, name) not in (None, False)]
+    positions = range(len(dataset.episodes)) if settings.subset is None else dataset.masks[settings.subset]
+    found = [place for place in positions if all(test(dataset.episodes[place]) for test in asked)]
+    return found if settings.first is None else found[: settings.first]

@@ -1,0 +1,141 @@
+"""``orbit teleop``: a person drives a task's robot, and records demonstrations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import arg
+
+from orbit_core.cli.checks import check_output, check_port, check_steps, make_folder
+from orbit_core.cli.making import make_environment
+from orbit_core.cli.output import console
+from orbit_core.cli.parsing import parse_settings
+from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.interfaces.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from orbit_data.teleoperation.device import Device
+    from orbit_data.teleoperation.driver import Driver
+    from orbit_data.teleoperation.session import Session
+
+SUFFIX = ".hdf5"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TeleopSettings(EnvironmentSettings):
+    """Drive a task's robot yourself, see it in the browser, and record demonstrations."""
+
+    input_device: Annotated[str, arg(name="device", metavar="{browser,keyboard,gamepad,spacemouse,leader}")] = "browser"
+    """What you move."""
+    device: Annotated[str, arg(name="torch-device", metavar="NAME")] = "cpu"
+    """Torch device that holds all state, such as 'cpu' or 'cuda:0'."""
+    output: Annotated[Path, arg(metavar="FILE")] = Path("out/teleoperation.hdf5")
+    """The dataset, as 'orbit record' writes it; nothing is written before the first episode is saved."""
+    resume: bool = False
+    """Add to the dataset of that name."""
+    overwrite: bool = False
+    """Replace a dataset of that name that is there already, once an episode is saved and the session ends."""
+    seconds: float = 60.0
+    """Length of an episode, in the place of the task's own."""
+    linear_speed: float = 0.25
+    """m/s of the hand at a device's full deflection."""
+    angular_speed: float = 1.0
+    """rad/s of the hand at a device's full deflection."""
+    leader_port: int = 8090
+    """Port at 127.0.0.1 where a leader arm connects; 0 takes a free one."""
+    views: bool = True
+    """Pictures beside the scene: from the hand, and from the robot's right."""
+    host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0 lets other machines, such as a phone, take part."""
+    port: int = 8080
+    """Port of the page."""
+    max_steps: Annotated[int | None, arg(metavar="INT")] = None
+    """Stop after that many steps; run until interrupted if left out."""
+
+
+def main(words: Sequence[str]) -> None:
+    """Let a person drive until interrupted, or for ``max_steps``; then gather what was kept."""
+    teleop(parse_settings(TeleopSettings, words, "orbit teleop"))
+
+
+def teleop(settings: TeleopSettings) -> None:
+    """Drive and record as the settings say.
+
+    Raises:
+        OrbitError: of many kinds; each names the setting.
+    """
+    from orbit_data.recording import RecordingFile
+    from orbit_data.teleoperation.device import Speeds
+    from orbit_data.teleoperation.devices import check_device, open_device
+    from orbit_data.teleoperation.driver import Driver
+    from orbit_data.teleoperation.session import Session
+
+    check_device(settings.input_device)
+    for name in ("seconds", "linear_speed", "angular_speed"):
+        if not 0.0 < getattr(settings, name) < math.inf:
+            raise ConfigurationError(f"{name} must be above zero and finite, not {getattr(settings, name):g}")
+    check_port("port", settings.port)
+    check_port("leader_port", settings.leader_port)
+    check_steps(settings.max_steps)
+    make_folder(settings.output)
+    check_output(settings.output, SUFFIX, settings.overwrite or settings.resume)
+    file = RecordingFile(settings.output)
+    file.check_begun(settings.resume, settings.overwrite)
+    fields = {**settings.fields, "episode_length": settings.seconds}
+    environment = make_environment(replace(settings, fields=fields), 1)
+    try:
+        driver = Driver(environment)
+        speeds = Speeds(settings.linear_speed, settings.angular_speed)
+        device = open_device(settings.input_device, speeds, driver, settings.leader_port)
+        try:
+            if settings.overwrite:
+                file.begin_anew()
+            session = Session(
+                environment, driver, device, settings.input_device, file, settings.task or "", settings.seed
+            )
+            try:
+                _show(settings, session, device, driver)
+            finally:
+                kept = session.close()
+                told = f"{kept} episodes are in {settings.output}" if kept else "no episode was saved"
+                console().print(told, soft_wrap=True)
+        finally:
+            device.close()
+            file.release()
+    finally:
+        environment.close()
+
+
+def _show(settings: TeleopSettings, session: Session, device: Device, driver: Driver) -> None:
+    from orbit_data.teleoperation.leader import Leader
+    from orbit_data.teleoperation.views import Views
+    from orbit_viewer.viewer import Viewer
+
+    attach, pages = getattr(device, "attach", None), getattr(device, "pages", ())
+    title = f"ORBIT {settings.task} by {settings.input_device}"
+    views = Views(session.world, driver)
+    with (
+        closing(views),
+        Viewer(
+            session,
+            session,
+            settings.host,
+            settings.port,
+            title,
+            lambda _: session.information(),
+            tool=attach,
+            pages=pages,
+            views=views.pictures if settings.views else None,
+        ) as viewer,
+    ):
+        print(f"drive and watch at {viewer.url}", flush=True)
+        for url in viewer.page_urls:
+            print(f"a gamepad on the screen, for a phone as well, at {url}", flush=True)
+        if isinstance(device, Leader):
+            print(f"a leader connects to 127.0.0.1:{device.port}, and sends {device.greeting} first", flush=True)
+        viewer.run(settings.max_steps)

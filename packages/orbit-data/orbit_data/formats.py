@@ -1,0 +1,151 @@
+"""Datasets of all formats, by the look of their path: opened, and written from episodes of any other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from orbit_core.files import as_path, sweep, written_whole
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.manifest.compare import Kind, differences
+from orbit_core.manifest.manifest import Manifest
+from orbit_core.reading.budget import TRUSTED, ReadBudget
+from orbit_data.card import CARD, card, check_card, write_card
+from orbit_data.episodes import Dataset, Episode
+from orbit_data.hdf5 import SUFFIX, Hdf5Dataset, write_hdf5
+from orbit_data.lerobot import check_replaceable, write_lerobot
+from orbit_data.lerobot_reader import LeRobotDataset
+from orbit_data.zarr_reader import SUFFIXES as ZARR
+from orbit_data.zarr_reader import ZarrDataset, is_zarr
+
+_SUFFIXES = (SUFFIX, ".h5")
+
+
+@contextmanager
+def opened(path: Path | str, budget: ReadBudget = ReadBudget()) -> Iterator[Dataset]:
+    """Open a dataset: an HDF5 file, a folder of LeRobot's, or a Zarr replay buffer.
+
+    Args:
+        path: of the file or folder.
+        budget: limits on what opening it, and reading each episode, may take.
+
+    Raises:
+        ConfigurationError: there is none, or it cannot be read.
+    """
+    path = as_path(path)
+    reader = ZarrDataset if is_zarr(path) else LeRobotDataset if path.is_dir() else Hdf5Dataset
+    dataset = reader(path, budget)
+    try:
+        yield dataset
+    finally:
+        dataset.close()
+
+
+def write_dataset(
+    path: Path | str,
+    episodes: Iterable[Episode],
+    manifest: Manifest | None,
+    rate: float | None = None,
+    masks: Mapping[str, Sequence[int]] | None = None,
+    compression: str | None = None,
+) -> set[str]:
+    """Write a dataset with its card: HDF5 where the name ends in .hdf5 or .h5, and else a folder of LeRobot's.
+
+    The dataset is written next to its place, opened again to check it, and only then takes its place.
+
+    Args:
+        path: of the file or folder, which is replaced once the new one is whole.
+        episodes: in their order.
+        manifest: of the environment, if it is known.
+        rate: steps in a second, where no manifest says it.
+        masks: subsets by name, as positions; HDF5 alone has a place for them.
+        compression: of all arrays of an HDF5 file: ``"gzip"`` or ``"lzf"``.
+
+    Returns:
+        Names of arrays that the format has no place for.
+
+    Raises:
+        ConfigurationError: LeRobot needs a rate that is not known, the format does not take what is given, or the
+            folder or the card that would be replaced is not one that ORBIT wrote.
+        StorageError: the disk is full, or the folder cannot be written.
+    """
+    path = as_path(path)
+    check_target(path)
+    sweep(path.resolve().parent)
+    if path.suffix in _SUFFIXES:
+        write_hdf5(path, episodes, manifest, masks, compression)
+        write_card(path)
+        return set()
+    if compression is not None or masks:
+        raise ConfigurationError(f"{path} would be a LeRobot dataset, which takes no compression and no subsets")
+    step_rate = rate if manifest is None else 1.0 / manifest.step_dt
+    if step_rate is None:
+        raise ConfigurationError("nothing says how many steps a second has: give --rate, which LeRobot needs")
+    with written_whole(path.resolve()) as written:
+        left_out = write_lerobot(written, episodes, manifest, step_rate)
+        with opened(written, TRUSTED) as dataset:
+            (written / CARD).write_text(card(dataset), encoding="utf-8")
+        check_replaceable(path)  # again, for a person may have put something there meanwhile
+    return left_out
+
+
+def check_target(path: Path) -> None:
+    """Reject the path of a new dataset that no format has, or where something else would be lost.
+
+    Raises:
+        ConfigurationError: its suffix is of no format that is written, it is a folder that holds anything but a dataset
+            that ORBIT wrote, or a file in the place of its card is no card.
+    """
+    if path.suffix in _SUFFIXES:
+        if path.is_dir():
+            raise ConfigurationError(f"cannot write {path}: it is a folder")
+        return check_card(path)
+    if path.name.endswith(ZARR):
+        raise ConfigurationError(f"{path} would be Zarr, which is read and not written: name it *.hdf5, or a folder")
+    if path.suffix:
+        raise ConfigurationError(f"{path} is of no format that is written: name it *.hdf5, or a folder, for LeRobot")
+    return check_replaceable(path)
+
+
+def read_all(datasets: Iterable[Dataset]) -> Iterator[Episode]:
+    """All episodes of some datasets, one after the other."""
+    for dataset in datasets:
+        yield from map(dataset.read, range(len(dataset.episodes)))
+
+
+def common_manifest(datasets: Sequence[Dataset]) -> Manifest | None:
+    """The manifest of datasets that can be one; the first one's, where they differ in what is noted alone.
+
+    Raises:
+        ConfigurationError: numbers mean different things in them; names every difference.
+    """
+    first, *others = datasets
+    for other in others:
+        if (first.manifest is None) != (other.manifest is None):
+            raise ConfigurationError(
+                f"only one of {first.path} and {other.path} has a manifest: convert each by itself"
+            )
+        if first.manifest is None or other.manifest is None:
+            continue
+        graver = [d for d in differences(first.manifest, other.manifest) if d.kind is not Kind.NOTE]
+        if graver:
+            told = "; ".join(str(difference) for difference in graver)
+            raise ConfigurationError(f"{first.path} and {other.path} are not of one kind: {told}")
+    return first.manifest
+
+
+def divided(count: int, share: float, seed: int) -> dict[str, list[int]]:
+    """Positions of ``train`` and ``valid``, the latter's share of ``count`` drawn at random.
+
+    Raises:
+        ConfigurationError: one of them would be empty.
+    """
+    held_out = round(share * count) if math.isfinite(share) else 0
+    if not 0 < held_out < count:
+        raise ConfigurationError(f"{share:g} of {count} episodes is none or all of them: give another share")
+    order = np.random.default_rng(seed).permutation(count)
+    return {"train": sorted(order[held_out:].tolist()), "valid": sorted(order[:held_out].tolist())}

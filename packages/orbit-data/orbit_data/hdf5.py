@@ -1,0 +1,239 @@
+"""Datasets as HDF5 in robomimic's layout, with the manifest beside the demonstrations.
+
+``/data/demo_<i>`` holds ``actions``, ``rewards``, ``dones``, ``states``, ``obs/<term>`` and ``next_obs/<term>`` of
+length T, and ours besides: ``poses/``, ``contacts/``, ``initial/``. ``/data`` has the attributes ``total`` and
+``env_args``, ``/mask/<name>`` lists demonstrations by name (https://robomimic.github.io/docs/datasets/overview.html).
+``/orbit/manifest`` is the manifest as JSON. Nothing but numbers is read: files with objects (of which Python's pickles
+are one kind), with links to elsewhere, or with data in other files are refused.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from orbit_core.files import as_path, storage_faults, written_whole
+from orbit_core.interfaces import ConfigurationError, StorageError
+from orbit_core.manifest.manifest import Manifest
+from orbit_core.reading.budget import MAX_DOCUMENT, ReadAccount, ReadBudget
+from orbit_core.reading.hdf5 import Hdf5File, hdf5_module
+from orbit_data.episodes import Array, Dataset, Episode, EpisodeInfo, check_episode, check_found, check_infos, chosen
+
+SUFFIX = ".hdf5"
+_GYM = 2
+"""robomimic's number for environments in Gymnasium's manner."""
+_MANIFEST = "orbit/manifest"
+_INFO = "orbit_episode"
+_REASON = re.compile(r"error message = '([^']*)'")
+_DEMO = re.compile(r"demo_[0-9]{1,9}")
+_MARGIN, _AHEAD = 1 << 20, 1 << 22
+"""Bytes that must be free besides what is written, and for which room is looked for at once."""
+_PICTURE = {"compression": "lzf"}
+"""How pictures are compressed; numbers as small as states gain nothing from it."""
+
+
+def write_hdf5(
+    path: Path | str,
+    episodes: Iterable[Episode],
+    manifest: Manifest | None,
+    masks: Mapping[str, Sequence[int]] | None = None,
+    compression: str | None = None,
+    size: int = 0,
+) -> int:
+    """Write a dataset, check it, and let it take its place, whole or not at all. Returns the number of episodes.
+
+    Args:
+        path: of the file, which is replaced.
+        episodes: in their order, which names them ``demo_0`` and so on.
+        manifest: of the environment, if it is known.
+        masks: subsets by name, as positions; ``success`` is added where the episodes say it.
+        compression: of all arrays, ``"gzip"`` or ``"lzf"``; None compresses pictures alone, by ``"lzf"``.
+        size: about how many bytes it will have, for which there must be room before anything is written.
+
+    Raises:
+        StorageError: the disk is full, or the folder cannot be written.
+    """
+    path, h5py = as_path(path), hdf5_module()
+    successes: list[int] = []
+    count = total = room = 0
+    with _room(path, size), written_whole(path) as written:
+        with h5py.File(written, "w", libver="latest") as file:
+            data = file.create_group("data")
+            for count, episode in enumerate(episodes, 1):
+                needed = sum(array.nbytes for array in episode.arrays.values())
+                if needed > room:
+                    file.flush()  # so that little is left to write when it is closed, which must not fail
+                    _check_room(path, needed + _AHEAD)
+                    room = needed + _AHEAD
+                room -= needed
+                _write_episode(data.create_group(f"demo_{count - 1}"), episode, compression)
+                total += episode.info.length
+                successes += [count - 1] if episode.info.success else []
+            file.flush()
+            _check_room(path, 0)
+            data.attrs["total"] = total
+            data.attrs["env_args"] = json.dumps(_env_args(manifest))
+            if manifest is not None:
+                file.create_dataset(_MANIFEST, data=np.frombuffer(manifest.encode(), np.uint8))
+            for name, positions in {**({"success": successes} if successes else {}), **(masks or {})}.items():
+                file.create_dataset(f"mask/{name}", data=np.array([f"demo_{i}" for i in positions], dtype="S"))
+        Hdf5Dataset(written).close()  # before it replaces another, it must be readable
+    return count
+
+
+class Hdf5Dataset(Dataset):
+    """A dataset in an HDF5 file, ours or robomimic's.
+
+    Args:
+        path: of the file.
+        budget: limits on what opening it, and reading each episode, may take.
+
+    Raises:
+        ConfigurationError: it is truncated, no HDF5, of another layout, or holds what is not read; says what.
+    """
+
+    def __init__(self, path: Path | str, budget: ReadBudget = ReadBudget()) -> None:
+        self.path, self.budget = as_path(path), budget
+        self._file = Hdf5File(self.path, "dataset")
+        try:
+            with self._file.faults("the file"):
+                account = ReadAccount(budget, str(self.path), 512 * self.path.stat().st_blocks)
+                self._data, self._demos = self._demonstrations()
+                self.manifest = self._manifest(account)
+                self.episodes = [self._info(name, account) for name in self._demos]
+                check_infos(self.episodes, account)
+                self.masks = self._masks(account)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def read(self, position: int, names: Sequence[str] | None = None) -> Episode:
+        name, info = self._demos[position], self.episodes[position]
+        where = f"{name} of {self.path}"
+        with self._file.faults(name):
+            account = ReadAccount(self.budget, where)
+            arrays = dict(self._arrays(self._file.group(self._data, name), "", names, account))
+        episode = Episode(info, arrays)
+        check_found(names, arrays, where)
+        check_episode(episode, where, whole=names is None)
+        return episode
+
+    def close(self) -> None:
+        self._file.close()
+
+    def _demonstrations(self) -> tuple[Any, list[str]]:
+        group = self._file.group(self._file.root, "data")
+        if group is None:
+            raise ConfigurationError(f"{self.path} is no dataset of demonstrations: it has no group 'data'")
+        found = [name for name in self._file.names(group) if _DEMO.fullmatch(name)]
+        return group, sorted(found, key=lambda name: int(name[5:]))
+
+    def _manifest(self, account: ReadAccount) -> Manifest | None:
+        group = self._file.group(self._file.root, "orbit")
+        if group is None:
+            return None
+        data = self._file.numbers(group, "manifest", account).tobytes()
+        return Manifest.decode(data, str(self.path))
+
+    def _info(self, name: str, account: ReadAccount) -> EpisodeInfo:
+        account.check_time()
+        group = self._file.group(self._data, name)
+        own = self._file.text(group, _INFO, MAX_DOCUMENT)
+        if own is not None:
+            return msgspec.json.decode(own, type=EpisodeInfo)
+        length = self._file.integer(group, "num_samples")
+        if length is None:
+            raise ConfigurationError(f"{name} of {self.path} does not say how many steps it has (num_samples)")
+        return EpisodeInfo(number=int(name[5:]), length=length)
+
+    def _masks(self, account: ReadAccount) -> dict[str, list[int]]:
+        group = self._file.group(self._file.root, "mask")
+        if group is None:
+            return {}
+        places = {name.encode(): place for place, name in enumerate(self._demos)}
+        masks = {name: self._file.numbers(group, name, account, "S").tolist() for name in self._file.names(group)}
+        return {name: [places[each] for each in listed if each in places] for name, listed in masks.items()}
+
+    def _arrays(
+        self, group: Any, prefix: str, names: Sequence[str] | None, account: ReadAccount
+    ) -> Iterator[tuple[str, Array]]:
+        for name in self._file.names(group):
+            path = prefix + name
+            child = self._file.child(group, name)
+            account.check_time()
+            if self._file.is_group(child):
+                yield from self._arrays(child, f"{path}/", names, account)
+            elif chosen(path, names):
+                yield path, self._file.numbers(group, name, account)
+
+
+@contextmanager
+def _room(path: Path, size: int) -> Iterator[None]:
+    """Make sure that there is room on the disk, and say so where there is none; the library does it less clearly.
+
+    Raises:
+        StorageError: there is not, or the library could not write.
+    """
+    try:
+        with _hushed(), storage_faults(path):
+            if size:
+                _check_room(path, size)
+            yield
+    except (RuntimeError, StorageError) as error:
+        if (reason := _REASON.search(str(error))) is None and isinstance(error, StorageError):
+            raise
+        told = reason.group(1) if reason else str(error).strip().partition("\n")[0]
+        raise StorageError(f"cannot write {path}: {told}") from error
+
+
+@contextmanager
+def _hushed() -> Iterator[None]:
+    """Where it cannot write, the library also prints a traceback for each of its objects, which nobody can catch."""
+    hooks = sys.excepthook, sys.unraisablehook
+    sys.excepthook = sys.unraisablehook = lambda *_: None
+    try:
+        yield
+    finally:
+        sys.excepthook, sys.unraisablehook = hooks
+
+
+def _check_room(path: Path, size: int) -> None:
+    """Find out that the disk is full, or the user's share of it, before the library does, which then crashes.
+
+    Raises:
+        StorageError: there is no room for so many bytes.
+    """
+    with storage_faults(path), TemporaryFile(dir=path.parent) as file:
+        os.posix_fallocate(file.fileno(), 0, size + _MARGIN)
+
+
+def _write_episode(group: Any, episode: Episode, compression: str | None) -> None:
+    for name, array in episode.arrays.items():
+        picture = array.dtype == np.uint8 and array.ndim == 4
+        options = {"compression": compression} if compression and array.ndim else _PICTURE if picture else {}
+        group.create_dataset(name, data=array, **options)
+    group.attrs["num_samples"] = episode.info.length
+    group.attrs[_INFO] = msgspec.json.encode(episode.info).decode()
+
+
+def _env_args(manifest: Manifest | None) -> dict[str, Any]:
+    if manifest is None:
+        return {"env_name": "", "type": _GYM, "env_version": "", "env_kwargs": {}}
+    robot = next((r.model for r in manifest.robots.values() if r.agent), "")
+    kwargs = {"backend": manifest.backend, "robot": robot, "action": manifest.configuration.get("action", "")}
+    return {
+        "env_name": f"orbit/{manifest.task}-v0",
+        "type": _GYM,
+        "env_version": manifest.versions.get("orbit", ""),
+        "env_kwargs": kwargs,
+    }

@@ -1,0 +1,348 @@
+"""LeRobotDataset v3.0: parquet for numbers, video for pictures, written without its hub.
+
+The layout is that of LeRobot's documentation (https://huggingface.co/docs/lerobot/lerobot-dataset-v3): ``data/`` and
+``videos/`` hold many episodes a file, ``meta/`` says where each begins. ``meta/orbit_manifest.json`` and
+``meta/orbit_episodes.json`` are ours, and let the way back lose nothing that the layout holds.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from orbit_core.files import as_path, storage_faults
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.manifest.manifest import Manifest
+from orbit_data.card import CARD, is_card
+from orbit_data.episodes import ACTIONS, DONES, OBSERVED, REWARDS, STATES, Array, Episode, EpisodeInfo
+from orbit_data.reading.parquet import arrow_modules
+from orbit_data.video import write_video
+
+VERSION = "v3.0"
+STATE_OF_GROUP = ".state"
+"""Ends the name of the column of a group that the policy does not see."""
+STATE, ACTION, PICTURE, SIMULATED = "observation.state", "action", "observation.images.", "simulation.state"
+MANIFEST, EPISODES, INFO = "meta/orbit_manifest.json", "meta/orbit_episodes.json", "meta/info.json"
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+_EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_LAYOUT = re.compile(
+    r"meta/(info|stats|orbit_manifest|orbit_episodes)\.json|meta/tasks\.parquet"
+    r"|(meta/episodes|data)/chunk-\d{3,}/file-\d{3,}\.parquet|videos/[^/]+/chunk-\d{3,}/file-\d{3,}\.mp4"
+)
+"""Files that a dataset of ours consists of, besides its card."""
+_FILES_A_CHUNK = 1000
+_STEPS_A_FILE = 50_000
+
+
+@dataclass
+class _Statistics:
+    """Least, most, mean and deviation of each component, gathered episode by episode."""
+
+    low: Array
+    high: Array
+    total: Array
+    squares: Array
+    count: int = 0
+
+    @staticmethod
+    def of(values: Array) -> _Statistics:
+        rows = values.reshape(len(values), -1).astype(np.float64)
+        return _Statistics(rows.min(0), rows.max(0), rows.sum(0), np.square(rows).sum(0), len(rows))
+
+    def add(self, other: _Statistics) -> None:
+        self.low, self.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
+        self.total, self.squares = self.total + other.total, self.squares + other.squares
+        self.count += other.count
+
+    def table(self, picture: bool) -> dict[str, Any]:
+        mean = self.total / self.count
+        deviation = np.sqrt(np.maximum(self.squares / self.count - mean**2, 0.0))
+        parts = {"min": self.low, "max": self.high, "mean": mean, "std": deviation}
+        shape = (3, 1, 1) if picture else (-1,)
+        return {**{n: v.reshape(shape).tolist() for n, v in parts.items()}, "count": [self.count]}
+
+
+@dataclass
+class LeRobotWriter:
+    """Writes episodes one after the other; :meth:`finish` makes a dataset of them.
+
+    Args:
+        path: of the folder, which is made.
+        task: what the episodes show, in words.
+        rate: steps in a second, a whole number.
+        robot: its type.
+    """
+
+    path: Path
+    task: str
+    rate: int
+    robot: str
+    features: dict[str, Any] = field(init=False, default_factory=dict)
+    left_out: set[str] = field(init=False, default_factory=set)
+    """Arrays that the layout has no place for."""
+
+    def __post_init__(self) -> None:
+        self._rows: list[dict[str, Array]] = []
+        self._pictures: dict[str, list[Array]] = {}
+        self._episodes: list[dict[str, Any]] = []
+        self._infos: list[EpisodeInfo] = []
+        self._statistics: dict[str, _Statistics] = {}
+        self._file = 0
+        self._total = 0
+
+    def add(self, episode: Episode) -> None:
+        """Take in an episode; files are written when enough has come together."""
+        if self._rows and sum(len(rows["index"]) for rows in self._rows) + episode.info.length > _STEPS_A_FILE:
+            self._flush()
+        pictures = {name: array for name, array in episode.named(OBSERVED).items() if is_film(name, array)}
+        numbers = self._numbers(episode)
+        self.left_out |= {
+            name for name in episode.arrays
+            if name not in (ACTIONS, REWARDS, DONES, STATES) and not name.startswith(OBSERVED)
+        }  # fmt: skip
+        row = self._place(episode.info)
+        begin = sum(len(rows["index"]) for rows in self._rows)
+        for name, frames in pictures.items():
+            key = PICTURE + name
+            self.features.setdefault(key, _video_feature(frames, self.rate))
+            self._pictures.setdefault(key, []).append(frames)
+            self._count(row, key, frames[::10].reshape(-1, 3) / 255.0, picture=True)
+            row |= {f"videos/{key}/chunk_index": self._file // _FILES_A_CHUNK}
+            row |= {f"videos/{key}/file_index": self._file % _FILES_A_CHUNK}
+            row |= {f"videos/{key}/from_timestamp": begin / self.rate}
+            row |= {f"videos/{key}/to_timestamp": (begin + episode.info.length) / self.rate}
+        for name, values in numbers.items():
+            self._count(row, name, values)
+        self._rows.append(numbers)
+        self._episodes.append(row)
+        self._infos.append(episode.info)
+        self._total += episode.info.length
+
+    def finish(self, manifest: Manifest | None) -> None:
+        """Write what is left, and what tells of it all; ``meta/info.json``, without which it is none, comes last.
+
+        Raises:
+            ConfigurationError: there are no episodes.
+        """
+        if not self._episodes:
+            raise ConfigurationError(f"a LeRobot dataset has an episode at least: none was given for {self.path}")
+        self._flush()
+        arrow, _ = arrow_modules()
+        place = {"chunk_index": 0, "file_index": 0}
+        self._write_table(_EPISODES_PATH.format(**place), arrow.Table.from_pylist(self._episodes))
+        tasks = arrow.table({"task_index": arrow.array([0], arrow.int64()), "__index_level_0__": [self.task]})
+        self._write_table("meta/tasks.parquet", tasks.replace_schema_metadata(_pandas_index()))
+        self._write_text(EPISODES, msgspec.json.encode(self._infos).decode())
+        if manifest is not None:
+            self._write_text(MANIFEST, manifest.encode().decode())
+        told = {name: s.table(name.startswith(PICTURE)) for name, s in self._statistics.items()}
+        self._write_text("meta/stats.json", json.dumps(told, indent=2))
+        self._write_text(INFO, json.dumps(self._info(), indent=2))
+
+    def _numbers(self, episode: Episode) -> dict[str, Array]:
+        length, place = episode.info.length, len(self._episodes)
+        numbers: dict[str, Array] = {}
+        names: dict[str, list[str]] = {}
+        for column, terms in _columns_of(episode).items():
+            flat = {name: array.reshape(length, -1).astype(np.float32) for name, array in terms.items()}
+            numbers[column] = np.concatenate([*flat.values()], axis=1)
+            names[column] = [f"{name}.{i}" for name, array in flat.items() for i in range(array.shape[1])]
+        numbers[ACTION] = episode.arrays[ACTIONS].astype(np.float32)
+        if STATES in episode.arrays:
+            numbers[SIMULATED] = episode.arrays[STATES].astype(np.float32)
+        frames = np.arange(length, dtype=np.int64)
+        if REWARDS in episode.arrays:
+            numbers["next.reward"] = episode.arrays[REWARDS].astype(np.float32)
+        if DONES in episode.arrays:
+            numbers["next.done"] = episode.arrays[DONES].astype(np.bool_)
+        numbers |= {"timestamp": (frames / self.rate).astype(np.float32), "frame_index": frames}
+        numbers |= {"episode_index": np.full_like(frames, place), "index": frames + self._total}
+        numbers["task_index"] = np.zeros_like(frames)
+        for name, values in numbers.items():
+            feature = _feature(values, names.get(name))
+            if self.features.setdefault(name, feature) != feature:
+                raise ConfigurationError(f"'{name}' has {values.shape[1:]} in episode {place}, unlike in those before")
+        return numbers
+
+    def _place(self, info: EpisodeInfo) -> dict[str, Any]:
+        chunk, number = divmod(self._file, _FILES_A_CHUNK)
+        return {
+            "episode_index": len(self._episodes),
+            "tasks": [self.task],
+            "length": info.length,
+            "data/chunk_index": chunk,
+            "data/file_index": number,
+            "dataset_from_index": self._total,
+            "dataset_to_index": self._total + info.length,
+            "meta/episodes/chunk_index": 0,
+            "meta/episodes/file_index": 0,
+        }
+
+    def _count(self, row: dict[str, Any], name: str, values: Array, picture: bool = False) -> None:
+        own = _Statistics.of(values)
+        row |= {f"stats/{name}/{key}": value for key, value in own.table(picture).items()}
+        if name in self._statistics:
+            self._statistics[name].add(own)
+        else:
+            self._statistics[name] = own
+
+    def _flush(self) -> None:
+        arrow, _ = arrow_modules()
+        place = dict(zip(("chunk_index", "file_index"), divmod(self._file, _FILES_A_CHUNK), strict=True))
+        columns = {n: np.concatenate([rows[n] for rows in self._rows]) for n in self._rows[0]}
+        table = arrow.table({name: _column(arrow, values) for name, values in columns.items()})
+        self._write_table(DATA_PATH.format(**place), table)
+        for key, frames in self._pictures.items():
+            target = self.path / VIDEO_PATH.format(video_key=key, **place)
+            with storage_faults(target):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                write_video(target, frames, self.rate)
+        self._rows, self._pictures = [], {}
+        self._file += 1
+
+    def _info(self) -> dict[str, Any]:
+        return {
+            "codebase_version": VERSION,
+            "robot_type": self.robot,
+            "total_episodes": len(self._episodes),
+            "total_frames": self._total,
+            "total_tasks": 1,
+            "chunks_size": _FILES_A_CHUNK,
+            "data_files_size_in_mb": 100,
+            "video_files_size_in_mb": 500,
+            "fps": self.rate,
+            "splits": {"train": f"0:{len(self._episodes)}"},
+            "data_path": DATA_PATH,
+            "video_path": VIDEO_PATH if any(name.startswith(PICTURE) for name in self.features) else None,
+            "features": self.features,
+        }
+
+    def _write_table(self, name: str, table: Any) -> None:
+        target = self.path / name
+        with storage_faults(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            arrow_modules()[1].write_table(table, target, compression="snappy")
+
+    def _write_text(self, name: str, text: str) -> None:
+        with storage_faults(self.path / name):
+            (self.path / name).parent.mkdir(parents=True, exist_ok=True)
+            (self.path / name).write_text(text, encoding="utf-8")
+
+
+def write_lerobot(path: Path | str, episodes: Iterable[Episode], manifest: Manifest | None, rate: float) -> set[str]:
+    """Write a dataset into a new folder. Returns the arrays that it has no place for.
+
+    On an error the folder is left unfinished: :func:`orbit_data.formats.write_dataset` writes whole ones.
+
+    Args:
+        path: of the folder, which must not be there.
+        episodes: in their order.
+        manifest: of the environment, if it is known.
+        rate: steps in a second.
+
+    Raises:
+        ConfigurationError: the rate is no whole number, or there are no episodes.
+        StorageError: the disk is full, or the folder cannot be written.
+    """
+    path = as_path(path)
+    if abs(rate - round(rate)) > 1e-6:
+        raise ConfigurationError(f"LeRobot takes a whole number of steps in a second, not {rate:g}")
+    robot = next((r.model for r in manifest.robots.values() if r.agent), "") if manifest else "unknown"
+    writer = LeRobotWriter(path, manifest.task if manifest else path.stem, round(rate), robot)
+    for episode in episodes:
+        writer.add(episode)
+    writer.finish(manifest)
+    return writer.left_out
+
+
+def check_replaceable(path: Path) -> None:
+    """Reject what is not to be replaced by a dataset: anything but an empty folder or a dataset that ORBIT wrote.
+
+    Raises:
+        ConfigurationError: it is a file, a folder without such a dataset, or holds other things as well; names one.
+    """
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise ConfigurationError(f"{path} is a file, which no folder replaces: give another name, or remove it first")
+    foreign = next(_foreign(path), None)
+    if foreign is not None or (any(path.iterdir()) and not (path / EPISODES).is_file()):
+        what = "" if foreign is None else f": it holds {foreign}"
+        raise ConfigurationError(
+            f"{path} is not, or not only, a dataset that ORBIT wrote{what}. It is not replaced: give another name, or "
+            "move it away first"
+        )
+
+
+def _foreign(folder: Path) -> Iterator[str]:
+    """Paths within a folder that no dataset of ours has, links among them."""
+    for place, folders, files in os.walk(folder):
+        links = [name for name in folders if (Path(place) / name).is_symlink()]
+        for name in (*files, *links):
+            path = Path(place) / name
+            inner = path.relative_to(folder).as_posix()
+            own = is_card(path) if inner == CARD else _LAYOUT.fullmatch(inner)
+            if path.is_symlink() or not own:
+                yield inner
+
+
+def _columns_of(episode: Episode) -> dict[str, dict[str, Array]]:
+    """The terms that stand side by side in each column: what the policy sees, each group that it does not see, and each
+    picture that no video holds by itself."""
+    columns: dict[str, dict[str, Array]] = {}
+    for name, array in episode.named(OBSERVED).items():
+        group, slash, _ = name.rpartition("/")
+        if is_film(name, array):
+            continue
+        column = f"{group}{STATE_OF_GROUP}" if slash else STATE
+        columns.setdefault(f"observation.{name}" if array.ndim > 3 and not slash else column, {})[name] = array
+    return columns
+
+
+def is_film(name: str, array: Array) -> bool:
+    """Whether an observation becomes a video: a picture of three colours that the policy sees."""
+    return "/" not in name and array.dtype == np.uint8 and array.ndim == 4 and array.shape[3] == 3
+
+
+def _feature(values: Array, names: list[str] | None) -> dict[str, Any]:
+    return {"dtype": str(values.dtype), "shape": list(values.shape[1:]) or [1], "names": names}
+
+
+def _video_feature(frames: Array, rate: int) -> dict[str, Any]:
+    height, width, channels = frames.shape[1:]
+    info = {
+        "video.height": height, "video.width": width, "video.codec": "h264", "video.pix_fmt": "yuv420p",
+        "video.is_depth_map": False, "video.fps": rate, "video.channels": channels, "has_audio": False,
+    }  # fmt: skip
+    return {
+        "dtype": "video",
+        "shape": [height, width, channels],
+        "names": ["height", "width", "channels"],
+        "info": info,
+    }
+
+
+def _column(arrow: Any, values: Array) -> Any:
+    if values.ndim == 1:
+        return arrow.array(values)
+    return arrow.FixedSizeListArray.from_arrays(arrow.array(values.reshape(-1)), values.shape[1])
+
+
+def _pandas_index() -> Mapping[str, str]:
+    """Says that the tasks' words are the table's index, as pandas writes it."""
+    kinds = (("task_index", "task_index", "int64", "int64"), (None, "__index_level_0__", "unicode", "object"))
+    columns = [
+        {"name": name, "field_name": field, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
+        for name, field, kind, numpy in kinds
+    ]
+    said = {"index_columns": ["__index_level_0__"], "column_indexes": [], "columns": columns}
+    return {"pandas": json.dumps(said)}

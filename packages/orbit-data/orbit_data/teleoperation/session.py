@@ -1,0 +1,213 @@
+"""A person at work: a device drives the robot, and what is worth keeping is recorded."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from orbit_core.envs.episode import EpisodeEnd
+from orbit_core.manifest.manifest import Manifest
+from orbit_data.recorder import DemonstrationRecorder
+from orbit_data.recording import RecordingFile
+from orbit_data.teleoperation.device import Device, DeviceLostError, Event, Reading
+from orbit_data.teleoperation.driver import Driver
+
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
+
+
+_TOLD = 0.2
+"""s from one telling of how things stand to the next."""
+_LOOKED = 1.0
+"""s from one look whether what is asked for is out of reach to the next."""
+
+
+class Session:
+    """What the viewer shows and steps: an environment that a device drives, whose episodes are recorded on demand.
+
+    Args:
+        environment: with a single environment.
+        driver: of its robots.
+        device: that is read at every step.
+        name: of the device, for the manifest.
+        file: takes the episodes.
+        task: the name that the environment was made by.
+        seed: of its random stream.
+
+    Raises:
+        ConfigurationError: the file was recorded with another environment.
+    """
+
+    def __init__(
+        self,
+        environment: Environment,
+        driver: Driver,
+        device: Device,
+        name: str,
+        file: RecordingFile,
+        task: str,
+        seed: int,
+    ) -> None:
+        self.num_envs, self.step_dt, self.world = 1, environment.step_dt, environment.world
+        self._environment, self._driver, self._device, self._file, self._seed = environment, driver, device, file, seed
+        file.take_up(replace(Manifest.of(environment, task, seed), input_device=name))
+        self._name = name
+        self._recorder: DemonstrationRecorder | None = None
+        self._success = False
+        self._moved: float | None = None
+        self._lost: DeviceLostError | None = None
+        infos = file.infos()
+        if infos:  # the next episode begins otherwise than those that are recorded
+            environment.world.random.begin(torch.tensor([max(infos)], device=environment.device))
+        self.kept = len(infos)
+        """Episodes in the file."""
+        self.message = ""
+        """What became of the person's last wish."""
+        self.latencies: deque[float] = deque(maxlen=50)
+        """s from a person's last moves to the end of the step that did what they asked for."""
+        self._stepped: deque[float] = deque(maxlen=50)
+        self._told_at = -_TOLD
+        self._looked_at, self._reach = 0.0, ""
+
+    @property
+    def recording(self) -> bool:
+        """Whether the episode is being recorded."""
+        return self._recorder is not None
+
+    # What the viewer calls
+
+    def reset(self) -> None:
+        """Begin a new episode; one that is recorded is forgotten, and its successor recorded."""
+        self._begin(self.recording)
+
+    def act(self) -> Tensor:
+        """(1, A) what the device asks for now; where it is gone the robot holds still for a step.
+
+        Raises:
+            DeviceLostError: the device went away before the last step.
+        """
+        if self._lost:
+            raise self._lost
+        try:
+            reading = self._device.read()
+        except DeviceLostError as error:
+            self._lost = error
+            reading = Reading()
+        for event in reading.events:
+            self._handle(event)
+        self._moved = reading.moved_at
+        if self._recorder:
+            self._recorder.before_step()
+        return self._driver.act(reading)
+
+    def step(self, action: Tensor) -> tuple[Any, Tensor, Tensor, Tensor, Mapping[str, Any]]:
+        """One step of the environment."""
+        result = self._environment.step(action)
+        now = time.perf_counter()
+        self._stepped.append(now)
+        if self._moved is not None:
+            self.latencies.append(now - self._moved)
+        final = result[4].get("final")
+        if self._recorder:
+            if final:
+                final = replace(final, success=final.success | self._success)
+            self._recorder.stepped(action, (*result[:4], {"final": final} if final else {}))
+            if final:
+                self.kept = len(self._file.infos())
+        if final:
+            self.message = self._told("its time was over" if bool(result[3].any()) else "the task ended it")
+            self._recorder = None
+            self._driver.restart()
+        if now - self._looked_at >= _LOOKED:
+            self._looked_at, self._reach = now, self._driver.reach_problem()
+        if now - self._told_at >= _TOLD:
+            self._told_at = now
+            self._device.tell(self.information())
+        return result
+
+    def information(self) -> dict[str, str]:
+        """Rows for the viewer's panel."""
+        rows = {"device": self._name, "driving": self._driver.active, "recording": "no"}
+        if self.recording:
+            rows["recording"] = "yes, marked a success" if self._success else "yes"
+        rows["episodes kept"] = str(self.kept)
+        if len(self._stepped) > 1 and (span := self._stepped[-1] - self._stepped[0]) > 0.0:
+            rows["rate"] = f"{(len(self._stepped) - 1) / span:.0f} Hz"
+        if self.latencies:
+            mean = sum(self.latencies) / len(self.latencies)
+            rows["latency"] = f"{1e3 * mean:.0f} ms, at most {1e3 * max(self.latencies):.0f} ms"
+        if self._reach:
+            rows["out of reach"] = self._reach
+        return rows | ({"last": self.message} if self.message else {})
+
+    def close(self) -> int:
+        """Forget an open episode, gather what was kept; gives the number of episodes in the file."""
+        self._recorder = None
+        if self._file.parts.files:
+            self.kept = self._file.gather()
+        self._file.release()
+        return self.kept
+
+    # What the person asks for
+
+    def _handle(self, event: Event) -> None:
+        if event is Event.RECORD:
+            self._begin(True)
+            self.message = "recording"
+        elif event is Event.RESET:
+            self._begin(self.recording)
+            self.message = "began anew"
+        elif event is Event.SUCCESS and self.recording:
+            self._success = not self._success
+            self.message = "marked a success" if self._success else "no longer marked a success"
+        elif event in (Event.SAVE, Event.DISCARD, Event.SUCCESS) and not self.recording:
+            self.message = f"nothing is being recorded that '{event.value}' could be about"
+        elif event is Event.SAVE:
+            self._save()
+        elif event is Event.DISCARD:
+            self._begin(False)
+            self.message = "discarded"
+
+    def _begin(self, recording: bool) -> None:
+        self._environment.reset()
+        self._driver.restart()
+        self._success, self._recorder = False, None
+        if recording:
+            begun = self.world.random.episode.clone()
+            self._recorder = DemonstrationRecorder(
+                self._environment, self._file.parts, _everything, self._seed, begun=begun
+            )
+
+    def _save(self) -> None:
+        environment, recorder = self._environment, self._recorder
+        assert recorder is not None
+        if int(environment.task.episode_step[0]) == 0:
+            self.message = "nothing has happened yet that could be saved"
+            return
+        sums = environment.reward_sums.unbind()
+        success = environment.task.success(environment.world)
+        end = EpisodeEnd(
+            env_ids=environment.all_ids,
+            observation=environment.observe(),
+            success=success | self._success,
+            metrics=environment.metrics(),
+            rewards=dict(zip(environment.reward_terms, sums, strict=True)),
+            steps=environment.task.episode_step.clone(),
+        )
+        recorder.finish(end)
+        self.kept = len(self._file.infos())
+        self.message = self._told("saved")
+        self._begin(False)
+
+    def _told(self, why: str) -> str:
+        return f"{why}: {self.kept} episodes are kept" if self.recording else why
+
+
+def _everything(end: EpisodeEnd, ended: Tensor) -> Tensor:
+    return torch.ones_like(ended, dtype=torch.bool)

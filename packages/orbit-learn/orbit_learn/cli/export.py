@@ -1,0 +1,154 @@
+"""``orbit export``: a learned policy for use without ORBIT."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import json
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
+
+from orbit_core.backends import backend_names
+from orbit_core.cli.checks import check_output, make_folder
+from orbit_core.cli.making import make_environment
+from orbit_core.cli.output import console
+from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.files import check_apart, written_whole
+from orbit_core.interfaces.errors import ConfigurationError, OrbitError
+from orbit_learn.cli.trained import training_record
+from orbit_learn.pretrained import policy_fields, policy_path
+
+if TYPE_CHECKING:
+    from orbit_core.manifest.manifest import Manifest
+    from orbit_learn.policy import Policy
+
+_OF_A_TRAINING = ("robot", "action", "fields", "set", "settings", "setting")
+"""Settings of a training that make its environment's numbers, beside what the policy itself tells."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportSettings:
+    """Write a learned policy as safetensors and ONNX, with the description of observation and action beside them."""
+
+    policy: Annotated[Positional[Path], arg(metavar="POLICY")]
+    """File policy_<iteration>.safetensors, the folder of a training, which stands for its last, or a kept policy's name
+    ('orbit list policies')."""
+    output: Annotated[Path, arg(metavar="FOLDER")] = Path("out/policy")
+    """Takes policy.safetensors, policy.onnx and policy.json."""
+    overwrite: bool = False
+    """Replace files of those names that are there already."""
+    amend: bool = False
+    """Export nothing: write into the policy's own file the manifest that it lacks, since it is older than manifests."""
+
+
+def main(words: Sequence[str]) -> None:
+    """Write the three files, or the manifest into the policy's own."""
+    from orbit_learn.policy import load_policy
+
+    settings = parse_words(ExportSettings, words, "orbit export")
+    path = policy_path(settings.policy)
+    policy = load_policy(path)
+    if settings.amend:
+        return _amend(policy, path)
+    described, weights, onnx = (settings.output / f"policy{suffix}" for suffix in (".json", ".safetensors", ".onnx"))
+    make_folder(described)
+    for target in (described, weights, onnx):
+        check_apart(target, [path] if path.is_file() else [])
+        check_output(target, target.suffix, settings.overwrite)
+    if policy.manifest is None:
+        try:
+            policy = dataclasses.replace(policy, manifest=_present(policy, path))
+            told = f"the files get that of its environment as it is today, on {policy.description.backend}"
+        except OrbitError as error:
+            told = f"the files have none either: {error}"
+        warnings.warn(f"{path} holds no manifest of where it was learned: {told}", stacklevel=2)
+    elif not policy.manifest.explains:
+        policy = dataclasses.replace(policy, manifest=_explained(policy, policy.manifest, path))
+    manifest = {} if policy.manifest is None else {"manifest": policy.manifest.document()}
+    document = json.dumps({**policy.description.document()["policy"], **manifest}, indent=2)
+    # All three are written before the first takes its place, so that they are of one policy whatever goes wrong.
+    with written_whole(described) as text, written_whole(weights) as tensors, written_whole(onnx) as graph:
+        text.write_text(document + "\n", encoding="utf-8")
+        policy.save(tensors)
+        policy.export_onnx(graph)
+    console().print(f"policy.safetensors, policy.onnx and policy.json are in {settings.output}", soft_wrap=True)
+    return None
+
+
+def _amend(policy: Policy, path: Path) -> None:
+    from orbit_core.tensor_file import read_tensors, write_tensors
+    from orbit_learn.policy_file import manifest_document, newest_file
+
+    file = newest_file(path, "policy") if path.is_dir() else path
+    assert file is not None, "it was read"
+    if policy.manifest is not None:
+        raise ConfigurationError(f"{file} holds a manifest already: '--amend' is for files that have none")
+    if policy.network is None:
+        raise ConfigurationError(f"'--amend' writes into safetensors files alone, not into {file}")
+    document, tensors = read_tensors(file)
+    write_tensors(file, {**document, **manifest_document(_present(policy, path))}, tensors)
+    console().print(f"{file} holds the manifest of its environment as it is today", soft_wrap=True)
+
+
+def _explained(policy: Policy, recorded: Manifest, path: Path) -> Manifest:
+    """The manifest of a file that is older than what manifests say of their numbers, with that of the environment as it
+    is today, where this has the same joints, home positions and terms; else as it was, with a warning."""
+    from orbit_core.manifest.compare import Kind, differences
+
+    group = policy.description.group
+    try:
+        present = _present(policy, path)
+        found = differences(recorded, present, [group])
+        wrong = [str(each) for each in found if each.kind is Kind.ERROR or each.path.endswith("home_positions")]
+        if not wrong:
+            return dataclasses.replace(recorded, observations={group: recorded.observations[group]}).explained_by(
+                present
+            )
+        told = "; ".join(wrong)
+    except OrbitError as error:
+        told = str(error)
+    warnings.warn(f"{path} does not say what its numbers mean, nor does its environment today: {told}", stacklevel=3)
+    return recorded
+
+
+def _present(policy: Policy, path: Path) -> Manifest:
+    """The manifest of the environment that a policy fits today, for files of before there were manifests. What
+    the training's record beside the file tells, it tells too.
+
+    Raises:
+        OrbitError: there is no such environment here.
+    """
+    from orbit_core.manifest.compare import renamed_group
+    from orbit_core.manifest.manifest import Manifest
+
+    learned, training = policy.description, training_record(path)
+    installed = learned.backend in backend_names()
+    told = {key: value for key in _OF_A_TRAINING if (value := training.get("settings", {}).get(key)) and installed}
+    made = EnvironmentSettings(
+        **{
+            **told,
+            "task": learned.task,
+            "robot": learned.robot,
+            "action": learned.action,
+            "backend": learned.backend if installed else None,
+            "fields": {**told.get("fields", {}), **policy_fields(path)},
+        }
+    )
+    environment = make_environment(made, 1)
+    try:
+        group = policy.fit(environment)
+        manifest = renamed_group(Manifest.of(environment, learned.task, made.seed), group, learned.group)
+    finally:
+        environment.close()
+    known = {key: training["settings"][key] for key in ("seed", "num_envs", "device") if training}
+    known |= {"versions": training["versions"]} if training else {}
+    of = f"; {', '.join(known)} and settings are those that its training recorded" if known else ""
+    on = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    later = f"on {on}, of the environment that the policy fitted on that day{of}"
+    return Manifest.decode(dataclasses.replace(manifest, **known, made_later=later).encode(), f"training of {path}")

@@ -1,0 +1,200 @@
+"""``orbit train``: learn a task with a library of the user's choice."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from rich.table import Table
+from tyro.conf import arg
+
+from orbit_core.backends import versions_of
+from orbit_core.cli.checks import check_positive
+from orbit_core.cli.making import make_environment
+from orbit_core.cli.output import console, new_table, progress_bar
+from orbit_core.cli.parsing import parse_settings
+from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues
+from orbit_core.configuration import assignments, configured
+from orbit_core.envs.registry import task_entry
+from orbit_core.interfaces.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from orbit_core.envs.ppo import PpoSettings
+    from orbit_learn.trainer import Progress
+    from orbit_learn.training import Training
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSettings(EnvironmentSettings):
+    """Learn a task."""
+
+    num_envs: int = 64
+    """Environments stepped together, on each GPU where there are several."""
+    library: Annotated[str, arg(metavar="NAME")] = "rsl-rl"
+    """Learning library ('orbit list libraries'); distill imitates a teacher."""
+    teacher: Annotated[str | None, arg(metavar="POLICY")] = None
+    """Teacher, for distill: a kept policy's name ('orbit list policies'), a policy's file, a training's folder, or
+    expert, the task's own."""
+    iterations: Annotated[int | None, arg(metavar="INT")] = None
+    """Iterations of collecting and learning in all; the task's own number if left out."""
+    ppo: KeyValues = ()
+    """A setting of the algorithm, such as learning_rate=3e-4 ('orbit info TASK')."""
+    distillation: KeyValues = ()
+    """A setting of library distill, such as batch_size=1024."""
+    diverged: Literal["reset", "stop"] = "reset"
+    """What becomes of environments whose simulation diverges: they begin new episodes and are counted, unless one in a
+    hundred does in an iteration; or the training ends."""
+    save_every: int = 100
+    """Iterations between checkpoints."""
+    output: File = None
+    """Folder of this training; out/train/<task>-<time> if left out."""
+    resume: File = None
+    """Folder of a training to go on with; give the same task and settings."""
+
+
+def main(words: Sequence[str]) -> None:
+    """Train, with a progress bar, and say where the policy lies."""
+    settings = parse_settings(TrainSettings, words, "orbit train")
+    train(settings)
+
+
+def train(settings: TrainSettings) -> Path:
+    """Train as the settings say; returns the folder.
+
+    Raises:
+        OrbitError: of many kinds; each names the setting.
+    """
+    from orbit_learn.learners import trainer_type
+    from orbit_learn.training import Training, check_new
+
+    check_positive("num_envs", settings.num_envs)
+    check_positive("save_every", settings.save_every)
+    if settings.output is not None and settings.resume is not None:
+        raise ConfigurationError("a training resumes in its own folder: leave --output out")
+    settings, leader = _ranked(for_training(settings))
+    if leader and settings.output is not None:
+        check_new(settings.output)
+    make_trainer = trainer_type(settings.library)
+    if _processes() > 1 and not make_trainer.several_gpus:
+        raise ConfigurationError(f"library '{settings.library}' trains on one GPU: for several, use --library rsl-rl")
+    environment = make_environment(settings, settings.num_envs, reset_diverged=settings.diverged == "reset")
+    try:
+        algorithm = _algorithm(settings, make_trainer.settings_type, environment.task.ppo)
+        folder = settings.resume or settings.output or _new_folder(settings)
+        record = {"settings": asdict(settings), "versions": versions_of(environment.world.backend)}
+        trainer = make_trainer(environment, algorithm, folder, settings.seed)
+        training = Training(trainer, settings.task or "", record, leader)
+        last = _run(training, algorithm.iterations, settings)
+    finally:
+        environment.close()
+    if last is not None:
+        console().print(_table(settings, last, folder))
+    return folder
+
+
+def _run(training: Training, iterations: int, settings: TrainSettings) -> Progress | None:
+    """Under a progress bar; returns how far it came in the end, for the process that leads."""
+    last: list[Progress] = []
+    with progress_bar() as bar:
+        line = bar.add_task(f"{settings.task}", total=iterations, visible=training.leader)
+
+        def show(progress: Progress) -> None:
+            last[:] = [progress]
+            bar.update(line, completed=progress.iteration + 1, description=_words(settings, progress))
+
+        try:
+            training.run(iterations, settings.save_every, show, settings.resume is not None)
+        except KeyboardInterrupt:
+            if training.leader:
+                console().print(_left(training), soft_wrap=True)
+            raise
+    return last[0] if last else None
+
+
+def for_training(settings: TrainSettings) -> TrainSettings:
+    """With the fields that the task sets in training, under what the user sets."""
+    if settings.task is None:
+        return settings
+    fields = {**task_entry(settings.task).task_type().training, **settings.fields}
+    return dataclasses.replace(settings, fields=fields)
+
+
+def _ranked(settings: TrainSettings) -> tuple[TrainSettings, bool]:
+    """Under torchrun: a GPU and a seed of this process's own; also whether this process leads."""
+    rank, local = int(os.environ.get("RANK", "0")), os.environ.get("LOCAL_RANK")
+    if local is None or _processes() == 1:
+        return settings, True
+    if not settings.device.startswith("cuda"):
+        raise ConfigurationError("several processes train on several GPUs: add --device cuda")
+    return dataclasses.replace(settings, device=f"cuda:{local}", seed=settings.seed + 1000 * rank), rank == 0
+
+
+def _processes() -> int:
+    """Number of processes that torchrun started."""
+    return int(os.environ.get("WORLD_SIZE", "1"))
+
+
+def _algorithm(settings: TrainSettings, kind: type[Any], ppo: PpoSettings) -> Any:
+    """The settings that the library takes: the task's own, or its class's, with the user's over them."""
+    learned = isinstance(ppo, kind)
+    defaults, given = (ppo, settings.ppo) if learned else (kind(), settings.distillation)
+    what, refused = ("PPO", "--distillation and --teacher") if learned else ("distillation", "--ppo")
+    if (settings.distillation or settings.teacher) if learned else settings.ppo:
+        raise ConfigurationError(f"library '{settings.library}' takes no {refused}")
+    values: dict[str, Any] = dict(assignments(given, what, "algorithm setting"))
+    if settings.iterations is not None:
+        values["iterations"] = settings.iterations
+    if settings.teacher is not None:
+        values["teacher"] = settings.teacher
+    chosen = configured(defaults, values, what, "algorithm setting")
+    check_positive("iterations", chosen.iterations)
+    return chosen
+
+
+def _new_folder(settings: TrainSettings) -> Path:
+    return Path("out/train") / f"{settings.task}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
+def _words(settings: TrainSettings, progress: Progress) -> str:
+    rate = progress.env_steps / progress.seconds
+    success = "" if math.isnan(progress.success_rate) else f", success {_success(progress)}"
+    diverged = f", {progress.diverged} diverged" if progress.diverged else ""
+    return f"{settings.task}: {rate:,.0f} steps/s, return {progress.episode_return:.2f}{success}{diverged}"
+
+
+def _success(progress: Progress) -> str:
+    """The rate with its interval of 95 %."""
+    from orbit_core.rollout.estimates import proportion
+
+    return proportion(round(progress.success_rate * progress.episodes), progress.episodes).percent()
+
+
+def _left(training: Training) -> str:
+    """What an interrupted training has left behind."""
+    if training.saved is None:
+        return "interrupted before the first iteration ended: there is no checkpoint"
+    folder = training.trainer.folder
+    return f"interrupted: {training.saved} is written; --resume {folder} goes on, with the same task and settings"
+
+
+def _table(settings: TrainSettings, last: Progress, folder: Path) -> Table:
+    table = new_table("", "value", title=f"{settings.task} learned with {settings.library}")
+    table.add_row("environment steps", f"{last.env_steps:,}")
+    table.add_row("environment steps per second, learning included", f"{last.env_steps / last.seconds:,.0f}")
+    table.add_row("time of collecting and learning", f"{last.seconds:.1f} s")
+    ended = not math.isnan(last.episode_return)
+    table.add_row("return of the last episodes", f"{last.episode_return:.3f}" if ended else "none has ended")
+    if not math.isnan(last.success_rate):
+        table.add_row("success of the last episodes, exploring", f"{_success(last)} of {last.episodes}")
+    if last.diverged:
+        table.add_row("episodes that diverged, and were begun anew", f"{last.diverged:,}")
+    if not math.isnan(last.loss):
+        table.add_row("mean loss of the last iteration", f"{last.loss:.5f}")
+    table.add_row("play it", f"orbit play {folder}")
+    return table

@@ -1,0 +1,228 @@
+"""What a policy was learned for, as data that travels with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import ConfigurationError
+from orbit_learn.plain import from_plain
+
+if TYPE_CHECKING:
+    from orbit_core.envs.environment import Environment
+    from orbit_core.envs.observation_layout import GroupLayout, TermLayout
+
+FORMAT = 1
+"""Version of the documents in policies' files; another is refused."""
+_MOST_COMPONENTS = 2**20
+_FORMS = {True: "side by side", False: "as a dictionary"}
+_DTYPES = {
+    str(dtype).removeprefix("torch."): dtype
+    for dtype in (torch.float32, torch.uint8, torch.int32, torch.int64, torch.bool)
+}
+
+
+@dataclass(frozen=True)
+class Part:
+    """A term of the observation, or a stretch of the action."""
+
+    name: str
+    size: int
+    """Components of one environment."""
+    shape: tuple[int, ...] | None = None
+    """Shape of one environment's value; (size,) if None."""
+    dtype: str = "float32"
+    """Name of the dtype in torch."""
+    low: float | None = field(default=None, compare=False)
+    """Least that it shows; None where it is unbounded."""
+    high: float | None = field(default=None, compare=False)
+    """Most that it shows; None where it is unbounded."""
+    camera: str | None = field(default=None, compare=False)
+    """Camera whose picture it is."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.size <= _MOST_COMPONENTS:
+            raise ValueError(f"a part has 0 to {_MOST_COMPONENTS:,} components, not {self.size}")
+        if self.dtype not in _DTYPES:
+            raise ValueError(f"part '{self.name}' is of {self.dtype!r}, which is none of {', '.join(_DTYPES)}")
+        if self.shape is None:
+            object.__setattr__(self, "shape", (self.size,))
+        assert self.shape is not None
+        if any(extent < 0 for extent in self.shape) or math.prod(self.shape) != self.size:
+            raise ValueError(f"part '{self.name}' of shape {self.shape} does not have {self.size} components")
+
+    @property
+    def is_picture(self) -> bool:
+        """Whether it has height, width and channels."""
+        return self.shape is not None and len(self.shape) == 3
+
+    def zeros(self, count: int, device: torch.device | str) -> Tensor:
+        """(count, ...) of its shape and dtype."""
+        return torch.zeros((count, *(self.shape or ())), dtype=_DTYPES[self.dtype], device=device)
+
+    def __str__(self) -> str:
+        shape = "x".join(str(extent) for extent in self.shape or ())
+        return f"{self.name} ({shape})" if self.dtype == "float32" else f"{self.name} ({shape} {self.dtype})"
+
+
+@dataclass(frozen=True)
+class PolicyDescription:
+    """What a policy was learned for: what it must be given and what its output means."""
+
+    task: str
+    robot: str
+    action: str
+    """Name of the action space."""
+    observation_parts: tuple[Part, ...]
+    """The terms of its observation group, in order."""
+    action_parts: tuple[Part, ...]
+    """The motion generators' commands, side by side, each component in [-1, 1]."""
+    step_dt: float
+    """Seconds between two actions."""
+    backend: str
+    """Backend that the policy was learned on."""
+    library: str
+    """The library that learned the policy."""
+    iteration: int
+    versions: dict[str, str] = field(default_factory=dict)
+    """Versions of the distributions that took part in learning."""
+    group: str = "policy"
+    """The observation group that it sees."""
+    concatenated: bool = True
+    """Whether it sees the terms side by side as (N, O), or as a dictionary of them."""
+
+    def __post_init__(self) -> None:
+        if not (0 < self.observation_size <= _MOST_COMPONENTS and 0 < self.action_size <= _MOST_COMPONENTS):
+            raise ValueError(f"observation and action have 1 to {_MOST_COMPONENTS:,} components each")
+
+    @staticmethod
+    def of(
+        environment: Environment, task: str, library: str, iteration: int, versions: Mapping[str, str] | None = None
+    ) -> PolicyDescription:
+        """The description of a policy for this environment's group ``policy``."""
+        layout = environment.observation["policy"]
+        return PolicyDescription(
+            task=task,
+            robot=environment.task.robot,
+            action=environment.task.action,
+            observation_parts=group_parts(layout),
+            action_parts=tuple(Part(g.name, g.command_size) for g in environment.task.generators),
+            step_dt=environment.step_dt,
+            backend=environment.world.backend,
+            library=library,
+            iteration=iteration,
+            versions=dict(versions or {}),
+            concatenated=layout.concatenated,
+        )
+
+    @property
+    def observation_size(self) -> int:
+        """Components of all terms that the policy sees, together."""
+        return sum(part.size for part in self.observation_parts)
+
+    @property
+    def action_size(self) -> int:
+        """Components of an action."""
+        return sum(part.size for part in self.action_parts)
+
+    @property
+    def sees_pictures(self) -> bool:
+        """Whether any term that the policy sees is a picture."""
+        return any(part.is_picture for part in self.observation_parts)
+
+    def zeros(self, count: int, device: torch.device | str = "cpu") -> Tensor | dict[str, Tensor]:
+        """An observation of so many environments in which everything is zero."""
+        if self.concatenated:
+            return torch.zeros(count, self.observation_size, device=device)
+        return {part.name: part.zeros(count, device) for part in self.observation_parts}
+
+    def find_group(self, environment: Environment) -> str:
+        """The group of an environment that shows what the policy sees: the one of its name, else ``teacher``, else any.
+
+        A policy that sees terms side by side needs the same terms in the same order; one that sees a dictionary needs
+        its terms, by name, and does not mind others.
+
+        Raises:
+            ConfigurationError: there is none, or the environment differs otherwise; names what differs.
+        """
+        self.check_action(environment)
+        groups = environment.observation
+        names = sorted(groups, key=lambda name: (name != self.group, name != "teacher"))
+        faults = {name: self._misfit(groups[name]) for name in names}
+        fitting = next((name for name, fault in faults.items() if fault is None), None)
+        if fitting is None:
+            raise ConfigurationError(
+                f"no observation group of the environment shows what the policy of {self.task} was learned with: "
+                f"{_told(self.observation_parts)} {_FORMS[self.concatenated]}; "
+                + "; ".join(f"group '{name}' {fault}" for name, fault in faults.items())
+            )
+        return fitting
+
+    def check_action(self, environment: Environment) -> None:
+        """Refuse an environment of another robot, action or rate.
+
+        Raises:
+            ConfigurationError: names what differs.
+        """
+        other = PolicyDescription.of(environment, self.task, "", 0)
+        for name in ("robot", "action", "action_parts"):
+            learned, given = getattr(self, name), getattr(other, name)
+            if learned != given:
+                raise ConfigurationError(
+                    f"the policy was learned with {name} {_told(learned)}, not with {_told(given)}"
+                )
+        if abs(self.step_dt - other.step_dt) > 1e-9:
+            raise ConfigurationError(
+                f"the policy acts every {self.step_dt:g} s, the environment every {other.step_dt:g} s"
+            )
+
+    def _misfit(self, layout: GroupLayout) -> str | None:
+        """How a group differs from what the policy sees; None if it does not."""
+        if layout.concatenated != self.concatenated:
+            return f"gives its terms {_FORMS[layout.concatenated]}"
+        given = group_parts(layout)
+        if not self.concatenated:
+            by_name = {part.name: part for part in given}
+            given = tuple(by_name[part.name] for part in self.observation_parts if part.name in by_name)
+        return None if given == self.observation_parts else f"has {_told(group_parts(layout))}"
+
+    def document(self) -> dict[str, Any]:
+        """The description as plain data, for a file."""
+        return {"format": FORMAT, "policy": asdict(self)}
+
+    @staticmethod
+    def of_document(document: Mapping[str, Any], where: str) -> PolicyDescription:
+        """What :meth:`document` gave.
+
+        Args:
+            document: plain data that a file says.
+            where: the file, for messages.
+
+        Raises:
+            ConfigurationError, UnknownNameError: it says something else; names what.
+        """
+        if document.get("format") != FORMAT:
+            raise ConfigurationError(
+                f"{where} is no policy of format {FORMAT}, the one that is read: learn or export it again"
+            )
+        return from_plain(PolicyDescription, document.get("policy"), f"policy of {where}")
+
+
+def group_parts(layout: GroupLayout) -> tuple[Part, ...]:
+    """The terms of a group as a description lists them."""
+    return tuple(_part(name, term) for name, term in layout.terms.items())
+
+
+def _part(name: str, term: TermLayout) -> Part:
+    low, high = (bound if math.isfinite(bound) else None for bound in (term.low, term.high))
+    dtype = str(term.dtype).removeprefix("torch.")
+    return Part(name, math.prod(term.shape), tuple(term.shape), dtype, low, high, term.camera)
+
+
+def _told(value: Any) -> str:
+    return ", ".join(str(part) for part in value) if isinstance(value, tuple) else f"'{value}'"

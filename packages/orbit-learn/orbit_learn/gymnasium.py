@@ -1,0 +1,234 @@
+"""Environments as Gymnasium sees them: a VectorEnv of torch tensors, and a single environment of NumPy arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+import torch
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from torch import Tensor
+
+from orbit_core.envs.environment import Environment
+from orbit_core.envs.episode import EpisodeEnd
+from orbit_core.envs.making import make
+from orbit_core.envs.observation_layout import Observation, map_leaves
+from orbit_core.envs.task import Task
+from orbit_core.interfaces import ArgumentError, ConfigurationError
+from orbit_core.rollout.ends import all_ends
+from orbit_core.rollout.pictures import OverviewCamera
+from orbit_core.world.closing import close_for_good
+from orbit_learn.spaces import action_space, observation_space
+
+Arrays = dict[str, npt.NDArray[Any] | dict[str, npt.NDArray[Any]]]
+"""Observation groups by name, each an array or a dictionary of its terms' arrays."""
+
+
+class VectorEnvironment(gymnasium.vector.VectorEnv[Observation, Tensor, Tensor]):
+    """N environments, with torch tensors on the environment's device, reset in the same step as they end.
+
+    Where an episode ended, ``info["final_obs"]`` (N, ...) holds its last observation, ``info["_final_obs"]`` (N,) says
+    where, and ``info["final_info"]`` holds success and metrics. On a GPU they are there at every step, since to leave
+    them out would be to wait for the device.
+
+    Args:
+        task: a task or its name.
+        num_envs: N.
+        render_mode: ``"rgb_array"`` for pictures, or None.
+        numpy: give NumPy arrays in place of tensors, for Gymnasium's own wrappers, which compute with NumPy.
+        keywords: those of :func:`orbit_core.envs.make`: backend, device, seed, and the task's own fields.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
+
+    def __init__(
+        self,
+        task: str | Task,
+        num_envs: int = 1,
+        render_mode: str | None = None,
+        numpy: bool = False,
+        **keywords: Any,
+    ) -> None:
+        self.environment = make(task, num_envs=num_envs, **keywords)
+        self._numpy = numpy
+        self.metadata = _metadata(self.environment, AutoresetMode.SAME_STEP)
+        self.render_mode = checked_mode(render_mode)
+        self.num_envs = num_envs
+        self.single_observation_space = observation_space(self.environment)
+        self.single_action_space = action_space(self.environment)
+        self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
+        self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
+        self._spectator = Spectator(self.environment, self.render_mode)
+
+    @property
+    def device(self) -> torch.device:
+        """Device of all tensors."""
+        return self.environment.device
+
+    def reset(  # pyright: ignore[reportIncompatibleMethodOverride] - Gymnasium types infos loosely
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin new episodes, in all environments or where ``options["reset_mask"]`` (N,) bool is true.
+
+        Raises:
+            ConfigurationError: another option.
+        """
+        given = dict(options or {})
+        mask = given.pop("reset_mask", None)
+        refuse_options(given, "'reset_mask'")
+        env_ids = None if mask is None else as_tensor(mask, None, self.device, "reset_mask")
+        return self._given(self.environment.reset(seed, env_ids))
+
+    def step(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, actions: Tensor | npt.ArrayLike
+    ) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
+        action = as_tensor(actions, torch.float32, self.device, "action")
+        observation, reward, terminated, truncated, info = self.environment.step(action)
+        found = all_ends(info, self.num_envs)
+        final = {} if found is None else _final(*found)
+        return self._given((observation, reward, terminated, truncated, final))
+
+    def _given(self, results: Any) -> Any:
+        """Return results as they were asked for: tensors, or NumPy arrays."""
+        return _host_arrays(results) if self._numpy else results
+
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
+        pictures = self._spectator.pictures()
+        return None if pictures is None else tuple(pictures)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        self._spectator.close()
+        self.environment.close()
+        close_for_good(self, "the environment")
+
+
+class SingleEnvironment(gymnasium.Env[Arrays, npt.NDArray[np.float32]]):
+    """One environment, with NumPy arrays; it waits for ``reset`` after an episode, as Gymnasium's do.
+
+    Until then it shows how the episode ended, and a step raises a ConfigurationError.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium looks at the class's own
+
+    def __init__(self, task: str | Task, render_mode: str | None = None, **keywords: Any) -> None:
+        self.environment = make(task, num_envs=1, autoreset=False, **keywords)
+        self.metadata = _metadata(self.environment, AutoresetMode.DISABLED)
+        self.render_mode = checked_mode(render_mode)
+        self.observation_space: spaces.Space[Arrays] = observation_space(self.environment)  # pyright: ignore
+        self.action_space = action_space(self.environment)
+        self._spectator = Spectator(self.environment, self.render_mode)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
+        refuse_options(options, "none")
+        observation, info = self.environment.reset(seed)
+        super().reset(seed=seed)
+        return arrays_of(observation), info
+
+    def step(self, action: npt.NDArray[np.float32]) -> tuple[Arrays, float, bool, bool, dict[str, Any]]:
+        batch = as_tensor(action, torch.float32, self.environment.device, "action")[None]
+        observation, reward, terminated, truncated, info = self.environment.step(batch)
+        return arrays_of(observation), float(reward), bool(terminated), bool(truncated), outcome(info.get("final"), 0)
+
+    def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        pictures = self._spectator.pictures()
+        return None if pictures is None else pictures[0]
+
+    def close(self) -> None:
+        self._spectator.close()
+        self.environment.close()
+        close_for_good(self, "the environment")
+
+
+class Spectator:
+    """What ``render`` shows: pictures from the task's own view where there is a render mode, made on first use."""
+
+    def __init__(self, environment: Environment, render_mode: str | None) -> None:
+        self._environment = environment
+        self._render_mode = render_mode
+        self._camera: OverviewCamera | None = None
+
+    def pictures(self) -> npt.NDArray[np.uint8] | None:
+        """(N, 480, 640, 3) of all environments; None without a render mode."""
+        if self._render_mode is None:
+            return None
+        self._camera = self._camera or OverviewCamera(self._environment.world, 640, 480, self._environment.task.view)
+        return self._camera.pictures().numpy()
+
+    def close(self) -> None:
+        """Free what draws; the environment stays."""
+        if self._camera is not None:
+            self._camera.close()
+
+
+def refuse_options(options: Mapping[str, Any] | None, known: str) -> None:
+    """Refuse what ``reset`` would not use.
+
+    Raises:
+        ConfigurationError: names the options.
+    """
+    if options:
+        names = ", ".join(repr(name) for name in options)
+        raise ConfigurationError(f"reset has no option {names}, but {known}: set the task's fields when making it")
+
+
+def as_tensor(values: object, dtype: torch.dtype | None, device: torch.device, what: str) -> Tensor:
+    """Numbers as users of Gymnasium give them: a tensor anywhere, an array or nested lists.
+
+    Raises:
+        ArgumentError: they are no numbers.
+    """
+    try:
+        return torch.as_tensor(values, dtype=dtype, device=device)
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        raise ArgumentError(f"{what} must be a tensor or an array of numbers: {error}") from None
+
+
+def _metadata(environment: Environment, mode: AutoresetMode) -> dict[str, Any]:
+    return {"render_modes": ["rgb_array"], "render_fps": round(1.0 / environment.step_dt), "autoreset_mode": mode}
+
+
+def checked_mode(render_mode: str | None) -> str | None:
+    """The render mode.
+
+    Raises:
+        ConfigurationError: there is none of that name.
+    """
+    if render_mode not in (None, "rgb_array"):
+        raise ConfigurationError(f"render_mode '{render_mode}' is unknown: use 'rgb_array', or 'orbit view' to watch")
+    return render_mode
+
+
+def _final(everyone: EpisodeEnd, ended: Tensor) -> dict[str, Any]:
+    information: Mapping[str, Tensor] = {"success": everyone.success, "steps": everyone.steps, **everyone.metrics}
+    return {
+        "final_obs": everyone.observation,
+        "_final_obs": ended,
+        "final_info": information,
+        "_final_info": ended,
+    }
+
+
+def outcome(end: EpisodeEnd | None, row: int) -> dict[str, Any]:
+    """Success and metrics of one of the episodes that ended; nothing where none did."""
+    if end is None:
+        return {}
+    metrics = {name: float(value[row]) for name, value in end.metrics.items()}
+    return {"success": bool(end.success[row]), **metrics}
+
+
+def arrays_of(observation: Observation) -> Arrays:
+    """The first environment's observation as NumPy arrays."""
+    return _host_arrays(map_leaves(lambda value: value[0], observation))
+
+
+def _host_arrays(values: Any) -> Any:
+    """Return a tree of tuples and dictionaries with NumPy arrays in the place of its tensors."""
+    if isinstance(values, Tensor):
+        return values.cpu().numpy()
+    if isinstance(values, tuple):
+        return tuple(map(_host_arrays, values))
+    return {name: _host_arrays(value) for name, value in values.items()}

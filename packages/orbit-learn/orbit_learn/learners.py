@@ -1,0 +1,76 @@
+"""Learning libraries by name. Packages add theirs through the entry-point group ``orbit.learners``.
+
+The value of an entry point is a subclass of :class:`~orbit_learn.trainer.Trainer`::
+
+    [project.entry-points."orbit.learners"]
+    my-library = "my_package.training:MyTrainer"
+
+Listing names imports none of them.
+"""
+
+from __future__ import annotations
+
+import importlib
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
+
+from orbit_core.interfaces.errors import ConfigurationError
+from orbit_core.registry import Registry
+
+if TYPE_CHECKING:
+    from orbit_learn.trainer import Trainer
+
+GROUP = "orbit.learners"
+_LIBRARIES = {
+    "rsl-rl": ("rsl_rl:RslRlTrainer", "PPO, asymmetric critics, pictures, several GPUs"),
+    "sb3": ("sb3:Sb3Trainer", "PPO, pictures"),
+    "skrl": ("skrl:SkrlTrainer", "PPO, asymmetric critics, pictures"),
+    "rl-games": ("rl_games:RlGamesTrainer", "PPO, asymmetric critics"),
+    "torchrl": ("torchrl:TorchRlTrainer", "PPO, asymmetric critics, pictures"),
+    "distill": ("distill:DistillTrainer", "imitates a kept policy that sees more (DAgger); part of ORBIT"),
+}
+"""Modules in this package. Each but the last is also the name of the extra that installs it."""
+
+
+@cache
+def learners() -> Registry[type[Trainer[Any]]]:
+    """All trainers by name; none is imported before it is asked for."""
+    registry = Registry["type[Trainer[Any]]"]("learning library", GROUP)
+    for name, (place, _) in _LIBRARIES.items():
+        registry.add_lazily(name, partial(_own_trainer, name, place))
+    return registry
+
+
+def library_names() -> tuple[str, ...]:
+    """All libraries that train."""
+    return tuple(learners().names)
+
+
+def library_description(name: str) -> str:
+    """One line: what the library offers, or which package brings it."""
+    return _LIBRARIES[name][1] if name in _LIBRARIES else learners().origin(name)
+
+
+def trainer_type(library: str) -> type[Trainer[Any]]:
+    """The trainer of that library.
+
+    Raises:
+        UnknownNameError: there is none; names the nearest.
+        ConfigurationError: the library is not installed, or the package that brings it is broken.
+    """
+    from orbit_learn.trainer import Trainer
+
+    kind = learners().get(library)
+    if not (isinstance(kind, type) and issubclass(kind, Trainer)):
+        raise ConfigurationError(f"learning library '{library}' ({learners().origin(library)}) is no Trainer: {kind!r}")
+    return kind
+
+
+def _own_trainer(library: str, place: str) -> type[Trainer[Any]]:
+    module, _, attribute = place.partition(":")
+    try:
+        return getattr(importlib.import_module(f"orbit_learn.{module}"), attribute)
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"library '{library}' needs {error.name}, which is not installed: pip install 'orbit-core[{library}]'"
+        ) from error

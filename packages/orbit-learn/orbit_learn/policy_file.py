@@ -1,0 +1,145 @@
+"""Policies as safetensors files: the weights, what they were learned for, and the network that they belong to.
+
+The document of such a file (see :mod:`orbit_core.tensor_file`) is
+``{"format": 1, "policy": {...}, "manifest": {...}, "network": {"name": ..., "settings": {...}}}`` with the fields of
+:class:`~orbit_learn.description.PolicyDescription`, of :class:`~orbit_core.manifest.manifest.Manifest`, which may
+be missing, and of a registered network.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import torch
+from torch import Tensor, nn
+
+from orbit_core.files import as_path
+from orbit_core.interfaces import ConfigurationError, OrbitError
+from orbit_core.manifest.manifest import Manifest
+from orbit_core.tensor_file import read_tensors, write_tensors
+from orbit_learn.description import PolicyDescription
+from orbit_learn.network_registry import network_type
+from orbit_learn.networks import ActorNetwork, Network
+from orbit_learn.plain import from_plain
+from orbit_learn.policy_cost import limited
+
+SUFFIX = ".safetensors"
+
+
+def newest_file(folder: Path | str, prefix: str) -> Path | None:
+    """The file ``<prefix>_<iteration>.safetensors`` of the highest iteration; links that lead elsewhere are refused.
+
+    Raises:
+        ConfigurationError: that file is a link to a place outside the folder.
+    """
+    folder = as_path(folder)
+    pattern = re.compile(rf"{prefix}_(\d{{1,18}}){re.escape(SUFFIX)}")
+    found = {int(match[1]): path for path in folder.iterdir() if (match := pattern.fullmatch(path.name))}
+    if not found:
+        return None
+    newest = found[max(found)]
+    if newest.resolve().parent != folder.resolve():
+        raise ConfigurationError(f"{newest} is a link that leads out of its folder: name the file that it leads to")
+    return newest
+
+
+def write_policy(
+    path: Path | str, actor: ActorNetwork, description: PolicyDescription, manifest: Manifest | None = None
+) -> None:
+    """Write a policy, and the manifest of where it was learned. The file appears whole or not at all.
+
+    Raises:
+        ConfigurationError: nobody could read it: its network is registered under no name, or another's.
+    """
+    network = cast(Any, actor.network)
+    if network_type(network.name) is not type(network):
+        raise ConfigurationError(f"network {network!r} is not the one that is registered as '{network.name}'")
+    named = {"name": network.name, "settings": dataclasses.asdict(network)}
+    document = {**description.document(), **manifest_document(manifest), "network": named}
+    write_tensors(path, document, actor.module.state_dict())
+
+
+def manifest_document(manifest: Manifest | None) -> dict[str, Any]:
+    """The manifest's part of a policy's document, which files of earlier versions lack."""
+    return {} if manifest is None else {"manifest": manifest.document()}
+
+
+def manifest_of(document: Mapping[str, Any], path: Path) -> Manifest | None:
+    """The manifest in a policy's document, if there is one.
+
+    Raises:
+        ConfigurationError: it is none, or of another format.
+    """
+    return Manifest.decode(document["manifest"], str(path)) if "manifest" in document else None
+
+
+def read_policy(path: Path | str) -> tuple[PolicyDescription, Manifest | None, ActorNetwork]:
+    """A policy on the CPU, of which nothing was executed but the registered network that its file names.
+
+    Raises:
+        OrbitError: the file is malformed, or its parts do not fit each other; names which.
+    """
+    path = as_path(path)
+    document, tensors = read_tensors(path)
+    description = PolicyDescription.of_document(document, str(path))
+    network = _network(document.get("network"), str(path))
+    try:
+        with torch.device("meta"):  # so that settings of a huge network cost nothing before the weights agree
+            module = network.build(description.observation_size, description.action_size)
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise ConfigurationError(f"{path}: {network!r} cannot be built: {error}") from error
+    _check_weights(module, tensors, path)
+    module.load_state_dict(tensors, assign=True)
+    module.requires_grad_(False).eval()
+    check_action(module, description, path)
+    return description, manifest_of(document, path), ActorNetwork(network, module)
+
+
+def check_action(module: nn.Module, description: PolicyDescription, path: Path, device: str = "cpu") -> None:
+    """Refuse a policy that makes no actions of an observation of zeros.
+
+    Raises:
+        ConfigurationError: it fails or takes too much memory or time, or they have another shape or, where they have
+            values, are not finite.
+    """
+    try:
+        with torch.no_grad(), limited(module):
+            action = module(description.zeros(2, device))
+    except (RuntimeError, TypeError, IndexError, KeyError, ValueError) as error:
+        reason = (str(error).splitlines() or [""])[0]
+        raise ConfigurationError(f"{path} cannot act: {type(error).__name__} {reason}") from error
+    if tuple(action.shape) != (2, description.action_size):
+        raise ConfigurationError(
+            f"{path} makes actions of shape {tuple(action.shape)} of 2 observations, not (2, {description.action_size})"
+        )
+    if not action.is_meta and not bool(torch.isfinite(action).all()):
+        raise ConfigurationError(f"{path} makes actions that are not finite of an observation of zeros")
+
+
+def _network(values: Any, where: str) -> Network:
+    if not isinstance(values, dict) or not isinstance(values.get("name"), str):
+        raise ConfigurationError(f"{where} names no network")
+    name = values["name"][:60]  # for messages
+    try:
+        kind = network_type(name)
+    except OrbitError as error:
+        raise ConfigurationError(f"{where}: {error}") from None
+    return from_plain(kind, values.get("settings"), f"network '{name}' of {where}")
+
+
+def _check_weights(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
+    needed = module.state_dict()
+    for name in sorted(needed.keys() ^ tensors.keys()):
+        verb = "lacks" if name in needed else "has no place for"
+        raise ConfigurationError(f"{path}: its network {verb} weights '{name[:60]}'")
+    for name, asked in needed.items():
+        given = tensors[name]
+        if (asked.shape, asked.dtype) != (given.shape, given.dtype):
+            raise ConfigurationError(
+                f"{path} has '{name}' of shape {tuple(given.shape)} and {given.dtype}, where its network needs "
+                f"{tuple(asked.shape)} and {asked.dtype}"
+            )

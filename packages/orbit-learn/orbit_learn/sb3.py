@@ -1,0 +1,237 @@
+"""Stable-Baselines3: Raffin et al., Stable-Baselines3: Reliable Reinforcement Learning Implementations (2021)."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from torch import Tensor, nn
+
+from orbit_core.envs.environment import Environment
+from orbit_core.envs.ppo import PpoSettings
+from orbit_learn.convolutional import MOST_DEVIATIONS, Convolutional, convolutional, convolutional_actor
+from orbit_learn.description import group_parts
+from orbit_learn.groups import ACTOR, check_groups
+from orbit_learn.networks import ActorNetwork, perceptron_actor
+from orbit_learn.sb3_pictures import PictureExtractor, PicturePpo, Seen, array_of, observed_space, row_of, seen_arrays
+from orbit_learn.trainer import Progress, Trainer
+
+_RECENT = 100
+"""Episodes over which success is averaged, as the library does for returns."""
+
+
+class Sb3Environment(VecEnv):
+    """An environment as Stable-Baselines3 expects it: NumPy arrays, and at an episode's end the last observation and
+    whether the time limit ended it in ``infos``.
+
+    Where the group ``policy`` is a dictionary, so is the observation: pictures (H, W, C) as they are, all else float32.
+    """
+
+    def __init__(self, environment: Environment, seed: int | None = None) -> None:
+        self.environment = environment
+        super().__init__(
+            environment.num_envs,
+            observed_space(environment.observation[ACTOR]),
+            spaces.Box(-1.0, 1.0, (environment.action_size,)),
+        )
+        self._seed = seed
+        self._action = torch.zeros(environment.num_envs, environment.action_size)
+
+    def reset(self) -> Seen:
+        observation, _ = self.environment.reset(self._seed)
+        self._seed = None
+        return seen_arrays(observation[ACTOR])
+
+    def step_async(self, actions: npt.NDArray[np.float32]) -> None:
+        self._action = torch.as_tensor(actions, dtype=torch.float32, device=self.environment.device)
+
+    def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
+        observation, reward, terminated, truncated, info = self.environment.step(self._action)
+        done = terminated | truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if "final" in info:
+            self._tell(infos, info["final"], truncated)
+        return seen_arrays(observation[ACTOR]), array_of(reward), array_of(done), infos
+
+    def _tell(self, infos: list[dict[str, Any]], end: Any, truncated: Tensor) -> None:
+        last = seen_arrays(end.observation[ACTOR])
+        returns = torch.stack(list(end.rewards.values())).sum(0)
+        for row, i in enumerate(end.env_ids.tolist()):
+            infos[i]["terminal_observation"] = row_of(last, row)
+            infos[i]["TimeLimit.truncated"] = bool(truncated[i])
+            if bool(end.usual[row]):
+                infos[i]["is_success"] = bool(end.success[row])
+            infos[i]["episode"] = {"r": float(returns[row]), "l": int(end.steps[row]), "t": time.time()}
+
+    def close(self) -> None:
+        """The environment belongs to whoever made it."""
+
+    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
+        return [getattr(self.environment, attr_name, None)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
+        setattr(self.environment, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: int | Iterable[int] | None = None, **method_kwargs: Any
+    ) -> list[Any]:
+        result = getattr(self.environment, method_name)(*method_args, **method_kwargs)
+        return [result] * len(list(self._get_indices(indices)))
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None) -> list[bool]:
+        return [False] * len(list(self._get_indices(indices)))
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        self._seed = seed
+        return [seed] * self.num_envs
+
+
+class Sb3Trainer(Trainer[PpoSettings]):
+    """PPO with a constant learning rate; an update ends early where the policy moves too far."""
+
+    name: ClassVar[str] = "sb3"
+
+    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path | str, seed: int) -> None:
+        super().__init__(environment, settings, folder, seed)
+        check_groups(environment, self.name)
+        layout = environment.observation[ACTOR]
+        self._network = None if layout.concatenated else convolutional(group_parts(layout), settings.hidden_sizes)
+        self._environment = VecNormalize(
+            Sb3Environment(environment, seed),
+            norm_obs=settings.normalize_observations,
+            norm_reward=False,
+            clip_obs=MOST_DEVIATIONS,
+            norm_obs_keys=None if self._network is None else [part.name for part in self._network.vectors],
+        )
+        batch = environment.num_envs * settings.steps_per_iteration
+        self._model = PicturePpo(
+            "MlpPolicy" if self._network is None else "MultiInputPolicy",
+            self._environment,
+            learning_rate=settings.learning_rate,
+            n_steps=settings.steps_per_iteration,
+            batch_size=max(1, batch // settings.minibatches),
+            n_epochs=settings.epochs,
+            gamma=settings.discount,
+            gae_lambda=settings.gae_lambda,
+            clip_range=settings.clip,
+            ent_coef=settings.entropy_weight,
+            target_kl=2.0 * settings.target_kl,
+            policy_kwargs={
+                "net_arch": list(settings.hidden_sizes),
+                "activation_fn": nn.ELU,
+                "log_std_init": math.log(settings.initial_std),
+                "ortho_init": False,  # its last layer starts so small that short trainings gain half as much
+                **_reading(self._network),
+            },
+            tensorboard_log=str(folder),
+            seed=seed,
+            device=environment.device,
+        )
+        self._batch = batch
+
+    def learn(self, iterations: int, report: Callable[[Progress], None]) -> None:
+        callback = _Callback(self._batch, report)
+        self._model.learn(
+            iterations * self._batch,
+            callback=callback,
+            reset_num_timesteps=self._model.num_timesteps == 0,
+            tb_log_name="tensorboard",
+        )
+        callback.finish_iteration()
+
+    def state(self) -> Any:
+        """Weights, optimiser and the observations' statistics."""
+        return {"parameters": self._model.get_parameters(), "observations": self._statistics()}
+
+    def restore(self, state: Any, iteration: int) -> None:
+        self._model.set_parameters(state["parameters"], device=self.environment.device)
+        self._model.num_timesteps = (iteration + 1) * self._batch
+        for name, seen in self._moments().items():
+            saved = state["observations"] if self._network is None else state["observations"][name]
+            seen.mean, seen.var, seen.count = saved["mean"].numpy(), saved["var"].numpy(), saved["count"]
+
+    def actor(self) -> ActorNetwork:
+        policy: Any = self._model.policy
+        layers = nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
+        mean, std, limit = None, None, None
+        if self.settings.normalize_observations:
+            seen = list(self._moments().values())
+            mean, var = (
+                torch.cat([torch.zeros(0), *(torch.as_tensor(getattr(each, name)).float().flatten() for each in seen)])
+                for name in ("mean", "var")
+            )
+            std, limit = (var + self._environment.epsilon).sqrt(), MOST_DEVIATIONS
+        if self._network is None:
+            return perceptron_actor(layers, mean, std, limit)
+        encoders = policy.pi_features_extractor.features.encoders
+        return convolutional_actor(self._network, encoders, layers, mean, std)
+
+    def _moments(self) -> dict[str, Any]:
+        """Mean, variance and count of the observation, or of each of its vectors by name; none if not normalised."""
+        if not self.settings.normalize_observations:
+            return {}
+        seen: Any = self._environment.obs_rms
+        return {"": seen} if self._network is None else seen
+
+    def _statistics(self) -> Any:
+        told = {
+            name: {"mean": seen.mean, "var": seen.var, "count": seen.count} for name, seen in self._moments().items()
+        }
+        return told.get("") if self._network is None else told
+
+
+def _reading(network: Convolutional | None) -> dict[str, Any]:
+    """How the policy reads a dictionary: actor and critic have encoders of their own."""
+    if network is None:
+        return {}
+    return {
+        "features_extractor_class": PictureExtractor,
+        "features_extractor_kwargs": {"network": network},
+        "share_features_extractor": False,
+        "normalize_images": False,  # the extractor does
+    }
+
+
+class _Callback(BaseCallback):
+    """Reports after each iteration."""
+
+    def __init__(self, batch: int, report: Callable[[Progress], None]) -> None:
+        super().__init__()
+        self._batch, self._report = batch, report
+        self._begin = time.perf_counter()
+        self._first_step = -1
+        self._successes: list[bool] = []
+
+    def _on_rollout_start(self) -> None:
+        if self._first_step < 0:
+            self._first_step = self.model.num_timesteps
+        else:
+            self.finish_iteration()
+
+    def _on_step(self) -> bool:
+        self._successes += [info["is_success"] for info in self.locals["infos"] if "is_success" in info]
+        del self._successes[:-_RECENT]
+        return True
+
+    def finish_iteration(self) -> None:
+        """Collected and learned."""
+        episodes: Any = self.model.ep_info_buffer
+        self._report(
+            Progress(
+                iteration=self.model.num_timesteps // self._batch - 1,
+                env_steps=self.model.num_timesteps - self._first_step,
+                seconds=time.perf_counter() - self._begin,
+                episode_return=float(np.mean([episode["r"] for episode in episodes])) if episodes else math.nan,
+                success_rate=float(np.mean(self._successes)) if self._successes else math.nan,
+                episodes=len(self._successes),
+            )
+        )

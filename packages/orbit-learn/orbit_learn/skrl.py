@@ -1,0 +1,201 @@
+"""skrl: Serrano-Munoz et al., skrl: Modular and Flexible Library for Reinforcement Learning (2023)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import torch
+from gymnasium import Space
+from skrl.agents.torch import ExperimentCfg
+from skrl.agents.torch.ppo import PPO, PPO_CFG
+from skrl.envs.wrappers.torch import Wrapper
+from skrl.memories.torch import RandomMemory
+from skrl.resources.preprocessors.torch import RunningStandardScaler
+from skrl.resources.schedulers.torch import KLAdaptiveLR
+from skrl.utils.spaces.torch import flatten_tensorized_space
+from torch import Tensor
+
+from orbit_core.envs.environment import Environment
+from orbit_core.envs.observation_layout import GroupLayout
+from orbit_core.envs.ppo import PpoSettings
+from orbit_core.rollout.ends import true_next
+from orbit_learn.convolutional import convolutional_actor
+from orbit_learn.groups import ACTOR, CRITIC, check_groups, critic_group
+from orbit_learn.loop import LoopTrainer
+from orbit_learn.networks import ActorNetwork, perceptron_actor
+from orbit_learn.skrl_models import Actor, Critic, VectorScaler
+from orbit_learn.spaces import action_space, critic_space, observation_space
+
+
+class SkrlEnvironment(Wrapper):
+    """An environment as skrl expects it: groups that are dictionaries are flattened to (N, K) of float32, in the order
+    of their terms' names, which ``skrl.utils.spaces.torch.unflatten_tensorized_space`` undoes.
+
+    skrl values a step that the time limit cut short by the observation that follows it, which here is the next
+    episode's first. ``info["true_next"]`` (N, O) is the one to record: hand it to the agent as ``next_observations``,
+    as :class:`SkrlTrainer` does. Where the task has a group ``critic``, that is skrl's state, and
+    ``info["true_next_state"]`` the one to record.
+    """
+
+    def __init__(self, environment: Environment, seed: int | None = None) -> None:
+        super().__init__(environment)
+        self.environment = environment
+        self._seed = seed
+
+    @property
+    def observation_space(self) -> Space[Any]:
+        return observation_space(self.environment)["policy"]  # pyright: ignore[reportIndexIssue]
+
+    @property
+    def action_space(self) -> Space[Any]:
+        return action_space(self.environment)
+
+    def reset(self) -> tuple[Tensor, dict[str, Any]]:
+        """The present observation; the episodes begin only with the first call, as they renew themselves."""
+        if self._seed is not None:
+            self.environment.reset(self._seed)
+            self._seed = None
+        return _flat(self.environment.observe()[ACTOR]), {}
+
+    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = self.environment.step(actions)
+        following = {name: _flat(group) for name, group in true_next(observation, info).items()}
+        extras = {"true_next": following[ACTOR], "true_next_state": following.get(CRITIC), "ends": info}
+        return _flat(observation[ACTOR]), reward[:, None], terminated[:, None], truncated[:, None], extras
+
+    @property
+    def state_space(self) -> Space[Any] | None:
+        return critic_space(self.environment)
+
+    def state(self) -> Tensor | None:
+        """What the critic sees, where that is a group of its own."""
+        observation = self.environment.observe()
+        return _flat(observation[CRITIC]) if CRITIC in observation else None
+
+    def render(self, *args: Any, **kwargs: Any) -> None:
+        """Nothing: ``orbit view`` and ``orbit play`` show environments."""
+
+    def close(self) -> None:
+        """The environment belongs to whoever made it."""
+
+
+def _flat(group: Tensor | dict[str, Tensor]) -> Tensor:
+    flat = flatten_tensorized_space(group)
+    assert flat is not None
+    return flat.float()
+
+
+class SkrlTrainer(LoopTrainer[PpoSettings]):
+    """PPO with the learning rate following the Kullback-Leibler divergence."""
+
+    name: ClassVar[str] = "skrl"
+
+    def __init__(self, environment: Environment, settings: PpoSettings, folder: Path | str, seed: int) -> None:
+        super().__init__(environment, settings, folder, seed)
+        check_groups(environment, self.name)
+        self._environment = SkrlEnvironment(environment, seed)
+        spaces = {
+            "observation_space": self._environment.observation_space,
+            "state_space": self._environment.state_space,
+            "action_space": self._environment.action_space,
+            "device": environment.device,
+        }
+        groups = environment.observation
+        self._actor = Actor(groups[ACTOR], settings.hidden_sizes, settings.initial_std, **spaces)
+        critic = Critic(groups[critic_group(environment)], settings.hidden_sizes, **spaces)
+        steps = settings.steps_per_iteration
+        memory = RandomMemory(memory_size=steps, num_envs=environment.num_envs, device=environment.device)
+        configuration = _configuration(settings, folder, groups, spaces)
+        self._agent = PPO(models={"policy": self._actor, "value": critic}, memory=memory, cfg=configuration, **spaces)
+        self._agent.init()
+        self._agent.enable_training_mode(True)
+
+    def iterate(self, iteration: int) -> None:
+        seen, _ = self._environment.reset()
+        steps = self.settings.steps_per_iteration
+        for step in range(iteration * steps, (iteration + 1) * steps):
+            time = {"timestep": step, "timesteps": self.settings.iterations * steps}
+            with torch.no_grad():
+                state = self._environment.state()
+                state = None if state is None else state.clone()
+                action, _ = self._agent.act(seen, state, **time)
+                following, reward, terminated, truncated, extras = self._environment.step(action)
+                self._agent.record_transition(
+                    observations=seen,
+                    states=state,  # pyright: ignore[reportArgumentType] - None is what its own trainers hand over
+                    actions=action,
+                    rewards=reward,
+                    next_observations=extras["true_next"],
+                    next_states=extras["true_next_state"],
+                    terminated=terminated,
+                    truncated=truncated,
+                    infos=extras,
+                    **time,
+                )
+            self.tally.add(extras["ends"], self._environment.num_envs)
+            self._agent.post_interaction(**time)
+            seen = following
+
+    def state(self) -> Any:
+        return {name: module.state_dict() for name, module in self._agent.checkpoint_modules.items()}
+
+    def load(self, state: Any) -> None:
+        for name, module in self._agent.checkpoint_modules.items():
+            module.load_state_dict(state[name])
+
+    def actor(self) -> ActorNetwork:
+        layers, features = self._actor.layers, self._actor.features
+        mean, std, limit = None, None, None
+        if self.settings.normalize_observations:
+            scaler: Any = self._agent._observation_preprocessor
+            limit = scaler.clip_threshold
+            mean, std = scaler.running_mean, scaler.running_variance.sqrt() + scaler.epsilon
+        if features is None:
+            return perceptron_actor(layers, mean, std, limit)
+        return convolutional_actor(features.network, features.encoders, layers, mean, std)
+
+
+def _scaling(
+    layout: GroupLayout | None, space: Space[Any] | None, settings: PpoSettings, device: torch.device
+) -> tuple[type[RunningStandardScaler] | None, dict[str, Any]]:
+    """The class that normalises a group, and what it is made with; none where there is nothing to normalise."""
+    if layout is None or not settings.normalize_observations:
+        return None, {}
+    if layout.concatenated:
+        return RunningStandardScaler, {"size": space, "device": device}
+    return VectorScaler, {"size": layout, "device": device}
+
+
+def _configuration(
+    settings: PpoSettings, folder: Path | str, groups: Mapping[str, GroupLayout], spaces: dict[str, Any]
+) -> PPO_CFG:
+    scaler, scaling = _scaling(groups[ACTOR], spaces["observation_space"], settings, spaces["device"])
+    state_scaler, state_scaling = _scaling(groups.get(CRITIC), spaces["state_space"], settings, spaces["device"])
+    return PPO_CFG(
+        rollouts=settings.steps_per_iteration,
+        learning_epochs=settings.epochs,
+        mini_batches=settings.minibatches,
+        discount_factor=settings.discount,
+        gae_lambda=settings.gae_lambda,
+        learning_rate=settings.learning_rate,
+        learning_rate_scheduler=KLAdaptiveLR,
+        learning_rate_scheduler_kwargs={"kl_threshold": settings.target_kl},
+        observation_preprocessor=scaler,
+        observation_preprocessor_kwargs=scaling,
+        state_preprocessor=state_scaler,
+        state_preprocessor_kwargs=state_scaling,
+        grad_norm_clip=1.0,
+        ratio_clip=settings.clip,
+        value_clip=0.0,  # in units of the return, which the task chooses
+        value_loss_scale=1.0,
+        entropy_loss_scale=settings.entropy_weight,
+        time_limit_bootstrap=True,
+        experiment=ExperimentCfg(
+            directory=str(folder),
+            experiment_name="tensorboard_skrl",
+            write_interval=settings.steps_per_iteration,
+            checkpoint_interval=0,
+        ),
+    )

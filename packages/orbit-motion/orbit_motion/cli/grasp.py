@@ -1,0 +1,36 @@
+"""``orbit grasp``: a person has an arm grasp, in the browser."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from orbit_core.cli.checks import check_steps
+from orbit_core.cli.making import make_environment
+from orbit_core.cli.parsing import parse_settings
+from orbit_core.cli.settings import GraspSettings
+
+
+def main(words: Sequence[str]) -> None:
+    """Show the task's scene until interrupted, or for ``max_steps``."""
+    settings = parse_settings(GraspSettings, words, "orbit grasp")
+    check_steps(settings.max_steps)
+    environment = make_environment(settings, 1)
+    try:
+        from orbit_motion.grasping.tool import GraspedEnvironment, GraspTool
+        from orbit_viewer.viewer import Viewer
+
+        grasped = GraspedEnvironment(environment)
+        title = f"ORBIT {settings.task} on {environment.world.backend}"
+        with Viewer(
+            grasped,
+            grasped,
+            settings.host,
+            settings.port,
+            title,
+            tool=lambda server, scene: GraspTool(grasped.workflow, server, scene),
+        ) as viewer:
+            print(f"grasp at {viewer.url}", flush=True)
+            viewer.run(settings.max_steps)
+        grasped.workflow.close()
+    finally:
+        environment.close()

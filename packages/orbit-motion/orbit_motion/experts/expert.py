@@ -1,0 +1,337 @@
+"""Scripted experts: a batched state machine that leads the hand, or several hands, from pose to pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from orbit_core.actions.full_ik import FullIk
+from orbit_core.actions.pose_command import displaced
+from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.transforms import pose_error, pose_inverse, pose_multiply
+from orbit_core.envs.task import Task
+from orbit_core.envs.terms import TermFunction
+from orbit_core.interfaces import ConfigurationError, Node, Port
+from orbit_motion.experts.expert_base import DrivenBase
+
+if TYPE_CHECKING:
+    from orbit_core.actions.base import MotionGenerator
+    from orbit_core.interfaces import Robot, World
+    from orbit_motion.planning import BasePlannerConfig
+
+_JOINT_LEAD = 0.5
+"""rad or m by which the joint that travels most leads on a free way."""
+_THERE = 0.1
+"""rad or m within which all joints are at the end of a free way, although a base that sways may have moved its end."""
+
+
+@dataclass(frozen=True)
+class Retry:
+    """What to do where a phase, once it is over, has not brought about what the next one needs."""
+
+    phases: int
+    """How many phases to go back: 1 does the phase itself again."""
+    unless: TermFunction
+    """(N,) bool: where it holds, all is well."""
+    most: int = 2
+    """How often in an episode; after that the expert goes on all the same."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Lead the hand to ``target`` (N, 7), in each environment's frame, with the gripper open or closed.
+
+    The hand goes there in a straight line. Where the way is ``free``, full inverse kinematics finds joint positions
+    within limits, and the joints go there together until the hand is near.
+
+    With ``base`` in the place of a target, the robot drives: (N, 3) x and y in m and heading in rad, in each
+    environment's frame, are read when the phase begins, the tolerances are the base's, and the arm goes to its home
+    meanwhile. In the phases that follow the base stays there.
+
+    The phase is over once the hand is within both tolerances and ``dwell`` seconds have passed since it began; or, if
+    ``timeout`` is given, after that many seconds. Then ``retry`` may lead back. The last phase goes on for ever.
+
+    An expert that teaches asks for ``least`` metres until the hand is there: whoever learns asks for less, or for none.
+    """
+
+    target: TermFunction | None = None
+    gripper_open: bool = True
+    position_tolerance: float = 0.01
+    rotation_tolerance: float = 0.1
+    dwell: float = 0.0
+    timeout: float | None = None
+    free: bool = False
+    retry: Retry | None = None
+    base: TermFunction | None = None
+    least: float = 0.0
+
+    def __post_init__(self) -> None:
+        if (self.target is None) == (self.base is None):
+            raise ConfigurationError("a phase of an expert leads the hand to its target or drives the base: give one")
+
+
+class Expert(Node):
+    """Runs each environment through its phases and turns the hand's next pose into an action of the task's own space.
+
+    The pose asked for runs ahead of the hand by at most ``position_lead`` (m) and ``rotation_lead`` (rad), so that the
+    same expert suits absolute and relative action spaces; how fast the hand follows is the drives' affair.
+
+    Where several robots act, ``phases`` holds as many for each, by agent. They wait for each other: a phase is over
+    once it is over for all.
+
+    Bases drive around what stands on the floor where a ``planner`` says how, else straight.
+
+    A joint that is too slow for that lead turns the hand off its straight way; with ``straight`` all wait for it.
+
+    Drives whose arm's weight nothing cancels hold it only by what they lack to their targets. With a ``sag_rate`` (1/s)
+    what the hand lacks near its target is summed up at that rate, and asked for on top.
+
+    While it :attr:`teaches`, the phase is what ``stage``, if given, says of the state alone: where another leads, who
+    may be slow, phases that end by time would answer one state in several ways.
+
+    Raises:
+        ConfigurationError: an agent has no phases, or another number than the others; a phase is to be retried that
+            never ends, or from before the first; a base is to drive that takes no velocities over the floor; or only
+            the hand of a robot on legs is led.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        task: Task,
+        phases: Sequence[Phase] | Mapping[str, Sequence[Phase]],
+        position_lead: float = 0.1,
+        rotation_lead: float = 0.5,
+        planner: BasePlannerConfig | None = None,
+        sag_rate: float = 0.0,
+        straight: bool = False,
+        stage: TermFunction | None = None,
+    ) -> None:
+        self.name = "policy"
+        self.outputs = (Port("action", (sum(generator.command_size for generator in task.generators),)),)
+        self._world = world
+        self._task = task
+        self._dt = task.physics_dt * task.decimation
+        by_agent = phases if isinstance(phases, Mapping) else {task.agents[0]: phases}
+        counts = {len(own) for own in by_agent.values()}
+        if {*by_agent} != {*task.agents} or len(counts) != 1:
+            raise ConfigurationError(f"an expert needs equally many phases for each agent: {', '.join(task.agents)}")
+        self._last = counts.pop() - 1
+        self._retries = [
+            (number, phase.retry) for own in by_agent.values() for number, phase in enumerate(own) if phase.retry
+        ]
+        for number, retry in self._retries:
+            if number == self._last or not 1 <= retry.phases <= number + 1:
+                raise ConfigurationError(
+                    f"phase {number} of 0 to {self._last} cannot go back {retry.phases} phases: the last "
+                    "one never ends, and none comes before the first"
+                )
+        lead = torch.tensor([position_lead, rotation_lead], device=world.device)
+        self._arms = [_Arm(agent, by_agent[agent], lead, world, task, planner, straight) for agent in task.agents]
+        self._sag_share = sag_rate * self._dt
+        self._stage = stage
+        self.teaches = False
+        """Whether it only says what it would do, and another leads."""
+        self.phase = torch.zeros(world.num_envs, dtype=torch.int64, device=world.device)
+        self._elapsed = torch.zeros(world.num_envs, device=world.device)
+        self._tries = torch.zeros(world.num_envs, len(self._retries), dtype=torch.int64, device=world.device)
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        rows = slice(None) if env_ids is None else env_ids
+        self.phase[rows] = 0
+        self._elapsed[rows] = 0.0
+        self._tries[rows] = 0
+        for arm in self._arms:
+            arm.reset(env_ids)
+
+    def memory(self) -> Mapping[str, Tensor]:
+        bases = [arm.base for arm in self._arms if arm.base is not None]
+        own = {"phase": self.phase, "elapsed": self._elapsed, "tries": self._tries}
+        own |= {f"sag_{number}": arm.sag for number, arm in enumerate(self._arms)}
+        for number, base in enumerate(bases):
+            own |= {f"base_{number}_{key}": value for key, value in base.memory().items()}
+        return own
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        self.reset((self._task.episode_step == 0).nonzero().squeeze(-1))
+        stage = self._stage(self._world, self._task) if self.teaches and self._stage is not None else None
+        if stage is not None:
+            self._elapsed.masked_fill_(stage != self.phase, 0.0)
+            self.phase.copy_(stage)
+        elapsed = self._elapsed + self._dt
+        commands: list[Tensor] = []
+        over = self.phase < (self._last if stage is None else 0)
+        for arm in self._arms:
+            begun = self._elapsed == 0.0
+            command, finished = arm.compute(self.phase, elapsed, begun, self._sag_share, self.teaches)
+            commands.append(command)
+            over = over & finished
+        self.phase += torch.where(over, 1 - self._back(over), 0)
+        self._elapsed.copy_(elapsed.masked_fill(over, 0.0))
+        return {"action": torch.cat(commands, dim=1).clamp(-1.0, 1.0)}
+
+    def _back(self, over: Tensor) -> Tensor:
+        """(N,) by how many phases to go back, where phases are over (N,) that have not done what they should."""
+        back = torch.zeros_like(self.phase)
+        for (number, retry), tries in zip(self._retries, self._tries.unbind(1), strict=True):
+            failed = over & (self.phase == number) & ~retry.unless(self._world, self._task) & (tries < retry.most)
+            back = torch.where(failed, retry.phases, back)
+            tries += failed
+        return back
+
+
+class _Arm:
+    """One robot's part in the phases."""
+
+    def __init__(
+        self,
+        agent: str,
+        phases: Sequence[Phase],
+        lead: Tensor,
+        world: World,
+        task: Task,
+        planner: BasePlannerConfig | None = None,
+        straight: bool = False,
+    ) -> None:
+        self._world = world
+        self._task = task
+        self._straight = straight
+        self._phases = tuple(phases)
+        self._lead = lead
+        self._robot = world.robots[agent]
+        self._frame = self._robot.spec.end_effector.frame
+        self._generators = [generator for generator in task.generators if generator.robot is self._robot]
+        self._rows = torch.arange(world.num_envs, device=world.device)
+        tolerances = [(phase.position_tolerance, phase.rotation_tolerance) for phase in phases]
+        self._tolerances = torch.tensor(tolerances, device=world.device)
+        self._dwell = torch.tensor([phase.dwell for phase in phases], device=world.device)
+        timeouts = [torch.inf if phase.timeout is None else phase.timeout for phase in phases]
+        self._timeouts = torch.tensor(timeouts, device=world.device)
+        self._least = torch.tensor([(phase.least, 0.0) for phase in phases], device=world.device)
+        self._open = torch.tensor([phase.gripper_open for phase in phases], device=world.device)
+        self._free = torch.tensor([phase.free for phase in phases], device=world.device)
+        self._drives = torch.tensor([phase.base is not None for phase in phases], device=world.device)
+        drives = any(phase.base is not None for phase in phases)
+        self._route = _Route(self._robot, self._generators) if drives or any(phase.free for phase in phases) else None
+        self.base = DrivenBase(self._robot, self._generators, world, task, planner) if drives else None
+        if self._robot.spec.feet and not self._robot.spec.fixed_base and not drives:
+            raise ConfigurationError(
+                f"the expert of {type(task).__name__} moves the hand of robot '{self._robot.spec.articulation.name}' "
+                "alone, and nothing balances its legs: choose an arm, or a task whose expert walks, like Mobile-Reach"
+            )
+        self.sag = torch.zeros(world.num_envs, 6, device=world.device)
+        """(N, 6) m and rad asked for on top."""
+
+    def reset(self, env_ids: Tensor | None) -> None:
+        """Forget where the base was going, and how much the arm sags."""
+        self.sag[slice(None) if env_ids is None else env_ids] = 0.0
+        if self.base is not None:
+            self.base.reset(env_ids)
+
+    def compute(
+        self, phase: Tensor, elapsed: Tensor, begun: Tensor, sag_share: float, teaches: bool
+    ) -> tuple[Tensor, Tensor]:
+        """The command (N, A) in those phases (N,), and whether (N,) they are over after ``elapsed`` seconds (N,).
+
+        ``begun`` (N,) says which of them begin now; ``sag_share`` of what the hand lacks is added to :attr:`sag`.
+        Where it ``teaches`` it asks for what phases ask at least.
+        """
+        hand = self._robot.frame_pose(self._frame)
+        targets = [hand if own.target is None else own.target(self._world, self._task) for own in self._phases]
+        target = torch.stack(targets)[phase, self._rows]
+        error = pose_error(hand, target)
+        distances = torch.stack((error[:, :3].norm(dim=1), error[:, 3:].norm(dim=1)), dim=1)
+        asked = torch.minimum(distances, self._lead)
+        if teaches:
+            asked = torch.where(distances > self._tolerances[phase], asked.maximum(self._least[phase]), asked)
+        step = error.view(-1, 2, 3) * (asked / distances.clamp_min(1e-9))[..., None]
+        if sag_share:
+            most = 0.5 * self._lead[:, None]
+            self.sag += sag_share * error * (distances < self._lead).all(1, keepdim=True)
+            self.sag.copy_((self.sag.view(-1, 2, 3).clamp(-most, most)).view(-1, 6))
+            step = step + self.sag.view(-1, 2, 3)
+        waypoint = displaced(hand, step.view(-1, 6))
+        opened = self._open[phase]
+        if self._straight:
+            share = torch.stack([generator.share(waypoint) for generator in self._generators]).amin(0)
+            waypoint = displaced(hand, share * step.view(-1, 6))
+        commands = [generator.encode(waypoint, opened) for generator in self._generators]
+        if self._route is not None:
+            free, drives = self._free[phase], self._drives[phase]
+            self._route.plan(target, begun & free)
+            way, near = self._route.way(drives)
+            # Once there the hand leads: on a base that still settled the posture is a little off, and would hold it.
+            self._route.reached |= near & free
+            far = free & self._route.known & ~self._route.reached & (distances > 0.5 * self._lead).any(1)
+            positions, pose = self._route.along(way)
+            others = [generator.encode_posture(positions, pose, opened) for generator in self._generators]
+            led = (far | drives)[:, None]
+            commands = [torch.where(led, other, own) for own, other in zip(commands, others, strict=True)]
+        if self.base is not None:
+            distances = self._drive(self.base, commands, phase, begun, distances)
+        arrived = (distances <= self._tolerances[phase]).all(1) & (elapsed >= self._dwell[phase])
+        return torch.cat(commands, dim=1), arrived | (elapsed >= self._timeouts[phase])
+
+    def _drive(self, base: DrivenBase, commands: list[Tensor], phase: Tensor, begun: Tensor, hand: Tensor) -> Tensor:
+        """Put the base's command among the others; (N, 2) distances of what each phase (N,) leads, hand or base."""
+        for number, own in enumerate(self._phases):
+            begins = begun & (phase == number)
+            if own.base is not None and bool(begins.any()):
+                base.begin(own.base(self._world, self._task), begins)
+        for number, generator in enumerate(self._generators):
+            if generator.base_limits is not None:
+                commands[number] = base.command()
+        return torch.where(self._drives[phase][:, None], base.distances, hand)
+
+
+class _Route:
+    """Joint positions on the way to a pose, found by full inverse kinematics when a phase begins."""
+
+    def __init__(self, robot: Robot, generators: Sequence[MotionGenerator]) -> None:
+        effector, articulation = robot.spec.end_effector, robot.spec.articulation
+        self._robot = robot
+        self._frame = effector.frame
+        self._joints = robot.find_joints(*effector.arm_joints)
+        self._tree = KinematicTree(articulation, robot.home_positions.device)
+        limits = robot.position_limits.clone()
+        for generator in generators:
+            limits[generator.joints] = generator.position_range
+        self._solver = FullIk(self._tree, self._frame, self._joints, limits, robot.home_positions)
+        self._goal = robot.joint_positions.clone()
+        self.known = torch.zeros(len(self._goal), dtype=torch.bool, device=self._goal.device)
+        """(N,) whether the pose can be reached."""
+        self.reached = torch.zeros_like(self.known)
+        """(N,) whether the joints have been at the end of the way."""
+
+    def plan(self, target: Tensor, rows: Tensor) -> None:
+        """Find the way to poses ``target`` (N, 7), in the environments of ``rows`` (N,) bool."""
+        env_ids = rows.nonzero().squeeze(-1)
+        if not len(env_ids):
+            return
+        self.reached[env_ids] = False
+        local = pose_multiply(pose_inverse(self._robot.root_pose[env_ids]), target[env_ids])
+        solution = self._solver.solve(local, self._robot.joint_positions[env_ids])
+        goal = self._robot.joint_positions[env_ids]
+        goal[:, self._joints] = solution.positions
+        self._goal[env_ids] = goal
+        self.known[env_ids] = solution.converged
+
+    def way(self, home: Tensor) -> tuple[Tensor, Tensor]:
+        """(N, J) rad or m that the joints have to go, those of the arm to their home where ``home`` (N,); and (N,) bool
+        whether they are as good as there."""
+        here = self._robot.joint_positions
+        resting = here.clone()
+        resting[:, self._joints] = self._robot.home_positions[self._joints]
+        way = torch.where(home[:, None], resting, self._goal) - here
+        return way, way[:, self._joints].abs().amax(1) < _THERE
+
+    def along(self, way: Tensor) -> tuple[Tensor, Tensor]:
+        """Joint positions (N, J) a step on along the way (N, J), and the hand's pose (N, 7) in the environment then."""
+        longest = way[:, self._joints].abs().amax(1, keepdim=True).clamp_min(1e-9)
+        positions = self._robot.joint_positions + way * (_JOINT_LEAD / longest).clamp(max=1.0)
+        links = self._tree.forward(self._robot.root_pose, positions)
+        return positions, self._tree.frame_pose(links, self._frame)

@@ -1,0 +1,367 @@
+"""What torch's operations do to single numbers: each by name, on arrays of expressions in the tensors' shapes."""
+
+from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from orbit_motion.fusion.expression import Builder, Expression
+
+Numbers = npt.NDArray[np.object_]
+
+
+def _array(builder: Builder, value: Any) -> Numbers:
+    """A tensor's numbers, or a number of Python's as one."""
+    if isinstance(value, np.ndarray):
+        return value
+    result = np.empty((), dtype=object)
+    result[()] = value if isinstance(value, Expression) else builder.constant(value)
+    return result
+
+
+def _elementwise(function: Callable[..., Expression]) -> Callable[..., Numbers]:
+    """An operation number by number, with torch's rules of broadcasting, which are numpy's."""
+
+    def apply(builder: Builder, *operands: Any, **_: Any) -> Numbers:
+        arrays = np.broadcast_arrays(*(_array(builder, operand) for operand in operands))
+        result = np.empty(arrays[0].shape, dtype=object)
+        result.ravel()[:] = [function(builder, *numbers) for numbers in zip(*(a.ravel() for a in arrays), strict=True)]
+        return result
+
+    return apply
+
+
+def _plain(name: str) -> Callable[..., Numbers]:
+    return _elementwise(lambda builder, *numbers: builder.apply(name, *map(builder.number, numbers)))
+
+
+def _logical(name: str) -> Callable[..., Numbers]:
+    return _elementwise(lambda builder, *numbers: builder.apply(name, *numbers))
+
+
+_sum_of_two = _elementwise(lambda builder, a, b: builder.add(builder.number(a), builder.number(b)))
+_product = _elementwise(lambda builder, a, b: builder.multiply(a, b))
+_negative = _elementwise(lambda builder, a: builder.negative(a))
+_inverse = _elementwise(lambda builder, a: builder.apply("reciprocal", a))
+_root = _plain("sqrt")
+_smaller, _larger = _plain("min"), _plain("max")
+
+
+def _add(builder: Builder, a: Any, b: Any, alpha: float = 1) -> Numbers:
+    return _sum_of_two(builder, a, b if alpha == 1 else _product(builder, b, alpha))
+
+
+def _subtract(builder: Builder, a: Any, b: Any, alpha: float = 1) -> Numbers:
+    return _sum_of_two(builder, a, _product(builder, b, -float(alpha)))
+
+
+def _divide(builder: Builder, a: Any, b: Any) -> Numbers:
+    return _product(builder, a, _inverse(builder, b))
+
+
+def _power(builder: Builder, a: Numbers, exponent: float) -> Numbers:
+    if exponent == 0.5:
+        return _root(builder, a)
+    if exponent < 0:
+        return _inverse(builder, _power(builder, a, -exponent))
+    if exponent != int(exponent) or not 1 <= exponent <= 8:
+        raise NotImplementedError(f"a power of {exponent}")
+    return functools.reduce(lambda x, y: _product(builder, x, y), [a] * int(exponent))
+
+
+def _sum(builder: Builder, a: Numbers, dim: Any = None, keepdim: bool = False, **_: Any) -> Numbers:
+    return _reduced(lambda row: builder.total([builder.number(x) for x in row]), a, dim, keepdim)
+
+
+def _reduced(function: Callable[[Sequence[Expression]], Expression], a: Numbers, dim: Any, keepdim: bool) -> Numbers:
+    axes = range(a.ndim) if dim is None else [dim] if isinstance(dim, int) else dim
+    axes = tuple(sorted(axis % a.ndim for axis in axes))
+    kept = [axis for axis in range(a.ndim) if axis not in axes]
+    rows = a.transpose([*kept, *axes]).reshape([a.shape[axis] for axis in kept] + [-1])
+    result = np.empty(rows.shape[:-1], dtype=object)
+    # Short rows first, for longer ones are made of them.
+    for place in sorted(np.ndindex(result.shape), key=lambda place: sum(not x.constant for x in rows[place])):
+        result[place] = function(rows[place].tolist())
+    return np.expand_dims(result, axes) if keepdim else result
+
+
+def _extreme(name: str) -> Callable[..., Numbers]:
+    def apply(builder: Builder, a: Numbers, dim: Any = None, keepdim: bool = False) -> Numbers:
+        return _reduced(lambda row: functools.reduce(lambda x, y: builder.apply(name, x, y), row), a, dim, keepdim)
+
+    return apply
+
+
+def _norm(builder: Builder, a: Numbers, ord: float = 2, dim: Any = None, keepdim: bool = False, **_: Any) -> Numbers:
+    if ord != 2:
+        raise NotImplementedError(f"a norm of order {ord}")
+    return _root(builder, _sum(builder, _product(builder, a, a), dim, keepdim))
+
+
+def _matmul(builder: Builder, a: Numbers, b: Numbers) -> Numbers:
+    products = _product(builder, a[..., :, :, None], b[..., None, :, :])
+    return _sum(builder, products, a.ndim - 1)
+
+
+def _addmm(builder: Builder, c: Numbers, a: Numbers, b: Numbers, beta: float = 1, alpha: float = 1) -> Numbers:
+    product = _product(builder, _matmul(builder, a, b), alpha)
+    return _sum_of_two(builder, _product(builder, c, beta), product)
+
+
+def _cross(builder: Builder, a: Numbers, b: Numbers, dim: int = -1) -> Numbers:
+    a, b = np.broadcast_arrays(a, b)
+    if dim % a.ndim != a.ndim - 1:
+        raise NotImplementedError("a cross product along another than the last axis")
+    ahead, behind = [1, 2, 0], [2, 0, 1]
+    first = _product(builder, a[..., ahead], b[..., behind])
+    return _subtract(builder, first, _product(builder, a[..., behind], b[..., ahead]))
+
+
+def _clamp(builder: Builder, a: Numbers, low: Any = None, high: Any = None, **given: Any) -> Numbers:
+    low, high = given.get("min", low), given.get("max", high)
+    a = a if low is None else _larger(builder, a, low)
+    return a if high is None else _smaller(builder, a, high)
+
+
+def _where(builder: Builder, condition: Numbers, a: Any, b: Any) -> Numbers:
+    return _elementwise(lambda builder, c, x, y: builder.apply("where", c, x, y))(builder, condition, a, b)
+
+
+def _sign_of(builder: Builder, size: Any, sign: Any) -> Numbers:
+    """``copysign``, of zeros' signs the positive one."""
+    size = _plain("abs")(builder, size)
+    return _where(builder, _plain("lt")(builder, sign, 0.0), _negative(builder, size), size)
+
+
+def _cholesky(builder: Builder, a: Numbers, **_: Any) -> tuple[Numbers, None]:
+    """Lower factors, column by column; where a matrix is not positive definite they are not finite."""
+    if a.ndim > 2:
+        parts = [_cholesky(builder, matrix)[0] for matrix in a]
+        return np.stack(parts), None
+    size = a.shape[-1]
+    zero = builder.constant(0.0)
+    factors = np.full(a.shape, zero, dtype=object)
+    for j in range(size):
+        squares = [factors[j, k] * factors[j, k] for k in range(j)]
+        factors[j, j] = builder.apply("sqrt", a[j, j] - builder.total(squares) if squares else a[j, j])
+        inverse = builder.apply("reciprocal", factors[j, j])
+        for i in range(j + 1, size):
+            products = [factors[i, k] * factors[j, k] for k in range(j)]
+            factors[i, j] = (a[i, j] - builder.total(products) if products else a[i, j]) * inverse
+    return factors, None
+
+
+def _triangular(
+    builder: Builder, a: Numbers, b: Numbers, upper: bool, left: bool = True, unitriangular: bool = False
+) -> Numbers:
+    if not left or unitriangular:
+        raise NotImplementedError("a triangular system from the right")
+    if a.ndim > 2:
+        return np.stack([_triangular(builder, x, y, upper=upper) for x, y in zip(a, b, strict=True)])
+    size = a.shape[-1]
+    result = np.empty(b.shape, dtype=object)
+    order = range(size - 1, -1, -1) if upper else range(size)
+    for place, i in enumerate(order):
+        inverse = builder.apply("reciprocal", a[i, i])
+        solved = list(order)[:place]
+        for column in range(b.shape[1]):
+            products = [a[i, k] * result[k, column] for k in solved]
+            right = b[i, column]
+            result[i, column] = (right - builder.total(products) if products else right) * inverse
+    return result
+
+
+def _slice(
+    _: Builder, a: Numbers, dim: int = 0, start: int | None = None, end: int | None = None, step: int = 1
+) -> Any:
+    places: list[Any] = [slice(None)] * a.ndim
+    places[dim % a.ndim] = slice(start, end, step)
+    return a[tuple(places)]
+
+
+def _index(_: Builder, a: Numbers, indices: Sequence[Any]) -> Numbers:
+    return a[tuple(slice(None) if index is None else index for index in indices)]
+
+
+def _split(_: Builder, a: Numbers, sizes: int | Sequence[int], dim: int = 0) -> list[Numbers]:
+    length = a.shape[dim]
+    ends = np.cumsum(sizes)[:-1] if not isinstance(sizes, int) else np.arange(sizes, length, sizes)
+    return np.split(a, ends, dim)
+
+
+def _expand(_: Builder, a: Numbers, shape: Sequence[int], **__: Any) -> Numbers:
+    ahead = len(shape) - a.ndim
+    sizes = [a.shape[i - ahead] if size == -1 else size for i, size in enumerate(shape)]
+    return np.broadcast_to(a, sizes)
+
+
+def _squeeze(_: Builder, a: Numbers, dim: Any = None) -> Numbers:
+    axes = range(a.ndim) if dim is None else [dim] if isinstance(dim, int) else dim
+    return np.squeeze(a, tuple(axis for axis in axes if a.shape[axis] == 1))
+
+
+def _diag_embed(builder: Builder, a: Numbers, offset: int = 0, dim1: int = -2, dim2: int = -1) -> Numbers:
+    if (offset, dim1, dim2) != (0, -2, -1):
+        raise NotImplementedError("a diagonal elsewhere than in the last two axes")
+    size = a.shape[-1]
+    result = np.full((*a.shape, size), builder.constant(0.0), dtype=object)
+    result[..., range(size), range(size)] = a
+    return result
+
+
+def _full(builder: Builder, shape: Sequence[int], value: float, dtype: Any = None, **_: Any) -> npt.NDArray[Any]:
+    if dtype in (torch.int64, torch.int32):
+        return np.full(tuple(shape), int(value))  # an index
+    return np.full(tuple(shape), builder.constant(value), dtype=object)
+
+
+def _like(value: float | None) -> Callable[..., Numbers]:
+    def apply(builder: Builder, a: Numbers, fill: float = 0.0, **_: Any) -> Numbers:
+        return _full(builder, a.shape, fill if value is None else value)
+
+    return apply
+
+
+def _new(value: float | None) -> Callable[..., Numbers]:
+    def apply(builder: Builder, a: Numbers, shape: Sequence[int], fill: float = 0.0, **_: Any) -> Numbers:
+        return _full(builder, shape, fill if value is None else value)
+
+    return apply
+
+
+def _eye(builder: Builder, size: int, **_: Any) -> Numbers:
+    result = _full(builder, (size, size), 0.0)
+    result[range(size), range(size)] = builder.constant(1.0)
+    return result
+
+
+def _argmax(builder: Builder, a: Numbers, dim: int, keepdim: bool = False) -> Numbers:
+    """The first of the largest, as a number."""
+
+    def place(row: Sequence[Expression]) -> Expression:
+        best, largest = builder.constant(0.0), row[0]
+        for index, other in enumerate(row[1:], 1):
+            better = builder.apply("lt", largest, other)
+            best = builder.apply("where", better, builder.constant(float(index)), best)
+            largest = builder.apply("max", largest, other)
+        return best
+
+    return _reduced(place, a, dim, keepdim)
+
+
+def _gather(builder: Builder, a: Numbers, dim: int, index: Numbers) -> Numbers:
+    result = np.empty(index.shape, dtype=object)
+    for place in np.ndindex(index.shape):
+        row = a[tuple(slice(None) if axis == dim % a.ndim else i for axis, i in enumerate(place))]
+        found, chosen = row[0], index.item(place)
+        for number, other in enumerate(row[1:], 1):
+            found = builder.apply("where", builder.apply("eq", chosen, builder.constant(float(number))), other, found)
+        result[place] = found
+    return result
+
+
+def _converted(builder: Builder, a: Any, dtype: Any = None, **_: Any) -> Any:
+    is_float = dtype is not None and dtype.is_floating_point
+    return _elementwise(lambda builder, x: builder.number(x))(builder, a) if is_float else a
+
+
+def _same(_: Builder, a: Any, *__: Any, **___: Any) -> Any:
+    return a
+
+
+OPERATIONS: dict[str, Callable[..., Any]] = {
+    "add": _add,
+    "sub": _subtract,
+    "rsub": lambda builder, a, b, alpha=1: _subtract(builder, b, a, alpha),
+    "mul": _product,
+    "div": _divide,
+    "neg": _negative,
+    "reciprocal": _inverse,
+    "sqrt": _root,
+    "rsqrt": lambda builder, a: _inverse(builder, _root(builder, a)),
+    "square": lambda builder, a: _product(builder, a, a),
+    "pow": _power,
+    "sin": _plain("sin"),
+    "cos": _plain("cos"),
+    "atan2": _plain("atan2"),
+    "abs": _plain("abs"),
+    "minimum": _smaller,
+    "maximum": _larger,
+    "clamp": _clamp,
+    "clamp_min": lambda builder, a, low: _clamp(builder, a, low),
+    "clamp_max": lambda builder, a, high: _clamp(builder, a, None, high),
+    "copysign": _sign_of,
+    "lt": _plain("lt"),
+    "le": _plain("le"),
+    "gt": lambda builder, a, b: _plain("lt")(builder, b, a),
+    "ge": lambda builder, a, b: _plain("le")(builder, b, a),
+    "eq": _plain("eq"),
+    "ne": lambda builder, a, b: _logical("not")(builder, _plain("eq")(builder, a, b)),
+    "logical_and": _logical("and"),
+    "logical_or": _logical("or"),
+    "logical_not": _logical("not"),
+    "bitwise_and": _logical("and"),
+    "bitwise_or": _logical("or"),
+    "bitwise_not": _logical("not"),
+    "where": _where,
+    "sum": _sum,
+    "amin": _extreme("min"),
+    "amax": _extreme("max"),
+    "linalg_vector_norm": _norm,
+    "norm": lambda builder, a, p=2, dim=None, keepdim=False: _norm(builder, a, p, dim, keepdim),
+    "addcmul": lambda builder, a, b, c, value=1: _add(builder, a, _product(builder, b, c), value),
+    "mm": _matmul,
+    "bmm": _matmul,
+    "addmm": _addmm,
+    "baddbmm": _addmm,
+    "linalg_cross": _cross,
+    "linalg_cholesky_ex": _cholesky,
+    "linalg_solve_triangular": _triangular,
+    "view": lambda _, a, shape: a.reshape(shape),
+    "reshape": lambda _, a, shape: a.reshape(shape),
+    "_unsafe_view": lambda _, a, shape: a.reshape(shape),
+    "expand": _expand,
+    "repeat": lambda _, a, repeats: np.tile(a, repeats),
+    "permute": lambda _, a, order: a.transpose(order),
+    "transpose": lambda _, a, one, other: a.swapaxes(one, other),
+    "t": lambda _, a: a.T,
+    "unsqueeze": lambda _, a, dim: np.expand_dims(a, dim),
+    "squeeze": _squeeze,
+    "select": lambda _, a, dim, index: _array(_, a.take(index, dim)),
+    "slice": _slice,
+    "index": _index,
+    "index_select": lambda _, a, dim, index: a.take(index, dim),
+    "cat": lambda _, tensors, dim=0: np.concatenate(tensors, dim),
+    "stack": lambda _, tensors, dim=0: np.stack(tensors, dim),
+    "unbind": lambda _, a, dim=0: list(np.moveaxis(a, dim, 0)),
+    "split": _split,
+    "split_with_sizes": _split,
+    "diagonal": lambda _, a, offset=0, dim1=0, dim2=1: a.diagonal(offset, dim1, dim2),
+    "diag_embed": _diag_embed,
+    "scalar_tensor": lambda builder, value, **_: _array(builder, value),
+    "eye": _eye,
+    "full": _full,
+    "zeros": lambda builder, shape, **_: _full(builder, shape, 0.0),
+    "ones": lambda builder, shape, **_: _full(builder, shape, 1.0),
+    "zeros_like": _like(0.0),
+    "ones_like": _like(1.0),
+    "full_like": _like(None),
+    "new_zeros": _new(0.0),
+    "new_ones": _new(1.0),
+    "new_full": _new(None),
+    "argmax": _argmax,
+    "gather": _gather,
+    "clone": _same,
+    "detach": _same,
+    "alias": _same,
+    "_to_copy": _converted,
+    "lift_fresh_copy": _same,
+    "getitem": lambda _, parts, index: operator.getitem(parts, index),
+}
+"""By the name of torch's operation, without its overload."""

@@ -1,0 +1,176 @@
+"""Antipodal grasps: two points of a surface whose line is in both friction cones, ranked by how well they would hold.
+
+Two fingers with friction hold a thing in all directions where the line between them is within both friction cones:
+Nguyen, Constructing Force-Closure Grasps (International Journal of Robotics Research 7(3), 1988). Candidates are drawn
+and the patch between the fingers judged as ten Pas et al. do, Grasp Pose Detection in Point Clouds (International
+Journal of Robotics Research 36(13), 2017).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from orbit_core.dynamics.transforms import quat_from_matrix, quat_rotate_inverse, quat_to_matrix
+from orbit_core.interfaces import ArgumentError
+from orbit_motion.grasping.hand_boxes import HandBoxes
+from orbit_motion.grasping.surface import Surface
+
+_CLEARANCE = 0.002
+"""m between an open finger and the thing, at least."""
+_PATCH = 0.01
+"""m around the line between the fingers, within which the surface is judged."""
+_CHECKED = 400
+"""Points of the surface that are looked for in the hand and between its fingers."""
+_SPARSE = 1e-3
+"""m that two points of a grasp are apart at least."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspConfig:
+    """How candidates are drawn.
+
+    Raises:
+        ArgumentError: a number is out of its range.
+    """
+
+    friction: float = 0.5
+    """Coefficient between fingers and thing."""
+    samples: int = 400
+    """Points from which a line to the other side is drawn."""
+    directions: int = 12
+    """From which the hand may come, evenly around each line."""
+    most: int = 64
+    """Candidates that are returned at most, the best ones."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("friction", "samples", "directions", "most"):
+            if not getattr(self, name) > 0:
+                raise ArgumentError(f"setting '{name}' of grasp candidates is {getattr(self, name)}: give more than 0")
+
+
+@dataclass(frozen=True, eq=False)
+class GraspCandidates:
+    """K grasps, the best first, in the frame of the surface."""
+
+    poses: Tensor
+    """(K, 7) of the end effector: z along the approach, y from one finger to the other."""
+    widths: Tensor
+    """(K,) m between the two points."""
+    contacts: Tensor
+    """(K, 2, 3) m"""
+    scores: Tensor
+    """(K,) from 0 to 1."""
+
+    def __len__(self) -> int:
+        return len(self.scores)
+
+
+def grasp_candidates(
+    surface: Surface, hand: HandBoxes, config: GraspConfig = GraspConfig(), up: Tensor | None = None
+) -> GraspCandidates:
+    """Grasps of a surface by a hand, ranked by the mean of four scores.
+
+    They are: how far inside the friction cones the line is; how near the line goes to the thing's middle, so that it
+    hardly turns in the hand; which part of the surface between the fingers faces them; and how much the hand comes from
+    above, where ``up`` (3,) is given in the surface's frame.
+
+    Raises:
+        ArgumentError: none is possible: the thing is too wide for the hand, or no two sides face each other.
+    """
+    pairs = _pairs(surface, hand.opening, config)
+    if not len(pairs):
+        raise ArgumentError(
+            f"no grasp of {hand.opening:.3f} m at most with a friction coefficient of {config.friction:g}: no two "
+            "sides of the thing face each other so near"
+        )
+    poses, contacts = _around(surface.points[pairs], config.directions)
+    stride = max(1, len(surface.points) // _CHECKED)
+    checked = Surface(surface.points[::stride], surface.normals[::stride])
+    local = quat_rotate_inverse(poses[:, None, 3:], checked.points - poses[:, None, :3])
+    free = ~hand.touches(local, _CLEARANCE)
+    if not free.any():
+        raise ArgumentError("every grasp would have the open hand inside the thing: its fingers do not reach around it")
+    poses, contacts, local = poses[free], contacts[free], local[free]
+    normals = surface.normals[pairs].repeat_interleave(config.directions, 0)[free]
+    scores = [_cone(contacts, normals, config.friction), _central(contacts, surface), _facing(local, poses, checked)]
+    if up is not None:
+        approach = _axes(poses)[:, :, 2]
+        scores.append(0.5 - 0.5 * (approach @ normalize(up, dim=0)))
+    score = torch.stack(scores).mean(0)
+    best = score.argsort(descending=True, stable=True)[: config.most]
+    width = torch.linalg.vector_norm(contacts[:, 1] - contacts[:, 0], dim=1)
+    return GraspCandidates(poses[best], width[best], contacts[best], score[best])
+
+
+def _pairs(surface: Surface, opening: float, config: GraspConfig) -> Tensor:
+    """(K, 2) indices of points that face each other within the opening and the cones."""
+    points, normals = surface.points, surface.normals
+    generator = torch.Generator().manual_seed(config.seed)
+    first = torch.randint(len(points), (config.samples,), generator=generator).to(points.device)
+    angle = math.atan(config.friction)
+    noise = torch.randn(config.samples, 3, generator=generator).to(points)
+    lean = torch.rand(config.samples, 1, generator=generator).to(points) * math.tan(angle)
+    across = normalize(noise - (noise * normals[first]).sum(1, keepdim=True) * normals[first], dim=1)
+    line = normalize(across * lean - normals[first], dim=1)
+    arms = points - points[first][:, None]
+    along = (arms * line[:, None]).sum(-1)
+    aside = torch.linalg.vector_norm(arms - along[..., None] * line[:, None], dim=-1)
+    # The spacing of points: half of them have the nearest other closer than that.
+    spacing = torch.cdist(points[first], points).topk(2, largest=False).values[:, 1].median()
+    last = torch.where(aside < 2.0 * spacing, along, -torch.inf).argmax(1)
+    pairs = torch.stack((first, last), dim=1)
+    axis = points[last] - points[first]
+    width = torch.linalg.vector_norm(axis, dim=1)
+    axis = axis / width[:, None].clamp_min(_SPARSE)
+    least = math.cos(angle)
+    closed = ((-normals[first] * axis).sum(1) >= least) & ((normals[last] * axis).sum(1) >= least)
+    return pairs[closed & (width > _SPARSE) & (width < opening - 2.0 * _CLEARANCE)]
+
+
+def _around(ends: Tensor, directions: int) -> tuple[Tensor, Tensor]:
+    """Poses (K D, 7) between points (K, 2, 3), and those points for each."""
+    y = normalize(ends[:, 1] - ends[:, 0], dim=1)
+    least = torch.nn.functional.one_hot(y.abs().argmin(1), 3).to(y)
+    side = normalize(torch.linalg.cross(y, least), dim=1)
+    other = torch.linalg.cross(y, side)
+    turns = torch.arange(directions, device=y.device) * (2.0 * math.pi / directions)
+    z = side[:, None] * turns.cos()[:, None] + other[:, None] * turns.sin()[:, None]
+    y = y[:, None].expand_as(z)
+    axes = torch.stack((torch.linalg.cross(y, z), y, z), dim=-1)
+    middle = ends.mean(1)[:, None].expand_as(z)
+    poses = torch.cat((middle, quat_from_matrix(axes)), dim=-1).flatten(0, 1)
+    return poses, ends.repeat_interleave(directions, 0)
+
+
+def _axes(poses: Tensor) -> Tensor:
+    return quat_to_matrix(poses[:, 3:])
+
+
+def _cone(contacts: Tensor, normals: Tensor, friction: float) -> Tensor:
+    """(K,) 1 where the line is along both normals, 0 at the edge of a cone."""
+    axis = normalize(contacts[:, 1] - contacts[:, 0], dim=1)
+    cosine = torch.minimum(-(normals[:, 0] * axis).sum(1), (normals[:, 1] * axis).sum(1))
+    return 1.0 - torch.arccos(cosine.clamp(-1.0, 1.0)) / math.atan(friction)
+
+
+def _central(contacts: Tensor, surface: Surface) -> Tensor:
+    """(K,) 1 where the line goes through the middle of the points, 0 at their farthest from it."""
+    middle = surface.points.mean(0)
+    size = torch.linalg.vector_norm(surface.points - middle, dim=1).max()
+    axis = normalize(contacts[:, 1] - contacts[:, 0], dim=1)
+    arm = middle - contacts[:, 0]
+    off = torch.linalg.vector_norm(arm - (arm * axis).sum(1, keepdim=True) * axis, dim=1)
+    return 1.0 - (off / size).clamp(0.0, 1.0)
+
+
+def _facing(local: Tensor, poses: Tensor, surface: Surface) -> Tensor:
+    """(K,) the mean part of the normals along the line, of the surface that the pads would meet."""
+    between = (local[..., 0].abs() < _PATCH) & (local[..., 2].abs() < _PATCH)
+    along = (surface.normals @ _axes(poses)[:, :, 1].transpose(0, 1)).transpose(0, 1).abs()
+    return (along * between).sum(1) / between.sum(1).clamp_min(1)

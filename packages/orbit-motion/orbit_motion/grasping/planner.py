@@ -1,0 +1,192 @@
+"""From candidates to motion: to before the thing, straight to it, and straight up with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from orbit_core.actions.full_ik import FullIk, FullIkConfig
+from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.dynamics.transforms import pose_inverse, pose_multiply, quat_rotate
+from orbit_core.interfaces import PlanningError
+from orbit_motion.grasping.antipodal import GraspCandidates
+from orbit_motion.grasping.hand_boxes import HandBoxes
+from orbit_motion.planning import JointPlanner, PlannerConfig
+from orbit_motion.still import PlacedRobot, PlacedWorld
+
+_STRAIGHT = 8
+"""Postures along a straight part."""
+_AT_ONCE = 8
+"""Candidates whose inverse kinematics are solved together, so that the first plan does not wait for all."""
+_JUMP = 0.5
+"""rad or m from one posture to the next on a straight part, beyond which the arm is on another branch."""
+
+
+@dataclass(frozen=True, eq=False)
+class GraspPlan:
+    """What the arm does for one candidate; between two rows joints go straight."""
+
+    candidate: int | None
+    """Its number among the candidates; None for a pose that was given."""
+    reach: Tensor
+    """(P, k) joint positions to before the thing, around obstacles."""
+    approach: Tensor
+    """(Q, k) from there along the hand's z axis to the thing; then the gripper closes."""
+    lift: Tensor
+    """(R, k) straight up with it."""
+
+
+class GraspPlanner:
+    """Plans grasps for a robot's first end effector in one environment at a time.
+
+    Args:
+        world: of the robot; a :class:`~orbit_motion.planning.StillWorld` for plans in another thread.
+        robot: that grasps.
+        joints: indices of the arm's joints.
+        before: m along the approach at which the arm stops before it goes straight.
+        lift: m straight up with the thing.
+        config: of the path to before the thing; the thing itself should not be among its obstacles.
+
+    Raises:
+        ConfigurationError: the robot has no parallel gripper.
+    """
+
+    def __init__(
+        self,
+        world: PlacedWorld,
+        robot: PlacedRobot,
+        joints: list[int],
+        before: float = 0.1,
+        lift: float = 0.15,
+        config: PlannerConfig | None = None,
+    ) -> None:
+        self._robot, self._joints, self._before, self._lift = robot, joints, before, lift
+        self._hand = HandBoxes.of(robot.spec)
+        self._planner = JointPlanner(world, robot, joints, config or PlannerConfig())
+        frame = robot.spec.end_effector.frame
+        tree = KinematicTree(robot.spec.articulation, world.device)
+        many = FullIkConfig(seeds=12, iterations=60)
+        near = FullIkConfig(seeds=1, iterations=40)
+        self._anywhere, self._nearby = (
+            FullIk(tree, frame, joints, robot.position_limits, robot.home_positions, kind) for kind in (many, near)
+        )
+
+    def plan(self, pose: Tensor, env: int = 0) -> GraspPlan:
+        """The plan for a pose (7,) of the end effector, in the environment, in which the gripper closes.
+
+        Raises:
+            PlanningError: the pose cannot be reached, by how much; or something is in the way, what and how far.
+        """
+        return self._plan(self._straight_parts(pose[None], env), 0, None, env)
+
+    def plans(self, candidates: GraspCandidates, thing: Tensor, env: int = 0) -> Iterator[GraspPlan]:
+        """A plan for each candidate that has one, the best first.
+
+        Args:
+            candidates: in the thing's frame.
+            thing: (7,) pose of that frame in the environment's.
+            env: index of the environment.
+
+        Raises:
+            PlanningError: no candidate has a plan; tells how many fail for which reason. It is raised at the end, after
+                no plan was given.
+        """
+        poses = pose_multiply(thing.expand(len(candidates), 7), candidates.poses.to(thing))
+        failed = {_Unreached: 0, _Touching: 0, PlanningError: 0}
+        given = False
+        for first in range(0, len(poses), _AT_ONCE):
+            ways = self._straight_parts(poses[first : first + _AT_ONCE], env)
+            for row in range(len(ways.positions)):
+                try:
+                    plan = self._plan(ways, row, first + row, env)
+                except PlanningError as error:
+                    failed[type(error)] += 1
+                    continue
+                given = True
+                yield plan
+        if not given:
+            reasons = zip(("cannot be reached", "touch something", "have no path"), failed.values(), strict=True)
+            why = ", ".join(f"{count} {reason}" for reason, count in reasons if count)
+            raise PlanningError(f"none of {len(candidates)} grasps has a plan: {why}")
+
+    def _plan(self, ways: _StraightWays, row: int, candidate: int | None, env: int) -> GraspPlan:
+        _check_reached(ways, row)
+        self._check_hand(ways.poses[row], env)
+        approach, lift = ways.positions[row, :_STRAIGHT], ways.positions[row, _STRAIGHT - 1 :]
+        if float(self._planner.clearances(approach[:1], env).min()) < self._planner.config.margin:
+            raise _Touching(f"before the thing, {self._planner.touched(approach[0], env)}")
+        return GraspPlan(candidate, self._planner.plan(approach[0], env), approach, lift)
+
+    def _check_hand(self, poses: Tensor, env: int) -> None:
+        """Refuse a straight way (T, 7) on which the open hand enters an obstacle."""
+        points = self._hand.points.to(poses)
+        placed = quat_rotate(poses[:, None, 3:], points) + poses[:, None, :3]
+        distances, _ = self._planner.obstacles.distances(placed, env)
+        if not distances.numel() or float(distances.min()) >= 0.0:
+            return
+        deepest = int(distances.flatten(0, 1).amin(0).argmin())
+        name, depth = self._planner.obstacles.names[deepest], -float(distances.min())
+        raise _Touching(f"the open hand would be {depth:.3f} m inside '{name}'")
+
+    def _straight_parts(self, poses: Tensor, env: int) -> _StraightWays:
+        """Joint positions through approach and lift for poses (K, 7) at the thing."""
+        start = self._robot.joint_positions[env].expand(len(poses), -1)
+        ways = torch.linspace(-self._before, 0.0, _STRAIGHT, device=poses.device)
+        rises = torch.linspace(0.0, self._lift, _STRAIGHT, device=poses.device)[1:]
+        root = pose_inverse(self._robot.root_pose[env].expand(len(poses), 7))
+        targets, parts, errors, jumps = [], [], [], []
+        full = start.clone()
+        for number, (way, rise) in enumerate([(float(w), 0.0) for w in ways] + [(0.0, float(r)) for r in rises]):
+            shift = quat_rotate(poses[:, 3:], poses.new_tensor([0.0, 0.0, way]).expand(len(poses), 3))
+            target = torch.cat((poses[:, :3] + shift + poses.new_tensor([0.0, 0.0, rise]), poses[:, 3:]), dim=1)
+            solver = self._nearby if number else self._anywhere
+            found = solver.solve(pose_multiply(root, target), full)
+            moved = (found.positions - full[:, self._joints]).abs().amax(1)
+            jumps.append(moved * (number > 0))
+            full = full.clone()
+            full[:, self._joints] = found.positions
+            targets.append(target)
+            parts.append(found.positions)
+            missing = torch.stack((found.position_error, found.rotation_error), dim=1)
+            errors.append(torch.where(found.converged[:, None], 0.0, missing))
+        stacked = (torch.stack(part, dim=1) for part in (targets, parts, errors, jumps))
+        return _StraightWays(*stacked)
+
+
+class _Unreached(PlanningError):
+    """The arm does not get there."""
+
+
+class _Touching(PlanningError):
+    """Something is in the way."""
+
+
+@dataclass(frozen=True, eq=False)
+class _StraightWays:
+    """Approach and lift for K poses, in T postures each."""
+
+    poses: Tensor
+    """(K, T, 7) of the hand."""
+    positions: Tensor
+    """(K, T, k)"""
+    missing: Tensor
+    """(K, T, 2) m and rad by which the hand misses its pose; zero where it reaches it."""
+    jumps: Tensor
+    """(K, T) rad or m that the joint which moves most moves from the posture before."""
+
+
+def _check_reached(ways: _StraightWays, row: int) -> None:
+    missing = ways.missing[row]
+    unreached = missing.amax(1).nonzero()[:, 0]
+    if len(unreached):
+        step = int(unreached[0])
+        where = "before the thing" if step == 0 else "at the thing" if step < _STRAIGHT else "when lifting"
+        distance, angle = missing[step].tolist()
+        raise _Unreached(
+            f"{where} the hand misses the pose by {distance:.3f} m and {angle:.2f} rad: it is out of reach"
+        )
+    if float(ways.jumps[row].max()) >= _JUMP:
+        raise _Unreached("the arm would have to turn over on the straight way: take the thing from another side")

@@ -1,0 +1,246 @@
+"""A person and an arm that grasps: what is chosen, looked for, offered, done, and then left to the person's hand.
+
+Wishes may be made in any thread. They are taken up by :meth:`GraspWorkflow.update`, in the thread that steps the world;
+plans are made in a third one, from a copy of the world, so that world and view go on meanwhile.
+"""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from enum import Enum
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from orbit_core.interfaces import (
+    ArgumentError,
+    ConfigurationError,
+    OrbitError,
+    PlanningError,
+    Robot,
+    UnknownNameError,
+    World,
+)
+from orbit_motion.grasping.arm_driver import ArmDriver
+from orbit_motion.grasping.search import GraspMotion, GraspSearch
+from orbit_motion.planning import StillWorld
+
+_MOVED = 0.005
+"""m by which a thing may have moved since its grasps were planned."""
+_LIFTED = 0.05
+"""m above which a thing counts as lifted."""
+
+
+class Stage(Enum):
+    """Where the work stands."""
+
+    CHOOSING = "choose an object"
+    PLANNING = "looking for grasps"
+    OFFERED = "accept, refuse or move the grasp"
+    EXECUTING = "grasping"
+    STEERING = "the arm is yours"
+
+
+class GraspWorkflow:
+    """The work's state; one robot, one environment.
+
+    Args:
+        world: of one environment.
+        robot: that grasps; its first end effector has a parallel gripper.
+        step_dt: s of a control step.
+
+    Raises:
+        ConfigurationError: the robot cannot grasp, or the scene has nothing that it could.
+    """
+
+    def __init__(self, world: World, robot: Robot, step_dt: float) -> None:
+        self._world, self._dt = world, step_dt
+        self.driver = ArmDriver(world, robot, step_dt)
+        self.things = tuple(name for name, thing in world.objects.items() if not thing.spec.fixed_base)
+        """Names of the objects that may be chosen."""
+        if not self.things:
+            raise ConfigurationError("the scene has no object that is free to move: there is nothing to grasp")
+        self._frame = robot.spec.end_effector.frame
+        self._wishes: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._thread = ThreadPoolExecutor(1, "grasp-plans")
+        self._job: tuple[Future[Any], Callable[[Any], None]] | None = None
+        self._motions: Iterator[GraspMotion] | None = None
+        self._phases: Iterator[None] | None = None
+        self.version = 0
+        """Grows whenever anything below changes."""
+        self._begin()
+
+    # Wishes, from any thread
+
+    def select(self, thing: str) -> None:
+        """Look for grasps of an object.
+
+        Raises:
+            UnknownNameError: it is none that may be chosen.
+        """
+        if thing not in self.things:
+            raise UnknownNameError("object", thing, self.things, "what can be grasped")
+        self._wishes.put(partial(self._select, thing))
+
+    def refuse(self) -> None:
+        """Ask for the next grasp."""
+        self._wishes.put(self._refuse)
+
+    def accept(self) -> None:
+        """Have the grasp on offer done."""
+        self._wishes.put(self._accept)
+
+    def move(self, pose: Tensor) -> None:
+        """In OFFERED, ask for a grasp with the hand at a pose (7,); in STEERING, bring the hand there.
+
+        Raises:
+            ArgumentError: it is no pose.
+        """
+        if pose.shape != (7,) or not bool(pose.isfinite().all()):
+            raise ArgumentError(f"a pose is 7 finite numbers, position and quaternion, not {pose.tolist()}")
+        self._wishes.put(partial(self._move, pose.to(self._world.device, torch.float32)))
+
+    def take(self) -> None:
+        """Have the arm at once, what it does being left off."""
+        self._wishes.put(self._take)
+
+    def set_gripper(self, opened: bool) -> None:
+        """In STEERING, open or close the gripper."""
+        self._wishes.put(partial(self._set_gripper, opened))
+
+    # In the world's thread
+
+    def restart(self) -> None:
+        """The world was reset."""
+        self._begin()
+
+    def update(self) -> None:
+        """Take up wishes and plans that are ready."""
+        while not self._wishes.empty():
+            self._wishes.get()()
+        if self._job and self._job[0].done():
+            (future, then), self._job = self._job, None
+            try:
+                then(future.result())
+            except OrbitError as error:
+                self.motion = None
+                self._tell(Stage.OFFERED if self.search else Stage.CHOOSING, str(error))
+
+    def drive(self) -> None:
+        """Set the robot's targets of the next control step."""
+        if self._phases is not None and next(self._phases, self) is self:
+            self._phases = None
+        self.driver.advance()
+
+    def close(self) -> None:
+        """End the planning thread, once its plan is done."""
+        self._thread.shutdown(wait=True, cancel_futures=True)
+
+    def hand_pose(self) -> Tensor:
+        """(7,) of the end effector."""
+        return self.driver.robot.frame_pose(self._frame)[0].clone()
+
+    # What becomes of wishes
+
+    def _begin(self) -> None:
+        self._job = self._phases = self._motions = None
+        self.thing: str | None = None
+        self.search: GraspSearch | None = None
+        self.motion: GraspMotion | None = None
+        """On offer."""
+        self.lifted: float | None = None
+        """m by which the last grasp lifted its thing."""
+        self.driver.gripper_open = True
+        self.driver.hold()
+        self._tell(Stage.CHOOSING)
+
+    def _tell(self, stage: Stage, message: str = "") -> None:
+        self.stage, self.message = stage, message
+        self.version += 1
+
+    def _select(self, thing: str) -> None:
+        if self.stage is Stage.EXECUTING:
+            return
+        if not self.driver.gripper_open:
+            self._tell(self.stage, "open the gripper before you choose an object")
+            return
+        self.thing, self.search, self.motion = thing, None, None
+        self.driver.hold()
+        still = StillWorld.of(self._world, self.driver.robot)
+        self._plan(partial(GraspSearch, still, self.driver.joints, thing, self._dt), self._found)
+
+    def _found(self, search: GraspSearch) -> None:
+        self.search, self._motions = search, search.motions()
+        self._plan(partial(next, self._motions, None), self._offer)
+
+    def _refuse(self) -> None:
+        if self.stage is Stage.OFFERED and self._motions is not None:
+            self._plan(partial(next, self._motions, None), self._offer)
+
+    def _offer(self, motion: GraspMotion | None) -> None:
+        if motion is None:
+            raise PlanningError(
+                f"no other grasp of '{self.thing}' has a plan: choose the object again, or move the hand"
+            )
+        self.motion = motion
+        self._tell(Stage.OFFERED)
+
+    def _move(self, pose: Tensor) -> None:
+        if self.stage is Stage.STEERING:
+            self.driver.steer(pose)
+        elif self.stage is Stage.OFFERED and self.search is not None:
+            self._plan(partial(self.search.motion_to, pose), self._offer)
+
+    def _plan(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
+        self._job = (self._thread.submit(job), then)
+        self._tell(Stage.PLANNING)
+
+    def _accept(self) -> None:
+        if self.stage is not Stage.OFFERED or self.motion is None or self.thing is None or self.search is None:
+            return
+        here = self._world.objects[self.thing].root_pose[0, :3]
+        if float((here - self.search.place).norm()) > _MOVED:
+            self._tell(Stage.OFFERED, f"'{self.thing}' has moved since: choose it again")
+            return
+        self._phases = self._execution(self.motion, self.thing)
+        self._tell(Stage.EXECUTING)
+
+    def _take(self) -> None:
+        self._job = self._phases = None
+        self.motion = self.search = None
+        self.driver.hold()
+        self._tell(Stage.STEERING)
+
+    def _set_gripper(self, opened: bool) -> None:
+        if self.stage is Stage.STEERING:
+            self.driver.gripper_open = opened
+            self._tell(Stage.STEERING)
+
+    def _execution(self, motion: GraspMotion, thing: str) -> Iterator[None]:
+        """One turn a control step."""
+        before = float(self._world.objects[thing].root_pose[0, 2])
+        for part in (motion.reach, motion.approach):
+            self.driver.follow(part)
+            yield from self._until_there()
+        self.driver.gripper_open = False
+        yield from self._wait(0.8)
+        self.driver.follow(motion.lift)
+        yield from self._until_there()
+        self.lifted = float(self._world.objects[thing].root_pose[0, 2]) - before
+        self.motion = self.search = None
+        outcome = "is lifted" if self.lifted > _LIFTED else "is not lifted: it stands"
+        self._tell(Stage.STEERING, f"'{thing}' {outcome} by {self.lifted:.3f} m")
+
+    def _until_there(self) -> Iterator[None]:
+        yield
+        while not self.driver.arrived:
+            yield
+        yield from self._wait(0.3)
+
+    def _wait(self, seconds: float) -> Iterator[None]:
+        for _ in range(round(seconds / self._dt)):
+            yield

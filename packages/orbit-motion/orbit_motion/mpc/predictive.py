@@ -1,0 +1,164 @@
+"""A motion generator that plans ahead, at a rate and in a thread of its own, and gives the plan's targets meanwhile."""
+
+from __future__ import annotations
+
+import warnings
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from orbit_core.actions.base import JointTarget, MotionGenerator
+from orbit_core.actions.differential_ik import PoseTermConfig
+from orbit_core.interfaces import ConfigurationError, Robot, World
+from orbit_core.interfaces.layout import joint_limits
+from orbit_motion.mpc.plan import Array, Limits, Plan
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictiveConfig(PoseTermConfig):
+    """What predictive controllers have in common: how far they look ahead, and how often."""
+
+    above_zero: ClassVar[tuple[str, ...]] = (
+        *PoseTermConfig.above_zero, "rate", "nodes", "node_time", "iterations", "goal_weight",
+    )  # fmt: skip
+    none_below_zero: ClassVar[tuple[str, ...]] = ("posture_weight", "velocity_weight", "effort_weight")
+
+    rate: float = 25.0
+    """Hz of plans. A plan is begun with the state that is measured, made while the world goes on, and taken up when the
+    next one is begun: what comes of it does not depend on how fast the computer is."""
+    nodes: int = 20
+    """Steps that are looked ahead."""
+    node_time: float = 0.04
+    """s of a step."""
+    iterations: int = 5
+    """Most iterations of the solver for each plan, which begins with the last one."""
+    goal_weight: float = 100.0
+    posture_weight: float = 0.005
+    velocity_weight: float = 0.05
+    effort_weight: float = 0.01
+    """Of efforts in shares of their limits."""
+
+
+class Predictive(MotionGenerator):
+    """Targets along the newest plan; where that breaks a constraint joints hold still, and :attr:`problem` says why.
+
+    Raises:
+        ConfigurationError: the world has several environments; the rate does not divide that of commands; crocoddyl is
+            not installed; a joint has no limit of effort.
+    """
+
+    targets: ClassVar[tuple[JointTarget, ...]] = (JointTarget.POSITION, JointTarget.VELOCITY)
+
+    def __init__(self, name: str, robot: Robot, joints: Sequence[int], config: PredictiveConfig) -> None:
+        super().__init__(name, robot, joints, 6, self.targets)
+        if self.num_envs != 1:
+            raise ConfigurationError(
+                f"action term '{name}' plans for one environment and the world has {self.num_envs}: make it with "
+                "num_envs=1, or take a generator that is batched"
+            )
+        self.config = config
+        self.problem = ""
+        """Why the joints hold still; empty while they follow a plan."""
+        self.plan: Plan | None = None
+        """The one that is followed."""
+        self._held: tuple[Array, Array, Array] | None = None
+        self._turn, self._begun = 0, 0
+        self._pending: Future[Plan] | None = None
+        # Made when the first plan is: a generator that is only described needs no thread.
+        self._thread: ThreadPoolExecutor | None = None
+        limits = [joint_limits(robot.spec, what)[self.joints] for what in ("velocity_limit", "effort_limit")]
+        for joint, effort in zip(self.joints, limits[1], strict=True):
+            if not effort > 0.0:
+                raise ConfigurationError(
+                    f"joint '{robot.joint_names[joint]}' of '{robot.name}' has effort limit {effort:g}, so that action "
+                    f"term '{name}' cannot plan for it: raise the limit, or name other joints"
+                )
+        speed, effort = (np.where(np.isfinite(limit), limit, 1e4) for limit in limits)
+        low, high = self.lower_limits.double().cpu().numpy(), self.upper_limits.double().cpu().numpy()
+        names = [robot.joint_names[joint] for joint in self.joints]
+        self.limits = Limits(names, np.maximum(low, -1e4), np.minimum(high, 1e4), speed, effort)
+
+    @property
+    def missing(self) -> tuple[float, float]:
+        """m and rad by which the end of the plan misses the goal."""
+        return self.plan.missing if self.plan is not None else (float("inf"), float("inf"))
+
+    @abstractmethod
+    def goal(self, command: Tensor) -> Array:
+        """(7,) pose of the frame that a command (1, 6) asks for, world axes."""
+
+    @abstractmethod
+    def measured(self) -> Array:
+        """What :meth:`solve` begins with."""
+
+    @abstractmethod
+    def solve(self, state: Array, goal: Array, time: float) -> Plan:
+        """A plan from a state ``time`` s after the episode's beginning; called in the generator's thread."""
+
+    def enter(self, world: World, step_dt: float) -> None:
+        turns = 1.0 / (self.config.rate * step_dt)
+        self._period = round(turns)
+        if self._period < 1 or abs(turns - self._period) > 1e-6 * turns:
+            raise ConfigurationError(
+                f"action term '{self.name}': plans at {self.config.rate:g} Hz do not fall on commands at "
+                f"{1.0 / step_dt:g} Hz: choose a rate that divides that"
+            )
+        self._step_dt = step_dt
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        # A number taken from a tensor, which says to a captured step that it cannot do without this Python.
+        finite = bool(torch.isfinite(inputs["command"]).all().item())
+        if self._turn % self._period == 0:
+            self._take_up(inputs["command"] if finite else None)
+        since = (self._turn - self._begun) * self._step_dt
+        self._turn += 1
+        values = self._held if self.plan is None or self.problem else self.plan.at(since)
+        assert values is not None
+        rows = [torch.as_tensor(value, dtype=torch.float32, device=self.device)[None] for value in values]
+        rows[0] = torch.clamp(rows[0], self.lower_limits, self.upper_limits)
+        return {target.value: rows[_ORDER.index(target)] for target in self.targets}
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        if self._pending is not None:
+            self._pending.result()
+        self.plan, self._pending, self._held, self.problem, self._turn = None, None, None, "", 0
+
+    def _take_up(self, command: Tensor | None) -> None:
+        """Follow the plan that was begun last, and begin the next."""
+        if command is None:
+            self._hold("a command is not a number")
+            return
+        begun, following = self._turn, self._pending is not None
+        if self._pending is None:  # an episode begins: there is nothing to follow meanwhile
+            self._begin(command)
+        assert self._pending is not None
+        plan = self._pending.result()
+        if plan.problem:
+            self._hold(plan.problem)
+        else:
+            self.plan, self.problem, self._held = plan, "", None
+        self._begun = begun - self._period if following else begun
+        self._begin(command)
+
+    def _begin(self, command: Tensor) -> None:
+        self._thread = self._thread or ThreadPoolExecutor(1, thread_name_prefix=self.name)
+        state, goal, time = self.measured(), self.goal(command), self._turn * self._step_dt
+        self._pending = self._thread.submit(self.solve, state, goal, time)
+
+    def _hold(self, problem: str) -> None:
+        """Stay where the joints are."""
+        if self._held is None:
+            positions = self.positions[0].double().cpu().numpy()
+            self._held = positions, np.zeros_like(positions), np.zeros_like(positions)
+        if problem != self.problem:
+            warnings.warn(f"action term '{self.name}' holds still: {problem}", stacklevel=2)
+        self.problem = problem
+
+
+_ORDER = (JointTarget.POSITION, JointTarget.VELOCITY, JointTarget.EFFORT)

@@ -1,0 +1,155 @@
+"""Inverse kinematics as quadratic programs: weighted tasks in order of priority, within limits of place and speed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from orbit_core.actions.base import JointTarget, speed_limited_lead
+from orbit_core.actions.differential_ik import PoseTermConfig, bounded_targets
+from orbit_core.actions.ik import steadying
+from orbit_core.actions.modes import CommandMode
+from orbit_core.actions.reach import PoseFollower
+from orbit_core.dynamics.qp import solve_qp
+from orbit_core.interfaces import ConfigurationError, Robot, World
+from orbit_core.interfaces.layout import joint_limits
+from orbit_motion.manipulability import manipulability_gradient
+
+_LIMIT_SHARE = 0.5
+"""Of the distance to a limit that a joint may cover in one step (Faverjon and Tournassoud's velocity damper, 1987)."""
+
+
+class Priority(Enum):
+    """What of a pose comes first where not all of it can be had."""
+
+    NONE = "none"
+    """Nothing: all six components share what is missing, by their weights."""
+    POSITION = "position"
+    ROTATION = "rotation"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrioritizedIkConfig(PoseTermConfig):
+    """A command is a pose of the hand, or its change, which the joints follow within all limits.
+
+    Each step solves, in order of priority, ``min |W (J d - e)|^2 + lambda^2 |d|^2`` for the joints' displacement d,
+    where ``|d_i|`` is at most the lead at which the joint's drive keeps to its velocity limit
+    (:func:`orbit_core.actions.base.speed_limited_lead`) and half the distance to a position limit, and what comes before
+    is kept (Kanoun, Lamiraux and Wieber, Kinematic Control of Redundant Manipulators: Generalizing the Task-Priority
+    Framework to Inequality Task, IEEE Transactions on Robotics 27(4), 2011). Last comes the posture: home, and where
+    ``manipulability_gain`` is above zero away from singular poses, up the gradient of Yoshikawa's manipulability.
+    """
+
+    name: ClassVar[str] = "qp_ik"
+    above_zero: ClassVar[tuple[str, ...]] = (*PoseTermConfig.above_zero, "damping", "max_joint_step", "speed")
+    none_below_zero: ClassVar[tuple[str, ...]] = ("posture_gain", "manipulability_gain", "weights")
+    unbounded: ClassVar[tuple[str, ...]] = (*PoseTermConfig.unbounded, "max_joint_step")
+
+    weights: tuple[float, ...] = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)
+    """Of x, y, z (1/m) and of the rotation vector's components (1/rad)."""
+    priority: Priority = Priority.NONE
+    damping: float = 0.05
+    """lambda"""
+    posture_gain: float = 0.1
+    """Share of the way home that joints go in a step where the hand lets them."""
+    manipulability_gain: float = 0.0
+    """rad^2 or m^2 by which joints go up the gradient of the manipulability's logarithm in a step."""
+    speed: float = 1.0
+    """Share of the joints' velocity limits that may be used."""
+    max_joint_step: float = 0.3
+    """rad or m by which targets may run ahead of measured positions."""
+
+    def build(self, name: str, robot: Robot) -> PrioritizedIk:
+        return PrioritizedIk(name, robot, self)
+
+
+class PrioritizedIk(PoseFollower):
+    """Six commands, :class:`PrioritizedIkConfig`."""
+
+    def __init__(self, name: str, robot: Robot, config: PrioritizedIkConfig) -> None:
+        super().__init__(name, robot, config.joint_indices(robot.spec, name), 6, (JointTarget.POSITION,))
+        if len(config.weights) != 6:
+            raise ConfigurationError(f"action term '{name}': weights are {config.weights}: give six numbers")
+        if config.speed > 1.0:
+            raise ConfigurationError(f"action term '{name}': speed is {config.speed:g}: give a share of at most 1")
+        self.config = config
+        self.frame = config.frame_of(robot)
+        self._pose = config.pose_command(robot)
+        self._weights = torch.tensor(config.weights, device=self.device)
+        self._home = robot.home_positions[self.joints]
+        speeds = joint_limits(robot.spec, "velocity_limit")[self.joints]
+        self._fastest = torch.as_tensor(speeds, dtype=torch.float32, device=self.device)
+        self._step_limit = config.speed * speed_limited_lead(robot, self.joints)
+        self._costs = torch.ones(len(self.joints), device=self.device)
+        """(k,) what moving counts, where the hand leaves a choice."""
+        position, rotation = slice(0, 3), slice(3, 6)
+        orders = {Priority.NONE: (slice(0, 6),), Priority.POSITION: (position, rotation)}
+        self._levels = orders.get(config.priority, (rotation, position))
+
+    def enter(self, world: World, step_dt: float) -> None:
+        # A joint without stiffness is told a velocity.
+        steps = self.config.speed * self._fastest * step_dt
+        self._step_limit = torch.where(self._step_limit.isfinite(), self._step_limit, steps)
+
+    def compute(self, inputs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        delta = self.solve(self._pose.displacement(inputs["command"]))
+        return {JointTarget.POSITION.value: bounded_targets(self, delta, self.config.max_joint_step)}
+
+    def solve(self, error: Tensor) -> Tensor:
+        """(N, k) displacements of the joints for one (N, 6) of the frame, m and rad, world axes."""
+        jacobian = self.jacobian()
+        low, high = self.bounds()
+        identity = torch.eye(jacobian.shape[2], device=self.device).expand(self.num_envs, -1, -1)
+        damping = self.config.damping**2 * torch.diag_embed(self._costs).expand_as(identity)
+        if self.config.mode is not CommandMode.RELATIVE:
+            damping = damping + steadying(self._weights**2 * error)[:, None, None] * torch.diag_embed(self._costs)
+        rows, lower, upper = identity, low, high
+        delta = torch.zeros_like(low)
+        for level in self._levels:
+            weighted = jacobian[:, level] * self._weights[level].unsqueeze(-1)
+            wanted = error[:, level] * self._weights[level]
+            linear = -torch.bmm(weighted.mT, wanted.unsqueeze(-1)).squeeze(-1)
+            delta = solve_qp(weighted.mT @ weighted + damping, linear, rows, lower, upper)
+            kept = torch.bmm(jacobian[:, level], delta.unsqueeze(-1)).squeeze(-1)
+            rows = torch.cat((rows, jacobian[:, level]), 1)
+            lower, upper = torch.cat((lower, kept), 1), torch.cat((upper, kept), 1)
+        posture = self.posture(jacobian)
+        if posture is not None:
+            costs = torch.diag_embed(self._costs).expand_as(identity)
+            delta = solve_qp(costs, -self._costs * posture, rows, lower, upper)
+        return torch.clamp(delta, low, high)
+
+    def jacobian(self) -> Tensor:
+        """(N, 6, k) of the frame."""
+        return self.robot.jacobian(self.frame, self.joints)
+
+    def bounds(self) -> tuple[Tensor, Tensor]:
+        """(N, k) the least and the greatest displacement in one step."""
+        positions = self.positions
+        below, above = (_LIMIT_SHARE * (limits - positions) for limits in (self.lower_limits, self.upper_limits))
+        # A joint outside its limits may stay where it is, so that there always is a solution.
+        low = torch.maximum(below, -self._step_limit).clamp_max(0.0)
+        return low, torch.minimum(above, self._step_limit).clamp_min(0.0)
+
+    def posture(self, jacobian: Tensor) -> Tensor | None:
+        """(N, k) displacements that the joints want for themselves, or None."""
+        if not self.config.posture_gain and not self.config.manipulability_gain:
+            return None
+        home = self.config.posture_gain * (self._home - self.positions)
+        if not self.config.manipulability_gain:
+            return home
+        return home + self.config.manipulability_gain * manipulability_gradient(jacobian)
+
+    def encode(self, pose: Tensor, gripper_open: Tensor) -> Tensor:
+        return self._pose.encode(pose)
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        self._pose.reset(env_ids)
+
+    def memory(self) -> Mapping[str, Tensor]:
+        return self._pose.memory()

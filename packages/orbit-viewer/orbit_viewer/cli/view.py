@@ -1,0 +1,33 @@
+"""``orbit view``: a task live in the browser."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from orbit_core.cli.acting import check_actor, make_actor
+from orbit_core.cli.checks import check_steps
+from orbit_core.cli.making import make_environment
+from orbit_core.cli.parsing import parse_settings
+from orbit_core.cli.settings import ViewSettings
+
+
+def main(words: Sequence[str]) -> None:
+    """Show the task until interrupted, or for ``max_steps``."""
+    settings = parse_settings(ViewSettings, words, "orbit view")
+    check_actor(settings.agent)
+    check_steps(settings.max_steps)
+    environment = make_environment(settings, settings.num_envs)
+    try:
+        from orbit_viewer.information import task_information
+        from orbit_viewer.viewer import Viewer
+
+        agent = make_actor(settings.agent, environment, settings.seed)
+        title = f"ORBIT {settings.task} on {environment.world.backend}"
+        information = task_information(environment)
+        with Viewer(
+            environment, agent, settings.host, settings.port, title, information, frames=settings.frames
+        ) as viewer:
+            print(f"watch at {viewer.url}", flush=True)
+            viewer.run(settings.max_steps)
+    finally:
+        environment.close()

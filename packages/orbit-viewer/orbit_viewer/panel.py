@@ -1,0 +1,161 @@
+"""The panel beside the scene: buttons, the choice of environment, the reward's curve, what cameras see."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from orbit_viewer.controls import Controls
+
+if TYPE_CHECKING:
+    from viser import GuiImageHandle, ViserServer
+
+SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0, "2 times": 2.0, "as fast as it can": math.inf}
+MOST_ENVIRONMENTS = 36
+"""Drawn at once."""
+NO_PICTURE, ALL_PICTURES = "none", "all"
+_HISTORY = 400
+
+
+class Panel:
+    """Controls and displays. What a person does only sets ``controls``.
+
+    Args:
+        server: of viser.
+        controls: takes the wishes.
+        num_envs: of the world.
+        pictures: names of what cameras offer.
+        title: stands at the top.
+        beside: begin with all pictures, above the rest of the panel.
+    """
+
+    def __init__(
+        self,
+        server: ViserServer,
+        controls: Controls,
+        num_envs: int,
+        pictures: Sequence[str],
+        title: str,
+        beside: bool = False,
+    ) -> None:
+        self._server = server
+        self._controls = controls
+        self._reward: deque[tuple[float, float]] = deque(maxlen=_HISTORY)
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.gui.main_panel.dock_right()
+        server.gui.set_panel_label(title)
+        self._status = server.gui.add_markdown("", order=-2.0)
+        self._add_buttons()
+        if num_envs > 1:
+            self._add_choice(num_envs)
+        self._add_switches()
+        with server.gui.add_folder("Reward"):
+            self._plot = self._add_plot()
+        self._pictures: dict[str, GuiImageHandle] = {}
+        self._picture_choice: Any = None
+        if pictures:
+            with server.gui.add_folder("Cameras", order=-1.5 if beside else None):
+                self._add_pictures(pictures, ALL_PICTURES if beside and len(pictures) > 1 else pictures[0])
+
+    @property
+    def pictures(self) -> tuple[str, ...]:
+        """Which of the pictures are to be shown."""
+        name = self._picture_choice.value if self._picture_choice else NO_PICTURE
+        return tuple(self._pictures) if name == ALL_PICTURES else () if name == NO_PICTURE else (name,)
+
+    def show_status(self, rows: Mapping[str, str]) -> None:
+        """A table of what and how much."""
+        lines = "\n".join(f"| {name} | {value} |" for name, value in rows.items())
+        self._status.content = f"| | |\n|:--|--:|\n{lines}"
+
+    def show_picture(self, name: str, picture: npt.NDArray[np.uint8]) -> None:
+        """(H, W, 3) under the choice of cameras."""
+        self._pictures[name].image = picture
+
+    def add_reward(self, seconds: float, reward: float) -> None:
+        """One more point of the curve; :meth:`show_reward` draws it."""
+        self._reward.append((seconds, reward))
+
+    def clear_reward(self) -> None:
+        """Start the curve anew."""
+        self._reward.clear()
+
+    def show_reward(self) -> None:
+        """Draw the curve as it now is."""
+        if self._reward:
+            points = np.array(self._reward, dtype=np.float64)
+            self._plot.data = (points[:, 0].copy(), points[:, 1].copy())
+
+    def show_paused(self) -> None:
+        """Let the buttons say what they would do now."""
+        if self._play.visible != self._controls.paused:
+            self._play.visible = self._controls.paused
+            self._pause.visible = not self._controls.paused
+
+    # Making the panel
+
+    def _add_buttons(self) -> None:
+        from viser import Icon
+
+        gui, controls = self._server.gui, self._controls
+        self._play = gui.add_button("Play", icon=Icon.PLAYER_PLAY, color="green", visible=controls.paused)
+        self._pause = gui.add_button("Pause", icon=Icon.PLAYER_PAUSE, visible=not controls.paused)
+        step = gui.add_button("Step", icon=Icon.PLAYER_SKIP_FORWARD, color="gray", hint="Pause, and take one step")
+        reset = gui.add_button("Reset", icon=Icon.REFRESH, color="gray", hint="Reset all environments")
+        speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="real time")
+        self._play.on_click(lambda _: controls.play())
+        self._pause.on_click(lambda _: controls.pause())
+        step.on_click(lambda _: controls.single_step())
+        reset.on_click(lambda _: controls.reset())
+
+        @speed.on_update
+        def _(_: object) -> None:
+            controls.speed = SPEEDS[speed.value]
+
+    def _add_choice(self, num_envs: int) -> None:
+        gui, controls = self._server.gui, self._controls
+        first = gui.add_slider("Environment", 0, num_envs - 1, 1, controls.selection.first)
+        count = gui.add_slider("Shown", 1, min(num_envs, MOST_ENVIRONMENTS), 1, controls.selection.count)
+        first.on_update(lambda _: controls.select(first=int(first.value)))
+        count.on_update(lambda _: controls.select(count=int(count.value)))
+
+    def _add_switches(self) -> None:
+        collisions = self._server.gui.add_checkbox("Collision shapes", False)
+        markers = self._server.gui.add_checkbox("Markers", True)
+        frames = self._server.gui.add_checkbox(
+            "Frames", self._controls.selection.frames, hint="Axes at base, end effectors, finger tips, feet and wheels"
+        )
+        collisions.on_update(lambda _: self._controls.select(collisions=collisions.value))
+        markers.on_update(lambda _: self._controls.select(markers=markers.value))
+        frames.on_update(lambda _: self._controls.select(frames=frames.value))
+
+    def _add_pictures(self, names: Sequence[str], chosen: str) -> None:
+        gui = self._server.gui
+        together = [ALL_PICTURES] if len(names) > 1 else []
+        self._picture_choice = gui.add_dropdown("View", [*names, *together, NO_PICTURE], initial_value=chosen)
+        nothing = np.zeros((2, 2, 3), dtype=np.uint8)
+        self._pictures = {name: gui.add_image(nothing, label=name, visible=False) for name in names}
+
+        def show(_: object = None) -> None:
+            shown = self.pictures
+            for name, handle in self._pictures.items():
+                handle.visible = name in shown
+
+        self._picture_choice.on_update(show)
+        show()
+
+    def _add_plot(self) -> Any:
+        from viser import uplot
+
+        nothing = np.zeros(1)
+        return self._server.gui.add_uplot(
+            (nothing, nothing),
+            (uplot.Series(label="s"), uplot.Series(label="reward", stroke="#1c7ed6", width=2)),
+            scales={"x": uplot.Scale(time=False)},
+            aspect=1.8,
+        )

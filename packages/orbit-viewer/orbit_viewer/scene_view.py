@@ -1,0 +1,313 @@
+"""A scene in the browser: every link is sent once, and a frame only moves it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from orbit_core.interfaces import SceneLayout
+from orbit_core.plugin_kit.deformable_surface import DeformableSurface
+from orbit_core.plugin_kit.markers import marker_shapes
+from orbit_core.scene import Plane, RobotSpec, Shape
+from orbit_core.scene.pose import Vector3
+from orbit_core.world.frames import frame_shapes
+from orbit_viewer.geometry import Drawing
+from orbit_viewer.lights import add_lights
+
+if TYPE_CHECKING:
+    from viser import BatchedGlbHandle, MeshHandle, ViserServer
+
+FloatArray = npt.NDArray[np.float32]
+
+VIEW_DIRECTION = np.array((0.35, 0.83, 0.43)) / math.hypot(0.35, 0.83, 0.43)
+"""Direction from the scene to the camera: to the left of a robot that faces +x, so that it does not hide its work."""
+FIELD_OF_VIEW = math.radians(45.0)
+_ALL = slice(None)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Poses of everything in each of the n environments that are drawn, in its own frame."""
+
+    link_poses: FloatArray
+    """(n, L, 7) in the layout's order."""
+    marker_poses: FloatArray
+    """(n, M, 7) in the scene's order."""
+    particles: tuple[FloatArray, ...] = ()
+    """(n, P, 3) of each deformable."""
+    first: int = 0
+    """Index of the first of them in the world."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """A link as it looks in the environments of one kind: those of index ``kind`` modulo ``kinds``."""
+
+    link: int
+    drawing: Drawing
+    kind: int
+    kinds: int
+
+    def rows(self, first: int) -> slice:
+        """Which of the environments from ``first`` on."""
+        return slice((self.kind - first) % self.kinds, None, self.kinds)
+
+
+class SceneView:
+    """Draws some environments of a scene side by side on a square grid; a single one stands at the origin.
+
+    Args:
+        server: of viser; its scene is this view's alone.
+        layout: the scene.
+        collisions: draw collision shapes in place of visual ones. A link without visual shapes shows its collision
+            shapes in either case.
+    """
+
+    def __init__(self, server: ViserServer, layout: SceneLayout, collisions: bool = False) -> None:
+        self._server = server
+        self._scene = layout.scene
+        self._collisions = collisions
+        self._bodies: list[_Body] = []
+        self._axes = _robot_axes(layout)
+        self._layout = layout
+        self._surfaces = [DeformableSurface(spec) for spec in layout.scene.deformables]
+        self._markers = [Drawing.of(marker_shapes(marker)) for marker in layout.scene.markers]
+        planes = [shape for shape in layout.scene.terrain if isinstance(shape.geometry, Plane)]
+        solids = [shape for shape in layout.scene.terrain if not isinstance(shape.geometry, Plane)]
+        self._terrain = Drawing.of(solids) if solids else None
+        self._bodies_drawn: list[tuple[_Body, BatchedGlbHandle]] = []
+        self._markers_drawn: list[BatchedGlbHandle] = []
+        self._particles_drawn: list[list[MeshHandle]] = []
+        self._terrain_drawn: BatchedGlbHandle | None = None
+        self._offsets = np.zeros((0, 3), dtype=np.float32)
+        self._markers_visible = True
+        self._frames_visible = False
+        self._first = 0
+        self._clickable: dict[int, str] = {}
+        self._clicked: Callable[[str], None] | None = None
+        server.scene.set_up_direction("+z")
+        add_lights(server, layout.scene)
+        for index, plane in enumerate(planes):
+            self._draw_plane(index, plane)
+        self._draw_links()
+
+    @property
+    def count(self) -> int:
+        """How many environments are drawn."""
+        return len(self._offsets)
+
+    def update(self, frame: Frame) -> None:
+        """Move everything; what does not move costs nothing to send."""
+        if len(frame.link_poses) != self.count or (frame.first != self._first and len(self._layout.variants) > 1):
+            self._draw(frame)
+            return
+        with self._server.atomic():
+            for body, handle in self._bodies_drawn:
+                self._place(handle, frame.link_poses[:, body.link], body.rows(self._first))
+            for index, handle in enumerate(self._markers_drawn):
+                self._place(handle, frame.marker_poses[:, index])
+            for index, (handles, particles) in enumerate(zip(self._particles_drawn, frame.particles, strict=True)):
+                for handle, vertices in zip(handles, self._vertices(index, particles), strict=True):
+                    handle.vertices = vertices
+
+    def show_collisions(self, collisions: bool) -> None:
+        """Draw collision shapes in place of visual ones, from the next frame on."""
+        if collisions != self._collisions:
+            self._collisions = collisions
+            self._draw_links()
+
+    def show_markers(self, visible: bool) -> None:
+        """Whether markers are drawn."""
+        self._markers_visible = visible
+        for handle in self._markers_drawn:
+            handle.visible = visible
+
+    def show_frames(self, visible: bool) -> None:
+        """Whether axes are drawn at bases, end effectors, finger tips, feet and wheels, from the next frame on."""
+        if visible != self._frames_visible:
+            self._frames_visible = visible
+            self._draw_links()
+
+    def let_click(self, entities: Sequence[str], clicked: Callable[[str], None]) -> None:
+        """Call ``clicked`` with an entity's name when a person clicks it, from the next frame on, in another thread."""
+        chosen = [self._layout.entity(name) for name in entities]
+        self._clickable = {link: e.name for e in chosen for link in range(e.links.start, e.links.stop)}
+        self._clicked = clicked
+        self._draw_links()
+
+    # What is drawn
+
+    def _draw_links(self) -> None:
+        """Prepare the links' shapes; the next frame sends them."""
+        self._bodies = []
+        for entity in self._layout.entities:
+            alternatives = entity.spec.alternatives
+            for kind, articulation in enumerate(alternatives):
+                for number, link in enumerate(articulation.links, start=entity.links.start):
+                    shapes = link.collisions if self._collisions or not link.visuals else link.visuals
+                    if shapes:
+                        self._bodies.append(_Body(number, Drawing.of(shapes), kind, len(alternatives)))
+        self._offsets = np.zeros((0, 3), dtype=np.float32)
+
+    def _draw(self, frame: Frame) -> None:
+        """Send everything anew, for other environments."""
+        self._remove()
+        self._first = frame.first
+        low, high = self._extent(frame, range(len(self._layout.links)))
+        self._offsets = _square_grid(len(frame.link_poses), spacing=1.25 * float((high - low)[:2].max()) + 0.2)
+        with self._server.atomic():
+            for body in self._bodies:
+                rows = body.rows(self._first)
+                if len(self._offsets[rows]):
+                    name = f"/links/{body.link}" + (f".{body.kind}" if body.kind else "")
+                    handle = self._add(name, body.drawing, frame.link_poses[:, body.link], rows)
+                    self._bodies_drawn.append((body, handle))
+                    if (name := self._clickable.get(body.link)) and (clicked := self._clicked):
+                        handle.on_click(lambda _, name=name, clicked=clicked: clicked(name))
+            for body in self._axes if self._frames_visible else ():
+                handle = self._add(f"/frames/{body.link}", body.drawing, frame.link_poses[:, body.link])
+                handle.cast_shadow = False
+                self._bodies_drawn.append((body, handle))
+            for index, drawing in enumerate(self._markers):
+                handle = self._add(f"/markers/{index}", drawing, frame.marker_poses[:, index])
+                handle.cast_shadow = False
+                handle.visible = self._markers_visible
+                self._markers_drawn.append(handle)
+            if self._terrain:
+                origin = np.tile(np.array((0, 0, 0, 1, 0, 0, 0), dtype=np.float32), (self.count, 1))
+                self._terrain_drawn = self._add("/terrain", self._terrain, origin)
+            self._particles_drawn = [
+                self._add_deformable(index, particles) for index, particles in enumerate(frame.particles)
+            ]
+        low, high = self._extent(frame, self._focus)
+        self._look_at(low + self._offsets.min(axis=0), high + self._offsets.max(axis=0))
+
+    def _remove(self) -> None:
+        bodies = (handle for _, handle in self._bodies_drawn)
+        for handle in (*bodies, *self._markers_drawn, *chain(*self._particles_drawn)):
+            handle.remove()
+        if self._terrain_drawn is not None:
+            self._terrain_drawn.remove()
+        self._bodies_drawn, self._markers_drawn, self._particles_drawn = [], [], []
+        self._terrain_drawn = None
+
+    def _add(self, name: str, drawing: Drawing, poses: FloatArray, rows: slice = _ALL) -> BatchedGlbHandle:
+        places = (poses[:, :3] + self._offsets)[rows]
+        return self._server.scene.add_batched_glb(name, drawing.glb, poses[rows, 3:], places, lod="off")
+
+    def _place(self, handle: BatchedGlbHandle, poses: FloatArray, rows: slice = _ALL) -> None:
+        handle.batched_positions = (poses[:, :3] + self._offsets)[rows]
+        handle.batched_wxyzs = poses[rows, 3:]
+
+    def _add_deformable(self, index: int, particles: FloatArray) -> list[MeshHandle]:
+        spec = self._scene.deformables[index]
+        return [
+            self._server.scene.add_mesh_simple(
+                f"/deformables/{index}/{environment}",
+                vertices,
+                self._surfaces[index].faces,
+                color=_bytes(spec.color),
+                opacity=spec.color[3] if spec.color[3] < 1.0 else None,
+                side="double",
+                position=offset,
+            )
+            for environment, (vertices, offset) in enumerate(
+                zip(self._vertices(index, particles), self._offsets, strict=True)
+            )
+        ]
+
+    def _vertices(self, index: int, particles: FloatArray) -> FloatArray:
+        """(n, V, 3) of what is drawn of a deformable's particles (n, P, 3)."""
+        return self._surfaces[index].vertices(torch.from_numpy(particles)).numpy()
+
+    def _draw_plane(self, index: int, plane: Shape) -> None:
+        color = _bytes(plane.color)
+        self._server.scene.add_grid(
+            f"/planes/{index}",
+            infinite_grid=True,
+            cell_size=0.25,
+            section_size=1.0,
+            cell_color=_mixed(color, 255, 0.25),
+            section_color=_mixed(color, 255, 0.5),
+            plane_color=color,
+            plane_opacity=1.0,
+            shadow_opacity=0.35,
+            fade_distance=30.0,
+            position=plane.pose.position,
+            wxyz=plane.pose.orientation,
+        )
+
+    # How it looks
+
+    @property
+    def _focus(self) -> list[int]:
+        """Links that the camera is to show: all but those of fixed things that do not move, such as tables."""
+        entities = [e for e in self._layout.entities if not e.spec.fixed_base or e.spec.articulation.movable_joints]
+        return [link for entity in entities for link in range(entity.links.start, entity.links.stop)]
+
+    def _extent(self, frame: Frame, links: Iterable[int]) -> tuple[FloatArray, FloatArray]:
+        """Corners of the box round these links and all deformables of the first environment, or else the terrain."""
+        first = [body for body in self._bodies if body.rows(frame.first).start == 0 and body.link in set(links)]
+        points = [_transformed(frame.link_poses[0, body.link], body.drawing.corners) for body in first]
+        points += [particles[0] for particles in frame.particles]
+        if not points:
+            points = [self._terrain.corners if self._terrain else np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 0.5]])]
+        everything = np.concatenate(points).astype(np.float32)
+        return everything.min(axis=0), everything.max(axis=0)
+
+    def _look_at(self, low: FloatArray, high: FloatArray) -> None:
+        """Frame a box: the ball round it, which it does not fill, reaches a little beyond the picture's height."""
+        center = (low + high) / 2
+        radius = max(0.05, float(np.linalg.norm(high - low)) / 2)
+        eye = center + VIEW_DIRECTION * 0.9 * radius / math.sin(FIELD_OF_VIEW / 2)
+        camera = self._server.initial_camera
+        camera.fov = FIELD_OF_VIEW
+        camera.position, camera.look_at = _vector(eye), _vector(center)
+        camera.near = radius / 100.0
+
+
+def _robot_axes(layout: SceneLayout) -> list[_Body]:
+    """The axes of all robots, by the links that they are fixed to."""
+    return [
+        _Body(entity.links.start + entity.spec.articulation.link_names.index(link), Drawing.of(shapes), 0, 1)
+        for entity in layout.entities
+        if isinstance(entity.spec, RobotSpec)
+        for link, shapes in frame_shapes(entity.spec).items()
+    ]
+
+
+def _square_grid(count: int, spacing: float) -> FloatArray:
+    """(count, 3) centred on the origin, row by row."""
+    columns = math.ceil(math.sqrt(count))
+    rows = math.ceil(count / columns)
+    row, column = np.divmod(np.arange(count), columns)
+    flat = np.column_stack([row - (rows - 1) / 2, column - (columns - 1) / 2, np.zeros(count)])
+    return np.asarray(flat * spacing, dtype=np.float32)
+
+
+def _transformed(pose: FloatArray, points: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    w, u = pose[3], pose[4:]
+    turned = 2.0 * np.cross(u, points)
+    return points + w * turned + np.cross(u, turned) + pose[:3]
+
+
+def _bytes(color: Sequence[float]) -> tuple[int, int, int]:
+    r, g, b = (round(255 * channel) for channel in color[:3])
+    return (r, g, b)
+
+
+def _mixed(color: tuple[int, int, int], other: int, share: float) -> tuple[int, int, int]:
+    r, g, b = (round((1 - share) * channel + share * other) for channel in color)
+    return (r, g, b)
+
+
+def _vector(values: npt.NDArray[np.floating]) -> Vector3:
+    x, y, z = (float(value) for value in values)
+    return (x, y, z)

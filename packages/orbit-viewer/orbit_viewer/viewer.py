@@ -1,0 +1,324 @@
+"""The live viewer: a simulation in this thread, a person in a browser."""
+
+from __future__ import annotations
+
+import math
+import socket
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from torch import Tensor
+
+from orbit_core.envs.actors import Actor
+from orbit_core.interfaces import ConfigurationError, Deformable, Marker, SceneLayout, Sensor
+from orbit_core.rollout.estimates import proportion
+from orbit_core.scene import CameraSpec, Channel
+from orbit_core.sensors import CameraSensor
+from orbit_viewer.camera_pictures import Picture, picture_of
+from orbit_viewer.controls import Controls, Pacer, Selection
+from orbit_viewer.panel import Panel
+from orbit_viewer.scene_view import FloatArray, Frame, SceneView
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+    from orbit_viewer.guard import Page
+
+FRAME_PERIOD = 1.0 / 30.0
+"""Seconds from one frame of the scene to the next, at the least."""
+PANEL_PERIOD = 0.2
+"""Seconds from one update of the panel's text, curve and picture to the next, at the least."""
+_DRAWING = 0.1
+"""Share of the time that the panel's pictures may take; where drawing is slow they are fewer."""
+
+
+class ViewedWorld(Protocol):
+    """What the viewer needs of a world."""
+
+    @property
+    def layout(self) -> SceneLayout:
+        """The place of each entity in the world's tensors."""
+        ...
+
+    @property
+    def link_poses(self) -> Tensor:
+        """(N, L, 7) positions in metres and quaternions (w, x, y, z), in each environment's frame."""
+        ...
+
+    @property
+    def markers(self) -> Mapping[str, Marker]:
+        """What is drawn for people, by name."""
+        ...
+
+    @property
+    def sensors(self) -> Mapping[str, Sensor]:
+        """Sensors of the scene, by name."""
+        ...
+
+    @property
+    def deformables(self) -> Mapping[str, Deformable]:
+        """Cloths, ropes and soft bodies, by name."""
+        ...
+
+
+class ViewedEnvironment(Protocol):
+    """What the viewer needs of an environment."""
+
+    num_envs: int
+    step_dt: float
+
+    @property
+    def world(self) -> ViewedWorld:
+        """What is simulated."""
+        ...
+
+    def reset(self) -> Any:
+        """Begin new episodes in all environments."""
+        ...
+
+    def step(self, action: Tensor) -> tuple[Any, Tensor, Tensor, Tensor, Mapping[str, Any]]:
+        """One step with actions (N, A): observation, reward, terminated, truncated, info."""
+        ...
+
+
+class ViewerTool(Protocol):
+    """What a page has besides the scene and the panel."""
+
+    def update(self) -> None:
+        """Called in the simulation's thread before each step, and some times a second while paused."""
+        ...
+
+
+class Viewer:
+    """Shows an environment that an actor drives, in real time, at a web address of this computer alone.
+
+    Args:
+        env: what to show.
+        agent: gives the actions.
+        host: network address to listen at; the default is not reachable from other computers. Another one asks for the
+            token that :attr:`url` carries.
+        port: if taken, the next free one is used.
+        title: stands over the panel.
+        information: more rows for the panel's table, given an environment's number;
+            :func:`orbit_viewer.information.task_information` makes one.
+        paused: wait for the person to press play.
+        frames: begin with axes at the robots' bases, end effectors, finger tips, feet and wheels.
+        tool: makes what the page has besides, given its server and scene.
+        pages: that the server has besides this one.
+        views: draw pictures (H, W, 3) of the first environment by name, which the panel begins with beside what the
+            scene's cameras see; called in the simulation's thread.
+
+    Raises:
+        ConfigurationError: the web server's library is not installed.
+    """
+
+    def __init__(
+        self,
+        env: ViewedEnvironment,
+        agent: Actor,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        title: str = "ORBIT",
+        information: Callable[[int], Mapping[str, str]] | None = None,
+        paused: bool = False,
+        frames: bool = False,
+        tool: Callable[[ViserServer, SceneView], ViewerTool] | None = None,
+        pages: Sequence[Page] = (),
+        views: Mapping[str, Callable[[], Picture]] | None = None,
+    ) -> None:
+        self._env = env
+        self._agent = agent
+        self._information = information
+        self._views = _camera_views(env.world)
+        beside = {name: lambda _, draw=draw: draw() for name, draw in (views or {}).items()}
+        self._views |= beside
+        self.controls = Controls(env.num_envs, paused)
+        self.controls.select(frames=frames)
+        self._server, token = _start_server(host, port, title, pages)
+        root, query = f"http://{host}:{self._server.get_port()}", f"?token={token}" if token else ""
+        self.url = f"{root}/{query}" if token else root
+        """Address of the page, with a token where other computers reach it."""
+        self.page_urls = tuple(f"{root}{page.path}{query}" for page in pages)
+        """Addresses of the other pages, likewise."""
+        self._scene = SceneView(self._server, env.world.layout)
+        self._panel = Panel(self._server, self.controls, env.num_envs, list(self._views), title, bool(beside))
+        self._tool = tool(self._server, self._scene) if tool else None
+        self._pacer = Pacer()
+        self._drawn = Selection()
+        self._frame_time = self._panel_time = self._picture_time = -math.inf
+        self._drawn_picture = 0
+        self._mark = (time.perf_counter(), 0.0)
+        self.steps = 0
+        """Taken since the last reset of all environments."""
+        self._reward = 0.0
+        self._episodes = self._successes = 0
+        self._speed = 0.0
+
+    def run(self, max_steps: int | None = None) -> None:
+        """Simulate until the interrupt key, :meth:`Controls.stop`, or that many steps.
+
+        A step is one of all environments. The environment is reset first.
+        """
+        left = math.inf if max_steps is None else max_steps
+        self._reset()
+        try:
+            while left > 0 and not self.controls.stopped:
+                if self._tool:
+                    self._tool.update()
+                if self.controls.take_reset():
+                    self._reset()
+                if self.controls.take_step():
+                    self._step()
+                    left -= 1
+                    self._show(soon=self.controls.paused)
+                    self._pacer.wait(self._env.step_dt / self.controls.speed)
+                else:
+                    self._show(soon=self.controls.selection != self._drawn)
+                    self.controls.wait(0.05)
+        except KeyboardInterrupt:
+            self.controls.stop()
+        self._show(soon=True)
+
+    def close(self) -> None:
+        """Stop the web server; idempotent."""
+        self.controls.stop()
+        self._server.stop()
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    # The simulation
+
+    def _reset(self) -> None:
+        self._env.reset()
+        self.steps = 0
+        self._reward = 0.0
+        self._mark = (time.perf_counter(), 0.0)
+        self._panel.clear_reward()
+        self._show(soon=True)
+
+    def _step(self) -> None:
+        _, reward, _, _, info = self._env.step(self._agent.act())
+        self.steps += 1
+        self._reward = float(reward[self.controls.selection.first])
+        self._panel.add_reward(self.steps * self._env.step_dt, self._reward)
+        if final := info.get("final"):
+            self._episodes += len(final.success)
+            self._successes += int(final.success.sum())
+
+    # Showing it
+
+    def _show(self, soon: bool) -> None:
+        """Draw what is due; ``soon`` draws it now."""
+        now = time.perf_counter()
+        if soon or now - self._frame_time >= FRAME_PERIOD:
+            self._frame_time = now
+            self._show_scene(self.controls.selection)
+        if soon or now - self._panel_time >= PANEL_PERIOD:
+            self._panel_time = now
+            self._show_panel(now)
+        self._show_pictures(now, soon)
+
+    def _show_scene(self, selection: Selection) -> None:
+        self._scene.show_collisions(selection.collisions)
+        self._scene.show_markers(selection.markers)
+        self._scene.show_frames(selection.frames)
+        self._scene.update(self._frame(slice(selection.first, selection.first + selection.count)))
+        self._drawn = selection
+
+    def _frame(self, rows: slice) -> Frame:
+        world = self._env.world
+        links = _array(world.link_poses[rows])
+        markers = [_array(marker.pose[rows]) for marker in world.markers.values()]
+        return Frame(
+            links,
+            np.stack(markers, axis=1) if markers else np.zeros((len(links), 0, 7), dtype=np.float32),
+            tuple(_array(deformable.positions[rows]) for deformable in world.deformables.values()),
+            rows.start,
+        )
+
+    def _show_panel(self, now: float) -> None:
+        index = self.controls.selection.first
+        seconds = self.steps * self._env.step_dt
+        self._panel.show_paused()
+        self._panel.show_status(self._status(index, seconds, now))
+        self._panel.show_reward()
+
+    def _show_pictures(self, now: float, soon: bool) -> None:
+        """The next picture that is due; they take turns, so that no step waits for all of them."""
+        names = self._panel.pictures
+        if not names or not (soon or now >= self._picture_time):
+            return
+        self._drawn_picture += 1
+        for name in names if soon else (names[self._drawn_picture % len(names)],):
+            self._panel.show_picture(name, self._views[name](self.controls.selection.first))
+        taken = time.perf_counter() - now
+        self._picture_time = now + max(PANEL_PERIOD / len(names), taken / _DRAWING)
+
+    def _status(self, index: int, seconds: float, now: float) -> dict[str, str]:
+        marked, simulated = self._mark
+        if now - marked >= 1.0:
+            self._speed = (seconds - simulated) / (now - marked)
+            self._mark = (now, seconds)
+        rows = {
+            "time": f"{seconds:.2f} s",
+            "step": str(self.steps),
+            "speed": f"{0.0 if self.controls.paused else self._speed:.2f} x real time",
+            "reward": f"{self._reward:.4f}",
+        }
+        if self._episodes:
+            rate = proportion(self._successes, self._episodes).percent()
+            rows["episodes"] = f"{self._episodes}, {rate} successful"
+        return rows | dict(self._information(index) if self._information else {})
+
+
+def _start_server(host: str, port: int, title: str, pages: Sequence[Page]) -> tuple[ViserServer, str]:
+    """A server that answers its own pages alone and is never shared over the internet; and its token."""
+    try:
+        from viser import ViserServer
+
+        from orbit_viewer.guard import Guard, guarded
+    except ImportError:
+        raise ConfigurationError('the viewer needs viser: pip install "orbit-core[viewer]"') from None
+    if not 0 <= port <= 65535:
+        raise ConfigurationError(f"port must be from 0 to 65535, not {port}")
+    try:  # the library would wait for ever for a server that cannot begin
+        socket.create_server((host, 0), family=socket.getaddrinfo(host, None)[0][0]).close()
+    except OSError as error:
+        raise ConfigurationError(f"the viewer cannot listen at '{host}': {error}") from None
+    guard = Guard(host, pages)
+    with guarded(guard):
+        server = ViserServer(host, port, label=title, verbose=False)
+    server.request_share_url = _share_nothing
+    return server, guard.token
+
+
+def _share_nothing(verbose: bool = True) -> None:
+    """In place of opening a public tunnel to this computer, which any page that is shown may ask for."""
+
+
+def _camera_views(world: ViewedWorld) -> dict[str, Callable[[int], Picture]]:
+    """By camera and channel, what draws the picture of an environment."""
+    return {
+        f"{name}: {channel.value}": partial(_seen, sensor, channel)
+        for name, sensor in world.sensors.items()
+        if isinstance(sensor, CameraSensor) and isinstance(sensor.spec, CameraSpec)
+        for channel in sensor.spec.channels
+    }
+
+
+def _seen(camera: CameraSensor, channel: Channel, index: int) -> Picture:
+    return picture_of(channel, camera.image(channel)[index])
+
+
+def _array(tensor: Tensor) -> FloatArray:
+    return tensor.detach().cpu().numpy()

@@ -1,0 +1,241 @@
+"""Results of several runs as one: of other parts, tasks or backends, on other machines."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from orbit_conformance.courses import Course, course_of
+from orbit_conformance.execution import RECORDING
+from orbit_conformance.jobs import Job, Kind
+from orbit_conformance.journal import DROPPED, LOG, PREVIOUS, now
+from orbit_conformance.results import (
+    REPORT,
+    RESULT_FILE,
+    BackendInfo,
+    Header,
+    Origin,
+    Parting,
+    Record,
+    Result,
+    load,
+    save,
+)
+from orbit_conformance.settings import Part, Settings
+from orbit_conformance.sources import CORE
+from orbit_conformance.tasks import compare_recordings
+from orbit_core.envs.registry import task_entries
+from orbit_core.files import LOCK, as_path, check_apart, storage_faults, sweep, written_whole
+from orbit_core.interfaces import ConfigurationError
+from orbit_core.rollout.recording import Recording
+
+_Named = TypeVar("_Named")
+
+
+def merge(folders: Sequence[Path | str], output: Path | str, overwrite: bool = False) -> Result:
+    """Write the result of several finished runs, with their files, into a folder, which appears as a whole.
+
+    Machines, versions and numbers of episodes may differ, and the result names each (``Header.origins``). Where two
+    backends did a task in different runs, how they part is reckoned from the recordings, if they are still there.
+
+    Args:
+        folders: of the runs.
+        output: the folder of the merged result; none of the runs' own, and none around or within them.
+        overwrite: whether to replace a finished result that is there already, once the new one is whole.
+
+    Raises:
+        ConfigurationError: two runs did one job, or differ in what a result has once: the seed, ``--quick``, what a
+            scenario or a policy is held to, what a backend declares. Or the output is there, and not to be replaced or
+            not only a result.
+        AssetError: a folder holds no result.
+        StorageError: the output cannot be written.
+    """
+    folders, output = [as_path(folder) for folder in folders], as_path(output)
+    results = [load(folder) for folder in folders]
+    check_apart(output, folders)
+    _check_output(output, overwrite)
+    output = output.resolve()
+    with storage_faults(output):
+        output.parent.mkdir(parents=True, exist_ok=True)
+    sweep(output.parent)
+    with written_whole(output) as written:
+        merged = _merge(folders, results, written)
+        _check_output(output, overwrite)  # again, for a person may have put something there meanwhile
+    return merged
+
+
+def _check_output(output: Path, overwrite: bool) -> None:
+    """Reject a folder that is there and not to be replaced, or that holds more than a finished run."""
+    if not output.exists() or (output.is_dir() and not any(output.iterdir())):
+        return
+    if not overwrite:
+        raise ConfigurationError(f"{output} is there already: give another --output, or --overwrite")
+    files = {RESULT_FILE, REPORT, PREVIOUS, DROPPED, LOG, LOCK}
+    if (output / RESULT_FILE).is_file():
+        files |= {f"{record.job.key}/{name}" for record in load(output).records for name in record.files}
+        found = (
+            path.relative_to(output).as_posix() for path in output.rglob("*") if path.is_symlink() or path.is_file()
+        )
+        foreign = next((name for name in found if name not in files), None)
+    else:
+        foreign = f"no {RESULT_FILE}"
+    if foreign is not None:
+        raise ConfigurationError(
+            f"{output} is not, or not only, a result of the suite: it holds {foreign}. It is not replaced: give "
+            "another --output, or move it away first"
+        )
+
+
+def _merge(folders: Sequence[Path], results: Sequence[Result], output: Path) -> Result:
+    """Copy the runs' files and write their result into a new folder."""
+    with storage_faults(output):
+        output.mkdir()
+    records: dict[str, Record] = {}
+    for folder, result in zip(folders, results, strict=True):
+        for record in result.records:
+            if record.job.key in records:
+                raise ConfigurationError(f"two results to be merged hold {record.job.key}: leave one out")
+            records[record.job.key] = record
+            _copy(record, folder, output)
+    merged = Result(
+        header=_header([result.header for result in results], results),
+        records=tuple(records.values()),
+        partings=tuple(parting for result in results for parting in result.partings),
+        courses=tuple(course for result in results for course in result.courses),
+        finished=now(),
+    )
+    tracks = {task: _recordings(task, merged, output) for task in merged.tried_tasks}
+    partings = (*merged.partings, *_partings(merged, tracks))
+    merged = replace(merged, partings=partings, courses=(*merged.courses, *_courses(merged, tracks)))
+    save(merged, output)
+    return merged
+
+
+def _copy(record: Record, folder: Path, output: Path) -> None:
+    """A record's files, those that are still there: recordings and traces are often left behind."""
+    for name in record.files:
+        source, target = folder / record.job.key / name, output / record.job.key / name
+        if source.exists():
+            with storage_faults(target):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(source, target)
+
+
+def _recordings(task: str, result: Result, folder: Path) -> dict[str, Path]:
+    """The recordings of a task by backend."""
+    backends = result.header.settings.backends
+    paths = {backend: folder / Job(Kind.TASK, task, backend).key / RECORDING for backend in backends}
+    return {backend: path for backend, path in paths.items() if path.exists()}
+
+
+def _partings(result: Result, tracks: dict[str, dict[str, Path]]) -> Iterator[Parting]:
+    """Those of pairs that no run had both of."""
+    known = {(each.task, frozenset((each.backend, each.reference))) for each in result.partings}
+    for task, paths in tracks.items():
+        for reference, backend in itertools.combinations(paths, 2):
+            if (task, frozenset((backend, reference))) not in known:
+                yield Parting(task, backend, reference, compare_recordings(paths[backend], paths[reference]))
+
+
+def _courses(result: Result, tracks: dict[str, dict[str, Path]]) -> Iterator[Course]:
+    known = {(each.task, each.backend) for each in result.courses}
+    for task, paths in tracks.items():
+        for backend, path in paths.items():
+            if (task, backend) not in known and (course := course_of(Recording.load(path))) is not None:
+                yield course
+
+
+def _header(headers: Sequence[Header], results: Sequence[Result]) -> Header:
+    first = headers[0]
+    return replace(
+        first,
+        settings=_settings([header.settings for header in headers]),
+        started=min(header.started for header in headers),
+        scenarios=_once("scenario", (each for header in headers for each in header.scenarios)),
+        backends=_once("backend", (each for header in headers for each in header.backends), _declared),
+        matters=_once("matter solver", (each for header in headers for each in header.matters), _declared),
+        policies=_once("policy", (each for header in headers for each in header.policies)),
+        sources={name: digest for header in reversed(headers) for name, digest in header.sources.items()},
+        origins=_origins(results),
+    )
+
+
+def _settings(each: Sequence[Settings]) -> Settings:
+    """What all runs cover together."""
+    first = each[0]
+    for name in ("seed", "quick"):
+        if len({getattr(own, name) for own in each}) > 1:
+            raise ConfigurationError(f"the results to be merged differ in {name}: merge those of the same")
+    if any(own.backend_settings != first.backend_settings for own in each):
+        raise ConfigurationError("the results to be merged differ in backends' settings: merge those of the same")
+
+    def all_of(name: str) -> tuple[Any, ...]:
+        return tuple(dict.fromkeys(value for own in each for value in getattr(own, name)))
+
+    order = [*task_entries()]
+    tasks = all_of("tasks")
+    names = ("scenarios", "robots", "policies", "renderers", "matters")
+    return replace(
+        first,
+        backends=tuple(sorted(all_of("backends"))),
+        tasks=tuple(sorted(tasks, key=lambda task: order.index(task) if task in order else len(order))),
+        parts=tuple(part for part in Part if part in all_of("parts")),
+        episodes=first.episodes if len({own.episodes for own in each}) == 1 else None,
+        **{name: all_of(name) for name in names},
+    )
+
+
+def _declared(info: BackendInfo) -> object:
+    return info.gaps
+
+
+def _once(
+    kind: str, infos: Iterable[_Named], same: Callable[[_Named], object] = lambda info: info
+) -> tuple[_Named, ...]:
+    """One information of each name.
+
+    Raises:
+        ConfigurationError: two of one name are not the same.
+    """
+    found: dict[str, Any] = {}
+    for info in infos:
+        name = getattr(info, "name")  # noqa: B009
+        if same(found.setdefault(name, info)) != same(info):
+            raise ConfigurationError(
+                f"the results to be merged know {kind} '{name}' differently, as other code made them: make one anew"
+            )
+    return tuple(found.values())
+
+
+def _origins(results: Sequence[Result]) -> tuple[Origin, ...]:
+    """Where and when what was done; one for all runs of the same machine, versions and core."""
+    found: list[Origin] = []
+    for result in results:
+        header = result.header
+        jobs: dict[str, int] = {}
+        for record in result.records:
+            kind = f"{record.job.kind.value} on {record.job.backend}"
+            jobs[kind] = jobs.get(kind, 0) + 1
+        own = Origin(
+            jobs, header.hardware, header.versions, header.sources.get(CORE, ""), header.started, result.finished
+        )
+        for each in header.origins or (own,):
+            twin = next((other for other in found if _place(other) == _place(each)), None)
+            if twin is not None:
+                found.remove(twin)
+            found.append(each if twin is None else _joined(twin, each))
+    return tuple(found)
+
+
+def _place(origin: Origin) -> tuple[object, ...]:
+    return origin.hardware, origin.versions, origin.core
+
+
+def _joined(one: Origin, other: Origin) -> Origin:
+    jobs = {kind: one.jobs.get(kind, 0) + other.jobs.get(kind, 0) for kind in {**one.jobs, **other.jobs}}
+    times = min(one.started, other.started), max(one.finished, other.finished)
+    return replace(one, jobs=jobs, started=times[0], finished=times[1])

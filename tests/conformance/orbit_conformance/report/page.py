@@ -1,0 +1,376 @@
+"""The report's page: what the template shows, drawn from a result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import jinja2
+from markupsafe import Markup
+
+from orbit_conformance.execution import VIDEO
+from orbit_conformance.jobs import Kind
+from orbit_conformance.report import plots
+from orbit_conformance.report.courses import courses
+from orbit_conformance.report.robots import RobotSection, robot_section
+from orbit_conformance.results import REPORT, PolicyInfo, Record, Result, ScenarioInfo, load
+from orbit_conformance.tolerances import loose_tolerances
+from orbit_conformance.verdict import Status
+from orbit_core.files import as_path, written_whole
+from orbit_core.interfaces.matter import NATIVE
+from orbit_core.rollout.estimates import Estimate
+
+_SYMBOLS = {Status.PASS: "✓", Status.GAP: "≈", Status.UNSUPPORTED: "–", Status.FAIL: "✗", Status.STALE: "!"}
+_ANCHORS = {Kind.ROBOT: "robots", Kind.TASK: "task-{}", Kind.TRANSFER: "transfers", Kind.THROUGHPUT: "throughput"}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One metric of a cell."""
+
+    metric: str
+    error: str
+    tolerance: str
+    within: bool
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A backend's standing in a scenario, a task or a learned policy."""
+
+    status: Status | None
+    """Status of the cell; None where it was not run."""
+    label: str
+    reason: str = ""
+    rows: tuple[Row, ...] = ()
+
+    @property
+    def style(self) -> str:
+        """The style class of the status's colour."""
+        return self.status.name.lower() if self.status else "absent"
+
+
+@dataclass(frozen=True)
+class Line:
+    """A row of the matrix."""
+
+    name: str
+    anchor: str
+    question: str
+    cells: tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class ScenarioSection:
+    """A scenario with its plots."""
+
+    info: ScenarioInfo
+    accuracy: Markup
+    traces: Markup
+
+
+@dataclass(frozen=True)
+class GapLine:
+    """A declared gap with what was measured."""
+
+    backend: str
+    scenario: str
+    metric: str
+    tolerance: str
+    limit: str
+    measured: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class TaskSection:
+    """A task with its films, its numbers and how backends part."""
+
+    name: str
+    videos: tuple[tuple[str, str], ...]
+    """Pairs of backend and file."""
+    rows: tuple[tuple[str, ...], ...]
+    courses: Markup
+    """Key points of deformables on each backend; empty without any."""
+    divergence: Markup
+    replays: tuple[tuple[str, tuple[str, ...]], ...]
+    """Source backend, and success on each backend."""
+
+
+@dataclass(frozen=True)
+class TransferCell:
+    """A learned policy on one backend."""
+
+    standing: Cell
+    """Standing of the policy; its label is the success rate."""
+    metric: str
+    """The leading metric."""
+    learned_here: bool
+
+
+@dataclass(frozen=True)
+class TransferLine:
+    """A learned policy on all backends, or on the pictures of all renderers, in their order."""
+
+    info: PolicyInfo
+    cells: tuple[TransferCell, ...]
+    backend: str = ""
+    """The backend that simulates what the renderers draw."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """Everything that the template shows."""
+
+    result: Result
+    statuses: tuple[tuple[Status, str], ...]
+    totals: tuple[tuple[str, tuple[int, ...]], ...]
+    matrix: tuple[tuple[str, tuple[Line, ...]], ...]
+    scenarios: tuple[ScenarioSection, ...]
+    robots: RobotSection | None
+    tasks: tuple[TaskSection, ...]
+    success: Markup
+    transfers: tuple[TransferLine, ...]
+    drawn: tuple[TransferLine, ...]
+    """Lines of the policies that see pictures, with one cell for each of the run's renderers."""
+    throughput: Markup
+    rates: tuple[tuple[str, ...], ...]
+    gaps: tuple[GapLine, ...]
+    loose: tuple[str, ...]
+    broken: tuple[Record, ...]
+    """Jobs that crashed, hung or raised, at any time step."""
+
+
+def write_report(folder: Path | str) -> Path:
+    """Make the report of a finished run from its folder; the file.
+
+    Raises:
+        AssetError: the folder holds no result.
+        StorageError: it cannot be written.
+    """
+    folder = as_path(folder)
+    page = render(page_of(load(folder), folder))
+    with written_whole(folder / REPORT) as path:
+        path.write_text(page)
+    return folder / REPORT
+
+
+def render(page: Page) -> str:
+    """The page's HTML, with style and script in it."""
+    files = resources.files("orbit_conformance.report")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string((files / "page.html.jinja").read_text())
+    style, script = (Markup((files / name).read_text()) for name in ("style.css", "script.js"))
+    return template.render(page=page, style=style, script=script)
+
+
+def page_of(result: Result, folder: Path) -> Page:
+    """What is to be shown of a result; traces and videos are looked for in its folder."""
+    settings = result.header.settings
+    return Page(
+        result=result,
+        statuses=tuple(_SYMBOLS.items()),
+        totals=tuple(
+            (name, tuple(sum(r.status is status for r in result.judged if r.job.backend == name) for status in Status))
+            for name in settings.backends
+        ),
+        matrix=tuple(_matrix(result)),
+        scenarios=tuple(
+            ScenarioSection(info, Markup(plots.accuracy(result, info)), Markup(plots.traces(result, info, folder)))
+            for info in result.header.scenarios
+        ),
+        robots=robot_section(result),
+        tasks=tuple(_task_section(result, task, folder) for task in result.tried_tasks),
+        success=Markup(plots.success(result)),
+        transfers=tuple(_transfer_line(result, info) for info in result.header.policies),
+        drawn=tuple(_drawn_lines(result)),
+        throughput=Markup(plots.throughput(result)),
+        rates=tuple(_rates(result)),
+        gaps=tuple(_gaps(result)),
+        loose=tuple(map(str, loose_tolerances(result))),
+        broken=tuple(record for record in result.records if not record.ending.acceptable),
+    )
+
+
+def _matrix(result: Result) -> Iterator[tuple[str, tuple[Line, ...]]]:
+    for group in dict.fromkeys(info.group for info in result.header.scenarios):
+        infos = (info for info in result.header.scenarios if info.group == group)
+        yield (
+            group,
+            tuple(_scenario_line(result, info, matter) for info in infos for matter in result.matters(info.name)),
+        )
+    settings = result.header.settings
+    tasks, policies = settings.tasks, settings.policies
+    for kind, group, names, question in (
+        (Kind.ROBOT, "Robots", settings.robots, "Is it the same robot here as described?"),
+        (Kind.TASK, "Tasks", result.tried_tasks, "Does the expert reach the goal?"),
+        (Kind.TRANSFER, "Learned policies", policies, "Does what was learned elsewhere do it here?"),
+        (Kind.THROUGHPUT, "Throughput", tasks, "How fast does it step?"),
+    ):
+        if result.of(kind):
+            yield group, tuple(_line(result, kind, name, question) for name in names)
+
+
+def _scenario_line(result: Result, info: ScenarioInfo, matter: str) -> Line:
+    backends = result.header.settings.backends
+    cells = tuple(_scenario_cell(info, result.nominal(info, backend, matter)) for backend in backends)
+    return Line(f"{info.name}, {matter}" if matter else info.name, info.name, info.question, cells)
+
+
+def _scenario_cell(info: ScenarioInfo, record: Record | None) -> Cell:
+    if record is None:
+        return Cell(None, "not run")
+    errors = record.scenario.errors if record.scenario else {}
+    rows = tuple(
+        Row(m.name, _number(errors[m.name], m.unit), _number(m.tolerance, m.unit), errors[m.name] <= m.tolerance)
+        for m in info.metrics
+        if m.name in errors
+    )
+    return Cell(record.status, _label(record), record.why, rows)
+
+
+def _line(result: Result, kind: Kind, name: str, question: str) -> Line:
+    cells = tuple(_worst_cell(result, kind, name, backend) for backend in result.header.settings.backends)
+    return Line(name, _ANCHORS[kind].format(name), question, cells)
+
+
+def _worst_cell(result: Result, kind: Kind, name: str, backend: str) -> Cell:
+    records = [r for r in result.of(kind) if (r.job.name, r.job.backend, r.job.renderer) == (name, backend, "")]
+    if not records:
+        return Cell(None, "not run")
+    worst = max(records, key=lambda record: list(_SYMBOLS).index(record.status))
+    label = worst.played.success.percent() if worst.played else _label(worst)
+    return Cell(worst.status, label, worst.why)
+
+
+def _transfer_line(result: Result, info: PolicyInfo) -> TransferLine:
+    return TransferLine(
+        info, tuple(_transfer_cell(result, info, backend) for backend in result.header.settings.backends)
+    )
+
+
+def _drawn_lines(result: Result) -> Iterator[TransferLine]:
+    infos = {info.name: info for info in result.header.policies}
+    pairs = dict.fromkeys((r.job.name, r.job.backend) for r in result.of(Kind.TRANSFER) if r.job.renderer)
+    for policy, backend in pairs:
+        cells = (
+            _transfer_cell(result, infos[policy], backend, "" if renderer == backend else renderer)
+            for renderer in result.header.settings.renderers
+        )
+        yield TransferLine(infos[policy], tuple(cells), backend)
+
+
+def _transfer_cell(result: Result, info: PolicyInfo, backend: str, renderer: str = "") -> TransferCell:
+    wanted = (info.name, backend, renderer)
+    records = (r for r in result.of(Kind.TRANSFER) if (r.job.name, r.job.backend, r.job.renderer) == wanted)
+    record = next(records, None)
+    home = info.learned_on == backend and not renderer
+    if record is None or record.played is None:
+        standing = Cell(record.status, _label(record), record.why) if record else Cell(None, "not run")
+        return TransferCell(standing, "", home)
+    name, metric = next(iter(record.played.metrics.items()))
+    standing = Cell(record.status, record.played.success.percent(), record.why)
+    return TransferCell(standing, f"{name}: {_estimate(metric)}", home)
+
+
+def _label(record: Record) -> str:
+    words = {Status.GAP: "gap", Status.STALE: "stale"}
+    return words.get(record.status, record.status.value)
+
+
+def _task_section(result: Result, task: str, folder: Path) -> TaskSection:
+    backends = result.header.settings.backends
+    videos = [r.job for r in result.of(Kind.VIDEO) if r.job.name == task and (folder / r.job.key / VIDEO).exists()]
+    videos.sort(key=lambda job: backends.index(job.backend))
+    replays = {(r.job.source, r.job.backend): r for r in result.of(Kind.REPLAY) if r.job.name == task}
+    sources = [backend for backend in backends if any(source == backend for source, _ in replays)]
+    own = {r.job.backend: r for r in result.of(Kind.TASK) if r.job.name == task}
+    return TaskSection(
+        name=task,
+        videos=tuple((job.backend, f"{job.key}/{VIDEO}") for job in videos),
+        rows=tuple(_task_row(backend, own[backend]) for backend in backends if backend in own),
+        courses=Markup(courses(result, task)),
+        divergence=Markup(plots.divergences(result, task)),
+        replays=tuple(
+            (source, tuple(_replay_text(own if source == b else None, replays, source, b) for b in backends))
+            for source in sources
+        ),
+    )
+
+
+def _task_row(backend: str, record: Record) -> tuple[str, ...]:
+    task = record.task
+    if task is None:
+        return (backend, "-", record.why, "", "", "", "")
+    name, metric = next(iter(task.metrics.items()))
+    time = _estimate(task.seconds_to_success) if task.seconds_to_success else "-"
+    broken = ", ".join(f"{check.name}: {check.failed} of {check.starts}" for check in task.premises) or "-"
+    leading = f"{name}: {_estimate(metric)}"
+    returned = _estimate(task.episode_return)
+    return (backend, str(task.num_envs), task.success.percent(), leading, returned, time, broken)
+
+
+def _replay_text(
+    own: dict[str, Record] | None, replays: dict[tuple[str, str], Record], source: str, backend: str
+) -> str:
+    if own is not None:
+        task = own[backend].task if backend in own else None
+        return f"{task.success.percent()} (recorded)" if task else "-"
+    record = replays.get((source, backend))
+    if record is None or record.replay is None:
+        return record.why if record else "-"
+    return record.replay.result.success.percent()
+
+
+def _rates(result: Result) -> Iterator[tuple[str, ...]]:
+    for record in result.of(Kind.THROUGHPUT):
+        rate, job = record.throughput, record.job
+        if rate is None:
+            yield (job.name, job.backend, str(job.num_envs), record.why, *[""] * 7)
+            continue
+        raw = rate.raw
+        shares = (f"{100 * rate.shares[name]:.0f} %" for name in ("engine", "layer", "rendering"))
+        yield (
+            job.name,
+            job.backend,
+            f"{rate.num_envs:,}",
+            f"{rate.env_steps_per_second:,.0f}",
+            f"{raw.env_steps_per_second:,.0f} ({raw.way})" if raw else "-",
+            f"{100 * raw.ratio:.0f} %" if raw else "-",
+            *shares,
+            f"{rate.start_seconds:.1f}",
+            f"{rate.memory_mib:,.0f}",
+        )
+
+
+def _gaps(result: Result) -> Iterator[GapLine]:
+    infos = {info.name: info for info in result.header.scenarios}
+    owners = (*result.header.backends, *result.header.matters)
+    for owner, gap in ((each, gap) for each in owners for gap in each.gaps if gap.scenario in infos):
+        info = infos[gap.scenario]
+        metric = next(metric for metric in info.metrics if metric.name == gap.metric)
+        measured = _number(_worst(result, info, owner.name, gap.metric), metric.unit)
+        tolerance, limit = (_number(value, metric.unit) for value in (metric.tolerance, gap.limit))
+        yield GapLine(owner.name, gap.scenario, gap.metric, tolerance, limit, measured, gap.reason)
+
+
+def _worst(result: Result, info: ScenarioInfo, owner: str, metric: str) -> float:
+    """The error of a backend, or the largest of a matter solver on any; NaN where none was measured."""
+    backends = result.header.settings.backends
+    matters = [matter for matter in result.matters(info.name) if matter in ("", NATIVE)]
+    pairs = [(owner, matter) for matter in matters] if owner in backends else [(each, owner) for each in backends]
+    records = (result.nominal(info, backend, matter) for backend, matter in pairs)
+    return max((r.scenario.errors[metric] for r in records if r and r.scenario and r.scenario.errors), default=math.nan)
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{value:.3g} {unit}".strip()
+
+
+def _estimate(estimate: Estimate) -> str:
+    return f"{estimate.value:.3g} [{estimate.low:.3g}, {estimate.high:.3g}]"

@@ -1,0 +1,156 @@
+"""The report's plots, each from a result alone."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+from orbit_conformance.execution import TRACES
+from orbit_conformance.jobs import Kind
+from orbit_conformance.report.svg import COLORS, color_of, plotting
+from orbit_conformance.results import Record, Result, ScenarioInfo, decode
+from orbit_conformance.scenario import Metric, Trace
+from orbit_conformance.throughput import Throughput
+from orbit_core.interfaces.matter import NATIVE
+
+_MARGIN = 10**0.5
+_LEAST = 1e-9
+"""Errors below are drawn here: a logarithmic axis has no zero."""
+
+
+def accuracy(result: Result, info: ScenarioInfo) -> str:
+    """Error of each metric against speed, a line a backend over its time steps; empty if nothing was measured."""
+    backends = result.header.settings.backends
+    drawn = False
+    with plotting([_title(metric) for metric in info.metrics]) as plot:
+        for metric, panel in zip(info.metrics, plot.panels.values(), strict=True):
+            for backend, matter in itertools.product(backends, result.matters(info.name)):
+                points = _points(result.scenario_records(info.name, backend, matter), metric)
+                nominal = _points([r for r in (result.nominal(info, backend, matter),) if r], metric)
+                if not points:
+                    continue
+                drawn = True
+                style = {"color": color_of(backend, backends), "label": _label(backend, matter)}
+                panel.plot(*zip(*points, strict=True), _dash(matter), marker=".", **style)
+                if nominal:
+                    panel.plot(*zip(*nominal, strict=True), "o", color=style["color"])
+            panel.axhline(max(metric.tolerance, _LEAST), color="#777", dashes=(3, 2), linewidth=0.9, label="tolerance")
+            if panel.lines[:-1]:
+                _logarithmic(panel)
+            panel.set_xlabel("simulated s / s")
+        return plot.svg(f"accuracy-{info.name}") if drawn else ""
+
+
+def _points(records: list[Record], metric: Metric) -> list[tuple[float, float]]:
+    """Speeds and errors of the records that have finite ones; without a solver's own choice beside its sweep."""
+    swept = [record for record in records if record.job.substep] or records
+    results = [record.scenario for record in swept if record.scenario]
+    pairs = [(found.speed, found.errors.get(metric.name, math.nan)) for found in results]
+    return [(speed, max(error, _LEAST)) for speed, error in pairs if math.isfinite(speed) and math.isfinite(error)]
+
+
+def _label(backend: str, matter: str) -> str:
+    return f"{backend}, {matter}" if matter else backend
+
+
+def _dash(matter: str) -> str:
+    return "--" if matter == NATIVE else "-"
+
+
+def traces(result: Result, info: ScenarioInfo, folder: Path) -> str:
+    """Measured curves beside the truth; empty if the scenario keeps none, or their files are not there."""
+    backends = result.header.settings.backends
+    curves: dict[str, list[tuple[str, str, Trace]]] = {}
+    for backend, matter in itertools.product(backends, result.matters(info.name)):
+        record = result.nominal(info, backend, matter)
+        path = folder / record.job.key / TRACES if record else None
+        if path is not None and path.exists():
+            for trace in decode(path.read_bytes(), list[Trace]):
+                curves.setdefault(_title(trace), []).append((backend, matter, trace))
+    if not curves:
+        return ""
+    with plotting(list(curves)) as plot:
+        for title, panel in plot.panels.items():
+            truth = curves[title][0][2]
+            panel.plot(truth.times, truth.truth, color="#bbb", linewidth=3.5, label="truth")
+            for backend, matter, trace in curves[title]:
+                style = {"color": color_of(backend, backends), "linewidth": 1, "label": _label(backend, matter)}
+                panel.plot(trace.times, trace.measured, _dash(matter), **style)
+            panel.set_xlabel("s")
+        return plot.svg(f"traces-{info.name}")
+
+
+def success(result: Result) -> str:
+    """Rate of each task on each backend with its interval; empty without tasks."""
+    backends, records = result.header.settings.backends, [r for r in result.of(Kind.TASK) if r.task]
+    tasks = [task for task in result.header.settings.tasks if any(r.job.name == task for r in records)]
+    if not tasks:
+        return ""
+    with plotting(tasks) as plot:
+        for record in records:
+            estimate = record.task.success if record.task else None
+            assert estimate is not None
+            row = backends.index(record.job.backend)
+            panel, color = plot.panels[record.job.name], color_of(record.job.backend, backends)
+            panel.plot([100 * estimate.low, 100 * estimate.high], [row, row], color=color, linewidth=2)
+            panel.plot([100 * estimate.value], [row], "o", color=color)
+        for panel in plot.panels.values():
+            panel.set(xlim=(-3, 103), ylim=(len(backends) - 0.5, -0.5), xlabel="success (%)")
+            panel.set_yticks(range(len(backends)), backends)
+        return plot.svg("success")
+
+
+def divergences(result: Result, task: str) -> str:
+    """Median distance over time between each pair of backends, with its quartiles; empty if none was recorded."""
+    pairs = [pair for pair in result.partings if pair.task == task]
+    things = list(dict.fromkeys(thing.thing for pair in pairs for thing in pair.things))
+    if not things:
+        return ""
+    with plotting(things) as plot:
+        for index, pair in enumerate(pairs):
+            color, label = COLORS[index % len(COLORS)], f"{pair.backend} - {pair.reference}"
+            for thing in pair.things:
+                panel = plot.panels[thing.thing]
+                panel.plot(thing.times, thing.median, color=color, label=label)
+                quartiles = (thing.lower_quartile, thing.upper_quartile)
+                panel.fill_between(thing.times, *quartiles, color=color, alpha=0.12, linewidth=0)
+        for panel in plot.panels.values():
+            panel.set(xlabel="s", ylabel="m")
+        return plot.svg(f"divergence-{task}")
+
+
+def throughput(result: Result) -> str:
+    """Environment steps per second over numbers of environments, the raw engine's dashed; empty if none measured."""
+    backends = result.header.settings.backends
+    rates: dict[str, dict[str, list[Throughput]]] = {}
+    for record in result.of(Kind.THROUGHPUT):
+        if record.throughput:
+            rates.setdefault(record.job.name, {}).setdefault(record.job.backend, []).append(record.throughput)
+    if not rates:
+        return ""
+    with plotting(list(rates)) as plot:
+        for task, panel in plot.panels.items():
+            for backend, measured in rates[task].items():
+                measured.sort(key=lambda rate: rate.num_envs)
+                counts, color = [rate.num_envs for rate in measured], color_of(backend, backends)
+                own = [rate.env_steps_per_second for rate in measured]
+                raw = [rate.raw.env_steps_per_second if rate.raw else math.nan for rate in measured]
+                panel.plot(counts, own, "o-", markersize=3, color=color, label=backend)
+                panel.plot(counts, raw, "--", color=color, linewidth=0.9)
+            panel.set(xscale="log", yscale="log", xlabel="environments", ylabel="env. steps / s")
+        return plot.svg("throughput")
+
+
+def _logarithmic(panel: Any) -> None:
+    """Axes around all that is drawn, wide enough to have a power of ten each, and marked there alone."""
+    speeds = [speed for line in panel.lines[:-1] for speed in line.get_xdata()]  # the last is the tolerance
+    errors = [error for line in panel.lines for error in line.get_ydata()]
+    panel.set(xlim=(min(speeds) / _MARGIN, _MARGIN * max(speeds)), ylim=(min(errors) / _MARGIN, _MARGIN * max(errors)))
+    panel.set(xscale="log", yscale="log")
+    panel.minorticks_off()
+
+
+def _title(quantity: Metric | Trace) -> str:
+    return f"{quantity.name} ({quantity.unit})" if quantity.unit else quantity.name

@@ -1,0 +1,323 @@
+"""What a run found, as typed data and as JSON. Numbers that are not finite are written as text, such as "nan"."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from orbit_conformance.courses import Course
+from orbit_conformance.divergence import Divergence
+from orbit_conformance.episodes import TaskResult
+from orbit_conformance.hardware import Hardware
+from orbit_conformance.jobs import Job, Kind
+from orbit_conformance.replay import ReplayResult
+from orbit_conformance.robots.check import RobotResult
+from orbit_conformance.scenario import Metric, Scenario
+from orbit_conformance.settings import Settings
+from orbit_conformance.throughput import Throughput
+from orbit_conformance.transfer import TransferResult, learned
+from orbit_conformance.verdict import Status
+from orbit_core.files import as_path, read_bytes, written_whole
+from orbit_core.interfaces import AssetError, ConfigurationError, Gap
+from orbit_core.interfaces.matter import NATIVE
+from orbit_core.tensor_file import parse_json
+from orbit_learn.pretrained import TransferGap, pretrained_policy
+
+SCHEMA = 1
+RESULT_FILE, REPORT = "result.json", "report.html"
+_Type = TypeVar("_Type")
+
+
+class Ending(Enum):
+    """How a job came to its end."""
+
+    DONE = "done"
+    UNSUPPORTED = "unsupported"
+    """The backend declares that it lacks what is needed."""
+    ERROR = "error"
+    """It raised an exception."""
+    CRASH = "crash"
+    """Its process died."""
+    TIMEOUT = "timeout"
+    """It took longer than the limit and was ended."""
+
+    @property
+    def acceptable(self) -> bool:
+        """Whether the job ended without an error, crash or timeout."""
+        return self in (Ending.DONE, Ending.UNSUPPORTED)
+
+
+@dataclass(frozen=True)
+class ScenarioResult:
+    """The outcome of a scenario at one time step on one backend."""
+
+    status: Status | None
+    """Status at the nominal time step; None at the others, where no tolerance holds."""
+    reason: str
+    errors: dict[str, float]
+    """Errors by metric."""
+    simulated_seconds: float
+    """Simulated time, summed over all environments."""
+    wall_seconds: float
+    """Wall time spent in stepping."""
+
+    @property
+    def speed(self) -> float:
+        """Simulated seconds per second; NaN if nothing was stepped."""
+        return self.simulated_seconds / self.wall_seconds if self.wall_seconds else math.nan
+
+
+@dataclass(frozen=True)
+class Record:
+    """A job with its ending and its results."""
+
+    job: Job
+    ending: Ending
+    reason: str = ""
+    """The reason for any ending but a good one."""
+    seconds: float = 0.0
+    """Wall time of the job, building included."""
+    device: str = "cpu"
+    files: tuple[str, ...] = ()
+    """Paths of the files below the job's folder in the result's."""
+    scenario: ScenarioResult | None = None
+    robot: RobotResult | None = None
+    task: TaskResult | None = None
+    replay: ReplayResult | None = None
+    transfer: TransferResult | None = None
+    throughput: Throughput | None = None
+
+    @property
+    def played(self) -> TaskResult | None:
+        """The results of the episodes of a task's expert or of a learned policy."""
+        return self.transfer.result if self.transfer else self.task
+
+    @property
+    def status(self) -> Status:
+        """Status of the backend; a job that broke counts as failed."""
+        if self.ending is Ending.UNSUPPORTED:
+            return Status.UNSUPPORTED
+        if not self.ending.acceptable or (self.task and self.task.shortfall):
+            return Status.FAIL
+        judged = self.scenario or self.robot or self.transfer
+        return (judged.status if judged else None) or Status.PASS
+
+    @property
+    def why(self) -> str:
+        """The reason for anything but a pass."""
+        judged = self.scenario or self.robot or self.transfer
+        return self.reason or (judged.reason if judged else "") or (self.task.shortfall if self.task else "")
+
+
+@dataclass(frozen=True)
+class ScenarioInfo:
+    """A scenario as reports show it."""
+
+    name: str
+    group: str
+    question: str
+    truth: str
+    source: str
+    time_step: float
+    metrics: tuple[Metric, ...]
+
+    @staticmethod
+    def of(scenario: Scenario) -> ScenarioInfo:
+        """The information that reports show of a scenario."""
+        return ScenarioInfo(*(getattr(scenario, name) for name in ScenarioInfo.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class BackendInfo:
+    """A backend, or a matter solver, as it declared itself when the run began."""
+
+    name: str
+    versions: dict[str, str]
+    gaps: tuple[Gap, ...]
+
+
+@dataclass(frozen=True)
+class PolicyInfo:
+    """A kept policy as it was when the run began."""
+
+    name: str
+    description: str
+    task: str
+    learned_on: str
+    """The backend that the policy was learned on."""
+    library: str
+    iteration: int
+    least_success: float
+    """The success rate required of the policy where no gap declares less."""
+    gaps: tuple[TransferGap, ...]
+
+    @staticmethod
+    def of(name: str) -> PolicyInfo:
+        """The information that reports show of a pretrained policy."""
+        kept, about = pretrained_policy(name), learned(name)
+        where = (about.task, about.backend, about.library, about.iteration)
+        return PolicyInfo(name, kept.description, *where, kept.least_success, kept.gaps)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where and when some of the jobs of a merged result were done."""
+
+    jobs: dict[str, int]
+    """Numbers of jobs by their kind and backend, as in ``"task on <backend>"``."""
+    hardware: Hardware
+    versions: dict[str, str]
+    core: str
+    """The digest of the core's source."""
+    started: str
+    finished: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Header:
+    """What a run is of, written before its first record."""
+
+    settings: Settings
+    versions: dict[str, str]
+    hardware: Hardware
+    started: str
+    """Time in UTC (ISO 8601)."""
+    scenarios: tuple[ScenarioInfo, ...]
+    backends: tuple[BackendInfo, ...]
+    matters: tuple[BackendInfo, ...] = ()
+    """The matter solvers."""
+    policies: tuple[PolicyInfo, ...] = ()
+    sources: dict[str, str] = field(default_factory=dict)
+    """Digests of the code that the records come from, as :func:`sources.source_digests` names it."""
+    origins: tuple[Origin, ...] = ()
+    """Of a merged result, whose own machine and versions are those of the first run."""
+    schema: int = SCHEMA
+
+
+@dataclass(frozen=True)
+class Parting:
+    """How one task's trajectories on two backends part over time."""
+
+    task: str
+    backend: str
+    reference: str
+    things: list[Divergence]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """A finished run."""
+
+    header: Header
+    records: tuple[Record, ...]
+    partings: tuple[Parting, ...] = ()
+    courses: tuple[Course, ...] = ()
+    """Of tasks with deformables."""
+    finished: str = ""
+    """Time in UTC (ISO 8601)."""
+
+    def of(self, kind: Kind) -> list[Record]:
+        """The records of one kind."""
+        return [record for record in self.records if record.job.kind is kind]
+
+    @property
+    def tried_tasks(self) -> tuple[str, ...]:
+        """The tasks that an expert was tried at, in the settings' order."""
+        tried = {record.job.name for record in self.of(Kind.TASK)}
+        return tuple(task for task in self.header.settings.tasks if task in tried)
+
+    def matters(self, name: str) -> list[str]:
+        """Who simulated the deformables of one scenario, the engine's own last; a single empty name without any."""
+        found = dict.fromkeys(record.job.matter for record in self.of(Kind.SCENARIO) if record.job.name == name)
+        return sorted(found, key=lambda matter: (matter == NATIVE, matter)) or [""]
+
+    def scenario_records(self, name: str, backend: str, matter: str = "") -> list[Record]:
+        """The records of one scenario on one backend, the longest time step first."""
+        wanted = (name, backend, matter)
+        found = [r for r in self.of(Kind.SCENARIO) if (r.job.name, r.job.backend, r.job.matter) == wanted]
+        return sorted(found, key=lambda record: (-record.job.time_step, -record.job.substep))
+
+    def nominal(self, scenario: ScenarioInfo, backend: str, matter: str = "") -> Record | None:
+        """The record on which a backend, or the matter on it, is judged; None if it was not run."""
+        records = self.scenario_records(scenario.name, backend, matter)
+        return next((r for r in records if r.job.time_step == scenario.time_step and not r.job.substep), None)
+
+    @property
+    def judged(self) -> list[Record]:
+        """The records that backends are judged by: scenarios at nominal time steps, and all of tasks and policies."""
+        nominal = {info.name: info.time_step for info in self.header.scenarios}
+
+        def is_nominal(job: Job) -> bool:
+            return job.time_step == nominal[job.name] and not job.substep
+
+        return [record for record in self.records if record.job.kind is not Kind.SCENARIO or is_nominal(record.job)]
+
+    @property
+    def objections(self) -> list[Record]:
+        """The records in which a backend is not as it declares."""
+        return [record for record in self.judged if not record.status.acceptable]
+
+
+def encode(value: Any) -> str:
+    """The value as one line of JSON."""
+    return json.dumps(_plain(msgspec.to_builtins(value)), allow_nan=False)
+
+
+def decode(text: str | bytes, kind: type[_Type]) -> _Type:
+    """The value of that type, decoded from JSON.
+
+    Raises:
+        ValueError: it is none; says where.
+    """
+    return msgspec.convert(json.loads(text), kind, strict=False)
+
+
+def load(path: Path | str) -> Result:
+    """The result of a finished run, from its file or its folder.
+
+    Raises:
+        AssetError: it cannot be read, or is of another schema.
+    """
+    path = as_path(path)
+    path = path / RESULT_FILE if path.is_dir() else path
+    try:
+        text = read_bytes(path)
+        schema = parse_json(text)["header"]["schema"]
+    except ConfigurationError as error:
+        raise AssetError(f"cannot read {path}: {error}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise AssetError(f"{path} is no result of orbit conformance") from error
+    if schema != SCHEMA:
+        raise AssetError(f"{path} is of schema {schema}, and this version reads {SCHEMA}: make it anew")
+    try:
+        return decode(text, Result)
+    except (ValueError, RecursionError) as error:
+        raise AssetError(f"{path} is no result of orbit conformance: {error}") from error
+
+
+def save(result: Result, folder: Path | str) -> None:
+    """Write the result's file.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    with written_whole(as_path(folder) / RESULT_FILE) as path:
+        path.write_text(f"{encode(result)}\n")
+
+
+def _plain(value: Any) -> Any:
+    """The value as plain data: numbers that are not finite as text, curves rounded to what a plot could show."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return repr(value)
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(float(f"{item:.5g}") if isinstance(item, float) else item) for item in value]
+    return value

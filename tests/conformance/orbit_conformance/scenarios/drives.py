@@ -1,0 +1,291 @@
+"""PD drives of a joint, the engine's own and the core's, against the linear solution."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import torch
+
+from orbit_conformance.bodies import WEIGHTLESS, rotor, scene, slider
+from orbit_conformance.reference import linear_response
+from orbit_conformance.scenario import FIRST_ORDER, SINGLE, Metric, Scenario, Trial
+from orbit_conformance.scenarios.joints import named
+from orbit_core.interfaces import Capability
+from orbit_core.scene import ActuatorConfig, IdealPd, ImplicitPd, RobotSpec
+
+_INERTIA, _MASS = 0.5, 2.0
+_SOFT = {"under": (50.0, 2.0), "critical": (50.0, 10.0), "over": (50.0, 30.0)}
+"""Gains with damping ratios of 0.2, 1 and 3 at 10 rad/s."""
+
+
+def _response(trial: Trial, kind: Callable[..., ActuatorConfig]) -> Mapping[str, float]:
+    """Steps of under-, critically and overdamped drives, and of one on a prismatic joint."""
+    robots: list[RobotSpec] = []
+    truths: list[tuple[float, float, float]] = []
+    for name, (stiffness, damping) in _SOFT.items():
+        drive = kind(joints=(".*",), stiffness=stiffness, damping=damping)
+        robots.append(named(name, rotor(inertia=_INERTIA, actuators=(drive,))))
+        truths.append((stiffness, damping, _INERTIA))
+    drive = kind(joints=(".*",), stiffness=200.0, damping=20.0)
+    robots.append(slider(mass=_MASS, actuators=(drive,)))
+    truths.append((200.0, 20.0, _MASS))
+    world = trial.world(scene(*robots, gravity=WEIGHTLESS, terrain=()))
+    for robot in world.robots.values():
+        robot.set_position_targets(torch.ones(1, 1, device=world.device))
+    times, positions = [], []
+    for time in trial.advance(world, 1.5, every=0.02):
+        times.append(time)
+        positions.append([float(robot.joint_positions[0, 0]) for robot in world.robots.values()])
+    measured = np.array(positions)
+    truth = np.stack([linear_response(*gains, times) for gains in truths], -1)
+    trial.trace("underdamped step", "rad", times, measured[:, 0].tolist(), truth[:, 0].tolist())
+    off = np.abs(measured - truth)
+    return {"under": float(off[:, 0].max()), "damped": float(off[:, 1:].max()), "final": float(off[-1].max())}
+
+
+def _implicit(trial: Trial) -> Mapping[str, float]:
+    return _response(trial, ImplicitPd)
+
+
+def _explicit(trial: Trial) -> Mapping[str, float]:
+    return _response(trial, IdealPd)
+
+
+_STIFF = {"arm": (4000.0, 400.0, 0.05), "finger": (1000.0, 20.0, 1e-4), "rigid": (1e6, 1e4, 0.5)}
+"""Stiffness, damping and inertia of drives: the fast modes decay 40 to 1,000 times within a time step of 5 ms."""
+
+
+def _stiff(trial: Trial) -> Mapping[str, float]:
+    """Steps of drives whose fast mode no time step resolves: the slow one, ``stiffness / damping``, shows."""
+    robots = [
+        named(name, rotor(inertia=inertia, actuators=(ImplicitPd(joints=(".*",), stiffness=k, damping=d),)))
+        for name, (k, d, inertia) in _STIFF.items()
+    ]
+    world = trial.world(scene(*robots, gravity=WEIGHTLESS, terrain=()))
+    for robot in world.robots.values():
+        robot.set_position_targets(torch.ones(1, 1, device=world.device))
+    times, positions = [], []
+    for time in trial.advance(world, 1.0, every=0.02):
+        times.append(time)
+        positions.append([float(robot.joint_positions[0, 0]) for robot in world.robots.values()])
+    measured = np.array(positions)
+    truth = np.stack([linear_response(*gains, times) for gains in _STIFF.values()], -1)
+    trial.trace("step of an arm's stiff drive", "rad", times, measured[:, 0].tolist(), truth[:, 0].tolist())
+    return {
+        "response": float(np.abs(measured - truth).max()),
+        "overshoot": max(0.0, float(measured.max() - 1)),
+        "final": float(np.abs(measured[-1] - truth[-1]).max()),
+    }
+
+
+_SHARES = (0.3, 1.0, 2.5, 5.0, 10.0)
+"""Natural frequencies times the time step."""
+_RATIOS = (0.1, 0.3, 1.0, 2.0)
+"""Damping ratios."""
+
+
+def _frequencies(trial: Trial) -> Mapping[str, float]:
+    """Steps of drives whose natural frequency is from well to not at all resolved by the time step."""
+    robots: list[RobotSpec] = []
+    truths: list[tuple[float, float, float]] = []
+    for share in _SHARES:
+        for ratio in _RATIOS:
+            frequency = share / trial.time_step
+            gains = (_INERTIA * frequency**2, 2 * ratio * _INERTIA * frequency)
+            drive = ImplicitPd(joints=(".*",), stiffness=gains[0], damping=gains[1])
+            robots.append(named(f"drive{len(robots)}", rotor(inertia=_INERTIA, actuators=(drive,))))
+            truths.append((*gains, _INERTIA))
+    world = trial.world(scene(*robots, gravity=WEIGHTLESS, terrain=()))
+    for robot in world.robots.values():
+        robot.set_position_targets(torch.ones(1, 1, device=world.device))
+    times, rows = [], []
+    for time in trial.advance(world, 300 * trial.time_step):
+        times.append(time)
+        rows.append(torch.cat([robot.joint_positions[0] for robot in world.robots.values()]).tolist())
+    measured = np.array(rows)
+    truth = np.stack([linear_response(*gains, times) for gains in truths], -1)
+    slow = len(_RATIOS)
+    trial.trace("lightly damped drive at 0.3 a step", "rad", times, measured[:, 0].tolist(), truth[:, 0].tolist())
+    trial.trace("lightly damped drive at 2.5 a step", "rad", times, measured[:, 8].tolist(), truth[:, 8].tolist())
+    peaks = np.maximum(
+        1.0, 1.0 + np.exp(-math.pi * np.array(_RATIOS) / np.sqrt(np.clip(1 - np.square(_RATIOS), 1e-9, 1)))
+    )
+    beyond = np.maximum(measured.max(0) - np.tile(peaks, len(_SHARES)), -measured.min(0))
+    return {
+        "response": float(np.abs(measured - truth)[:, :slow].max()),
+        "beyond": float(max(0.0, beyond.max())),
+        "final": float(np.abs(measured[-1] - 1).max()),
+    }
+
+
+def _tracking(trial: Trial) -> Mapping[str, float]:
+    """Speeds under velocity targets: a speed drive against a load, and a servo that follows a ramp."""
+    robots = (
+        named("speed", rotor(inertia=_INERTIA, actuators=(ImplicitPd(joints=(".*",), damping=20.0),))),
+        named("ramp", rotor(inertia=_INERTIA, actuators=(ImplicitPd(joints=(".*",), stiffness=200.0, damping=20.0),))),
+    )
+    world = trial.world(scene(*robots, gravity=WEIGHTLESS, terrain=()))
+    speed, ramp = world.robots["speed"], world.robots["ramp"]
+    speed.set_velocity_targets(torch.full((1, 1), 1.5, device=world.device))
+    speed.set_effort_targets(torch.full((1, 1), -4.0, device=world.device))
+    ramp.set_velocity_targets(torch.full((1, 1), 0.8, device=world.device))
+    lag = 0.0
+    for time in trial.advance(world, 2.0):
+        if time > 1.5:
+            lag = max(lag, abs(float(ramp.joint_positions[0, 0]) - 0.8 * time))
+        middle = 0.8 * (time + 0.5 * trial.time_step)  # of what is held over the step to come
+        ramp.set_position_targets(torch.full((1, 1), middle, device=world.device))
+    final = float(speed.joint_velocities[0, 0])
+    return {"speed": abs(final - (1.5 - 4.0 / 20.0)) / 1.5, "ramp": lag}
+
+
+_LINEAR = "Ogata, Modern Control Engineering, 5th ed., section 5.3"
+
+SCENARIOS = (
+    Scenario(
+        name="implicit_drive",
+        group="Drives",
+        question="Does the engine's PD drive answer a step as a linear second-order system does?",
+        truth="I a = k (1 - q) - d v from rest, at damping ratios 0.2, 1, 3 (10 rad/s) and 0.5 (slider)",
+        source=_LINEAR,
+        judges=(Capability.IMPLICIT_DRIVES,),
+        run=_implicit,
+        needs=(Capability.IMPLICIT_DRIVES,),
+        metrics=(
+            Metric(
+                name="under",
+                unit="",
+                tolerance=0.02,
+                meaning="largest error at damping ratio 0.2, relative to the step",
+                looser_because=FIRST_ORDER,
+            ),
+            Metric(
+                name="damped",
+                unit="",
+                tolerance=0.01,
+                meaning="largest error of the others, relative to the step",
+                looser_because=FIRST_ORDER,
+            ),
+            Metric(
+                name="final",
+                unit="",
+                tolerance=2.5e-3,
+                meaning="largest error after 1.5 s, relative to the step",
+                looser_because=FIRST_ORDER,
+            ),
+        ),
+    ),
+    Scenario(
+        name="explicit_drive",
+        group="Drives",
+        question="Does a PD law evaluated at each physics step answer a step as the linear system does?",
+        truth="I a = k (1 - q) - d v from rest, at damping ratios 0.2, 1, 3 (10 rad/s) and 0.5 (slider)",
+        source=_LINEAR,
+        run=_explicit,
+        metrics=(
+            Metric(
+                name="under",
+                unit="",
+                tolerance=0.03,
+                meaning="largest error at damping ratio 0.2, relative to the step",
+            ),
+            Metric(
+                name="damped", unit="", tolerance=0.025, meaning="largest error of the others, relative to the step"
+            ),
+            Metric(name="final", unit="", tolerance=0.005, meaning="largest error after 1.5 s, relative to the step"),
+        ),
+    ),
+    Scenario(
+        name="stiff_drive",
+        group="Drives",
+        question="Is a drive much stiffer than the time step resolves stable, and as fast as its slow mode?",
+        truth="I a = k (1 - q) - d v from rest, with d / I from 8,000 to 200,000 per second",
+        source=_LINEAR,
+        judges=(Capability.IMPLICIT_DRIVES,),
+        run=_stiff,
+        needs=(Capability.IMPLICIT_DRIVES,),
+        metrics=(
+            Metric(
+                name="response",
+                unit="",
+                tolerance=0.08,
+                meaning="largest error, relative to the step",
+                looser_because=FIRST_ORDER,
+            ),
+            Metric(
+                name="overshoot",
+                unit="",
+                tolerance=1e-6,
+                meaning="beyond the target, relative to the step",
+                looser_because=SINGLE,
+            ),
+            Metric(
+                name="final",
+                unit="",
+                tolerance=3e-5,
+                meaning="largest error after 1 s, relative to the step",
+                looser_because=SINGLE,
+            ),
+        ),
+    ),
+    Scenario(
+        name="drive_frequencies",
+        group="Drives",
+        question="Is a drive bounded and settled whatever its natural frequency and damping are to the time step?",
+        truth="I a = k (1 - q) - d v from rest; frequency x step of 0.3 to 10, damping ratios of 0.1 to 2",
+        source=_LINEAR,
+        judges=(Capability.IMPLICIT_DRIVES,),
+        run=_frequencies,
+        needs=(Capability.IMPLICIT_DRIVES,),
+        metrics=(
+            Metric(
+                name="response",
+                unit="",
+                tolerance=0.06,
+                meaning="largest error of those at 0.3 radians a step, relative to the step",
+            ),
+            Metric(
+                name="beyond",
+                unit="",
+                tolerance=1e-3,
+                looser_because="the best stay within",
+                meaning="largest excursion of any beyond the linear system's peak, or below the start",
+            ),
+            Metric(
+                name="final",
+                unit="",
+                tolerance=3e-4,
+                meaning="largest distance of any from its target after 300 steps, relative to the step",
+                looser_because="the linear system itself is 1e-4 away",
+            ),
+        ),
+    ),
+    Scenario(
+        name="drive_tracking",
+        group="Drives",
+        question="Does a drive hold a speed against a load, and follow a ramp without lag?",
+        truth="v = v* + tau / d; q = v* t with both targets moving",
+        source=_LINEAR,
+        judges=(Capability.IMPLICIT_DRIVES,),
+        run=_tracking,
+        needs=(Capability.IMPLICIT_DRIVES,),
+        metrics=(
+            Metric(
+                name="speed",
+                unit="",
+                tolerance=1e-5,
+                meaning="error of the steady speed, relative to the target",
+                looser_because=SINGLE,
+            ),
+            Metric(
+                name="ramp",
+                unit="rad",
+                tolerance=2.5e-3,
+                meaning="largest lag after 1.5 s",
+                looser_because="integrators of first order lag or lead by half a step of the ramp",
+            ),
+        ),
+    ),
+)

@@ -1,0 +1,220 @@
+"""Things that swing from a fixed hinge."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cache
+
+import numpy as np
+import torch
+
+from orbit_conformance.bodies import G, body, pendulum, scene
+from orbit_conformance.reference import FloatArray, PlanarChain, RotaryPendulum, pendulum_period, trajectory
+from orbit_conformance.scenario import Metric, Scenario, Trial
+from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, RobotSpec
+
+_LENGTH = 0.5
+_AMPLITUDES = (0.05, 1.5, 2.8)
+"""Amplitudes in rad; the period of the largest is more than twice that of the smallest."""
+
+
+def _pendulum(trial: Trial) -> Mapping[str, float]:
+    """A pendulum released at rest, with one amplitude in each environment; it hangs down at a quarter turn."""
+    world = trial.world(scene(pendulum(length=_LENGTH, links=1), terrain=()), num_envs=len(_AMPLITUDES))
+    robot, chain = world.robots["pendulum"], PlanarChain(1, _LENGTH)
+    lever = _LENGTH / 2
+    small = 2 * math.pi * math.sqrt((chain.inertia + lever**2) / (G * lever))
+    expected = [pendulum_period(amplitude, small) for amplitude in _AMPLITUDES]
+    start = math.pi / 2 - torch.tensor(_AMPLITUDES)[:, None]
+    robot.set_joint_state(start.to(world.device), torch.zeros_like(start).to(world.device))
+    times, angles, speeds = [], [], []
+    for time in trial.advance(world, 2.0 * max(expected)):
+        times.append(time)
+        angles.append((robot.joint_positions[:, 0].double().cpu() - math.pi / 2).clone())
+        speeds.append(robot.joint_velocities[:, 0].double().cpu().clone())
+    angle, speed = torch.stack(angles), torch.stack(speeds)
+    kinetic = 0.5 * (chain.inertia + lever**2) * speed**2
+    energy = kinetic + G * lever * (1 - torch.cos(angle))
+    drift = ((energy - energy[0]).abs() / energy[0]).max()
+    shown = slice(None, None, max(1, trial.steps(0.02)))
+    truth = trajectory(chain.derivative, np.array([float(start[-1]), 0.0]), times[shown], 4e-3)[:, 0] - math.pi / 2
+    trial.trace("angle of the largest swing", "rad", times[shown], angle[shown, -1].tolist(), truth.tolist())
+    periods = [_period(times, angle[:, i].tolist()) for i in range(len(_AMPLITUDES))]
+    off = [abs(period / truth - 1) for period, truth in zip(periods, expected, strict=True)]
+    return {"small_period": off[0], "large_period": max(off[1:]), "energy": float(drift)}
+
+
+def _period(times: list[float], angles: list[float]) -> float:
+    """Time between the first two passages through zero in the same direction, interpolated; NaN without two."""
+    passages = [
+        t + (u - t) * a / (a - b)
+        for t, u, a, b in zip(times, times[1:], angles, angles[1:], strict=False)
+        if a < 0 <= b
+    ]  # fmt: skip
+    return passages[1] - passages[0] if len(passages) > 1 else math.nan
+
+
+_RELEASE = (0.3, 0.6)
+"""Angles in rad from the horizontal: the lower link goes over the top within two seconds."""
+
+
+@cache
+def _double(times: tuple[float, ...]) -> FloatArray:
+    return trajectory(PlanarChain(2, _LENGTH).derivative, np.array([*_RELEASE, 0.0, 0.0]), times)
+
+
+def _double_pendulum(trial: Trial) -> Mapping[str, float]:
+    world = trial.world(scene(pendulum(length=_LENGTH, links=2), terrain=()))
+    robot, chain = world.robots["pendulum"], PlanarChain(2, _LENGTH)
+    robot.set_joint_state(torch.tensor([_RELEASE], device=world.device))
+    times, states = [], []
+    for time in trial.advance(world, 2.0, every=0.02):
+        times.append(time)
+        states.append(torch.cat((robot.joint_positions[0], robot.joint_velocities[0])).tolist())
+    truth, measured = _double(tuple(times)), np.array(states)
+    trial.trace("angle of the lower hinge", "rad", times, measured[:, 1].tolist(), truth[:, 1].tolist())
+    energies = np.array([chain.energy(state) for state in measured])
+    lowest = chain.energy(np.array([math.pi / 2, 0.0, 0.0, 0.0]))
+    early = np.asarray(times) <= 1.0 + 1e-9
+    apart = np.abs(measured[:, :2] - truth[:, :2]).max(-1)
+    return {
+        "first_second": float(apart[early].max()),
+        "two_seconds": float(apart.max()),
+        "energy": float(np.abs(energies - energies[0]).max() / (energies[0] - lowest)),
+    }
+
+
+_LINKS = 4
+
+
+def _energy_of_a_chain(trial: Trial) -> Mapping[str, float]:
+    """Four links let go level: their way is chaotic, their energy is not."""
+    world = trial.world(scene(pendulum(length=_LENGTH, links=_LINKS), terrain=()))
+    robot, chain = world.robots["pendulum"], PlanarChain(_LINKS, _LENGTH)
+    lowest = chain.energy(np.array([math.pi / 2] + [0.0] * (2 * _LINKS - 1)))
+    times, energies = [], []
+    for time in trial.advance(world, 20.0, every=0.1):
+        state = torch.cat((robot.joint_positions[0], robot.joint_velocities[0])).double().cpu().numpy()
+        times.append(time)
+        energies.append(chain.energy(state) - lowest)
+    trial.trace("energy above hanging", "J", times, energies, [energies[0]] * len(times))
+    shares = np.array(energies) / energies[0] - 1
+    return {"gained": max(0.0, float(shares.max())), "lost": max(0.0, float(-shares.min()))}
+
+
+_ARM, _LEVER, _ARM_INERTIA = 0.3, 0.25, 0.1
+_UP = 2.5
+"""Angle in rad from hanging at which the pendulum is released."""
+
+
+def _furuta() -> RobotSpec:
+    """An arm about z along x, and a pendulum about x at its end, which hangs at zero."""
+    links = (
+        body("base"),
+        Link("arm", 1.0, (0.0, 0.0, 0.0), np.eye(3) * _ARM_INERTIA),
+        body("pendulum", 1.0, (0.0, 0.0, -_LEVER), 0.01),
+    )
+    joints = (
+        Joint("arm_hinge", JointType.CONTINUOUS, "base", "arm"),
+        Joint("hinge", JointType.CONTINUOUS, "arm", "pendulum", Pose((_ARM, 0.0, 0.0)), axis=(1.0, 0.0, 0.0)),
+    )
+    return RobotSpec(name="furuta", articulation=Articulation("furuta", links, joints), fixed_base=True)
+
+
+@cache
+def _rotary(times: tuple[float, ...]) -> FloatArray:
+    return trajectory(RotaryPendulum(_ARM, _LEVER, _ARM_INERTIA).derivative, np.array([0.0, _UP, 0.0, 0.0]), times)
+
+
+def _rotary_pendulum(trial: Trial) -> Mapping[str, float]:
+    world = trial.world(scene(_furuta(), terrain=()))
+    robot, reference = world.robots["furuta"], RotaryPendulum(_ARM, _LEVER, _ARM_INERTIA)
+    robot.set_joint_state(torch.tensor([[0.0, _UP]], device=world.device))
+    times, states = [], []
+    for time in trial.advance(world, 2.0, every=0.02):
+        times.append(time)
+        states.append(torch.cat((robot.joint_positions[0], robot.joint_velocities[0])).tolist())
+    truth, measured = _rotary(tuple(times)), np.array(states)
+    trial.trace("angle of the arm", "rad", times, measured[:, 0].tolist(), truth[:, 0].tolist())
+    apart = np.abs(measured[:, :2] - truth[:, :2]).max(0)
+    energies = np.array([reference.energy(state) for state in measured])
+    return {
+        "arm": float(apart[0]),
+        "pendulum": float(apart[1]),
+        "energy": float(np.abs(energies / energies[0] - 1).max()),
+    }
+
+
+SCENARIOS = (
+    Scenario(
+        name="pendulum",
+        group="Joints in motion",
+        question="Does a pendulum keep the time of its amplitude, and its energy?",
+        truth="T = 4 sqrt(J / (m g r)) K(sin(amplitude / 2)), for amplitudes of 0.05, 1.5 and 2.8 rad",
+        source="Landau and Lifshitz, Mechanics, 3rd ed., section 11, problem 1",
+        run=_pendulum,
+        metrics=(
+            Metric(name="small_period", unit="", tolerance=1e-4, meaning="period of 0.05 rad, relative"),
+            Metric(
+                name="large_period",
+                unit="",
+                tolerance=1e-4,
+                meaning="periods of 1.5 and 2.8 rad, relative, the worse",
+                looser_because="the smallest error seen is luck: rounding and integration cancel",
+            ),
+            Metric(
+                name="energy",
+                unit="",
+                tolerance=0.02,
+                meaning="largest change over two periods, relative to the swing's",
+            ),
+        ),
+    ),
+    Scenario(
+        name="double_pendulum",
+        group="Joints in motion",
+        question="Does a double pendulum go the way of its equations of motion?",
+        truth="Lagrange's equations, integrated at 1 ms in double precision with fourth order",
+        source="Landau and Lifshitz, Mechanics, 3rd ed., section 5, problem 1",
+        run=_double_pendulum,
+        metrics=(
+            Metric(
+                name="first_second", unit="rad", tolerance=0.25, meaning="largest error of an angle in the first second"
+            ),
+            Metric(name="two_seconds", unit="rad", tolerance=0.45, meaning="largest error of an angle in two seconds"),
+            Metric(
+                name="energy", unit="", tolerance=0.08, meaning="largest change, relative to that above hanging at rest"
+            ),
+        ),
+    ),
+    Scenario(
+        name="energy_of_a_chain",
+        group="Joints in motion",
+        question="Does a chain of four links, which nothing drives or damps, keep its energy for 20 s?",
+        truth="T + V is constant",
+        source="Goldstein, Classical Mechanics, 3rd ed., section 1.2",
+        run=_energy_of_a_chain,
+        metrics=(
+            Metric(
+                name="gained", unit="", tolerance=0.05, meaning="largest gain, relative to that above hanging at rest"
+            ),
+            Metric(
+                name="lost", unit="", tolerance=0.05, meaning="largest loss, relative to that above hanging at rest"
+            ),
+        ),
+    ),
+    Scenario(
+        name="rotary_pendulum",
+        group="Joints in motion",
+        question="Does a pendulum on a turning arm (Furuta's) go the way of its equations of motion?",
+        truth="Lagrange's equations, integrated at 1 ms in double precision with fourth order",
+        source="Cazzolato and Prime, Journal of Control Science and Engineering 2011, article 528341",
+        run=_rotary_pendulum,
+        metrics=(
+            Metric(name="arm", unit="rad", tolerance=0.4, meaning="largest error of the arm's angle in two seconds"),
+            Metric(name="pendulum", unit="rad", tolerance=0.8, meaning="the same of the pendulum's"),
+            Metric(name="energy", unit="", tolerance=0.07, meaning="largest change, relative"),
+        ),
+    ),
+)

@@ -1,0 +1,181 @@
+"""Generated terrain: what rays measure of it, and where a foot stands on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from orbit_assets.terrain import (
+    Boxes,
+    Flat,
+    Gap,
+    Pit,
+    Rough,
+    Slope,
+    Span,
+    Stairs,
+    SteppingStones,
+    TerrainForm,
+    TerrainGrid,
+    Waves,
+)
+from orbit_assets.terrain.kinds import Array
+from orbit_conformance.bodies import scene
+from orbit_conformance.scenario import Metric, Scenario, Trial
+from orbit_core.interfaces import Capability
+from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, RobotSpec, Shape, Sphere
+
+_ABOVE = 3.0
+"""Metres: height from which rays are cast down."""
+_BEND = 5e-4
+"""Metres: where the surface bends by more over a resolution, samples round off an edge; such places are left out."""
+_RADIUS = 0.03
+"""Metres, of a foot."""
+GRID = TerrainGrid(
+    kinds=(
+        Flat(), Rough(platform=0.6), Slope(platform=0.6), Slope(platform=0.6, down=True), Stairs(platform=0.6),
+        Stairs(platform=0.6, down=True), SteppingStones(platform=0.6, side=Span(0.6, 0.4), apart=Span(0.1, 0.2)),
+        Boxes(platform=0.6), Gap(platform=0.6, width=Span(0.2, 0.5)), Pit(platform=0.6),
+        Waves(platform=0.6, amplitude=Span(0.05, 0.1), count=1),
+    ),
+    levels=2, cell_size=3.0, resolution=0.05, border=1.0,
+)  # fmt: skip
+COARSE = replace(
+    GRID,
+    kinds=(Rough(platform=0.6, spacing=0.25), Slope(platform=0.5), Stairs(platform=0.5, run=0.25)),
+    levels=1,
+    difficulty=(1.0, 1.0),
+    resolution=0.125,
+    form=TerrainForm.MESH,
+)
+"""Few triangles, which some engines collide one by one."""
+FACETS = replace(COARSE, kinds=(Rough(platform=0.6, spacing=1.0), Slope(platform=0.6)), border=0.25)
+"""Fewer still, and wide enough for a foot."""
+
+
+def _smooth(grid: TerrainGrid, places: Array, reach: float) -> np.ndarray:
+    """(n,) whether the surface bends nowhere within ``reach`` m of places (n, 2)."""
+    middle = grid.height(*places.T)
+    fine = np.ones(len(places), bool)
+    for shift in reach * np.array(((1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, -1.0))):
+        sides = [grid.height(*(places + sign * shift).T) for sign in (1.0, -1.0)]
+        fine &= np.abs(sides[0] + sides[1] - 2.0 * middle) < _BEND
+        fine &= np.abs(sides[0] - middle) < 2.0 * reach
+    return fine
+
+
+def _rays(trial: Trial, grid: TerrainGrid) -> Mapping[str, float]:
+    world = trial.world(scene(terrain=grid.shapes()), num_envs=2)
+    half = 0.5 * np.asarray(grid.size) + 0.5 * grid.border
+    places = np.random.default_rng(1).uniform(-half, half, (4000, 2))
+    places = places[_smooth(grid, places, grid.resolution)]
+    origins = torch.tensor(np.column_stack((places, np.full(len(places), _ABOVE))), dtype=torch.float32)
+    origins = origins.to(world.device).expand(2, -1, 3).contiguous()
+    down = torch.tensor([0.0, 0.0, -1.0], device=world.device).expand_as(origins).contiguous()
+    heights = _ABOVE - world.engine.cast_rays(origins, down, 10.0).distances.double().cpu().numpy()
+    exact = grid.height(*origins[0, :, :2].double().cpu().numpy().T)
+    return {"height": float(np.abs(heights - exact).max())}
+
+
+def _stand(grid: TerrainGrid) -> Array:
+    """(n, 2) two places on each cell of the last level where a foot stands on one surface."""
+    random, chosen = np.random.default_rng(2), []
+    for center in grid.centers[-1]:
+        tries = center + random.uniform(-0.45, 0.45, (200, 2)) * grid.cell_size
+        chosen.append(tries[_smooth(grid, tries, _RADIUS + grid.resolution)][:2])
+    return np.concatenate(chosen)
+
+
+def _rest_height(grid: TerrainGrid, place: Array) -> float:
+    """Height of a ball's middle when it touches the surface from above: the surface, grown by the ball's radius."""
+    grown = np.linspace(-_RADIUS, _RADIUS, 121)
+    x, y = np.meshgrid(grown, grown)
+    cap = np.sqrt(np.maximum(_RADIUS**2 - x**2 - y**2, 0.0))
+    height = grid.height(place[0] + x, place[1] + y)
+    return float(np.where(x**2 + y**2 <= _RADIUS**2, height + cap, -np.inf).max())
+
+
+def _feet(places: Array, heights: Array) -> RobotSpec:
+    """Balls of 1 kg, each on an upright rail of its own, a millimetre above where it comes to rest."""
+    links = [Link("rails", 1.0, (0.0, 0.0, 0.0), np.eye(3))]
+    ball = np.eye(3) * 0.4 * _RADIUS**2
+    links += [
+        Link(f"foot{n}", 1.0, (0.0, 0.0, 0.0), ball, collisions=(Shape(Sphere(_RADIUS)),)) for n in range(len(places))
+    ]
+    joints = tuple(
+        Joint(
+            f"rail{n}", JointType.PRISMATIC, "rails", f"foot{n}", parent_pose=Pose((float(x), float(y), float(z))),
+            axis=(0.0, 0.0, 1.0), lower_limit=-1.0, upper_limit=1.0, damping=20.0,
+        )
+        for n, ((x, y), z) in enumerate(zip(places, heights, strict=True))
+    )  # fmt: skip
+    feet = Articulation("feet", tuple(links), joints)
+    return RobotSpec(name="feet", articulation=feet, fixed_base=True, home={".*": 1e-3})
+
+
+def _standing(trial: Trial, grid: TerrainGrid) -> Mapping[str, float]:
+    places = _stand(grid)
+    heights = np.array([_rest_height(grid, place) for place in places])
+    world = trial.world(scene(_feet(places, heights), terrain=grid.shapes()))
+    trial.step(world, trial.steps(1.0))
+    return {"height": float(world.robots["feet"].joint_positions.abs().max())}
+
+
+def _scenario(
+    name: str,
+    question: str,
+    truth: str,
+    run: Callable[[Trial], Mapping[str, float]],
+    needs: tuple[Capability, ...],
+    metric: Metric,
+) -> Scenario:
+    return Scenario(
+        name=name,
+        group="Terrain",
+        question=question,
+        truth=truth,
+        source="the functions that make the terrain (orbit_assets.terrain.kinds)",
+        run=run,
+        needs=needs,
+        judges=needs,
+        time_steps=(),
+        metrics=(metric,),
+    )
+
+
+_SURFACE = "the height that each cell's own function gives, where it does not bend within a resolution"
+_HEIGHT = Metric(
+    name="height",
+    unit="m",
+    tolerance=1.5e-4,
+    meaning="largest error of the height where a ray meets the ground",
+)
+_FOOT = "the surface grown by the foot's radius, for a ball of 1 kg on an upright rail"
+_FOOT_HEIGHT = replace(
+    _HEIGHT,
+    tolerance=1e-3,
+    meaning="largest error of a foot's height after a second",
+    looser_because="engines without compliance of their own sink by micrometres, others by tenths of a millimetre",
+)
+SCENARIOS = (
+    _scenario(
+        "rays_on_terrain", "Do rays measure slopes, stairs, stones, gaps and waves right?", _SURFACE,
+        lambda trial: _rays(trial, GRID), (Capability.RAY_CASTS, Capability.HEIGHT_FIELDS), _HEIGHT,
+    ),
+    _scenario(
+        "rays_on_terrain_mesh", "Do rays measure terrain right that is a mesh?", _SURFACE,
+        lambda trial: _rays(trial, COARSE), (Capability.RAY_CASTS, Capability.TRIANGLE_MESHES),
+        replace(_HEIGHT, tolerance=1e-5, looser_because="single precision rounds the squares of metres"),
+    ),
+    _scenario(
+        "feet_on_terrain", "Does a foot stand on terrain where its surface is?", _FOOT,
+        lambda trial: _standing(trial, GRID), (Capability.HEIGHT_FIELDS,), _FOOT_HEIGHT,
+    ),
+    _scenario(
+        "feet_on_terrain_mesh", "Does a foot stand where the surface is of terrain that is a mesh?", _FOOT,
+        lambda trial: _standing(trial, FACETS), (Capability.TRIANGLE_MESHES,), _FOOT_HEIGHT,
+    ),
+)  # fmt: skip

@@ -1,0 +1,253 @@
+"""What a run of the suite covers, with every name checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import Any
+
+from orbit_assets.sources import installed_version
+from orbit_conformance.declarations import check_declarations
+from orbit_conformance.scenario import Scenario
+from orbit_conformance.scenarios import SCENARIOS
+from orbit_conformance.transfer import learned
+from orbit_core.backends import backend as find_backend
+from orbit_core.backends import backend_config, backend_names, matter_names, matter_solver, renderer, renderer_names
+from orbit_core.envs.registry import task_entries, task_entry
+from orbit_core.interfaces import EXACT, Capability, ConfigurationError, UnknownNameError
+from orbit_core.interfaces.matter import NATIVE
+from orbit_core.robots import robot_info, robot_names
+from orbit_learn.pretrained import pretrained_policies
+
+
+class Part(Enum):
+    """A part of the suite."""
+
+    SCENARIOS = "scenarios"
+    """Scenarios of physics with known answers."""
+    ROBOTS = "robots"
+    """Every robot of the catalogue, put to the checks that apply to it."""
+    TASKS = "tasks"
+    """Every task with its scripted expert: success rate, divergence, replays, videos."""
+    TRANSFERS = "transfers"
+    """Every kept policy on every backend, whichever it was learned on."""
+    THROUGHPUT = "throughput"
+    """Speed of every task over numbers of environments."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extent:
+    """How much is spent on each task."""
+
+    episodes: int
+    """Number of episodes, one in each environment."""
+    slow_episodes: int
+    """The same of slow tasks, :meth:`Settings.is_slow`; where there is but one, and it misses, two."""
+    slow_replays: bool
+    """Whether the actions of slow tasks are taken again on other backends too."""
+    pixel_episodes: int
+    """The same of policies that see pictures, which most engines here draw on the CPU, a few a second; 0 leaves these
+    policies out."""
+    throughput_envs: tuple[int, ...]
+    blocks: int
+    """Number of blocks of the environment's steps and of the raw engine's, which alternate."""
+    block_steps: int
+    video_seconds: float
+    """Longest duration of a video; an episode may last longer."""
+
+
+QUICK = Extent(
+    episodes=4,
+    slow_episodes=1,
+    slow_replays=False,
+    pixel_episodes=0,
+    throughput_envs=(8,),
+    blocks=3,
+    block_steps=10,
+    video_seconds=0.5,
+)
+FULL = Extent(
+    episodes=50,
+    slow_episodes=50,
+    slow_replays=True,
+    pixel_episodes=4,
+    throughput_envs=(1, 16, 64),
+    blocks=5,
+    block_steps=20,
+    video_seconds=5.0,
+)
+
+
+LONG = 10.0
+"""Seconds from which on an episode is long."""
+
+QUICK_ROBOTS = ("cartpole", "franka_panda", "robotiq_2f85", "unitree_go1")
+"""One without a hand, an arm, a hand of many followers, and one that stands."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What a run covers; two runs of equal settings and versions are the same run."""
+
+    backends: tuple[str, ...]
+    scenarios: tuple[str, ...]
+    """Names in the order of ``SCENARIOS``; empty if that part is left out."""
+    tasks: tuple[str, ...]
+    """Tasks of all parts but ``SCENARIOS`` and ``ROBOTS``."""
+    parts: tuple[Part, ...]
+    robots: tuple[str, ...] = ()
+    """Robots of the part ``ROBOTS``; empty if that is left out."""
+    policies: tuple[str, ...] = ()
+    """Of the part ``TRANSFERS``: those that are kept for the tasks."""
+    renderers: tuple[str, ...] = ()
+    """Of the part ``TRANSFERS``: those that draw for policies that see pictures, beside the backends' own."""
+    matters: tuple[str, ...] = (NATIVE,)
+    """Who simulates what bends or flows in scenarios that have some: matter solvers, and the engines themselves."""
+    quick: bool = False
+    """The nominal time steps of the quick scenarios and of those that are named; few episodes, few environments, and of
+    the first task alone a video."""
+    episodes: int | None = None
+    """The most episodes of a task or a policy, if these are to be fewer than ``quick`` or the full run has."""
+    device: str = "cpu"
+    """Torch device of the backends that simulate on a GPU; the others take the CPU."""
+    seed: int = 0
+    backend_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Settings of backends that differ from their defaults, by backend and field name."""
+
+    @property
+    def scripted_tasks(self) -> tuple[str, ...]:
+        """Those that have an expert; the others are learned, and tried by the policies that are kept for them."""
+        return tuple(name for name in self.tasks if task_entry(name).task_type().has_expert())
+
+    @property
+    def extent(self) -> Extent:
+        """How much is spent on each task. Where episodes are few, slow tasks are not replayed either."""
+        whole = QUICK if self.quick else FULL
+        if self.episodes is None:
+            return whole
+        names = ("episodes", "slow_episodes", "pixel_episodes")
+        fewer = {name: min(self.episodes, getattr(whole, name)) for name in names}
+        return replace(whole, slow_replays=whole.slow_replays and fewer["episodes"] == whole.episodes, **fewer)
+
+    def is_slow(self, task: str) -> bool:
+        """Whether the task has cloth or rope, of which a CPU makes a few hundred steps a second, or long episodes."""
+        defaults: dict[str, Any] = {}
+        own = task_entry(task).task_type()(**defaults)
+        return own.episode_length >= LONG or bool(own.scene().deformables)
+
+    def settings_of(self, backend: str) -> Mapping[str, Any]:
+        """Settings of the backend in the place of its defaults, by field name."""
+        return self.backend_settings.get(backend, {})
+
+    def device_of(self, backend: str) -> str:
+        """The device on which the backend simulates."""
+        return self.device if find_backend(backend).capabilities().has(Capability.GPU) else "cpu"
+
+
+def choose(
+    *,
+    backends: Sequence[str] = (),
+    scenarios: Sequence[str] = (),
+    tasks: Sequence[str] = (),
+    robots: Sequence[str] = (),
+    parts: Sequence[str] = (),
+    matters: Sequence[str] = (),
+    quick: bool = False,
+    episodes: int | None = None,
+    device: str = "cpu",
+    seed: int = 0,
+    backend_settings: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Settings:
+    """Settings from names; none given means all of that kind.
+
+    Without ``parts``, naming scenarios, robots or tasks leaves the parts of the others out. A robot may be named by its
+    parts, as ``"ur10+robotiq_2f85"``. Of ``matters``, ``"native"`` stands for the engines' own.
+
+    Raises:
+        UnknownNameError: nothing bears a name, or what a declared gap names; tells the nearest.
+        ConfigurationError: no backend is installed; a declared gap, or a backend's setting, can not be.
+    """
+    installed = backend_names()
+    if not installed:
+        raise ConfigurationError(
+            "no backend is installed: pip install \"orbit-core[BACKEND]\", see 'orbit list backends'"
+        )
+    known = [s.name for s in SCENARIOS]
+    tried = [s.name for s in SCENARIOS if not (quick and s.slow)]
+    of_tasks = (Part.TASKS, Part.TRANSFERS, Part.THROUGHPUT)
+    named = {Part.SCENARIOS: scenarios, Part.ROBOTS: robots} | dict.fromkeys(of_tasks, tasks)
+    implied = tuple(part for part in Part if named[part] or not (scenarios or robots or tasks))
+    chosen = tuple(Part(name) for name in _known("part", parts, [part.value for part in Part])) if parts else implied
+    backends = _known("backend", backends, installed)
+    for name in backends:
+        check_declarations(find_backend(name))
+    matters = _known("matter solver", matters, (*matter_names(), NATIVE))
+    for name in matters:
+        if name != NATIVE:
+            check_declarations(matter_solver(name))
+    for name, values in (backend_settings or {}).items():
+        backend_config(find_backend(*_known("backend", (name,), backends)), values)
+    policies = _policies(tasks, QUICK if quick else FULL) if Part.TRANSFERS in chosen else ()
+    return Settings(
+        backends=backends,
+        scenarios=_known("scenario", scenarios or tried, known) if Part.SCENARIOS in chosen else (),
+        tasks=_known("task", tasks, task_entries()) if {*of_tasks} & {*chosen} else (),
+        parts=chosen,
+        robots=_robots(robots, quick) if Part.ROBOTS in chosen else (),
+        policies=policies,
+        matters=matters,
+        renderers=_renderers() if any(learned(name).sees_pictures for name in policies) else (),
+        quick=quick,
+        episodes=episodes,
+        device=device,
+        seed=seed,
+        backend_settings=backend_settings or {},
+    )
+
+
+def _robots(named: Sequence[str], quick: bool) -> tuple[str, ...]:
+    """Those that are named, or else all of the catalogue whose models are installed."""
+    for name in named:
+        robot_info(name)
+    known = QUICK_ROBOTS if quick else robot_names()
+    return tuple(dict.fromkeys(named)) or tuple(name for name in known if _is_installed(name))
+
+
+def _is_installed(name: str) -> bool:
+    source = robot_info(name).source
+    return all(installed_version(package) is not None for package in source.split(", ") if package)
+
+
+def _policies(tasks: Sequence[str], extent: Extent) -> tuple[str, ...]:
+    """The policies learned for the tasks, all if none is named; those that see pictures need pixel episodes."""
+    named = (name for name in pretrained_policies() if not tasks or learned(name).task in tasks)
+    return tuple(name for name in named if extent.pixel_episodes or not learned(name).sees_pictures)
+
+
+def _renderers() -> tuple[str, ...]:
+    """The installed backends that draw, and the renderers that simulate nothing, but for those that trace paths: these
+    take longer for an episode's pictures than a job may.
+    """
+    drawing = [name for name in backend_names() if find_backend(name).capabilities().has(Capability.RGB)]
+    alone = [name for name in renderer_names() if renderer(name).capabilities()[Capability.RAY_TRACED_RGB] != EXACT]
+    return (*drawing, *alone)
+
+
+def scenario(name: str) -> Scenario:
+    """The scenario of that name.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    _known("scenario", (name,), [s.name for s in SCENARIOS])
+    return next(s for s in SCENARIOS if s.name == name)
+
+
+def _known(kind: str, names: Sequence[str], known: Iterable[str]) -> tuple[str, ...]:
+    """Those of the known that are named, in their own order; all if none is."""
+    known = tuple(known)
+    for name in names:
+        if name not in known:
+            raise UnknownNameError(kind, name, known)
+    return tuple(name for name in known if name in names or not names)

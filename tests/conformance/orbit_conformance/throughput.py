@@ -1,0 +1,231 @@
+"""How fast an environment steps, against its own engine stepped raw; what it takes to start and to hold in memory.
+
+The environment takes random actions and does all that it does in learning: actions to joint targets, physics,
+observations, rewards, terminations, resets (episodes are staggered, so that some end in most blocks). After each block
+of its steps, the raw stepper starts from the state that the block began in and takes the very commands that the
+environment gave, so that both simulate the same motions and contacts; every way of stepping that the backend's package
+offers in its module ``native_baseline`` is tried, and the fastest is the yardstick. Blocks alternate, and the median of
+their ratios counts. A package without that module is measured alone.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import statistics
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from orbit_conformance.stopwatch import timed_parts
+from orbit_core.backends import backend as find_backend
+from orbit_core.envs import Environment, make
+from orbit_core.envs.actors import RandomActor
+from orbit_core.interfaces import Capability
+from orbit_core.rollout.pictures import OverviewCamera
+
+PICTURE = 84
+"""Width and height in pixels of the picture whose cost is measured."""
+_ENGINE = ("engine step", "state reads")
+"""The stopwatch's parts that are the engine's own work."""
+_ENVIRONMENT = "environment"
+_DRAWN = 4
+"""Number of environments that are drawn, and how often each is drawn."""
+
+
+@dataclass(frozen=True)
+class RawRate:
+    """The rate of the engine without ORBIT around it, measured in the same run."""
+
+    way: str
+    """The fastest of all ways of stepping."""
+    env_steps_per_second: float
+    milliseconds_per_step: float
+    ratio: float
+    """The environment's rate over the raw engine's: median over the blocks."""
+    ratio_quartiles: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Throughput:
+    """The speed of a task for one number of environments."""
+
+    num_envs: int
+    env_steps_per_second: float
+    """Steps of single environments per second: median over the blocks."""
+    milliseconds_per_step: float
+    """Wall time of one step of all environments together."""
+    raw: RawRate | None
+    """Rate of the raw engine; None where the backend's package has no module ``native_baseline``."""
+    parts_milliseconds: dict[str, float]
+    """Own time of each part in one step, by a stopwatch that itself costs some microseconds."""
+    picture_milliseconds: float | None
+    """Time to draw one colour picture of 84 x 84 pixels of one environment; None where the backend draws none."""
+    start_seconds: float
+    """Time from the call to the end of the first step, with the engine's import where it was not imported."""
+    memory_mib: float
+    """Growth of the resident memory of the process and its children; meaningful in a fresh process alone."""
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """What part of a step that also draws that picture of every environment passes in "engine", "layer" and
+        "rendering"."""
+        engine = sum(self.parts_milliseconds.get(part, 0.0) for part in _ENGINE)
+        layer = sum(self.parts_milliseconds.values()) - engine
+        times = {"engine": engine, "layer": layer, "rendering": self.num_envs * (self.picture_milliseconds or 0.0)}
+        return {name: milliseconds / sum(times.values()) for name, milliseconds in times.items()}
+
+
+def measure_once(
+    task: str,
+    backend: str,
+    num_envs: int,
+    blocks: int = 8,
+    block_steps: int = 50,
+    seed: int = 0,
+    fields: Mapping[str, Any] | None = None,
+    device: str = "cpu",
+    settings: Mapping[str, Any] | None = None,
+    compile: bool = False,
+) -> Throughput:
+    """Measure one number of environments in this process. Run nothing beside it.
+
+    Args:
+        task: name of a registered task.
+        backend: name of an installed backend.
+        num_envs: number of environments.
+        blocks: number of blocks of the environment's steps; as many steps of the raw engine follow each.
+        block_steps: environment steps in a block.
+        seed: of the environments and of the actions.
+        fields: of the task, by name.
+        device: where tensors live.
+        settings: of the backend, by field name.
+        compile: whether to compile the environment's step, as one would for learning.
+
+    Raises:
+        UnsupportedCapabilityError: the backend lacks what the task needs.
+    """
+    torch.set_num_threads(1)  # as the command line does: small tensors gain nothing, and the engine needs the cores
+    memory, begin = _resident_mib(), time.perf_counter()
+    environment = make(task, num_envs, backend, device, seed, settings=settings, compile=compile, **(fields or {}))
+    try:
+        agent = RandomActor(environment, seed)
+        _stagger(environment, seed)
+        environment.step(agent.act())
+        _wait(environment)
+        start = time.perf_counter() - begin
+        grown = _resident_mib() - memory
+        raw = _raw_steppers(environment)
+        _block(environment, agent, raw, block_steps)  # warm up
+        measured = [_block(environment, agent, raw, block_steps) for _ in range(blocks)]
+        parts = _parts(environment, agent, block_steps * max(1, blocks // 4))
+        picture = _picture_milliseconds(environment)
+    finally:
+        environment.close()
+    own = statistics.median(block[_ENVIRONMENT] for block in measured)
+    return Throughput(
+        num_envs=num_envs,
+        env_steps_per_second=num_envs / own,
+        milliseconds_per_step=1e3 * own,
+        raw=_raw_rate(num_envs, measured) if raw else None,
+        parts_milliseconds=parts,
+        picture_milliseconds=picture,
+        start_seconds=start,
+        memory_mib=grown,
+    )
+
+
+def _raw_rate(num_envs: int, blocks: list[dict[str, float]]) -> RawRate:
+    medians = {name: statistics.median(block[name] for block in blocks) for name in blocks[0] if name != _ENVIRONMENT}
+    best = min(medians, key=lambda name: medians[name])
+    ratios = sorted(block[best] / block[_ENVIRONMENT] for block in blocks)
+    return RawRate(
+        way=best,
+        env_steps_per_second=num_envs / medians[best],
+        milliseconds_per_step=1e3 * medians[best],
+        ratio=statistics.median(ratios),
+        ratio_quartiles=(ratios[len(ratios) // 4], ratios[-1 - len(ratios) // 4]),
+    )
+
+
+def _raw_steppers(environment: Environment) -> dict[str, Any]:
+    """The ways of stepping in the module ``native_baseline`` of the backend's package, by name; empty without it."""
+    name = f"{type(find_backend(environment.world.backend)).__module__.partition('.')[0]}.native_baseline"
+    if importlib.util.find_spec(name) is None:
+        return {}
+    return importlib.import_module(name).raw_steppers(environment.world.engine)
+
+
+def _stagger(environment: Environment, seed: int) -> None:
+    """Set random ages of the first episodes, so that resets spread over all steps."""
+    generator = torch.Generator().manual_seed(seed)
+    steps = torch.randint(environment.max_episode_steps, (environment.num_envs,), generator=generator)
+    environment.reset()
+    environment.task.episode_step[:] = steps.to(environment.device)
+
+
+def _block(environment: Environment, agent: RandomActor, raw: dict[str, Any], steps: int) -> dict[str, float]:
+    """Seconds per step of the environment and of each raw stepper, over the same stretch of motion."""
+    actions = [agent.act() for _ in range(steps)]
+    for stepper in raw.values():
+        stepper.synchronize()
+    recorder = next(iter(raw.values()), None)
+    commands: list[Any] = []
+
+    def step_environment(action: torch.Tensor) -> None:
+        environment.step(action)
+        if recorder is not None:
+            commands.append(recorder.command())
+
+    seconds = {_ENVIRONMENT: _seconds(environment, step_environment, actions)}
+    decimation = environment.task.decimation
+    for name, stepper in raw.items():
+        step = lambda command, stepper=stepper: stepper.step(command, decimation)  # noqa: E731
+        seconds[name] = _seconds(environment, step, commands)
+    return {name: total / steps for name, total in seconds.items()}
+
+
+def _seconds(environment: Environment, function: Callable[[Any], object], arguments: list[Any]) -> float:
+    _wait(environment)
+    start = time.perf_counter()
+    for argument in arguments:
+        function(argument)
+    _wait(environment)
+    return time.perf_counter() - start
+
+
+def _wait(environment: Environment) -> None:
+    """Wait until the device has finished its work."""
+    if environment.device.type != "cpu":
+        torch.accelerator.synchronize(environment.device)
+
+
+def _parts(environment: Environment, agent: RandomActor, steps: int) -> dict[str, float]:
+    """Wall time in milliseconds of each part of one step."""
+    with timed_parts(environment) as watch:
+        for _ in range(steps):
+            environment.step(agent.act())
+    return {part: 1e3 * seconds / steps for part, seconds in sorted(watch.seconds.items(), key=lambda item: -item[1])}
+
+
+def _picture_milliseconds(environment: Environment) -> float | None:
+    """Median time to draw an environment once."""
+    if not find_backend(environment.world.backend).capabilities().has(Capability.RGB):
+        return None
+    camera = OverviewCamera(environment.world, PICTURE, PICTURE, environment.task.view)
+    rows = torch.arange(min(_DRAWN, environment.num_envs), device=environment.device)
+    try:
+        times = [_seconds(environment, camera.pictures, [rows]) for _ in range(1 + _DRAWN)]
+    finally:
+        camera.close()
+    return 1e3 * statistics.median(times[1:]) / len(rows)  # the first makes what the others use again
+
+
+def _resident_mib() -> float:
+    """Resident memory in MiB of this process and its children."""
+    import psutil
+
+    own = psutil.Process()
+    return sum(process.memory_info().rss for process in (own, *own.children(recursive=True))) / 2**20
