@@ -18,8 +18,10 @@ EXAMPLE_SCENARIOS := free_fall projectile sliding_to_rolling ball_on_slope landi
 	drive_tracking implicit_drive explicit_drive stiff_drive reflected_inertia gains_per_environment mass_per_environment \
 	friction_per_environment gravity_per_environment frame_and_joint_sensors imu_in_a_circle magnetic_seal beside_a_reset \
 	snapshot resting_weight rays_on_primitives
-SOURCES := pyproject.toml constraints.txt $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
-CODE := orbit_core orbit_tasks plugins tests benchmarks assets tools examples
+# ORBIT's own distributions lie in this checkout; `orbit-core[EXTRAS]` finds them among what is named with it.
+OWN := . $(wildcard packages/orbit-*) ./orbit_tasks tests/conformance
+SOURCES := checkout.txt constraints.txt $(OWN:%=%/pyproject.toml) $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
+CODE := orbit_core orbit_tasks packages plugins tests benchmarks assets tools examples
 
 # Kernels, compiled steps, parsed robots and wheels may be kept between runs, and runs may share them.
 export ORBIT_TEST_CACHE ?= $(HOME)/.cache/orbit-tests
@@ -29,7 +31,7 @@ PYTEST := $(CACHED) $(BIN)/pytest -n auto --dist worksteal
 UNITS := --ignore tests/conformance/test_scenarios.py
 
 .PHONY: demo view test test-all lint types unit unit-all coverage conformance conformance-all example example-all mutants \
-	slow-list clean
+	slow-list wheels check-wheels clean
 
 demo: $(VENV)/.ready
 	@mkdir -p out
@@ -81,7 +83,7 @@ conformance-all: $(VENV)/.ready-dev
 # The backend that docs/write-a-backend.md builds, installed next to the environment so that nothing else sees it, and a
 # tenth of its scenarios and mutants.
 EXAMPLE := PYTHONPATH=out/orbit-torch:. $(CACHED)
-EXAMPLE_TESTS := -k torch tests/conformance/test_conformance_*.py
+EXAMPLE_TESTS := -k torch tests/conformance/orbit_conformance/contract/test_conformance_*.py
 EXAMPLE_RUN := conformance --quick --backend torch --matter native --output out/conformance-torch --scenario
 
 out/orbit-torch: $(VENV)/.ready-dev $(shell find examples/orbit-torch -name '*.py')
@@ -119,16 +121,26 @@ $(VENV)/.builders: $(VENV)/bin/python
 	touch $@
 
 $(VENV)/.ready: $(VENV)/.builders $(SOURCES)
-	sh tools/system_packages.sh graphics & $(PIP) --editable ".[mujoco,robots,usd,mjcf,viewer,video]" && wait $$!
+	sh tools/system_packages.sh graphics & $(PIP) -r checkout.txt --editable plugins/orbit-mjmodel \
+		--editable plugins/orbit-mujoco "orbit-core[robots,usd,mjcf,viewer,video]" && wait $$!
 	touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.builders $(SOURCES)
-	sh tools/system_packages.sh graphics vulkan browser & $(PIP) --editable \
-		".[mujoco,bullet,sapien,warp,robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,$(LEARNING),dev]" \
+	sh tools/system_packages.sh graphics vulkan browser & $(PIP) -r checkout.txt \
+		$(PLUGINS:%=--editable plugins/orbit-%) \
+		"orbit-core[robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,$(LEARNING),dev]" \
 		&& wait $$!
 	$(PIP) --no-deps crocoddyl libcrocoddyl
-	$(PIP) --no-deps $(PLUGINS:%=--editable plugins/orbit-%)
 	touch $(VENV)/.ready $@
+
+# Wheels and source archives of every distribution, and a check that they install and run without this checkout.
+wheels: $(VENV)/.ready-dev
+	rm -rf dist && mkdir -p dist
+	for folder in $(OWN) $(PLUGINS:%=plugins/orbit-%); do \
+		(cd $$folder && $(abspath $(BIN))/hatchling build -d $(CURDIR)/dist >/dev/null) || exit 1; done
+
+check-wheels: wheels
+	PYTHON=$(PYTHON) sh tools/check_wheels.sh dist out/wheels
 
 clean:
 	rm -rf $(VENV) out

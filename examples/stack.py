@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from orbit_assets.objects import box
+from orbit_assets.objects import BENCH_HEIGHT, box, work_bench
 from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task, make
 from orbit_core.interfaces import World
 from orbit_core.mdp import common
@@ -118,8 +118,8 @@ class Stack(Task):
         blue_cube = box("blue", size=size, mass=0.1, color=(0.1, 0.25, 0.8, 1.0))
         return Scene(
             robots=(robot(self.robot, name=common.ROBOT),),
-            objects=(red_cube, blue_cube, common.work_bench()),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            objects=(red_cube, blue_cube, work_bench()),
+            terrain=(common.floor(-BENCH_HEIGHT),),
             physics_dt=self.physics_dt,
         )
 

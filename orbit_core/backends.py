@@ -19,6 +19,7 @@ import importlib_metadata
 
 from orbit_core import __version__
 from orbit_core.configuration import configured
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.backend import Backend
 from orbit_core.interfaces.capabilities import Capability
 from orbit_core.interfaces.errors import (
@@ -38,6 +39,8 @@ GROUP = "orbit.backends"
 RENDERERS = "orbit.renderers"
 MATTER_SOLVERS = "orbit.matter"
 _MATTER_EXTRA = "matter"
+_NO_PLUGINS = frozenset({"conformance", "data", "tasks", "viewer"})
+"""Extras that bring a distribution of the same name which simulates nothing."""
 
 
 def backend_names() -> list[str]:
@@ -67,8 +70,8 @@ def installable_backends() -> dict[str, str]:
     """Each backend that is known but not installed, with the command that installs it."""
     points = importlib_metadata.entry_points(group=GROUP)
     here = {point.dist.name for point in points if point.dist} | {f"orbit-{_MATTER_EXTRA}"}
-    commands = {name: f'pip install "orbit-core[{name}]"' for name in _extras() if f"orbit-{name}" not in here}
-    commands |= {point.name: f'pip install "{_with_extra(point)}"' for point in points if not _is_complete(point)}
+    commands = {name: install_extra(name) for name in _extras() if f"orbit-{name}" not in here}
+    commands |= {point.name: _command_with_extra(point) for point in points if not _is_complete(point)}
     installed = {*_backends().names}
     return {name: command for name, command in commands.items() if name not in installed}
 
@@ -77,7 +80,7 @@ def installable_matter() -> dict[str, str]:
     """The matter solver of ``orbit-core``'s own extra with the command that installs it, unless it is installed."""
     name = f"orbit-{_MATTER_EXTRA}"
     known = _MATTER_EXTRA in _extras() and name not in matter_names()
-    return {name: f'pip install "orbit-core[{_MATTER_EXTRA}]"'} if known else {}
+    return {name: install_extra(_MATTER_EXTRA)} if known else {}
 
 
 def renderer_names() -> list[str]:
@@ -232,7 +235,7 @@ def _check(kind: str, plugin: Backend, needs: Mapping[Capability, str], others: 
     if solvers := [name for name in matter_names() if _simulates(matter_solver(name), missing)]:
         remedy += f", and with matter={' or '.join(map(repr, solvers))} any backend does"
     elif not matter_names() and set(missing) <= {*MATTER}:
-        remedy += f', and with a matter solver any may: pip install "orbit-core[{_MATTER_EXTRA}]"'
+        remedy += f", and with a matter solver any may: {install_extra(_MATTER_EXTRA)}"
     raise UnsupportedCapabilityError(f"{kind} '{plugin.name}' does not do {', nor '.join(complaints)}: {remedy}")
 
 
@@ -329,16 +332,18 @@ def _is_installed(distribution: str) -> bool:
 
 @functools.cache
 def _extras() -> tuple[str, ...]:
-    """The extras of this distribution that bring a plugin of the same name."""
+    """Return the extras of this distribution that bring a plugin of the same name."""
     pattern = re.compile(r"orbit-([\w-]+)\b.*extra\s*==\s*['\"]\1['\"]")
-    return tuple(match[1] for match in map(pattern.match, _requirements()) if match)
+    found = (match[1] for match in map(pattern.match, _requirements()) if match)
+    return tuple(extra for extra in found if extra not in _NO_PLUGINS)
 
 
-def _with_extra(entry_point: importlib_metadata.EntryPoint) -> str:
-    """What to install for an entry point's extra: the extra of this distribution that brings it, or else its own."""
+def _command_with_extra(entry_point: importlib_metadata.EntryPoint) -> str:
+    """Return what installs an entry point's extra: this distribution's extra that brings it, or else its own."""
     own = f"{entry_point.dist.name if entry_point.dist else entry_point.name}[{entry_point.extras[0]}]"
     pattern = re.compile(rf"{re.escape(own)}.*extra\s*==\s*['\"]([\w-]+)['\"]")
-    return next((f"orbit-core[{match[1]}]" for match in map(pattern.match, _requirements()) if match), own)
+    extra = next((match[1] for match in map(pattern.match, _requirements()) if match), None)
+    return f'pip install "{own}"' if extra is None else install_extra(extra)
 
 
 def _requirements() -> list[str]:

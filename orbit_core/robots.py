@@ -8,19 +8,31 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 from orbit_core.registry import Registry, faults_named
 
 if TYPE_CHECKING:
-    from orbit_assets.parts import RobotPart
     from orbit_core.scene import RobotSpec
 
 ENTRY_POINT_GROUP = "orbit.robots"
+
+
+class Part(Protocol):
+    """A base, an arm or an end effector that robots may be composed of."""
+
+    @property
+    def end_effector(self) -> str:
+        """An arm's own end effector, by name; empty where it has none."""
+        ...
+
+    def composed(self, name: str, others: Sequence[Any]) -> RobotSpec:
+        """Return the robot of this part, the first, and of others mounted on it in order."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -38,7 +50,7 @@ class RobotEntry:
     """The package that the model comes from."""
     licence: str = ""
     part: str = ""
-    """``"module:NAME"`` of a :class:`~orbit_assets.parts.RobotPart`; empty where this is no part."""
+    """``"module:NAME"`` of a :class:`Part`; empty where this is no part."""
 
     def load(self) -> RobotSpec:
         """Build the robot.
@@ -53,7 +65,7 @@ class RobotEntry:
             return composed(self.name)
         return self._imported(self.build)()
 
-    def load_part(self) -> RobotPart:
+    def load_part(self) -> Part:
         """The part that a robot may be composed of.
 
         Raises:
@@ -138,7 +150,7 @@ class RobotCatalogue:
 
 
 def composed(names: str) -> RobotSpec:
-    """The robot of the parts whose names stand between plus signs, the base first; see :mod:`orbit_assets.parts`.
+    """The robot of the parts whose names stand between plus signs, the base first.
 
     An arm named last mounts its own end effector, if it has one.
 
@@ -147,12 +159,10 @@ def composed(names: str) -> RobotSpec:
         ConfigurationError: a robot is no part, or the parts cannot be mounted on each other.
         AssetError: a part's model cannot be had.
     """
-    from orbit_assets.parts import compose
-
     parts = [entry.load_part() for entry in robots().parts(names)]
     if parts[-1].end_effector:
         parts.append(robots().entry(parts[-1].end_effector).load_part())
-    return compose(names.replace(" ", ""), parts)
+    return parts[0].composed(names.replace(" ", ""), parts[1:])
 
 
 @cache

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vecdot, vector_norm
 
+from orbit_assets.objects import BENCH_HEIGHT, work_bench
 from orbit_assets.rods import Course, bent_rod, ring_on_handle, spline
 from orbit_core.dynamics.transforms import (
     pose_inverse,
@@ -243,9 +244,9 @@ class BeatTheBuzz(Task):
         start[:3] += torch.tensor(self.place)
         return Scene(
             robots=(held.starting_at(robot, start),),
-            objects=(bent_rod(ROD, course, THICKNESS, EVERY, Pose(self.place)), common.work_bench()),
+            objects=(bent_rod(ROD, course, THICKNESS, EVERY, Pose(self.place)), work_bench()),
             sensors=(ContactSensorSpec(name=TOUCH, entity=ROD, filters=(common.ROBOT,)),),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            terrain=(common.floor(-BENCH_HEIGHT),),
             physics_dt=self.physics_dt,
         )
 

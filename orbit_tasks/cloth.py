@@ -10,7 +10,7 @@ from torch.linalg import vector_norm
 
 from orbit_assets.audit.robots.postures import gripper_posture, gripping_links, shapes_in_frame
 from orbit_assets.deformables import corners, sheet
-from orbit_assets.objects import SolidOptions, box
+from orbit_assets.objects import BENCH_HEIGHT, SolidOptions, box, work_bench
 from orbit_core.envs import ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import ROBOT
@@ -67,9 +67,9 @@ class ClothTask(Task):
         """The robot at the work bench, with the cloth and those objects on it."""
         return Scene(
             robots=(matter.with_grip_force(common.arm(self.robot), self.grip_force),),
-            objects=(common.work_bench(), *objects),
+            objects=(work_bench(), *objects),
             deformables=(cloth,),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            terrain=(common.floor(-BENCH_HEIGHT),),
             markers=markers,
             physics_dt=self.physics_dt,
         )

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_assets.objects import dishwasher
+from orbit_assets.objects import BENCH_HEIGHT, dishwasher, work_bench
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, PremiseTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
@@ -256,8 +256,8 @@ class Dishwasher(Task):
         start = torch.tensor([[pose.position[0] + FRONT - 0.12, pose.position[1], HINGE + REACH + 0.08]])
         return Scene(
             robots=(held.starting_at(robot, common.pointing_down(start)[0]),),
-            objects=(dishwasher(THING, pose=pose), common.work_bench()),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            objects=(dishwasher(THING, pose=pose), work_bench()),
+            terrain=(common.floor(-BENCH_HEIGHT),),
             markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.1),),
             physics_dt=self.physics_dt,
         )

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
-from orbit_assets.objects import box, table
+from orbit_assets.objects import BENCH_HEIGHT, box, table
 from orbit_core.dynamics.transforms import quat_rotate
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
@@ -248,12 +248,12 @@ class Handover(tabletop.TabletopTask):
         start = Pose((0.42, 0.0, 0.5 * WIDTH))
         rod = box("rod", size=(LENGTH, WIDTH, WIDTH), mass=self.rod_mass, pose=start, color=(0.8, 0.2, 0.15, 1.0))
         middle = Pose((0.5 * self.spacing, 0.0, 0.0))
-        bench = table("table", size=(self.spacing + 0.6, 1.4, common.BENCH_HEIGHT), pose=middle)
+        bench = table("table", size=(self.spacing + 0.6, 1.4, BENCH_HEIGHT), pose=middle)
         facing_giver = Pose((self.spacing, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         return Scene(
             robots=(common.arm(self.robot, agent=GIVER), common.arm(self.robot, agent=RECEIVER, pose=facing_giver)),
             objects=(rod, bench),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            terrain=(common.floor(-BENCH_HEIGHT),),
             markers=(MarkerSpec("goal", MarkerShape.SPHERE, size=0.03),),
             physics_dt=self.physics_dt,
         )

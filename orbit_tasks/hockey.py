@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.linalg import vecdot, vector_norm
 
 from orbit_assets.hockey import BLADE_HALF, DEPTH, WHITE, WIDTH, net, stick
-from orbit_assets.objects import box, cylinder, table
+from orbit_assets.objects import BENCH_HEIGHT, box, cylinder, table
 from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, PremiseTerm, RewardTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task_checks import TaskCheck, TaskException
@@ -243,9 +243,9 @@ class Hockey(tabletop.TabletopTask):
             objects=(
                 cylinder("puck", RADIUS, HEIGHT, mass=0.1, color=(0.05, 0.05, 0.05, 1.0), material=ICE, pose=puck),
                 box("ice", ice, color=WHITE, material=ICE, fixed_base=True, pose=middle),
-                table("table", size=(end + 0.35, 1.4, common.BENCH_HEIGHT), pose=Pose((0.5 * (end - 0.25), 0.0, 0.0))),
+                table("table", size=(end + 0.35, 1.4, BENCH_HEIGHT), pose=Pose((0.5 * (end - 0.25), 0.0, 0.0))),
             ),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            terrain=(common.floor(-BENCH_HEIGHT),),
             physics_dt=self.physics_dt,
         )
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_assets.object_kinds import BoxConfig
+from orbit_assets.objects import BENCH_HEIGHT, work_bench
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task, TerminationTerm
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task import Subtask
@@ -219,8 +220,8 @@ class Lift(Task):
     def scene(self) -> Scene:
         return Scene(
             robots=(common.arm(self.robot),),
-            objects=(self.cube_at((0.5, 0.0, 0.0)), common.work_bench()),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            objects=(self.cube_at((0.5, 0.0, 0.0)), work_bench()),
+            terrain=(common.floor(-BENCH_HEIGHT),),
             markers=(GOAL,),
             physics_dt=self.physics_dt,
         )

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.linalg import vector_norm
 
+from orbit_assets.objects import BENCH_HEIGHT, work_bench
 from orbit_core.dynamics.transforms import pose_error, quat_from_euler, quat_multiply
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
@@ -139,8 +140,8 @@ class Reach(Task):
     def scene(self) -> Scene:
         return Scene(
             robots=(common.arm(self.robot, gripper=False, room=(0.0, 0.0, 0.0)),),
-            objects=(common.work_bench(),),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            objects=(work_bench(),),
+            terrain=(common.floor(-BENCH_HEIGHT),),
             markers=(MarkerSpec("goal", MarkerShape.FRAME, size=0.15),),
             physics_dt=self.physics_dt,
         )

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.linalg import vector_norm
 
 from orbit_assets.deformables import line
+from orbit_assets.objects import BENCH_HEIGHT, work_bench
 from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task
 from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.task_checks import TaskCheck, TaskException
@@ -208,9 +209,9 @@ class RopeReshaping(Task):
         markers = (MarkerSpec(f"goal{number}", MarkerShape.SPHERE, size=0.02) for number in range(KEY_POINTS))
         return Scene(
             robots=(matter.with_grip_force(common.arm(self.robot), self.grip_force),),
-            objects=(common.work_bench(),),
+            objects=(work_bench(),),
             deformables=(rope,),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            terrain=(common.floor(-BENCH_HEIGHT),),
             markers=tuple(markers),
             physics_dt=self.physics_dt,
         )

@@ -12,7 +12,7 @@ from typing import Any
 import importlib_metadata
 import pytest
 
-from orbit_core import backends
+from orbit_core import backends, installing
 from orbit_core.interfaces import (
     EXACT,
     Backend,
@@ -95,6 +95,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
         renderers: tuple[tuple[str, str, Any], ...] = (),
         matters: tuple[tuple[str, str, Any], ...] = (),
     ) -> None:
+        monkeypatch.setattr(installing, "checkout", lambda: None)
         members = {backends.GROUP: plugins, backends.RENDERERS: renderers, backends.MATTER_SOLVERS: matters}
         groups = {group: [_entry_point(*plugin) for plugin in each] for group, each in members.items()}
         pairs = ((extra, extra.partition("[")[0]) for extra in extras)

@@ -10,7 +10,10 @@ import sys
 from collections.abc import Collection
 from pathlib import Path
 
+import importlib_metadata
 import pytest
+
+from tests.distributions import DISTRIBUTIONS, Distribution
 
 ROOT = Path(__file__).parents[1]
 CORE = ROOT / "orbit_core"
@@ -25,27 +28,23 @@ RANKS = {
     "reading": 1.6,
     "plugin_kit": 1.5,
     "configuration": 1.5,
+    "installing": 1.5,
     "backends": 2,
-    "pretrained": 2,
+    "objects": 2,
+    "robots": 2,
     "dynamics": 2,
-    "assets": 2.5,
-    "audit": 3,
+    "preparation": 2.5,
     "active": 3,
     "actuators": 3,
     "sensors": 3,
     "agent": 3,
-    "motion": 3.2,
-    "perception": 3.5,
+    "actions": 3.2,
     "capture": 3,
     "world": 4,
     "envs": 5,
     "mdp": 5.5,
     "rollout": 5.5,
-    "data": 5.8,
-    "viewer": 6,
-    "teleoperation": 6.5,
-    "learning": 7,
-    "conformance": 8,
+    "manifest": 5.8,
     "cli": 9,
 }
 # Newton is also a person and a unit: only the module or the name in quotes is the engine.
@@ -70,6 +69,37 @@ def imported_packages(path: Path) -> set[str]:
 
 def core_files() -> list[Path]:
     return sorted(CORE.rglob("*.py"))
+
+
+def imported_tops(node: ast.AST) -> set[str]:
+    """The packages of ORBIT that the import statements below a node name."""
+    found: set[str] = set()
+    for each in ast.walk(node):
+        if isinstance(each, ast.ImportFrom) and each.module:
+            found.add(each.module.partition(".")[0])
+        elif isinstance(each, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in each.names}
+    return {name for name in found if name.startswith("orbit_")}
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS, ids=lambda each: each.package)
+def test_a_distribution_imports_what_it_says_that_it_needs(distribution: Distribution) -> None:
+    allowed = {distribution.package, *distribution.needs, *distribution.optional}
+    wrong = {
+        f"{path.relative_to(ROOT)} imports {name}"
+        for path in distribution.files
+        for name in imported_tops(ast.parse(path.read_text())) - allowed
+    }
+    assert not wrong
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS, ids=lambda each: each.package)
+def test_what_a_distribution_needs_is_in_its_metadata(distribution: Distribution) -> None:
+    asked = importlib_metadata.requires(distribution.package.replace("_", "-")) or []
+    named = {re.split(r"[^\w-]", line)[0].replace("-", "_") for line in asked if "extra ==" not in line}
+    assert {name for name in named if name.startswith("orbit_")} <= distribution.needs
+    imported = {name for path in distribution.files for name in imported_tops(ast.parse(path.read_text()))}
+    assert (imported & distribution.needs) - {distribution.package} <= named | distribution.optional
 
 
 def test_every_package_of_the_core_has_a_rank() -> None:
@@ -117,8 +147,9 @@ def test_neither_core_nor_tasks_name_an_engine() -> None:
     formats = {"mjcf", "usd", "urdf"}
     named = [
         f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
-        for folder in (CORE, ROOT / "orbit_tasks")
-        for path in sorted(folder.rglob("*.py"))
+        for distribution in DISTRIBUTIONS
+        if distribution.package != "orbit_conformance"  # which says of engines what holds of each
+        for path in distribution.files
         if not formats & {path.stem.partition("_")[0], path.parent.name}
         for number, line in enumerate(path.read_text().splitlines(), start=1)
         if ENGINES.search(models.sub("", line))
@@ -127,10 +158,9 @@ def test_neither_core_nor_tasks_name_an_engine() -> None:
 
 
 def modules() -> dict[str, Path]:
-    """Every module of the core, the tasks, the plugins and the examples' packages, by its full name."""
+    """Every module of ORBIT's distributions, the plugins and the examples' packages, by its full name."""
     packages = [
-        CORE,
-        ROOT / "orbit_tasks",
+        *(ROOT / distribution.folder for distribution in DISTRIBUTIONS),
         *ROOT.glob("plugins/orbit-*/orbit_*"),
         *ROOT.glob("examples/orbit-*/orbit_*"),
     ]

@@ -8,15 +8,17 @@ import inspect
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import ModuleType
 from typing import Any
 
 import pytest
 
+from tests.distributions import DISTRIBUTIONS, module_of
+
 ROOT = Path(__file__).parents[1]
 MOST_LINES = 1000
-DOCUMENTED = ("orbit_core", "orbit_tasks")
+DOCUMENTED = tuple(distribution.package for distribution in DISTRIBUTIONS)
 
 
 def tracked() -> list[Path]:
@@ -24,7 +26,11 @@ def tracked() -> list[Path]:
     done = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode == 0 and done.stdout:
         return [path for line in done.stdout.splitlines() if (path := ROOT / line).exists()]
-    return [path for folder in (*DOCUMENTED, "plugins", "tests") for path in (ROOT / folder).rglob("*.py")]
+    return [
+        path
+        for folder in ("orbit_core", "orbit_tasks", "packages", "plugins", "tests")
+        for path in (ROOT / folder).rglob("*.py")
+    ]
 
 
 def test_no_source_file_is_longer_than_1000_lines() -> None:
@@ -35,8 +41,8 @@ def test_no_source_file_is_longer_than_1000_lines() -> None:
 
 
 def module_names() -> list[str]:
-    paths = [path for package in DOCUMENTED for path in (ROOT / package).rglob("*.py")]
-    names = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in paths}
+    paths = [path.relative_to(ROOT) for distribution in DISTRIBUTIONS for path in distribution.files]
+    names = {module_of(PurePosixPath(path)) for path in paths}
     return sorted(name for name in names if not any(part.startswith("_") for part in name.split(".")))
 
 

@@ -44,7 +44,10 @@ def updated(text: str) -> str:
 def offered_backends() -> list[str]:
     """Names of the backends that an extra of their name brings."""
     extras = _project(ROOT)["optional-dependencies"].items()
-    brought = [name for name, needs in extras if any(need.startswith(f"orbit-{name} ") for need in needs)]
+    plugins = {path.name for path in (ROOT / "plugins").iterdir()}
+    brought = [
+        name for name, needs in extras if f"orbit-{name}" in plugins & {need.partition("~")[0] for need in needs}
+    ]
     registered = {name: _project(ROOT / f"plugins/orbit-{name}")["entry-points"] for name in brought}
     return [name for name in brought if name in registered[name].get("orbit.backends", {})]
 

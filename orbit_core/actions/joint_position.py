@@ -34,7 +34,7 @@ class JointPositionConfig(ActionTerm):
     joint without limits takes half a turn either way."""
     mode: CommandMode = CommandMode.ABSOLUTE
     limit_speed: bool = False
-    """Whether targets lead the measured positions by no more than :func:`orbit_core.actions.base.speed_limited_lead`."""
+    """Whether targets lead the measured positions by at most :func:`orbit_core.actions.base.speed_limited_lead`."""
 
     def build(self, name: str, robot: Robot) -> JointPosition:
         return JointPosition(name, robot, self)

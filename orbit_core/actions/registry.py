@@ -19,33 +19,14 @@ from orbit_core.actions.joint_position import JointPositionConfig
 from orbit_core.actions.joint_velocity import JointVelocityConfig
 from orbit_core.actions.term import ActionTerm
 from orbit_core.registry import ClassRegistry
-from orbit_motion.admittance import AdmittanceConfig
-from orbit_motion.cartesian_impedance import CartesianImpedanceConfig
-from orbit_motion.hybrid_force_motion import HybridForceMotionConfig
-from orbit_motion.joint_impedance import JointImpedanceConfig
-from orbit_motion.mpc import HandMpcConfig, TrunkMpcConfig
-from orbit_motion.operational_space import OperationalSpaceConfig
-from orbit_motion.prioritized_ik import PrioritizedIkConfig
-from orbit_motion.rmpflow import RmpFlowConfig
-from orbit_motion.whole_body_ik import WholeBodyIkConfig
 
 GROUP = "orbit.motion"
 _OWN = (
     DifferentialIkConfig,
-    PrioritizedIkConfig,
     FullIkTermConfig,
-    WholeBodyIkConfig,
     JointPositionConfig,
     JointVelocityConfig,
     JointEffortConfig,
-    JointImpedanceConfig,
-    OperationalSpaceConfig,
-    CartesianImpedanceConfig,
-    HybridForceMotionConfig,
-    AdmittanceConfig,
-    RmpFlowConfig,
-    HandMpcConfig,
-    TrunkMpcConfig,
     BinaryGripperConfig,
     GraspSynergiesConfig,
     BaseVelocityConfig,

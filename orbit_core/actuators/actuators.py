@@ -19,9 +19,8 @@ from orbit_core.dynamics.random import RandomStreams
 from orbit_core.interfaces import ConfigurationError, Engine, SceneLayout
 from orbit_core.interfaces.layout import actuator_of_joint
 from orbit_core.scene import ActuatorConfig, IdealPd
-from orbit_learn.actuators.network_model import NetworkModel
 
-_ORDER = (PdModel, DcMotorModel, NetworkModel)
+_ORDER = (PdModel, DcMotorModel)
 
 
 @dataclass(frozen=True)

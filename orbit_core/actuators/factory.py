@@ -9,8 +9,7 @@ from orbit_core.actuators.model import ActuatorModel
 from orbit_core.actuators.models import DcMotorModel, PdModel
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_core.registry import Registry
-from orbit_core.scene import ActuatorConfig, ActuatorNetwork, DcMotor, IdealPd, ImplicitPd
-from orbit_learn.actuators.network_model import NetworkModel
+from orbit_core.scene import ActuatorConfig, DcMotor, IdealPd, ImplicitPd
 
 GROUP = "orbit.actuators"
 
@@ -24,7 +23,6 @@ def actuator_models() -> Registry[type[ActuatorModel]]:
     registry = Registry[type[ActuatorModel]]("actuator", GROUP)
     registry.add(IdealPd.__name__, PdModel)
     registry.add(DcMotor.__name__, DcMotorModel)
-    registry.add(ActuatorNetwork.__name__, NetworkModel)
     return registry
 
 

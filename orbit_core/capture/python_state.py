@@ -26,8 +26,9 @@ from torch import Tensor
 from orbit_core.interfaces import World
 from orbit_core.interfaces.capture import Watched
 
-_OWN: Final = "orbit_core"
-_OTHERS: Final = frozenset({_OWN, "torch", "numpy", "builtins"} | sys.stdlib_module_names) - {"__main__"}
+_PARTS: Final = ("core", "assets", "motion", "learn", "data", "viewer", "conformance")
+_OWN: Final = frozenset(f"orbit_{part}" for part in _PARTS)
+_OTHERS: Final = (_OWN | {"torch", "numpy", "builtins"} | sys.stdlib_module_names) - {"__main__"}
 """Packages whose code is not searched: it keeps no state of a task."""
 _LEAVES: Final = (
     bool,

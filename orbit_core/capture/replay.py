@@ -8,11 +8,11 @@ import torch
 from torch import Tensor, fx
 
 from orbit_core.capture.compile import compiled
+from orbit_core.capture.kernels import fusing
 from orbit_core.capture.python_state import PythonState, frozen_by_trace
 from orbit_core.capture.stages import Trace
 from orbit_core.capture.trace import NotTraceable, Tracer
 from orbit_core.interfaces import World
-from orbit_motion.fusion import fusing
 
 
 class CapturedFunction:

@@ -16,7 +16,8 @@ from collections.abc import Callable, Sequence
 
 from orbit_core.cli.signals import EndRequest
 from orbit_core.files import DISK_FULL
-from orbit_core.interfaces.errors import OrbitError
+from orbit_core.installing import install_command
+from orbit_core.interfaces.errors import ConfigurationError, OrbitError
 from orbit_core.registry import Registry
 
 Command = Callable[[Sequence[str]], int | None]
@@ -26,32 +27,35 @@ COMMANDS = {
     "list": ("listing", "Names of all tasks, robots or backends"),
     "info": ("info", "Everything about one task, robot or backend"),
     "run": ("run", "Run a task's episodes with an expert, random or zero agent, and report how they went"),
-    "view": ("view", "Watch a task live in the browser"),
-    "record": ("record", "Record a task's episodes as a dataset of demonstrations"),
-    "teleop": ("teleop", "Drive a task's robot yourself, and record demonstrations"),
-    "augment": ("augment", "Make many demonstrations of a few, moved to where things are in new episodes"),
-    "data": ("data", "Tell about, convert, merge, filter, split and replay datasets of demonstrations"),
-    "grasp": ("grasp", "Choose, accept and move grasps of an arm in the browser, and take the arm"),
-    "train": ("train", "Learn a task with a reinforcement learning library"),
-    "train-actuator": ("train_actuator", "Fit a network to logged data of an actuator's joints"),
-    "play": ("play", "Run a learned policy on any backend, and report how it went"),
-    "export": ("export", "Write a learned policy as safetensors and ONNX, with its description"),
     "bench": ("bench", "Measure throughput over numbers of environments"),
-    "check-asset": (
-        "check_asset",
-        "Check an asset file: masses, inertias, limits, shapes, and what was changed",
-    ),
+}
+"""Modules of this package, and what each does."""
+OTHERS = {
+    "view": ("orbit-viewer", "Watch a task live in the browser"),
+    "record": ("orbit-data", "Record a task's episodes as a dataset of demonstrations"),
+    "teleop": ("orbit-data", "Drive a task's robot yourself, and record demonstrations"),
+    "augment": ("orbit-data", "Make many demonstrations of a few, moved to where things are in new episodes"),
+    "data": ("orbit-data", "Describe, convert, merge, filter, split and replay datasets of demonstrations"),
+    "grasp": ("orbit-motion", "Choose, accept and move grasps of an arm in the browser, and take the arm"),
+    "train": ("orbit-learn", "Learn a task with a reinforcement learning library"),
+    "train-actuator": ("orbit-learn", "Fit a network to logged data of an actuator's joints"),
+    "play": ("orbit-learn", "Run a learned policy on any backend, and report how it went"),
+    "export": ("orbit-learn", "Write a learned policy as safetensors and ONNX, with its description"),
+    "check-asset": ("orbit-assets", "Check an asset file: masses, inertias, limits, shapes, and what was changed"),
     "check-robot": (
-        "check_robot",
+        "orbit-assets",
         "Check a catalogue entry or a composition: limits, gains, home, frames, stance, licence",
     ),
     "check-task": (
-        "check_task",
+        "orbit-conformance",
         "Check tasks: order of returns, limits kept by experts, coverage of starts, chance",
     ),
-    "convert": ("convert", "Convert between URDF, MJCF and USD, and meshes into rigid bodies"),
-    "conformance": ("conformance", "Hold backends against known answers and whole tasks, and report"),
+    "convert": ("orbit-assets", "Convert between URDF, MJCF and USD, and meshes into rigid bodies"),
+    "conformance": ("orbit-conformance", "Hold backends against known answers and whole tasks, and report"),
 }
+"""Distributions of ORBIT that bring further commands, and what each does."""
+_ORDER = (*list(COMMANDS)[:3], *list(OTHERS)[:-1], "bench", "conformance")
+"""How ``orbit --help`` lists them; those of other packages come last."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -107,7 +111,14 @@ def _dispatch(words: list[str]) -> int:
 
         print(__version__)
         return 0
-    return commands().get(words[0])(words[1:]) or 0
+    name, registry = words[0], commands()
+    if name in OTHERS and name not in registry.names:
+        distribution = OTHERS[name][0]
+        raise ConfigurationError(
+            f"command '{name}' comes with the distribution {distribution}, which is not installed: "
+            f"{install_command(distribution)}"
+        )
+    return registry.get(name)(words[1:]) or 0
 
 
 @functools.cache
@@ -125,7 +136,8 @@ def _run_module(module: str, words: Sequence[str]) -> int | None:
 
 def _usage() -> str:
     registry = commands()
-    told = {name: COMMANDS[name][1] if name in COMMANDS else registry.origin(name) for name in registry.names}
-    lines = [f"  {name:<11} {description}" for name, description in told.items()]
+    known = {**COMMANDS, **OTHERS}
+    names = sorted(registry.names, key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER))
+    lines = [f"  {name:<14} {known[name][1] if name in known else registry.origin(name)}" for name in names]
     hint = "'orbit COMMAND --help' describes a command's options; --debug shows where an error arose."
     return "\n".join(["usage: orbit [--version] COMMAND ...", "", *lines, "", hint])

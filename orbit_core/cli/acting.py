@@ -1,39 +1,74 @@
-"""Actors by the name that a user gives: a scripted one, a kept policy, or the file of a learned policy."""
+"""Actors by the name that a user gives: a scripted one, or one of an installed package, such as a learned policy."""
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from orbit_core.envs.actors import ACTORS, scripted_actor
 from orbit_core.interfaces.errors import UnknownNameError
-from orbit_learn.pretrained import policy_path, pretrained_policies
+from orbit_core.registry import Registry
 
 if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor
     from orbit_core.envs.environment import Environment
 
 
+class ActorSource(Protocol):
+    """A package's actors; the entry-point group ``orbit.actors`` names modules or objects with these functions."""
+
+    def names(self) -> Iterable[str]:
+        """Return the names of all actors that are listed."""
+        ...
+
+    def has(self, name: str) -> bool:
+        """Return whether a name, or the path of a file or folder, is one of these actors."""
+        ...
+
+    def make(self, name: str, environment: Environment, seed: int) -> Actor:
+        """Return the actor of that name or path.
+
+        Raises:
+            ConfigurationError: it acts in another environment.
+        """
+        ...
+
+
 def check_actor(name: str) -> None:
-    """Refuse a name that no actor and no kept policy bears and that is no file or folder.
+    """Refuse a name that no actor bears.
 
     Raises:
-        UnknownNameError: there is none.
+        UnknownNameError: there is none of that name.
     """
-    if name not in ACTORS and not Path(name).exists() and name not in pretrained_policies():
-        raise UnknownNameError("actor or policy", name, {*ACTORS, *pretrained_policies()})
+    if name not in ACTORS:
+        _source(name)
 
 
 def make_actor(name: str, environment: Environment, seed: int) -> Actor:
-    """The actor of that name, the policy in that file or folder, or the kept policy of that name.
+    """Return the actor of that name, the policy in that file or folder, or the kept policy of that name.
 
     Raises:
         UnknownNameError: there is none.
         ConfigurationError: the policy was learned for another environment.
     """
-    check_actor(name)
-    if name in ACTORS:
-        return scripted_actor(name, environment, seed)
-    from orbit_learn.policy import PolicyActor
+    return scripted_actor(name, environment, seed) if name in ACTORS else _source(name).make(name, environment, seed)
 
-    return PolicyActor(environment, policy_path(name))
+
+@functools.cache
+def _sources() -> Registry[ActorSource]:
+    return Registry[ActorSource]("source of actors", "orbit.actors")
+
+
+def _source(name: str) -> ActorSource:
+    """Return the package's source that has an actor of that name."""
+    sources = _sources().values.values()
+    for source in sources:
+        if source.has(name):
+            return source
+    names = {*ACTORS, *(other for source in sources for other in source.names())}
+    lacking = (
+        "" if sources or not Path(name).exists() else "policies are played by the distribution orbit-learn: install it"
+    )
+    raise UnknownNameError("actor or policy", name, names, note=lacking)

@@ -18,6 +18,7 @@ from orbit_core.cli.parsing import parse_settings
 from orbit_core.cli.settings import BenchSettings
 from orbit_core.envs.actors import scripted_actor
 from orbit_core.files import written_whole
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ def _require_plots() -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
-        raise ConfigurationError('plots need matplotlib: pip install "orbit-core[plots]"') from error
+        raise ConfigurationError(f"plots need matplotlib: {install_extra('plots')}") from error
 
 
 def _plot(figures: list[Throughput], title: str, path: Path) -> None:

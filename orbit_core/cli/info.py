@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,6 +23,7 @@ from orbit_core.interfaces.capabilities import Capability
 from orbit_core.interfaces.errors import AssetError, UnknownNameError
 from orbit_core.interfaces.requirements import IMAGES
 from orbit_core.objects import ObjectConfig, object_kinds
+from orbit_core.registry import Registry
 from orbit_core.robots import robot_info, robot_names
 from orbit_core.sensors import sensor_types
 
@@ -204,10 +205,9 @@ def _show_plugin(console: Console, title: str, plugin: Backend, shown: Sequence[
 def _show_gaps(console: Console, plugin: Backend) -> None:
     if not plugin.gaps():
         return
-    from orbit_conformance.robots.checks import CHECKS
-    from orbit_conformance.scenarios import SCENARIOS
-
-    units = {(asked.name, metric.name): metric.unit for asked in (*SCENARIOS, *CHECKS) for metric in asked.metrics}
+    units: dict[tuple[str, str], str] = {}
+    for source in Registry[Callable[[], dict[tuple[str, str], str]]]("units", "orbit.units").values.values():
+        units |= source()
     table = new_table("scenario or check", "metric", "error up to", "why", title="Declared gaps")
     for gap in plugin.gaps():
         limit = f"{gap.limit:g} {units.get((gap.scenario, gap.metric), '')}"

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 from tyro.conf import Positional, arg
 
 from orbit_core.cli.parsing import parse_words
-from orbit_core.interfaces.errors import OrbitError, UnknownNameError
+from orbit_core.interfaces.errors import OrbitError
+from orbit_core.registry import Registry
+
+Rows = list[tuple[str, str]]
+"""Names, each with a line on it."""
 
 
 @dataclass(frozen=True)
@@ -24,13 +29,19 @@ class ListSettings:
 
 def main(words: Sequence[str]) -> None:
     """Print the names of one kind."""
-    kind = parse_words(ListSettings, words, "orbit list").kind
-    if kind not in _LISTS:
-        raise UnknownNameError("kind", kind, _LISTS)
-    rows = _LISTS[kind]()
+    rows = lists().get(parse_words(ListSettings, words, "orbit list").kind)()
     width = max((len(name) for name, _ in rows), default=0)
     for name, description in rows:
         print(f"{name:<{width}}  {description}")
+
+
+@functools.cache
+def lists() -> Registry[Callable[[], Rows]]:
+    """Return what can be listed, by kind; packages add kinds through the entry-point group ``orbit.lists``."""
+    registry = Registry[Callable[[], Rows]]("kind", "orbit.lists")
+    for kind, rows in _LISTS.items():
+        registry.add(kind, rows)
+    return registry
 
 
 def _tasks() -> list[tuple[str, str]]:
@@ -87,18 +98,6 @@ def _matter() -> list[tuple[str, str]]:
     return rows + _missing(installable_matter())
 
 
-def _policies() -> list[tuple[str, str]]:
-    from orbit_learn.pretrained import pretrained_policies
-
-    return [(policy.name, policy.description) for policy in pretrained_policies().values()]
-
-
-def _libraries() -> list[tuple[str, str]]:
-    from orbit_learn.learners import library_description, library_names
-
-    return [(name, library_description(name)) for name in library_names()]
-
-
 def _actions() -> list[tuple[str, str]]:
     from orbit_core.actions import action_words
 
@@ -133,8 +132,6 @@ _LISTS = {
     "backends": _backends,
     "renderers": _renderers,
     "matter": _matter,
-    "libraries": _libraries,
-    "policies": _policies,
     "actions": _actions,
     "motion": _motion,
 }

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich import box
 from rich.console import Console
@@ -14,9 +14,6 @@ from rich.table import Table
 from rich.text import Text
 
 from orbit_core.files import written_whole
-
-if TYPE_CHECKING:
-    from orbit_assets.audit.findings import Finding
 
 _WIDTH = 140
 """Characters of a line where the output is no terminal, so that pipes and files get whole names."""
@@ -48,18 +45,6 @@ def new_table(*headings: str, title: str | None = None) -> Table:
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
     for index, heading in enumerate(headings):
         table.add_column(heading, no_wrap=index == 0, overflow="fold")
-    return table
-
-
-def findings_table(findings: Sequence[Finding]) -> Table:
-    """What an audit found, the gravest first."""
-    from orbit_assets.audit.findings import Severity
-
-    table = new_table("", "where", "what")
-    for level in Severity:
-        for finding in findings:
-            if finding.severity is level:
-                table.add_row(level.value, Text(finding.element), Text(finding.text))
     return table
 
 

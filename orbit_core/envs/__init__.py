@@ -8,6 +8,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
+from orbit_core.moved import moved_name
+
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
     from orbit_core.envs.expert_starts import ExpertStarts
@@ -27,11 +29,9 @@ if TYPE_CHECKING:
         TerminationTerm,
         once_per_state,
     )
-    from orbit_motion.experts.expert import Expert, Phase, Retry
 
 _MODULES: dict[str, tuple[str, ...]] = {
     "environment": ("Environment",),
-    "expert": ("Expert", "Phase", "Retry"),
     "expert_starts": ("ExpertStarts",),
     "making": ("make",),
     "ppo": ("PpoSettings",),
@@ -53,13 +53,13 @@ _MODULES: dict[str, tuple[str, ...]] = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "CurriculumTerm", "Environment", "EventTerm", "EventTime", "Expert", "ExpertStarts", "ModifyTerm",
-    "ObservationGroup", "ObservationTerm", "Phase", "PpoSettings", "PremiseTerm", "Retry", "RewardTerm", "Task",
-    "TaskEntry", "TaskRegistry", "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
+    "CurriculumTerm", "Environment", "EventTerm", "EventTime", "ExpertStarts", "ModifyTerm", "ObservationGroup",
+    "ObservationTerm", "PpoSettings", "PremiseTerm", "RewardTerm", "Task", "TaskEntry", "TaskRegistry",
+    "TerminationTerm", "make", "once_per_state", "task_entries", "task_entry",
 ]  # fmt: skip
 
 
 def __getattr__(name: str) -> object:
     if name not in _MODULE_OF:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+        return moved_name(__name__, name)
     return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from orbit_core.interfaces.errors import UnknownNameError
 
@@ -21,6 +21,14 @@ class Actor(Protocol):
     def act(self) -> Tensor:
         """(N, A) the next action."""
         ...
+
+
+@runtime_checkable
+class Teacher(Protocol):
+    """An expert that may label the states of another that acts."""
+
+    teaches: bool
+    """Whether another acts, so that the phase follows from the state alone."""
 
 
 class ExpertActor(Actor):

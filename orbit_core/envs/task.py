@@ -68,7 +68,7 @@ class Task(ABC):
     episode_length: float = 5.0
     """Seconds."""
     actions: Any = None
-    """Action terms in the place of an action space: :class:`orbit_core.actions.ActionTerms`, or a dataclass of one's own
+    """Action terms in place of an action space: :class:`orbit_core.actions.ActionTerms`, or a dataclass of one's own
     with fields of :class:`~orbit_core.actions.ActionTerm`. None takes those that ``action`` stands for."""
     observations: Any = None
     rewards: Any = None

@@ -7,6 +7,7 @@ an entity in the articulation's order. An engine then moves one tensor per kind 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -22,8 +23,10 @@ from orbit_core.scene import (
     DcMotor,
     Entity,
     ForceTorqueSpec,
+    Gripper,
     ImplicitPd,
     Joint,
+    RobotSpec,
     Scene,
 )
 from orbit_core.scene.articulation import Link
@@ -286,6 +289,13 @@ def actuator_of_joint(entity: Entity) -> dict[int, ActuatorConfig]:
     """
     names, where = entity.articulation.joint_names, f"an actuator group of '{entity.name}'"
     return {index: group for group in entity.actuators for index in match_names(group.joints, names, "joint", where)}
+
+
+def gripper_positions(spec: RobotSpec, gripper: Gripper, value: float | tuple[float, ...]) -> Mapping[int, float]:
+    """Positions by joint index, of a gripper's ``open_position`` or ``closed_position``."""
+    values = value if isinstance(value, tuple) else (value,) * len(gripper.joints)
+    names = spec.articulation.joint_names
+    return match_values(dict(zip(gripper.joints, values, strict=True)), names, "joint", f"the gripper of '{spec.name}'")
 
 
 def home_positions(entity: Entity) -> npt.NDArray[np.float64]:

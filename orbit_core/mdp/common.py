@@ -9,25 +9,18 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from orbit_assets.objects import table
 from orbit_core.actions.workspace import with_workspace
 from orbit_core.envs.task import ROBOT, Task
 from orbit_core.envs.terms import ENVIRONMENT, POSE, ObservationGroup, means, measured_in, once_per_state
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import gripper_positions
+from orbit_core.moved import moved_name
 from orbit_core.robots import robot
-from orbit_core.scene import ObjectSpec, Plane, Pose, RobotSpec, Shape, Workspace
+from orbit_core.scene import Plane, Pose, RobotSpec, Shape, Workspace
 from orbit_core.scene.pose import Vector3
 
 ROOM: Vector3 = (0.15, 0.3, 0.2)
 """Least size of a workspace, m, in which a task lays out its things; those of the catalogue's larger arms have more."""
-BENCH_HEIGHT = 0.7
-"""Metres from the floor to the top of the work bench, which lies at z = 0."""
-
-
-def work_bench() -> ObjectSpec:
-    """A table that carries an arm at the origin and 0.95 m of top in front of it; its top is at z = 0."""
-    return table("table", size=(1.25, 1.4, BENCH_HEIGHT), pose=Pose((0.325, 0.0, 0.0)))
 
 
 def floor(height: float = 0.0) -> Shape:
@@ -321,3 +314,7 @@ def place_markers(world: World, names: Sequence[str], positions: Tensor, env_ids
     poses[..., :3], poses[..., 3] = positions, 1.0
     for number, name in enumerate(names):
         world.markers[name].set_pose(poses[:, number], env_ids)
+
+
+def __getattr__(name: str) -> object:
+    return moved_name(__name__, name)

@@ -51,7 +51,7 @@ def validate(articulation: Articulation) -> Articulation:
 
     Raises:
         AssetError: names repeat or are unknown, links form no single tree, are out of order (:func:`sort_links` mends
-            that), a number of a shape, joint or link is impossible (:func:`orbit_core.preparation.scene_data.check_data`),
+            that), a number of a shape, joint or link is impossible (:func:`.scene_data.check_data`),
             a mimic is, a drive or home position is of no movable joint, or a body's mass or inertia is impossible.
     """
     try:

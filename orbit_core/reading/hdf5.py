@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.reading.budget import SMALL, ReadAccount, check_name
 
@@ -277,5 +278,5 @@ def hdf5_module() -> Any:
     try:
         import h5py
     except ImportError as error:
-        raise ConfigurationError("HDF5 needs h5py: pip install 'orbit-core[data]'") from error
+        raise ConfigurationError(f"HDF5 needs h5py: {install_extra('data')}") from error
     return h5py

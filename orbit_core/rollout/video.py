@@ -14,6 +14,7 @@ import numpy.typing as npt
 import torch
 
 from orbit_core.files import Replacement, as_path, storage_faults
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, StorageError
 from orbit_core.rollout.pictures import OverviewCamera
 from orbit_core.rollout.stepping import StepObserver
@@ -42,7 +43,7 @@ class VideoFile:
         try:
             import imageio_ffmpeg
         except ImportError as error:
-            raise ConfigurationError('videos need an encoder: pip install "orbit-core[video]"') from error
+            raise ConfigurationError(f"videos need an encoder: {install_extra('video')}") from error
         self._path = path = as_path(path)
         self._count = imageio_ffmpeg.count_frames_and_secs
         self._replacement = Replacement(path)

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from orbit_core.backends import matter_names, matter_solver
 from orbit_core.dynamics.indexing import take_rows
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import Engine, Image, Renderer, SceneLayout, UnsupportedCapabilityError
 from orbit_core.interfaces.matter import MatterPainter, MatterSolver
 from orbit_core.plugin_kit.deformable_surface import DeformableSurface
@@ -26,7 +27,7 @@ def with_matter(renderer: Renderer, solver: MatterSolver | None, engine: Engine,
     if not layout.scene.deformables:
         return renderer
     solvers = [solver] if solver is not None else map(matter_solver, matter_names())
-    reasons = ['no matter solver is installed: pip install "orbit-core[matter]"']
+    reasons = [f"no matter solver is installed: {install_extra('matter')}"]
     for each in solvers:
         try:
             return MatterRenderer(renderer, each.create_painter(layout, engine.device), engine, layout)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from orbit_assets.objects import BENCH_HEIGHT, work_bench
 from orbit_core.envs import EventTerm, EventTime, ObservationGroup, ObservationTerm, PremiseTerm, TerminationTerm
 from orbit_core.envs.task import ROBOT, Task
 from orbit_core.envs.terms import TermFunction, meaning_of, measured_in, once_per_state
@@ -139,8 +140,8 @@ class TabletopTask(Task):
         """The arm, or the ``robot`` in its place, with objects on the work bench."""
         return Scene(
             robots=(robot or common.arm(self.robot),),
-            objects=(*objects, common.work_bench()),
-            terrain=(common.floor(-common.BENCH_HEIGHT),),
+            objects=(*objects, work_bench()),
+            terrain=(common.floor(-BENCH_HEIGHT),),
             physics_dt=self.physics_dt,
         )
 

@@ -1,7 +1,4 @@
-"""Every installed backend x every test; what a backend declares unsupported is skipped with its reason.
-
-``--device cuda`` makes the engines on a GPU; the tests see them through the host's memory.
-"""
+"""Runs of the suite that several tests look at, and the fixtures of the contract tests."""
 
 from __future__ import annotations
 
@@ -11,11 +8,10 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
-import torch
 
+from orbit_conformance.contract.fixtures import backend, device, make_engine, needs
 from orbit_conformance.execution import Outcome, execute
 from orbit_conformance.merge import merge
 from orbit_conformance.pools import Work
@@ -23,66 +19,10 @@ from orbit_conformance.report.page import write_report
 from orbit_conformance.runner import run
 from orbit_conformance.settings import Part, choose
 from orbit_core import backends
-from orbit_core.interfaces import Backend, Capability, Engine, SceneLayout, UnsupportedCapabilityError
-from orbit_core.scene import Scene
 
 from . import broken_plugin
-from .on_host import OnHost
 
-MakeEngine = Callable[..., Engine]
-Needs = Callable[..., None]
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--device", default="cpu", help="where the engines under test live")
-
-
-@pytest.fixture(params=backends.backend_names())
-def backend(request: pytest.FixtureRequest) -> Backend:
-    return backends.backend(request.param)
-
-
-@pytest.fixture
-def needs(backend: Backend) -> Needs:
-    """Skip unless the backend declares all of these capabilities."""
-
-    def check(*capabilities: Capability) -> None:
-        for capability in capabilities:
-            if not backend.capabilities().has(capability):
-                pytest.skip(f"{backend.name}: no {capability.value}: {backend.capabilities()[capability].reason}")
-
-    return check
-
-
-@pytest.fixture
-def device(request: pytest.FixtureRequest) -> torch.device:
-    """Where the engines under test live."""
-    return torch.device(str(request.config.getoption("--device", "cpu")))
-
-
-@pytest.fixture
-def make_engine(backend: Backend, device: torch.device) -> Iterator[MakeEngine]:
-    """An engine of a scene: ``make_engine(scene, num_envs=1, **settings)``; closed after the test.
-
-    A scene that the backend refuses, by what it declares or when it builds, skips the test with the reason.
-    """
-    made: list[Engine] = []
-
-    def make(scene: Scene, num_envs: int = 1, **settings: Any) -> Engine:
-        config = backends.backend_config(backend, settings)
-        try:
-            backends.check_scene(backend, scene)
-            engine = backend.create_engine(SceneLayout.of(scene), num_envs, device, config)
-        except UnsupportedCapabilityError as error:
-            pytest.skip(str(error))
-        made.append(engine)
-        return engine if device.type == "cpu" else OnHost(engine)  # pyright: ignore[reportReturnType]
-
-    yield make
-    for engine in made:
-        engine.close()
-
-
+__all__ = ["backend", "device", "make_engine", "needs"]
 PAIR = backends.backend_names()[:2]
 PROGRAM = [sys.executable, "-c", "import sys; from orbit_core.cli import main; sys.exit(main())", "conformance"]
 

@@ -10,11 +10,10 @@ import torch
 
 from orbit_assets.objects import box, cylinder, mesh_object, sphere
 from orbit_conformance.bodies import cube
+from orbit_conformance.contract.fixtures import Needs
 from orbit_core.interfaces import Backend, Capability, World
 from orbit_core.scene import CameraSpec, Channel, ContactSensorSpec, Mesh, ObjectSpec, Pose, Scene, look_at
 from orbit_core.world import simulate
-
-from .conftest import Needs
 
 MakeWorld = Callable[[Scene, int], World]
 G = 9.81

@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from orbit_core.capture.kernels import fusing
 from orbit_core.capture.replay import CapturedFunction
 from orbit_core.scene import Plane, Shape
 from orbit_motion import HybridForceMotionConfig, JointImpedanceConfig, OperationalSpaceConfig, RmpFlowConfig
-from orbit_motion.fusion import fusing
 from orbit_motion.gains import GainCommand
 from orbit_motion.servo import Servo
 from tests.motion.servo_world import BACKENDS, held

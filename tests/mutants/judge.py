@@ -17,7 +17,7 @@ from orbit_core import backends
 from .mutant import Mutant
 
 _BACKEND = "torch"
-_TESTS = Path(__file__).parents[1] / "conformance"
+_TESTS = Path(__file__).parents[1] / "conformance" / "orbit_conformance" / "contract"
 
 
 def passes(check: str, mutant: Mutant) -> bool:

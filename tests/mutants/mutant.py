@@ -25,7 +25,7 @@ class Mutant:
     broken: str
     """What it does wrong, in a sentence."""
     caught_by: tuple[str, ...]
-    """Each must fail for it: a scenario, or ``state::test_x`` of ``tests/conformance/test_conformance_state.py``."""
+    """Each must fail for it: a scenario, or ``state::test_x`` of a contract test."""
     engine: type[Engine]
 
     @property

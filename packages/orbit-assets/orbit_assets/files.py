@@ -14,9 +14,8 @@ _SUFFIXES = (".urdf", ".xacro", ".xml", ".mjcf", ".usd", ".usda", ".usdc", ".usd
 
 def asset_folder() -> Path:
     """ORBIT's own asset files: ``assets`` of the checkout, or the copy inside the installed package."""
-    package = Path(__file__).parents[1]
-    installed = package / "assets" / "files"
-    return installed if installed.is_dir() else package.parent / "assets"
+    installed = Path(__file__).parent / "files"
+    return installed if installed.is_dir() else Path(__file__).parents[3] / "assets"
 
 
 def asset_file(name: str) -> Path:

@@ -17,6 +17,7 @@ from orbit_assets.archives import check_archive, check_picture
 from orbit_assets.mesh_faults import check_obj, check_obj_faces, check_stl, without_broken_textures
 from orbit_assets.options import ReadOptions
 from orbit_assets.outside import check_file, resolve_file
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
 
 SUFFIXES = ("stl", "obj", "dae", "zae", "glb", "gltf", "ply", "off", "3mf")
@@ -56,7 +57,7 @@ def open_mesh(path: Path, options: ReadOptions, model: Path) -> Any:
         raise
     except ImportError as error:
         raise AssetError(
-            f"mesh file '{path}' needs a decoder that is not installed ({error}): pip install \"orbit-core[robots]\""
+            f"mesh file '{path}' needs a decoder that is not installed ({error}): {install_extra('robots')}"
         ) from error
     except Exception as error:  # a decoder's own errors are of any class
         if suffix == "obj":

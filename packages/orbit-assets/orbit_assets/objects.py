@@ -36,6 +36,8 @@ DENSITY = 500.0
 """kg/m^3, of an object whose mass is not given: that of soft wood."""
 GRAY: Color = (0.7, 0.7, 0.7, 1.0)
 WOOD: Color = (0.72, 0.55, 0.38, 1.0)
+BENCH_HEIGHT = 0.7
+"""Metres from the floor to the top of the work bench, which lies at z = 0."""
 
 
 class SolidOptions(TypedDict, total=False):
@@ -257,3 +259,8 @@ def _object(
         fixed_base=fixed_base,
         semantic_label=label,
     )
+
+
+def work_bench() -> ObjectSpec:
+    """A table that carries an arm at the origin and 0.95 m of top in front of it; its top is at z = 0."""
+    return table("table", size=(1.25, 1.4, BENCH_HEIGHT), pose=Pose((0.325, 0.0, 0.0)))

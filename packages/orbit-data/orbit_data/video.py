@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbit_core.files import as_path
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.reading.budget import ReadAccount
 from orbit_data.episodes import Array
@@ -93,5 +94,5 @@ def _av() -> Any:
     try:
         import av
     except ImportError as error:
-        raise ConfigurationError("videos of datasets need PyAV: pip install 'orbit-core[lerobot]'") from error
+        raise ConfigurationError(f"videos of datasets need PyAV: {install_extra('lerobot')}") from error
     return av

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from orbit_core.files import as_path
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.reading.budget import ReadAccount, ReadBudget
 from orbit_data.episodes import (
@@ -156,5 +157,5 @@ def _zarr() -> tuple[Any, Any]:
 
         from orbit_data.reading.zarr_store import ZarrFiles
     except ImportError as error:
-        raise ConfigurationError("Zarr datasets need zarr: pip install 'orbit-core[zarr]'") from error
+        raise ConfigurationError(f"Zarr datasets need zarr: {install_extra('zarr')}") from error
     return zarr, ZarrFiles

@@ -11,6 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from orbit_core.envs.actors import Teacher
 from orbit_core.envs.environment import Environment, Observation
 from orbit_core.interfaces import ConfigurationError
 from orbit_learn.distill_settings import DistillSettings
@@ -20,7 +21,6 @@ from orbit_learn.policy import load_policy
 from orbit_learn.pretrained import policy_path
 from orbit_learn.replay_buffer import ReplayBuffer
 from orbit_learn.student import RunningMoments, build_actor, copied_actor, network_for
-from orbit_motion.experts.expert import Expert
 
 EXPERT = "expert"
 """Name of the teacher that is the task's own expert."""
@@ -145,7 +145,7 @@ def _teacher_of(environment: Environment, name: str) -> Callable[[Observation], 
                 "set expert_starts=0"
             )
         expert = environment.task.expert(environment.world)
-        if isinstance(expert, Expert):
+        if isinstance(expert, Teacher):
             expert.teaches = True
         return lambda seen: expert.compute({})["action"]
     teacher = load_policy(policy_path(name), environment.device)

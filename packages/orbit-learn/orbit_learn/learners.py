@@ -14,6 +14,7 @@ import importlib
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.registry import Registry
 
@@ -72,5 +73,5 @@ def _own_trainer(library: str, place: str) -> type[Trainer[Any]]:
         return getattr(importlib.import_module(f"orbit_learn.{module}"), attribute)
     except ModuleNotFoundError as error:
         raise ConfigurationError(
-            f"library '{library}' needs {error.name}, which is not installed: pip install 'orbit-core[{library}]'"
+            f"library '{library}' needs {error.name}, which is not installed: {install_extra(library)}"
         ) from error

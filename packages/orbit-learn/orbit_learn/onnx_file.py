@@ -17,6 +17,7 @@ import torch
 from torch import nn
 
 from orbit_core.files import as_path, read_bytes, written_whole
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_core.manifest.manifest import Manifest
 from orbit_core.tensor_file import parse_json
@@ -95,5 +96,5 @@ def _onnx() -> Any:
     try:
         import onnx
     except ImportError as error:
-        raise ConfigurationError(f"ONNX needs {error.name}: pip install 'orbit-core[onnx]'") from None
+        raise ConfigurationError(f"ONNX needs {error.name}: {install_extra('onnx')}") from None
     return onnx

@@ -1,23 +1,6 @@
-"""Motion generators: nodes that turn normalised commands into joint targets, and the action terms made of them."""
+"""Motion generators beyond the basic ones: impedance, operational space, prioritised IK, RMPflow, planning, MPC."""
 
-from orbit_core.actions.actuate import Actuate
-from orbit_core.actions.base import JointTarget, MotionGenerator
-from orbit_core.actions.base_velocity import BaseVelocity, BaseVelocityConfig
-from orbit_core.actions.binary_gripper import BinaryGripper, BinaryGripperConfig
-from orbit_core.actions.differential_drive import DifferentialDrive, DifferentialDriveConfig
-from orbit_core.actions.differential_ik import DifferentialIk, DifferentialIkConfig
-from orbit_core.actions.drives import with_drives_for
-from orbit_core.actions.embodiment import driven_joints, end_effector_of, joint_commands
-from orbit_core.actions.full_ik_term import FullIkTerm, FullIkTermConfig
-from orbit_core.actions.grasp_synergies import GraspSynergies, GraspSynergiesConfig
-from orbit_core.actions.ik import IkMethod, joint_delta
-from orbit_core.actions.joint_effort import JointEffort, JointEffortConfig
-from orbit_core.actions.joint_position import JointPosition, JointPositionConfig
-from orbit_core.actions.joint_velocity import JointVelocity, JointVelocityConfig
-from orbit_core.actions.modes import CommandMode
-from orbit_core.actions.presets import ACTION_PRESETS, ActionPreset, action_words, preset_terms
-from orbit_core.actions.registry import generator_descriptions, motion_generators
-from orbit_core.actions.term import ActionTerm, ActionTerms
+from orbit_core.moved import moved_name
 from orbit_motion.admittance import Admittance, AdmittanceConfig
 from orbit_motion.cartesian_impedance import CartesianImpedance, CartesianImpedanceConfig
 from orbit_motion.gains import GainCommand, GainRange
@@ -29,15 +12,12 @@ from orbit_motion.rmpflow import RmpFlow, RmpFlowConfig
 from orbit_motion.whole_body_ik import WholeBodyIk, WholeBodyIkConfig
 
 __all__ = [
-    "ACTION_PRESETS", "ActionPreset", "ActionTerm", "ActionTerms", "Actuate", "Admittance", "AdmittanceConfig",
-    "BaseVelocity", "BaseVelocityConfig", "BinaryGripper", "BinaryGripperConfig", "CartesianImpedance",
-    "CartesianImpedanceConfig", "CommandMode", "DifferentialDrive", "DifferentialDriveConfig", "DifferentialIk",
-    "DifferentialIkConfig", "FullIkTerm", "FullIkTermConfig", "GainCommand", "GainRange", "GraspSynergies",
-    "GraspSynergiesConfig", "HybridForceMotion", "HybridForceMotionConfig", "IkMethod", "JointEffort",
-    "JointEffortConfig", "JointImpedance", "JointImpedanceConfig", "JointPosition", "JointPositionConfig",
-    "JointTarget", "JointVelocity", "JointVelocityConfig", "MotionGenerator", "OperationalSpace",
+    "Admittance", "AdmittanceConfig", "CartesianImpedance", "CartesianImpedanceConfig", "GainCommand", "GainRange",
+    "HybridForceMotion", "HybridForceMotionConfig", "JointImpedance", "JointImpedanceConfig", "OperationalSpace",
     "OperationalSpaceConfig", "PrioritizedIk", "PrioritizedIkConfig", "Priority", "RmpFlow", "RmpFlowConfig",
-    "WholeBodyIk", "WholeBodyIkConfig", "action_words", "driven_joints", "end_effector_of",
-    "generator_descriptions", "joint_commands", "joint_delta", "motion_generators", "preset_terms",
-    "with_drives_for",
+    "WholeBodyIk", "WholeBodyIkConfig",
 ]  # fmt: skip
+
+
+def __getattr__(name: str) -> object:
+    return moved_name(__name__, name)

@@ -39,10 +39,10 @@ class PrioritizedIkConfig(PoseTermConfig):
 
     Each step solves, in order of priority, ``min |W (J d - e)|^2 + lambda^2 |d|^2`` for the joints' displacement d,
     where ``|d_i|`` is at most the lead at which the joint's drive keeps to its velocity limit
-    (:func:`orbit_core.actions.base.speed_limited_lead`) and half the distance to a position limit, and what comes before
-    is kept (Kanoun, Lamiraux and Wieber, Kinematic Control of Redundant Manipulators: Generalizing the Task-Priority
-    Framework to Inequality Task, IEEE Transactions on Robotics 27(4), 2011). Last comes the posture: home, and where
-    ``manipulability_gain`` is above zero away from singular poses, up the gradient of Yoshikawa's manipulability.
+    (:func:`~orbit_core.actions.base.speed_limited_lead`), and half the distance to a position limit, and what comes
+    before is kept (Kanoun, Lamiraux and Wieber, Kinematic Control of Redundant Manipulators: Generalizing the Task-
+    Priority Framework to Inequality Task, IEEE Transactions on Robotics 27(4), 2011). Last comes the posture: home, and
+    where ``manipulability_gain`` is above zero away from singular poses, up the gradient of Yoshikawa's manipulability.
     """
 
     name: ClassVar[str] = "qp_ik"

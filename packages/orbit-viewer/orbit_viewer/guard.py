@@ -24,6 +24,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 
 _COOKIE = "orbit-viewer"
@@ -147,7 +148,7 @@ def guarded(guard: Guard) -> Iterator[None]:
     if not wrapped:
         raise ConfigurationError(
             "this version of viser starts its web server in a way that cannot be guarded against other origins' pages: "
-            'pip install "orbit-core[viewer]" brings one that can'
+            f"{install_extra('viewer')} brings one that can"
         )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from torch import Tensor
 
 from orbit_core.envs.actors import Actor
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, Deformable, Marker, SceneLayout, Sensor
 from orbit_core.rollout.estimates import proportion
 from orbit_core.scene import CameraSpec, Channel
@@ -288,7 +289,7 @@ def _start_server(host: str, port: int, title: str, pages: Sequence[Page]) -> tu
 
         from orbit_viewer.guard import Guard, guarded
     except ImportError:
-        raise ConfigurationError('the viewer needs viser: pip install "orbit-core[viewer]"') from None
+        raise ConfigurationError(f"the viewer needs viser: {install_extra('viewer')}") from None
     if not 0 <= port <= 65535:
         raise ConfigurationError(f"port must be from 0 to 65535, not {port}")
     try:  # the library would wait for ever for a server that cannot begin

@@ -21,6 +21,7 @@ from orbit_conformance.execution import Outcome, execute
 from orbit_conformance.jobs import Job
 from orbit_conformance.results import Ending, Record
 from orbit_conformance.settings import Settings
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 
 Work = tuple[Job, Settings, Mapping[str, bytes]]
@@ -93,7 +94,7 @@ class RayPool(Pool):
         try:
             import ray  # pyright: ignore[reportMissingImports]
         except ImportError as error:
-            raise ConfigurationError('spreading over machines needs Ray: pip install "orbit-core[ray]"') from error
+            raise ConfigurationError(f"spreading over machines needs Ray: {install_extra('ray')}") from error
         try:
             ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, ValueError) as error:

@@ -15,6 +15,7 @@ from orbit_conformance.transfer import learned
 from orbit_core.backends import backend as find_backend
 from orbit_core.backends import backend_config, backend_names, matter_names, matter_solver, renderer, renderer_names
 from orbit_core.envs.registry import task_entries, task_entry
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import EXACT, Capability, ConfigurationError, UnknownNameError
 from orbit_core.interfaces.matter import NATIVE
 from orbit_core.robots import robot_info, robot_names
@@ -170,9 +171,7 @@ def choose(
     """
     installed = backend_names()
     if not installed:
-        raise ConfigurationError(
-            "no backend is installed: pip install \"orbit-core[BACKEND]\", see 'orbit list backends'"
-        )
+        raise ConfigurationError(f"no backend is installed: {install_extra('BACKEND')}, see 'orbit list backends'")
     known = [s.name for s in SCENARIOS]
     tried = [s.name for s in SCENARIOS if not (quick and s.slow)]
     of_tasks = (Part.TASKS, Part.TRANSFERS, Part.THROUGHPUT)

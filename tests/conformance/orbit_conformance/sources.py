@@ -27,15 +27,22 @@ from orbit_core.robots import robot_info
 from orbit_learn.pretrained import pretrained_policy
 
 CORE = "orbit_core"
+_SHARED = ("orbit_core", "orbit_assets", "orbit_motion", "orbit_learn", "orbit_conformance")
+"""Packages whose code any job may run."""
 _SCENARIOS = "orbit_conformance.scenarios"
 _SCENARIOS_WORDS = "the scenarios"
-_IN_NO_JOB = ("cli/", "conformance/report/", "conformance/scenarios/")
-"""Files of the core that no job runs, and the scenarios, which have a digest of their own."""
+_IN_NO_JOB = ("cli/", "contract/", "report/", "scenarios/")
+"""Files of these packages that no job runs, and the scenarios, which have a digest of their own."""
 
 
 def source_digests(settings: Settings) -> dict[str, str]:
     """The digest of each body of code that a run depends on, by the words that messages call it."""
-    core = ((name, path) for name, path in _files(CORE) if not name.startswith(_IN_NO_JOB))
+    core = (
+        (f"{package}/{name}", path)
+        for package in _SHARED
+        for name, path in _files(package)
+        if not name.startswith(_IN_NO_JOB)
+    )
     found = {CORE: _digest(core)}
     if settings.scenarios:
         found[_SCENARIOS_WORDS] = _digest(_files(_SCENARIOS))

@@ -15,6 +15,7 @@ from orbit_assets.mjcf.model import compile_file
 from orbit_assets.naming import one_line
 from orbit_assets.options import ReadOptions
 from orbit_assets.xacro import read_expanded
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation
 
@@ -33,7 +34,7 @@ class MujocoReference:
         try:
             self._mujoco: Any = importlib.import_module("mujoco")
         except ImportError:
-            raise AssetError('a comparison with MuJoCo needs the package: pip install "orbit-core[mjcf]"') from None
+            raise AssetError(f"a comparison with MuJoCo needs the package: {install_extra('mjcf')}") from None
         try:
             self._model = self._compiled(path, options)
         except ValueError as error:

@@ -14,6 +14,7 @@ import numpy as np
 from orbit_assets.mjcf.files import read_whole
 from orbit_assets.naming import one_line
 from orbit_assets.options import ReadOptions, Unsupported
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Pose
 from orbit_core.scene.pose import Vector3, canonical
@@ -108,7 +109,7 @@ def compile_file(path: Path, options: ReadOptions) -> Compiled:
     try:
         mujoco: Any = importlib.import_module(PARSER)
     except ImportError:
-        raise AssetError(f'MJCF files need the package {PARSER}: pip install "orbit-core[mjcf]"') from None
+        raise AssetError(f"MJCF files need the package {PARSER}: {install_extra('mjcf')}") from None
     whole = read_whole(path, options)
     said: list[str] = []
     before = mujoco.get_mju_user_warning()

@@ -6,6 +6,7 @@ import functools
 import importlib
 from typing import Any
 
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
 
 
@@ -25,6 +26,6 @@ def pxr() -> Any:
             importlib.import_module(f"pxr.{module}")
     except ImportError as error:
         raise AssetError(
-            f'USD files need the packages usd-core and newton-usd-schemas: pip install "orbit-core[usd]" ({error})'
+            f"USD files need the packages usd-core and newton-usd-schemas: {install_extra('usd')} ({error})"
         ) from None
     return importlib.import_module("pxr")

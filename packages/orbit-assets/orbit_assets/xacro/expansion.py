@@ -16,6 +16,7 @@ from xml.etree.ElementTree import Element
 from orbit_assets.options import ReadOptions
 from orbit_assets.source_text import parse_xml, read_xml
 from orbit_assets.xacro.order import Expansion, Order
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
 
 _SECONDS = 15
@@ -68,7 +69,7 @@ def expand_xacro(path: Path, options: ReadOptions) -> ExpandedXml:
     """
     if importlib.util.find_spec("xacro") is None:
         raise AssetError(
-            f"URDF file '{path}' holds xacro macros: pip install \"orbit-core[xacro]\", or expand it with xacro first"
+            f"URDF file '{path}' holds xacro macros: {install_extra('xacro')}, or expand it with xacro first"
         )
     outside = options.allow_outside if isinstance(options.allow_outside, tuple) else ()
     order = Order(

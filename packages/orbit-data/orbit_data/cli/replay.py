@@ -16,6 +16,7 @@ from orbit_core.cli.output import console, new_table, write_json
 from orbit_core.cli.parsing import parse_words
 from orbit_core.cli.read_budget import ReadSettings
 from orbit_core.cli.settings import EnvironmentSettings, File, KeyValues
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -139,7 +140,7 @@ def _figure_type() -> type[Figure]:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise ConfigurationError('plots need matplotlib: pip install "orbit-core[plots]"') from error
+        raise ConfigurationError(f"plots need matplotlib: {install_extra('plots')}") from error
     return Figure
 
 

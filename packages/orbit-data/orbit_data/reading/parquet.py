@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.reading.budget import ReadAccount
 
@@ -58,7 +59,7 @@ def arrow_modules() -> tuple[Any, Any]:
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        raise ConfigurationError("LeRobot datasets need pyarrow: pip install 'orbit-core[lerobot]'") from error
+        raise ConfigurationError(f"LeRobot datasets need pyarrow: {install_extra('lerobot')}") from error
     return pyarrow, pyarrow.parquet
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, UnknownNameError
 from orbit_data.teleoperation.device import Device, Speeds
 from orbit_data.teleoperation.driver import Driver
@@ -13,7 +14,7 @@ def _browser(speeds: Speeds, driver: Driver, port: int) -> Device:
     try:
         from orbit_data.teleoperation.browser import Browser
     except ImportError:
-        raise ConfigurationError('the browser needs viser: pip install "orbit-core[viewer]"') from None
+        raise ConfigurationError(f"the browser needs viser: {install_extra('viewer')}") from None
     return Browser(speeds, driver)
 
 

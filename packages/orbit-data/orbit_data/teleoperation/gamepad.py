@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.teleoperation.device import Device, DeviceLostError, Event, Reading, Speeds
 
@@ -81,7 +82,7 @@ def open_gamepad(speeds: Speeds) -> Gamepad:
     try:
         pygame: Any = importlib.import_module("pygame")
     except ImportError:
-        raise ConfigurationError('a gamepad needs pygame-ce: pip install "orbit-core[teleoperation]"') from None
+        raise ConfigurationError(f"a gamepad needs pygame-ce: {install_extra('teleoperation')}") from None
     pygame.display.init()
     pygame.joystick.init()
     if not pygame.joystick.get_count():

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 from orbit_data.teleoperation.device import Device, DeviceLostError, Event, Reading, Speeds
 
@@ -78,7 +79,7 @@ def open_spacemouse(speeds: Speeds) -> SpaceMouse:
     try:
         hid: Any = importlib.import_module("hid")
     except ImportError:
-        raise ConfigurationError('a SpaceMouse needs hidapi: pip install "orbit-core[teleoperation]"') from None
+        raise ConfigurationError(f"a SpaceMouse needs hidapi: {install_extra('teleoperation')}") from None
     found = [each for each in hid.enumerate() if each["product_id"] in _MAKERS.get(each["vendor_id"], ())]
     if not found:
         raise ConfigurationError("there is no SpaceMouse: plug one in, or take another --device, such as browser")

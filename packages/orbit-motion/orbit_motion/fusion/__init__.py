@@ -1,5 +1,5 @@
 """Functions of a few numbers for each environment, as one kernel: a loop on a CPU, a launch on a GPU."""
 
-from orbit_motion.fusion.fused import Fused, fusing
+from orbit_motion.fusion.fused import Fused
 
-__all__ = ["Fused", "fusing"]
+__all__ = ["Fused"]

@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from torch import Tensor
 from torch.utils._python_dispatch import _disable_current_modes
 
+from orbit_core.capture.kernels import kernels_wanted
 from orbit_core.interfaces.capture import Watched, changes
 from orbit_motion.fusion.interpreter import Unfusable, expressions
 from orbit_motion.fusion.kernel import Launch, launcher
 from orbit_motion.fusion.source import Program
 
-_fusing: ContextVar[bool] = ContextVar("fusing", default=False)
-
-
-@contextmanager
-def fusing(wanted: bool) -> Iterator[None]:
-    """Whether :class:`Fused` functions are to be kernels within."""
-    token = _fusing.set(wanted)
-    try:
-        yield
-    finally:
-        _fusing.reset(token)
-
 
 class Fused(Watched):
-    """``function(**inputs)`` as it is, or, within :func:`fusing`, as one kernel.
+    """``function(**inputs)`` as it is, or, within :func:`orbit_core.capture.kernels.fusing`, as one kernel.
 
     A compiler for whole steps makes loops of what it finds, and calls libraries for products and factors of matrices;
     what a servo does to the few numbers of each environment is then a hundred launches, most of them for work of a
@@ -62,7 +49,7 @@ class Fused(Watched):
 
     def __call__(self, **inputs: Tensor) -> tuple[Tensor, ...]:
         """What the function gives."""
-        if not _fusing.get() or not self._ready(inputs):
+        if not kernels_wanted() or not self._ready(inputs):
             return self._function(**inputs)
         rows = [
             torch.cat([inputs[name].flatten(self._leading).float() for name in names], -1)

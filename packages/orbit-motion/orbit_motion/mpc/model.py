@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.scene import Articulation, JointType, Pose
 
@@ -26,7 +27,7 @@ def libraries() -> tuple[Any, Any]:
     except ImportError:
         raise ConfigurationError(
             "model-predictive control needs crocoddyl and the release of Pinocchio that it was made with: "
-            'pip install "orbit-core[mpc]" and pip install --no-deps crocoddyl==3.2.1 libcrocoddyl==3.2.1'
+            f"{install_extra('mpc')} and pip install --no-deps crocoddyl==3.2.1 libcrocoddyl==3.2.1"
         ) from None
 
 

@@ -24,7 +24,7 @@ _STRAYED = 3.0
 
 
 class BasePathFollower(Node):
-    """Gives the commands of :class:`~orbit_core.actions.BaseVelocityConfig` that lead each base along a path of its own.
+    """Gives commands of :class:`~orbit_core.actions.BaseVelocityConfig` that lead each base along a path of its own.
 
     The base goes from place to place, the heading to that of the end; an environment without a path stands still. One
     on two wheels (whose limit to the left is zero) turns to each place, drives there, and turns to its heading at the

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, PlanningError
 from orbit_motion.obstacles import Obstacles
 from orbit_motion.still import PlacedWorld
@@ -60,7 +61,7 @@ class BasePlanner:
             from scipy import ndimage, sparse
             from scipy.sparse import csgraph
         except ImportError:
-            raise ConfigurationError('plans need the package scipy: pip install "orbit-core[planning]"') from None
+            raise ConfigurationError(f"plans need the package scipy: {install_extra('planning')}") from None
         self._ndimage, self._sparse, self._csgraph = ndimage, sparse, csgraph
         self._world, self.config = world, config
         self._obstacles = Obstacles(world, config.obstacles)

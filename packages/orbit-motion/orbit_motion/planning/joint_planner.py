@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.kinematics import KinematicTree
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, PlanningError
 from orbit_motion.clearance import Clearance
 from orbit_motion.obstacles import Obstacles
@@ -215,7 +216,7 @@ def _library() -> tuple[Any, Any]:
     try:
         from ompl import base, geometric, util
     except ImportError:
-        raise ConfigurationError('plans need the package ompl: pip install "orbit-core[planning]"') from None
+        raise ConfigurationError(f"plans need the package ompl: {install_extra('planning')}") from None
     util.setLogLevel(util.LogLevel.LOG_WARN)
     util.RNG.setSeed(1)  # once: the library draws all plans of a process from one stream
     return base, geometric

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError, PlanningError
 
 _Array = npt.NDArray[np.float64]
@@ -153,7 +154,7 @@ def _toppra() -> Any:
         import toppra.algorithm
         import toppra.constraint
     except ImportError:
-        raise ConfigurationError('timing needs the package toppra: pip install "orbit-core[planning]"') from None
+        raise ConfigurationError(f"timing needs the package toppra: {install_extra('planning')}") from None
     return toppra
 
 
@@ -161,5 +162,5 @@ def _ruckig() -> Any:
     try:
         import ruckig
     except ImportError:
-        raise ConfigurationError('timing needs the package ruckig: pip install "orbit-core[planning]"') from None
+        raise ConfigurationError(f"timing needs the package ruckig: {install_extra('planning')}") from None
     return ruckig

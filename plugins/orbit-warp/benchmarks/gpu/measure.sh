@@ -27,7 +27,7 @@ bench() {  # TASK SIZES [OPTION ...]
 }
 
 contract() {  # THIRD: every third file of the suite, beginning with that one
-  local files=(tests/conformance/test_conformance_*.py tests/conformance/test_{variants,tasks}.py) chosen=() i
+  local files=(tests/conformance/orbit_conformance/contract/test_conformance_*.py tests/conformance/test_{variants,tasks}.py) chosen=() i
   for ((i = $1 - 1; i < ${#files[@]}; i += 3)); do chosen+=("${files[i]}"); done
   python3 -m pytest -q -p no:cacheprovider -rfE "${chosen[@]}" --device cuda --junit-xml "$out/tests$1.xml" \
     -k warp

@@ -5,7 +5,9 @@
 site=${ORBIT_SITE:-$HOME/site}
 mkdir -p "$site"
 plugins="mjmodel warpkit warp matter mujoco bullet sapien"
-export PYTHONPATH="$site:$PWD" PYTHONUNBUFFERED=1
+packages="assets motion learn data viewer policies"
+export PYTHONPATH="$site:$PWD:$PWD/tests/conformance" PYTHONUNBUFFERED=1
+for package in $packages; do PYTHONPATH="$PYTHONPATH:$PWD/packages/orbit-$package"; done
 for plugin in $plugins; do PYTHONPATH="$PYTHONPATH:$PWD/plugins/orbit-$plugin"; done
 export ORBIT_CACHE_DIR="${ORBIT_CACHE_DIR:-$PWD/.gpu/cache}"
 
@@ -13,8 +15,11 @@ export ORBIT_CACHE_DIR="${ORBIT_CACHE_DIR:-$PWD/.gpu/cache}"
 python3 - "$site" $plugins <<'PYTHON'
 import pathlib, sys, tomllib
 
-for project in ("pyproject.toml", *(f"plugins/orbit-{plugin}/pyproject.toml" for plugin in sys.argv[2:])):
-    data = tomllib.loads(pathlib.Path(project).read_text())["project"]
+plugins = [pathlib.Path("plugins") / f"orbit-{plugin}" for plugin in sys.argv[2:]]
+own = [pathlib.Path(), *pathlib.Path("packages").iterdir(), pathlib.Path("orbit_tasks"), pathlib.Path("tests/conformance")]
+for folder in (*own, *plugins):
+    project = folder / "pyproject.toml"
+    data = tomllib.loads(project.read_text())["project"]
     name, version = data["name"].replace("-", "_"), data["version"]
     folder = pathlib.Path(sys.argv[1]) / f"{name}-{version}.dist-info"
     folder.mkdir(exist_ok=True)

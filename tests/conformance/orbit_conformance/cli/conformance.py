@@ -18,6 +18,7 @@ from orbit_core.cli.output import console, new_table, progress_bar
 from orbit_core.cli.parsing import parse_words
 from orbit_core.cli.settings import KeyValues
 from orbit_core.configuration import assignments, configured
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -242,7 +243,7 @@ def _report(words: Sequence[str]) -> int:
 
 def _require_extra() -> None:
     if any(importlib.util.find_spec(name) is None for name in ("jinja2", "matplotlib", "msgspec", "pebble")):
-        raise ConfigurationError('the conformance suite needs its extra: pip install "orbit-core[conformance]"')
+        raise ConfigurationError(f"the conformance suite needs its extra: {install_extra('conformance')}")
 
 
 _COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {

@@ -9,8 +9,7 @@ import numpy.typing as npt
 
 from orbit_assets.audit.geometry import shape_points
 from orbit_assets.convex import Convex, convex_shape
-from orbit_core.interfaces import match_values
-from orbit_core.interfaces.layout import home_positions
+from orbit_core.interfaces.layout import gripper_positions, home_positions
 from orbit_core.preparation.posture import link_poses
 from orbit_core.scene import Articulation, EndEffector, Gripper, Link, Pose, RobotSpec
 
@@ -35,13 +34,6 @@ def home_posture(spec: RobotSpec) -> dict[str, float]:
         UnknownNameError: the home names a joint that the robot lacks.
     """
     return dict(zip(spec.articulation.joint_names, home_positions(spec).tolist(), strict=True))
-
-
-def gripper_positions(spec: RobotSpec, gripper: Gripper, value: float | tuple[float, ...]) -> Mapping[int, float]:
-    """Positions by joint index, of a gripper's ``open_position`` or ``closed_position``."""
-    values = value if isinstance(value, tuple) else (value,) * len(gripper.joints)
-    names = spec.articulation.joint_names
-    return match_values(dict(zip(gripper.joints, values, strict=True)), names, "joint", f"the gripper of '{spec.name}'")
 
 
 def gripper_posture(spec: RobotSpec, gripper: Gripper, value: float | tuple[float, ...]) -> dict[str, float]:

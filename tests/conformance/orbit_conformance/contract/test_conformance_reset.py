@@ -7,11 +7,10 @@ import torch
 from torch import Tensor
 
 from orbit_conformance.bodies import cube, index, pendulum, scene
+from orbit_conformance.contract.fixtures import MakeEngine, Needs
+from orbit_conformance.contract.truth import assert_near
 from orbit_core.interfaces import Backend, Capability, Engine, SimulationError
 from orbit_core.scene import ImplicitPd, Pose, Scene, SensorSpec
-
-from .conftest import MakeEngine, Needs
-from .truth import assert_near
 
 STATE = ("joint_positions", "joint_velocities", "joint_efforts", "link_poses", "link_velocities")
 COMMANDS = ("position_targets", "velocity_targets", "efforts")

@@ -5,10 +5,9 @@ from __future__ import annotations
 import torch
 
 from orbit_conformance.bodies import index
+from orbit_conformance.contract.fixtures import MakeEngine, Needs
+from orbit_conformance.contract.test_conformance_reset import busy_scene, drive
 from orbit_core.interfaces import Backend, Capability, Level
-
-from .conftest import MakeEngine, Needs
-from .test_conformance_reset import busy_scene, drive
 
 NEAR = {"joint_positions": 2e-3, "link_poses": 2e-3, "joint_velocities": 0.2, "link_velocities": 0.2}
 """rad and m, rad/s and m/s, where copies are approximate."""

@@ -9,12 +9,11 @@ import pytest
 import torch
 
 from orbit_conformance.bodies import cube, index, scene
+from orbit_conformance.contract.fixtures import MakeEngine, Needs
+from orbit_conformance.contract.truth import assert_near
 from orbit_core.interfaces import Capability
 from orbit_core.scene import Articulation, Box, Capsule, Cylinder, ObjectSpec, Pose, Shape, Sphere
 from orbit_core.scene.shapes import Geometry
-
-from .conftest import MakeEngine, Needs
-from .truth import assert_near
 
 UPRIGHT = Pose()
 LYING = Pose.from_axis_angle((0.0, 1.0, 0.0), math.pi / 2)

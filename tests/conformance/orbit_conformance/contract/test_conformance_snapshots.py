@@ -9,12 +9,18 @@ import torch
 from torch import Tensor
 
 from orbit_conformance.bodies import cube, index, pendulum, scene
+from orbit_conformance.contract.fixtures import MakeEngine, Needs
+from orbit_conformance.contract.test_conformance_reset import (
+    COMMANDS,
+    STATE,
+    assert_same,
+    busy_scene,
+    drive,
+    everything,
+)
+from orbit_conformance.contract.truth import assert_near
 from orbit_core.interfaces import TERRAIN, Backend, Capability, Engine, Level
 from orbit_core.scene import ContactSensorSpec, ForceTorqueSpec
-
-from .conftest import MakeEngine, Needs
-from .test_conformance_reset import COMMANDS, STATE, assert_same, busy_scene, drive, everything
-from .truth import assert_near
 
 
 @pytest.fixture(autouse=True)

@@ -12,11 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from orbit_conformance.bodies import WEIGHTLESS, ball, body, cube, index, pendulum, rotor, scene, tree, yaw_quaternion
+from orbit_conformance.contract.fixtures import MakeEngine
+from orbit_conformance.contract.truth import assert_near
 from orbit_core.scene import Articulation, Joint, JointType, Link, Pose, RobotSpec
 from orbit_core.world.build_check import check_build
-
-from .conftest import MakeEngine
-from .truth import assert_near
 
 EXACT = {"rtol": 1e-5, "atol": 1e-5}
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import torch
 
 from orbit_conformance.bodies import scene
+from orbit_conformance.contract.fixtures import MakeEngine, Needs
 from orbit_conformance.scenarios.linkages import PARALLELOGRAM, four_bar
 from orbit_core.interfaces import Capability
-
-from .conftest import MakeEngine, Needs
 
 START = (-1.0, 1.0, -1.0)
 

@@ -10,12 +10,11 @@ import pytest
 import torch
 
 from orbit_conformance.bodies import WEIGHTLESS, geared, index, pendulum, rotor, scene, slider
+from orbit_conformance.contract.fixtures import MakeEngine, Needs
+from orbit_conformance.contract.truth import assert_near
 from orbit_core.dynamics.drive_stability import ExplicitGains, unstable_drive
 from orbit_core.interfaces import Backend, Capability, DriveIntegration
 from orbit_core.scene import Articulation, IdealPd, ImplicitPd, Joint, JointType, Link, Pose, RobotSpec
-
-from .conftest import MakeEngine, Needs
-from .truth import assert_near
 
 INERTIA, MASS = 0.5, 2.0
 

@@ -15,6 +15,8 @@ from torch import Tensor
 
 from orbit_assets.compound_joints import BALL, compound
 from orbit_conformance.bodies import WEIGHTLESS, G, ball, cube, fixed, index, scene
+from orbit_conformance.contract.fixtures import MakeEngine, Needs
+from orbit_conformance.contract.truth import assert_near
 from orbit_core.interfaces import TERRAIN, Capability, Engine
 from orbit_core.scene import (
     Articulation,
@@ -34,9 +36,6 @@ from orbit_core.scene import (
     Shape,
     Sphere,
 )
-
-from .conftest import MakeEngine, Needs
-from .truth import assert_near
 
 
 def contact(entity: str = "cube", filters: tuple[str, ...] = ()) -> tuple[ContactSensorSpec]:

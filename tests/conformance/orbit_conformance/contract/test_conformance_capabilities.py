@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from orbit_conformance.bodies import cube, fixed, geared, index, pendulum, rotor, scene
+from orbit_conformance.contract.fixtures import MakeEngine
 from orbit_conformance.scenarios.linkages import four_bar
 from orbit_core import backends
 from orbit_core.interfaces import Backend, Capability, Engine, Level, UnsupportedCapabilityError, required_capabilities
@@ -32,8 +33,6 @@ from orbit_core.scene import (
     Shape,
     SoftBody,
 )
-
-from .conftest import MakeEngine
 
 TETRAHEDRON = Mesh(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])

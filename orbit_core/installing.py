@@ -1,0 +1,64 @@
+"""Commands that install what is missing, from a checkout or from a package index."""
+
+from __future__ import annotations
+
+import functools
+import json
+import re
+from pathlib import Path
+from urllib.parse import unquote, urlparse
+
+import importlib_metadata
+
+
+def install_command(distribution: str) -> str:
+    """Return the command that installs one of ORBIT's distributions.
+
+    Where ORBIT runs from a checkout, the command installs the checkout's own; it is run in its folder.
+    """
+    folder = _checkout_folder(distribution)
+    return f"pip install {distribution}" if folder is None else f"pip install -r checkout.txt{_editable(folder)}"
+
+
+def install_extra(extra: str) -> str:
+    """Return the command that installs an extra of orbit-core, from an index or from the checkout in use."""
+    root = checkout()
+    if root is None:
+        return f'pip install "orbit-core[{extra}]"'
+    plugin = _checkout_folder(f"orbit-{extra}")
+    own = "" if plugin is None else _editable(plugin)
+    return f'pip install -r checkout.txt{own} "orbit-core[{extra}]"'
+
+
+def _editable(folder: Path) -> str:
+    """Return the options that install a plugin of the checkout, after those that it is built on; empty for others."""
+    root = checkout()
+    if root is None or folder.parent.name != "plugins":
+        return ""
+    needed = re.findall(
+        r'"(orbit-[a-z]+)', (folder / "pyproject.toml").read_text(encoding="utf-8").split("[project.e")[0]
+    )
+    below = [root / "plugins" / name for name in dict.fromkeys(needed) if (root / "plugins" / name).is_dir()]
+    return "".join(f" -e plugins/{each.name}" for each in [*(each for each in below if each != folder), folder])
+
+
+def _checkout_folder(distribution: str) -> Path | None:
+    """Return the folder of a distribution in the checkout that ORBIT runs from; None without a checkout."""
+    root = checkout()
+    if root is None:
+        return None
+    special = {"orbit-core": root, "orbit-tasks": root / "orbit_tasks", "orbit-conformance": root / "tests/conformance"}
+    folders = (special.get(distribution, root / kind / distribution) for kind in ("packages", "plugins"))
+    return next((folder for folder in folders if (folder / "pyproject.toml").is_file()), None)
+
+
+@functools.cache
+def checkout() -> Path | None:
+    """Return the root of the checkout that orbit-core is installed from; None for an installed wheel."""
+    try:
+        text = importlib_metadata.distribution("orbit-core").read_text("direct_url.json")
+    except importlib_metadata.PackageNotFoundError:
+        return None
+    url = json.loads(text) if text else {}
+    root = Path(unquote(urlparse(url.get("url", "")).path))
+    return root if url.get("dir_info", {}).get("editable") and (root / "checkout.txt").is_file() else None

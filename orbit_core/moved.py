@@ -1,0 +1,197 @@
+"""Old import paths: modules that moved into other distributions still import under their old names, with a warning.
+
+The tables hold for one release. A module's old name gives the very same module.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.abc
+import importlib.machinery
+import importlib.util
+import sys
+import warnings
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any
+
+from orbit_core.installing import install_command
+from orbit_core.interfaces.errors import ConfigurationError
+
+MODULES = {
+    "orbit_core.actuators.fitting": "orbit_learn.actuators.fitting",
+    "orbit_core.actuators.network_model": "orbit_learn.actuators.network_model",
+    "orbit_core.actuators.networks": "orbit_learn.actuators.networks",
+    "orbit_core.actuators.recordings": "orbit_learn.actuators.recordings",
+    "orbit_core.assets": "orbit_assets",
+    "orbit_core.assets.catalogue": "orbit_core.robots",
+    "orbit_core.assets.deformable_checks": "orbit_core.preparation.deformable_checks",
+    "orbit_core.assets.inertia": "orbit_core.preparation.inertia",
+    "orbit_core.assets.massless": "orbit_core.preparation.massless",
+    "orbit_core.assets.merge": "orbit_core.preparation.merge",
+    "orbit_core.assets.posture": "orbit_core.preparation.posture",
+    "orbit_core.assets.scene_data": "orbit_core.preparation.scene_data",
+    "orbit_core.assets.surface_checks": "orbit_core.preparation.surface_checks",
+    "orbit_core.assets.validation": "orbit_core.preparation.validation",
+    "orbit_core.audit": "orbit_assets.audit",
+    "orbit_core.capture.fusion": "orbit_motion.fusion",
+    "orbit_core.cli.augment": "orbit_data.cli.augment",
+    "orbit_core.cli.check_asset": "orbit_assets.cli.check_asset",
+    "orbit_core.cli.check_robot": "orbit_assets.cli.check_robot",
+    "orbit_core.cli.conformance": "orbit_conformance.cli.conformance",
+    "orbit_core.cli.convert": "orbit_assets.cli.convert",
+    "orbit_core.cli.data": "orbit_data.cli.data",
+    "orbit_core.cli.export": "orbit_learn.cli.export",
+    "orbit_core.cli.grasp": "orbit_motion.cli.grasp",
+    "orbit_core.cli.play": "orbit_learn.cli.play",
+    "orbit_core.cli.reading": "orbit_assets.cli.reading",
+    "orbit_core.cli.record": "orbit_data.cli.record",
+    "orbit_core.cli.replay": "orbit_data.cli.replay",
+    "orbit_core.cli.teleop": "orbit_data.cli.teleop",
+    "orbit_core.cli.train": "orbit_learn.cli.train",
+    "orbit_core.cli.train_actuator": "orbit_learn.cli.train_actuator",
+    "orbit_core.cli.trained": "orbit_learn.cli.trained",
+    "orbit_core.cli.view": "orbit_viewer.cli.view",
+    "orbit_core.conformance": "orbit_conformance",
+    "orbit_core.data": "orbit_data",
+    "orbit_core.data.compare": "orbit_core.manifest.compare",
+    "orbit_core.data.manifest": "orbit_core.manifest.manifest",
+    "orbit_core.data.plain": "orbit_core.manifest.plain",
+    "orbit_core.envs.expert": "orbit_motion.experts.expert",
+    "orbit_core.envs.expert_base": "orbit_motion.experts.expert_base",
+    "orbit_core.envs.mppi": "orbit_motion.experts.mppi",
+    "orbit_core.learning": "orbit_learn",
+    "orbit_core.mdp.crumpled": "orbit_tasks.mdp.crumpled",
+    "orbit_core.mdp.held": "orbit_tasks.mdp.held",
+    "orbit_core.mdp.matter": "orbit_tasks.mdp.matter",
+    "orbit_core.mdp.picking": "orbit_tasks.mdp.picking",
+    "orbit_core.mdp.premises": "orbit_tasks.mdp.premises",
+    "orbit_core.mdp.stages": "orbit_tasks.mdp.stages",
+    "orbit_core.mdp.tabletop": "orbit_tasks.mdp.tabletop",
+    "orbit_core.mdp.terrain": "orbit_tasks.mdp.terrain",
+    "orbit_core.motion": "orbit_motion",
+    "orbit_core.motion.actuate": "orbit_core.actions.actuate",
+    "orbit_core.motion.arm_dynamics": "orbit_core.actions.arm_dynamics",
+    "orbit_core.motion.base": "orbit_core.actions.base",
+    "orbit_core.motion.base_velocity": "orbit_core.actions.base_velocity",
+    "orbit_core.motion.binary_gripper": "orbit_core.actions.binary_gripper",
+    "orbit_core.motion.differential_drive": "orbit_core.actions.differential_drive",
+    "orbit_core.motion.differential_ik": "orbit_core.actions.differential_ik",
+    "orbit_core.motion.drives": "orbit_core.actions.drives",
+    "orbit_core.motion.embodiment": "orbit_core.actions.embodiment",
+    "orbit_core.motion.full_ik": "orbit_core.actions.full_ik",
+    "orbit_core.motion.full_ik_term": "orbit_core.actions.full_ik_term",
+    "orbit_core.motion.grasp_synergies": "orbit_core.actions.grasp_synergies",
+    "orbit_core.motion.ik": "orbit_core.actions.ik",
+    "orbit_core.motion.joint_effort": "orbit_core.actions.joint_effort",
+    "orbit_core.motion.joint_position": "orbit_core.actions.joint_position",
+    "orbit_core.motion.joint_velocity": "orbit_core.actions.joint_velocity",
+    "orbit_core.motion.modes": "orbit_core.actions.modes",
+    "orbit_core.motion.pose_command": "orbit_core.actions.pose_command",
+    "orbit_core.motion.presets": "orbit_core.actions.presets",
+    "orbit_core.motion.reach": "orbit_core.actions.reach",
+    "orbit_core.motion.registry": "orbit_core.actions.registry",
+    "orbit_core.motion.term": "orbit_core.actions.term",
+    "orbit_core.perception": "orbit_motion.perception",
+    "orbit_core.pretrained": "orbit_learn.pretrained",
+    "orbit_core.reading.parquet": "orbit_data.reading.parquet",
+    "orbit_core.reading.zarr_store": "orbit_data.reading.zarr_store",
+    "orbit_core.teleoperation": "orbit_data.teleoperation",
+    "orbit_core.viewer": "orbit_viewer",
+    "orbit_core.viewer.grasp_tool": "orbit_motion.grasping.tool",
+    "orbit_core.viewer.pictures": "orbit_core.rollout.pictures",
+    "orbit_core.viewer.video": "orbit_core.rollout.video",
+    "orbit_core.world.preparation": "orbit_core.preparation.scenes",
+    "orbit_tasks.pretrained": "orbit_policies",
+}
+"""Old name of a module or package -> its name now; the longest prefix counts."""
+NAMES = {
+    "orbit_motion": ("orbit_core.actions",),
+    "orbit_assets": (
+        "orbit_core.robots",
+        "orbit_core.objects",
+        "orbit_core.preparation.merge",
+        "orbit_core.preparation.validation",
+    ),
+    "orbit_assets.object_kinds": ("orbit_core.objects",),
+    "orbit_core.envs": ("orbit_motion.experts",),
+    "orbit_core.mdp.common": ("orbit_assets.objects",),
+}
+"""Module -> where names are now that it had while it was part of orbit-core."""
+
+
+def moved_name(module: str, name: str) -> Any:
+    """Return what a module had under a name, from the module that has it now.
+
+    Raises:
+        AttributeError: it never had that name, or the distribution that brings it is not installed.
+    """
+    for other in NAMES[module] if not name.startswith("_") else ():
+        try:
+            found = getattr(importlib.import_module(other), name)
+        except (AttributeError, ModuleNotFoundError):
+            continue
+        warnings.warn(
+            f"{module}.{name} is {other}.{name} now; the old name goes with the next release",
+            FutureWarning,
+            stacklevel=3,
+        )
+        return found
+    raise AttributeError(f"module '{module}' has no attribute '{name}'")
+
+
+def new_name(name: str) -> str | None:
+    """Return the name that a module has now; None where it has not moved."""
+    parts = name.split(".")
+    for count in range(len(parts), 1, -1):
+        if (new := MODULES.get(".".join(parts[:count]))) is not None:
+            return ".".join([new, *parts[count:]])
+    return None
+
+
+class MovedFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Finds modules by their old names."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        """Return a specification that loads the module of the new name, if the name is an old one."""
+        new = new_name(fullname) if fullname.startswith("orbit_") else None
+        if new is None:
+            return None
+        return importlib.util.spec_from_loader(fullname, MovedFinder(), origin=new)
+
+    def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType:
+        """Return the module of the new name.
+
+        Raises:
+            ConfigurationError: the distribution that brings it is not installed.
+        """
+        new = str(spec.origin)
+        _warn(spec.name, new, 2)
+        try:
+            module = importlib.import_module(new)
+        except ModuleNotFoundError as error:
+            top = new.partition(".")[0]
+            if error.name != top:
+                raise
+            distribution = top.replace("_", "-")
+            raise ConfigurationError(
+                f"{spec.name} is {new} now, of the distribution {distribution}: {install_command(distribution)}"
+            ) from error
+        self._spec = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Give the module its own specification back, which the import system has replaced."""
+        module.__spec__ = self._spec
+
+
+def install() -> None:
+    """Let old names be imported; once."""
+    if not any(isinstance(finder, MovedFinder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, MovedFinder())  # before what finds files in the folder of a package under its old name
+
+
+def _warn(old: str, new: str, level: int) -> None:
+    warnings.warn(f"{old} is {new} now; the old name goes with the next release", FutureWarning, stacklevel=level + 1)

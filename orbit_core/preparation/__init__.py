@@ -1,0 +1,1 @@
+"""Checks and simplifications of scene data before an engine sees it."""

@@ -1,0 +1,1 @@
+"""Terms and scenery that several tasks of this package share."""

@@ -1,0 +1,1 @@
+"""Commands on demonstrations: recording, teleoperation, conversion, augmentation."""

@@ -1,0 +1,1 @@
+"""Actuator models that are fitted to recordings of real joints."""
