@@ -93,7 +93,6 @@ MODULES = {
     "orbit_core.motion.registry": "orbit_core.actions.registry",
     "orbit_core.motion.term": "orbit_core.actions.term",
     "orbit_core.perception": "orbit_motion.perception",
-    "orbit_core.pretrained": "orbit_learn.pretrained",
     "orbit_core.reading.parquet": "orbit_data.reading.parquet",
     "orbit_core.reading.zarr_store": "orbit_data.reading.zarr_store",
     "orbit_core.teleoperation": "orbit_data.teleoperation",
@@ -105,19 +104,21 @@ MODULES = {
     "orbit_tasks.pretrained": "orbit_policies",
 }
 """Old name of a module or package -> its name now; the longest prefix counts."""
+_ROBOTS = ("RobotCatalogue", "RobotEntry", "robot", "robot_info", "robot_names")
+_OBJECTS = ("ObjectConfig", "object_config", "object_kinds")
 NAMES = {
-    "orbit_motion": ("orbit_core.actions",),
-    "orbit_assets": (
-        "orbit_core.robots",
-        "orbit_core.objects",
-        "orbit_core.preparation.merge",
-        "orbit_core.preparation.validation",
-    ),
-    "orbit_assets.object_kinds": ("orbit_core.objects",),
-    "orbit_core.envs": ("orbit_motion.experts",),
-    "orbit_core.mdp.common": ("orbit_assets.objects",),
+    "orbit_motion": {"orbit_core.actions": ()},
+    "orbit_assets": {
+        "orbit_core.robots": _ROBOTS,
+        "orbit_core.objects": _OBJECTS,
+        "orbit_core.preparation.merge": ("merge_fixed_links",),
+        "orbit_core.preparation.validation": ("sort_links", "validate", "validate_entity"),
+    },
+    "orbit_assets.object_kinds": {"orbit_core.objects": _OBJECTS},
+    "orbit_core.envs": {"orbit_motion.experts": ()},
+    "orbit_core.mdp.common": {"orbit_assets.objects": ("BENCH_HEIGHT", "work_bench")},
 }
-"""Module -> where names are now that it had while it was part of orbit-core."""
+"""Module -> modules that have names now which were its own: these, or all of ``__all__`` where none is given."""
 
 
 def moved_name(module: str, name: str) -> Any:
@@ -126,17 +127,16 @@ def moved_name(module: str, name: str) -> Any:
     Raises:
         AttributeError: it never had that name, or the distribution that brings it is not installed.
     """
-    for other in NAMES[module] if not name.startswith("_") else ():
-        try:
-            found = getattr(importlib.import_module(other), name)
-        except (AttributeError, ModuleNotFoundError):
+    for other, names in NAMES[module].items():
+        if names and name not in names:
             continue
-        warnings.warn(
-            f"{module}.{name} is {other}.{name} now; the old name goes with the next release",
-            FutureWarning,
-            stacklevel=3,
-        )
-        return found
+        try:
+            found = importlib.import_module(other)
+        except ModuleNotFoundError:
+            continue
+        if name in (names or found.__all__):
+            _warn(f"{module}.{name}", f"{other}.{name}", 3)
+            return getattr(found, name)
     raise AttributeError(f"module '{module}' has no attribute '{name}'")
 
 

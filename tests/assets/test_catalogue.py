@@ -208,4 +208,4 @@ def test_a_robot_whose_module_is_missing_names_it() -> None:
 
 
 def test_our_own_entry_point_is_declared() -> None:
-    assert "orbit_core" in {point.name for point in importlib_metadata.entry_points(group="orbit.robots")}
+    assert "orbit-assets" in {point.name for point in importlib_metadata.entry_points(group="orbit.robots")}

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from orbit_assets import decomposition
 from orbit_assets.cache import cache_folder
 from orbit_assets.decomposition import ConvexDecomposition, convex_pieces
 from orbit_assets.usd import read_usd, write_usd
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.preparation.inertia import mass_properties
+from orbit_core.preparation.scenes import decomposed_entity
 from orbit_core.scene import Articulation, Link, Mesh, MeshCollision, ObjectSpec, Pose, Scene, Shape, Sphere
 from orbit_core.world import simulate
 
@@ -71,7 +71,7 @@ def test_a_split_that_fails_names_the_mesh_and_a_remedy(tmp_path: Path, monkeypa
         code = f"Mesh = set_log_level = lambda *_: None\ndef run_coacd(*_, **__): {does}\n"
         (tmp_path / "coacd.py").write_text(code)
         with pytest.raises(AssetError, match=f"mesh 'rim' of link 'ring' of 'hoop' could not be split.*{told}"):
-            decomposition.decomposed_entity(ObjectSpec(name="hoop", articulation=body(unseen)))
+            decomposed_entity(ObjectSpec(name="hoop", articulation=body(unseen)))
 
 
 def test_a_split_that_takes_too_long_is_ended_and_says_so() -> None:

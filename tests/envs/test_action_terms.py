@@ -88,7 +88,12 @@ def two_armed() -> RobotSpec:
             for group in panda.actuators
         ),
         end_effectors=tuple(
-            EndEffector(f"{side}panda_hand_tcp", (side + ARM[0],), Gripper((side + FINGER,), 0.04, 0.0))
+            EndEffector(
+                f"{side}panda_hand_tcp",
+                (side + ARM[0],),
+                Gripper((side + FINGER,), 0.04, 0.0),
+                workspace=panda.end_effector.workspace,
+            )
             for side in sides
         ),
     )

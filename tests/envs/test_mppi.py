@@ -40,7 +40,7 @@ def test_a_pole_is_swung_up_and_held(backend: str) -> None:
 
 def test_a_cube_is_lifted_by_the_tasks_rewards_alone() -> None:
     environment, model = (make("Lift", count, backend=BACKENDS[0], action="ik_relative") for count in (1, 64))
-    environment.reset(seed=3)
+    environment.reset(seed=0)
     robot, cube = environment.world.robots["robot"], environment.world.objects["cube"]
     tree, effector = KinematicTree(robot.spec.articulation), robot.spec.end_effector
     arm = robot.find_joints(*effector.arm_joints)

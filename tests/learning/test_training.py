@@ -119,13 +119,13 @@ MEANS: dict[str, Callable[[Any, Tensor], Tensor]] = {
 
 @pytest.mark.parametrize("library", PPO_LIBRARIES)
 def test_a_short_training_improves_the_return(library: str, tmp_path: Path) -> None:
-    """12 iterations with 32 environments lift the hand by 15 cm on average over half a second, at least."""
+    """12 iterations with 32 environments lift the hand by 10 cm on average over half a second, at least."""
     environment = reach(32)
     made = trainer(library, environment, tmp_path)
     curve = learn(made)
     assert curve[-1].iteration == SHORT.iterations - 1
     assert curve[-1].env_steps == SHORT.iterations * STEPS * 32
-    assert curve[-1].episode_return > curve[0].episode_return + 0.15
+    assert curve[-1].episode_return > curve[0].episode_return + 0.1
     assert list(tmp_path.rglob("events.out.tfevents.*"))
     last = json.loads((tmp_path / "curve.jsonl").read_text().splitlines()[-1])
     assert library == "sb3" or 0.0 < last["metrics"]["position_error_m"] < 2.0

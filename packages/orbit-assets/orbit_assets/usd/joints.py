@@ -129,7 +129,8 @@ class Joints:
         if joint.mimic is not None:
             leader = self.references.get(joint.mimic.joint, 0.0)
             law = np.polynomial.Polynomial(joint.mimic.coefficients)(np.polynomial.Polynomial((-leader, 1.0)))
-            offset, slope, *powers = law.coef.tolist()
+            offset, *others = law.coef.tolist()  # without the highest powers that are zero
+            slope, *powers = others or [0.0]
             joint = replace(joint, mimic=Mimic(joint.mimic.joint, slope, offset + reference, tuple(powers)))
         if not reference:
             return joint

@@ -21,8 +21,8 @@ from orbit_core.cli.parsing import parse_words
 from orbit_core.cli.settings import EnvironmentSettings
 from orbit_core.files import check_apart, written_whole
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
+from orbit_core.pretrained import policy_fields, policy_path
 from orbit_learn.cli.trained import training_record
-from orbit_learn.pretrained import policy_fields, policy_path
 
 if TYPE_CHECKING:
     from orbit_core.manifest.manifest import Manifest

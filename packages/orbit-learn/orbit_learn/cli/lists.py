@@ -1,15 +1,8 @@
-"""What ``orbit list`` shows of learning: kept policies, and libraries that train."""
+"""The libraries that train, as ``orbit list`` shows them."""
 
 from __future__ import annotations
 
 from orbit_core.cli.listing import Rows
-
-
-def policies() -> Rows:
-    """Return kept policies with their descriptions."""
-    from orbit_learn.pretrained import pretrained_policies
-
-    return [(policy.name, policy.description) for policy in pretrained_policies().values()]
 
 
 def libraries() -> Rows:

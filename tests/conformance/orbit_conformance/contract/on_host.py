@@ -26,6 +26,7 @@ class OnHost:
         return self._called(value) if callable(value) else _host(value)
 
     def step(self, steps: int) -> None:
+        """Step the engine, and raise what its device reports."""
         self._called(self._engine.step)(steps)
         # An engine that does not wait for its device tells later what went wrong.
         getattr(self._engine, "check", lambda: None)()

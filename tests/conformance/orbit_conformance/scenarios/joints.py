@@ -372,7 +372,7 @@ SCENARIOS = (
             Metric(
                 name="struck",
                 unit="",
-                tolerance=0.01,
+                tolerance=4e-4,
                 meaning="error of the speed 0.05 s after a load met a drive too weak for it, relative",
             ),
         ),

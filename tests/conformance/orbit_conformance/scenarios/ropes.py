@@ -383,6 +383,7 @@ SCENARIOS = (
                 unit="",
                 tolerance=0.02,
                 meaning="largest relative change of any energy in 3 s, mean of each 0.1 s, where ropes stay taut",
+                looser_because=ASKED,
             ),
             Metric(
                 name="length",
