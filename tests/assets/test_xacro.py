@@ -37,7 +37,7 @@ def write(folder: Path, body: str, name: str = "thing.urdf.xacro") -> Path:
 def test_without_the_package_the_error_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(expansion.importlib.util, "find_spec", lambda name: None)
     path = write(tmp_path, "<link name='base'/><xacro:macro name='m'/>", "thing.urdf")
-    with pytest.raises(AssetError, match=r"pip install .*orbit-core\[xacro\].*, or expand it with xacro first"):
+    with pytest.raises(AssetError, match=r"pip install .*\[xacro\].*, or expand it with xacro first"):
         read_urdf(path)
 
 

@@ -79,5 +79,5 @@ def test_a_missing_encoder_says_how_to_install_it(tmp_path: Path, monkeypatch: p
         return real(name, *arguments)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(ConfigurationError, match=r"pip install .*orbit-core\[video\]"):
+    with pytest.raises(ConfigurationError, match=r"pip install .*\[video\]"):
         VideoFile(tmp_path / "a.mp4", 64, 48, 25.0)

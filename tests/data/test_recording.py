@@ -172,7 +172,7 @@ def test_another_environment_does_not_go_on_with_it(dataset: Hdf5Dataset) -> Non
 
 def test_a_missing_h5py_is_told_before_anything_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(ConfigurationError, match=r"pip install .*orbit-core\[data\]"):
+    with pytest.raises(ConfigurationError, match=r"pip install .*\[data\]"):
         RecordingFile(tmp_path / "lift.hdf5").check_begun(resume=False, overwrite=False)
 
 

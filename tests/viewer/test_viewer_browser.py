@@ -149,5 +149,5 @@ def test_without_the_library_the_error_says_how_to_get_it(fakes: ModuleType, mon
     from orbit_core.interfaces import ConfigurationError
 
     monkeypatch.setitem(__import__("sys").modules, "viser", None)
-    with pytest.raises(ConfigurationError, match=r"pip install .*orbit-core\[viewer\]"):
+    with pytest.raises(ConfigurationError, match=r"pip install .*\[viewer\]"):
         Viewer(fakes.FakeEnvironment(), fakes.FakeAgent())

@@ -11,6 +11,7 @@ import numpy as np
 from orbit_assets.files import load_articulation
 from orbit_assets.mjcf.model import PARSER
 from orbit_assets.options import ReadOptions
+from orbit_core.installing import install_extra
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.preparation.posture import link_poses
 from orbit_core.scene import Articulation
@@ -32,7 +33,7 @@ def check_written(articulation: Articulation, path: Path, options: ReadOptions) 
         AssetError: the file does not read, with the reader's reason, or holds something else; names the file.
     """
     if path.suffix.lower() in (".xml", ".mjcf") and find_spec(PARSER) is None:
-        return (f'{path} is not read back, which needs the package {PARSER}: pip install "orbit-core[mjcf]"',)
+        return (f"{path} is not read back, which needs the package {PARSER}: {install_extra('mjcf')}",)
     try:
         got = load_articulation(path, merge=False, options=options)
     except AssetError as error:
