@@ -18,7 +18,7 @@ EXAMPLE_SCENARIOS := free_fall projectile sliding_to_rolling ball_on_slope landi
 	drive_tracking implicit_drive explicit_drive stiff_drive reflected_inertia gains_per_environment mass_per_environment \
 	friction_per_environment gravity_per_environment frame_and_joint_sensors imu_in_a_circle magnetic_seal beside_a_reset \
 	snapshot resting_weight rays_on_primitives
-# ORBIT's own distributions lie in this checkout; `orbit-core[EXTRAS]` finds them among what is named with it.
+# ORBIT's own distributions lie in this checkout; what `.[EXTRAS]` asks for is found among what is named with it.
 OWN := . $(wildcard packages/orbit-*) ./orbit_tasks tests/conformance
 SOURCES := checkout.txt constraints.txt $(OWN:%=%/pyproject.toml) $(PLUGINS:%=plugins/orbit-%/pyproject.toml)
 CODE := orbit_core orbit_tasks packages plugins tests benchmarks assets tools examples

@@ -24,7 +24,7 @@ def install_extra(extra: str) -> str:
     """Return the command that installs an extra of orbit-core, from an index or from the checkout in use."""
     root = checkout()
     if root is None:
-        return f"{install_extra(extra)}"
+        return f'pip install "orbit-core[{extra}]"'
     plugin = _checkout_folder(f"orbit-{extra}")
     own = "" if plugin is None else _editable(plugin)
     return f'pip install -r checkout.txt{own} -e ".[{extra}]"'
