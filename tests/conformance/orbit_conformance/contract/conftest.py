@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import pytest
 
 from orbit_conformance.contract.fixtures import backend, device, make_engine, needs
@@ -15,7 +13,7 @@ __all__ = ["backend", "device", "make_engine", "needs"]
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out the tests on other backends than those of ``--backend``."""
-    chosen: Sequence[str] = config.getoption("--backend", [])
+    chosen: list[str] = [*(config.getoption("--backend", None) or ())]
     if not chosen:
         return
     try:
