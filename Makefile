@@ -140,7 +140,7 @@ wheels: $(VENV)/.ready-dev
 		(cd $$folder && $(abspath $(BIN))/hatchling build -d $(CURDIR)/dist >/dev/null) || exit 1; done
 
 check-wheels: wheels
-	PYTHON=$(PYTHON) sh tools/check_wheels.sh dist out/wheels
+	PYTHON=$(PYTHON) sh tools/check_wheels.sh dist examples/orbit-torch
 
 clean:
 	rm -rf $(VENV) out
