@@ -26,7 +26,7 @@ GROUP = "orbit.objects"
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectConfig(ABC):
-    """What an object of one kind is made from; every parameter has a default."""
+    """Parameters that an object of one kind is made from; each has a default."""
 
     name: ClassVar[str]
     """The kind's name in the catalogue."""
@@ -51,7 +51,7 @@ class ObjectConfig(ABC):
 
 @cache
 def object_kinds() -> ClassRegistry[ObjectConfig]:
-    """All installed kinds of objects, read once. A program adds its own: ``object_kinds().add_class(MugConfig)``."""
+    """Return all installed kinds of objects, read once; ``object_kinds().add_class(MugConfig)`` adds one."""
     return ClassRegistry[ObjectConfig]("object", GROUP, (), ObjectConfig)
 
 

@@ -37,7 +37,7 @@ class FullIkTermConfig(PoseTermConfig):
     """Starts: the measured positions, home, and others within the limits."""
     iterations: int = 20
     limit_speed: bool = True
-    """Whether targets lead the measured positions by at most :func:`orbit_core.actions.base.speed_limited_lead`."""
+    """Keep targets within :func:`orbit_core.actions.base.speed_limited_lead` of the measured positions."""
 
     def build(self, name: str, robot: Robot) -> FullIkTerm:
         return FullIkTerm(name, robot, self)

@@ -34,7 +34,7 @@ class JointPositionConfig(ActionTerm):
     joint without limits takes half a turn either way."""
     mode: CommandMode = CommandMode.ABSOLUTE
     limit_speed: bool = False
-    """Whether targets lead the measured positions by at most :func:`orbit_core.actions.base.speed_limited_lead`."""
+    """Keep targets within :func:`orbit_core.actions.base.speed_limited_lead` of the measured positions."""
 
     def build(self, name: str, robot: Robot) -> JointPosition:
         return JointPosition(name, robot, self)

@@ -1,4 +1,4 @@
-"""Whether functions of a few numbers for each environment are to become kernels in a step that is traced."""
+"""A switch that asks functions of a few numbers for each environment to become kernels in a step that is traced."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ OTHERS = {
 }
 """Distributions of ORBIT that bring further commands, and what each does."""
 _ORDER = (*list(COMMANDS)[:3], *list(OTHERS)[:-1], "bench", "conformance")
-"""How ``orbit --help`` lists them; those of other packages come last."""
+"""Order in which ``orbit --help`` lists commands; those of other packages come last."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from orbit_core.envs.actors import ACTORS, scripted_actor
+from orbit_core.installing import install_command
 from orbit_core.interfaces.errors import UnknownNameError
 from orbit_core.registry import Registry
 
@@ -68,7 +69,7 @@ def _source(name: str) -> ActorSource:
         if source.has(name):
             return source
     names = {*ACTORS, *(other for source in sources for other in source.names())}
-    lacking = (
-        "" if sources or not Path(name).exists() else "policies are played by the distribution orbit-learn: install it"
-    )
+    lacking = ""
+    if not sources and Path(name).exists():
+        lacking = f"policies are played by the distribution orbit-learn: {install_command('orbit-learn')}"
     raise UnknownNameError("actor or policy", name, names, note=lacking)

@@ -28,7 +28,7 @@ class Teacher(Protocol):
     """An expert that may label the states of another that acts."""
 
     teaches: bool
-    """Whether another acts, so that the phase follows from the state alone."""
+    """True while another acts, so that the phase follows from the state alone."""
 
 
 class ExpertActor(Actor):

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from typing import TypeVar
 
+from orbit_core.installing import install_command
 from orbit_core.interfaces.errors import AssetError
 from orbit_core.preparation.merge import merge_fixed_links
 from orbit_core.preparation.validation import validate_entity
@@ -90,8 +91,8 @@ def _pieces_of(shape: Shape, where: str) -> Iterator[Shape]:
     names = decompositions().names
     if not names:
         raise AssetError(
-            f"{named} asks for convex pieces, which the distribution orbit-assets makes: install it, or have the mesh "
-            "collide as its hull"
+            f"{named} asks for convex pieces, which the distribution orbit-assets makes: "
+            f"{install_command('orbit-assets')}, or have the mesh collide as its hull"
         )
     for number, piece in enumerate(decompositions().get(names[0])(shape.geometry, where=named)):
         yield replace(shape, geometry=piece, name=f"{shape.name}_{number}" if shape.name else "")

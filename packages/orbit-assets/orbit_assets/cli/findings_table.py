@@ -1,4 +1,4 @@
-"""What an audit found, as commands show it."""
+"""The table of an audit's findings that commands show."""
 
 from __future__ import annotations
 
