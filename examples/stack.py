@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from orbit_assets.objects import BENCH_HEIGHT, box, work_bench
-from orbit_core.envs import EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task, make
-from orbit_core.interfaces import World
+from orbit_core.envs import Environment, EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Task, make
 from orbit_core.mdp import common
 from orbit_core.robots import robot
 from orbit_core.scene import Scene
@@ -18,14 +17,14 @@ from orbit_motion.experts import Expert, Phase
 EDGE = 0.05
 
 
-def red(world: World, task: Stack) -> Tensor:
+def red(env: Environment[Stack]) -> Tensor:
     """(N, 7) of the cube that moves."""
-    return world.objects["red"].root_pose
+    return env.world.objects["red"].root_pose
 
 
-def blue(world: World, task: Stack) -> Tensor:
+def blue(env: Environment[Stack]) -> Tensor:
     """(N, 7) of the cube that stays."""
-    return world.objects["blue"].root_pose
+    return env.world.objects["blue"].root_pose
 
 
 def raised(pose: Tensor, height: float) -> Tensor:
@@ -33,36 +32,36 @@ def raised(pose: Tensor, height: float) -> Tensor:
     return pose + torch.tensor([0, 0, height, 0, 0, 0, 0], device=pose.device)
 
 
-def distance(world: World, task: Stack) -> Tensor:
+def distance(env: Environment[Stack]) -> Tensor:
     """(N,) metres between the red cube and its place on the blue one."""
-    return (raised(blue(world, task), EDGE)[:, :3] - red(world, task)[:, :3]).norm(dim=1)
+    return (raised(blue(env), EDGE)[:, :3] - red(env)[:, :3]).norm(dim=1)
 
 
-def reach(world: World, task: Stack) -> Tensor:
+def reach(env: Environment[Stack]) -> Tensor:
     """(N,) in [0, 1]: how near the hand is to the red cube."""
-    return 1.0 - torch.tanh(5.0 * (red(world, task)[:, :3] - common.hand_pose(world, task)[:, :3]).norm(dim=1))
+    return 1.0 - torch.tanh(5.0 * (red(env)[:, :3] - common.hand_pose(env)[:, :3]).norm(dim=1))
 
 
-def place_cubes(world: World, task: Stack, env_ids: Tensor) -> None:
+def place_cubes(env: Environment[Stack], env_ids: Tensor) -> None:
     """The red cube to the right of the robot, the blue one to its left."""
     for name, low, high in (("red", -0.25, -0.1), ("blue", 0.1, 0.25)):
-        pose = torch.zeros(len(env_ids), 7, device=world.device)
-        pose[:, 0] = world.random.uniform((), 0.4, 0.6, env_ids)
-        pose[:, 1] = world.random.uniform((), low, high, env_ids)
+        pose = torch.zeros(len(env_ids), 7, device=env.device)
+        pose[:, 0] = env.world.random.uniform((), 0.4, 0.6, env_ids)
+        pose[:, 1] = env.world.random.uniform((), low, high, env_ids)
         pose[:, 2], pose[:, 3] = 0.5 * EDGE, 1.0
-        world.objects[name].set_root_pose(pose, env_ids)
+        env.world.objects[name].set_root_pose(pose, env_ids)
 
 
-def at_red(world: World, task: Stack) -> Tensor:
+def at_red(env: Environment[Stack]) -> Tensor:
     """(N, 7) the hand around the red cube, pointing down."""
-    position = red(world, task)[:, :3]
+    position = red(env)[:, :3]
     return torch.cat((position, common.facing_down(torch.zeros_like(position[:, 0]))), dim=1)
 
 
-def over_blue(world: World, task: Stack, height: float) -> Tensor:
+def over_blue(env: Environment[Stack], height: float) -> Tensor:
     """(N, 7) the hand where the red cube comes to lie ``height`` above its place, as it sits in the hand now."""
-    hand = common.hand_pose(world, task)[:, :3]
-    position = hand + raised(blue(world, task), EDGE + height)[:, :3] - red(world, task)[:, :3]
+    hand = common.hand_pose(env)[:, :3]
+    position = hand + raised(blue(env), EDGE + height)[:, :3] - red(env)[:, :3]
     return torch.cat((position, common.facing_down(torch.zeros_like(position[:, 0]))), dim=1)
 
 
@@ -83,7 +82,7 @@ class StackObservations:
 @dataclass
 class StackRewards:
     reach: RewardTerm | None = RewardTerm(reach, 1.0)
-    stack: RewardTerm | None = RewardTerm(lambda world, task: 1.0 - torch.tanh(5.0 * distance(world, task)), 10.0)
+    stack: RewardTerm | None = RewardTerm(lambda env: 1.0 - torch.tanh(5.0 * distance(env)), 10.0)
     action_rate: RewardTerm | None = RewardTerm(common.action_rate, -1e-4)
 
 
@@ -123,25 +122,25 @@ class Stack(Task):
             physics_dt=self.physics_dt,
         )
 
-    def success(self, world: World) -> Tensor:
-        away = (common.hand_pose(world, self)[:, :3] - red(world, self)[:, :3]).norm(dim=1) > EDGE
-        return (distance(world, self) < self.tolerance) & away
+    def success(self, env: Environment) -> Tensor:
+        away = (common.hand_pose(env)[:, :3] - red(env)[:, :3]).norm(dim=1) > EDGE
+        return (distance(env) < self.tolerance) & away
 
-    def metrics(self, world: World) -> dict[str, Tensor]:
-        return {"distance_m": distance(world, self)}
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
+        return {"distance_m": distance(env)}
 
-    def expert(self, world: World) -> Expert:
+    def expert(self, env: Environment) -> Expert:
         phases = (
-            Phase(lambda world, task: raised(at_red(world, task), 0.1), position_tolerance=0.02),
+            Phase(lambda env: raised(at_red(env), 0.1), position_tolerance=0.02),
             Phase(at_red, position_tolerance=0.006, timeout=1.5),
             Phase(at_red, gripper_open=False, dwell=0.4, timeout=0.5),
-            Phase(lambda world, task: over_blue(world, task, 0.1), gripper_open=False, position_tolerance=0.02),
-            Phase(lambda world, task: over_blue(world, task, 0.004), gripper_open=False, position_tolerance=0.003,
+            Phase(lambda env: over_blue(env, 0.1), gripper_open=False, position_tolerance=0.02),
+            Phase(lambda env: over_blue(env, 0.004), gripper_open=False, position_tolerance=0.003,
                   timeout=2.0),
-            Phase(lambda world, task: over_blue(world, task, 0.004), dwell=0.3, timeout=0.4),
-            Phase(lambda world, task: raised(at_red(world, task), 0.15)),
+            Phase(lambda env: over_blue(env, 0.004), dwell=0.3, timeout=0.4),
+            Phase(lambda env: raised(at_red(env), 0.15)),
         )  # fmt: skip
-        return Expert(world, self, phases)
+        return Expert(env, phases)
 
 
 def main() -> None:

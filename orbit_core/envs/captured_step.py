@@ -20,8 +20,7 @@ from orbit_core.capture.replay import CapturedFunction
 from orbit_core.envs.episode import EpisodeEnd, StepInfo
 from orbit_core.envs.observation_layout import Observation, leaves_of, observation_of
 from orbit_core.envs.step_parts import StepParts
-from orbit_core.envs.task import Task
-from orbit_core.envs.terms import ObservationGroup, RewardTerm, Term
+from orbit_core.envs.terms import CommandTerm, ObservationGroup, RewardTerm, Term
 from orbit_core.interfaces import World
 
 _OFTEN = 8
@@ -68,10 +67,10 @@ class CapturedStep:
         self.parts = [self._phased(part, compile) for part in parts]
 
     def _phased(self, part: Callable[[], tuple[Tensor, ...]], compile: bool) -> PhasedFunction:
-        world, task, cut = self._environment.world, self._environment.task, self._environment.cut
+        world, cut = self._environment.world, self._environment.cut
 
         def memory() -> dict[str, Tensor]:
-            return {**remembered(task, cut), **cut.memory(), **world.memory()}
+            return {**remembered(self._environment), **cut.memory(), **world.memory()}
 
         def capture() -> CapturedFunction:
             return CapturedFunction(world, part, memory, compile, self._look)
@@ -111,7 +110,7 @@ class CapturedStep:
         """Capture all parts again if a value of plain Python was changed between steps, other than a weight."""
         if self._python is None:
             return
-        changes = [change for change in self._python.changes() if not _is_weight(*change)]
+        changes = [change for change in self._python.changes() if not _is_live(*change)]
         if not changes:
             self._python.update()
             return
@@ -129,10 +128,10 @@ class CapturedStep:
             )
 
     def _look(self) -> PythonState:
-        task, cut = self._environment.task, self._environment.cut
+        task, state, cut = self._environment.task, self._environment.state, self._environment.cut
         nodes = {f"node '{runner.node.name}'": runner.node for runner in cut.graph.runners}
-        roots = {type(task).__name__: task, **nodes, **self._environment.world.python_laws}
-        return PythonState(roots, (Term, ObservationGroup), skipped=frozenset({"cache"}))
+        own = {type(task).__name__: task, type(state).__name__: state}
+        return PythonState({**own, **nodes, **self._environment.world.python_laws}, (Term, ObservationGroup))
 
     @property
     def refusal(self) -> str:
@@ -157,7 +156,7 @@ class CapturedStep:
 
     def _play(self) -> tuple[Tensor, ...]:
         """A step before resets: observation, reward, terminated, truncated, then what :meth:`_info` needs."""
-        environment, task = self._environment, self._environment.task
+        environment = self._environment
         outcome = environment.advance()
         seen = leaves_of(environment.observer())
         for observed, leaf in zip(self._observed, seen, strict=True):
@@ -165,7 +164,13 @@ class CapturedStep:
         metrics = environment.metrics()
         self._metrics = tuple(metrics)
         # Copies, for resets write the same memory before anyone looks.
-        end = (environment.done, environment.success(), task.episode_step, environment.reward_sums, *metrics.values())
+        end = (
+            environment.done,
+            environment.success(),
+            environment.state.episode_step,
+            environment.reward_sums,
+            *metrics.values(),
+        )
         return (*self._observed, *outcome, *(tensor.clone() for tensor in end))
 
     def _renew(self) -> tuple[Tensor, ...]:
@@ -192,8 +197,10 @@ class CapturedStep:
         return (*self._renew(), *played[self._leaves :], *played[: self._leaves])
 
 
-def _is_weight(holder: Holder, key: object) -> bool:
-    return isinstance(holder.owner, RewardTerm) and key == "weight"  # a tensor of the reward manager's holds it
+def _is_live(holder: Holder, key: object) -> bool:
+    """Return True for configuration that managers hold in a tensor: weights of rewards, ranges of commands."""
+    owner = holder.owner
+    return (isinstance(owner, RewardTerm) and key == "weight") or (isinstance(owner, CommandTerm) and key in owner.live)
 
 
 def _where(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
@@ -201,12 +208,12 @@ def _where(mask: Tensor, values: Tensor, otherwise: Tensor) -> Tensor:
     return torch.where(mask.view(-1, *(1 for _ in values.shape[1:])), values, otherwise)
 
 
-def remembered(task: Task, cut: Cut) -> dict[str, Tensor]:
-    """What a task and its agent's nodes remember from step to step, by name."""
-    own = {name: value for name, value in vars(task).items() if name != "cache"}
-    memory = {f"node '{r.node.name}'": dict(r.node.memory()) for r in cut.graph.runners}
-    leaves = tree_leaves_with_path({type(task).__name__: own, "memory": memory})
-    return {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
+def remembered(environment: StepParts) -> dict[str, Tensor]:
+    """Return the tensors that an environment's state, commands and agent remember from step to step, by name."""
+    memory = {f"node '{r.node.name}'": dict(r.node.memory()) for r in environment.cut.graph.runners}
+    leaves = tree_leaves_with_path(memory)
+    nodes = {keystr(path): leaf for path, leaf in leaves if isinstance(leaf, Tensor)}
+    return {**environment.state.memory(), **environment.commands.memory(), **nodes}
 
 
 class StepSchedule:

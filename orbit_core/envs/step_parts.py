@@ -8,8 +8,10 @@ import torch
 from torch import Tensor
 
 from orbit_core.agent import Cut
+from orbit_core.envs.command_manager import CommandManager
 from orbit_core.envs.observation_layout import GroupLayout
 from orbit_core.envs.observation_manager import ObservationManager
+from orbit_core.envs.state import TaskState
 from orbit_core.envs.task import Task
 from orbit_core.envs.terms import RewardTerm
 from orbit_core.interfaces import World
@@ -20,6 +22,8 @@ class StepParts(Protocol):
 
     world: World
     task: Task
+    state: TaskState
+    commands: CommandManager
     cut: Cut
     device: torch.device
     observer: ObservationManager
