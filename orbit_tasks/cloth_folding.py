@@ -89,9 +89,9 @@ def hand_at(env: Environment[ClothFolding, FoldMemory], position: Tensor, height
     return torch.cat((cloth.at_height(position, height)[:, :3], common.facing_down(yaw)), dim=1)
 
 
-def half_diagonal(task: ClothFolding) -> float:
+def half_diagonal(env: Environment[ClothFolding]) -> float:
     """Metres from the fold to a corner."""
-    return 0.5 * math.sqrt(2.0) * task.size
+    return 0.5 * math.sqrt(2.0) * env.task.size
 
 
 def at_corner(height: float) -> TermFunction:
@@ -119,7 +119,7 @@ def over_fold(angle: float, base: float) -> TermFunction:
     """Term: (N, 7) the hand on its way over the fold, ``angle`` rad along it, ``base`` metres high at its ends."""
 
     def pose(env: Environment[ClothFolding, FoldMemory]) -> Tensor:
-        radius = half_diagonal(env.task) - env.task.taken - SHORT * 0.5 * (1.0 - math.cos(angle))
+        radius = half_diagonal(env) - env.task.taken - SHORT * 0.5 * (1.0 - math.cos(angle))
         height = base + ARC * radius * math.sin(angle)
         return hand_at(env, env.state.fold - env.state.ahead * (radius * math.cos(angle)), height)
 
@@ -138,7 +138,7 @@ def at_place(height: float) -> TermFunction:
     """Term: (N, 7) the hand where the folded half comes to lie in its place, at a height."""
 
     def pose(env: Environment[ClothFolding, FoldMemory]) -> Tensor:
-        end = half_diagonal(env.task) - env.task.taken - SHORT
+        end = half_diagonal(env) - env.task.taken - SHORT
         along = ((common.hand_pose(env)[:, :3] - env.state.fold) * env.state.ahead).sum(1) - overshot(env)
         along = along.clamp(end - ASTRAY, end + ASTRAY)
         return hand_at(env, env.state.fold + env.state.ahead * along[:, None], height)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -26,8 +26,7 @@ from orbit_core.envs.ppo import PpoSettings
 from orbit_core.envs.state import TaskState, buffer
 from orbit_core.envs.task import TaskMetadata
 from orbit_core.envs.task_checks import TaskCheck, TaskException
-from orbit_core.envs.terms import ENVIRONMENT, POSE, Bounds, Meaning, measured_in, once_per_state
-from orbit_core.interfaces import World
+from orbit_core.envs.terms import ENVIRONMENT, POSE, Bounds, Meaning, TermFunction, measured_in, once_per_state
 from orbit_core.mdp import common, randomize
 from orbit_core.mdp.commands import UniformPositionCommand, generated_command
 from orbit_core.mdp.randomize import Range
@@ -147,7 +146,7 @@ class HandoverGoal(UniformPositionCommand):
         return {"x": (spacing - 0.43, spacing - 0.35), "y": (-0.2, 0.2), "z": (0.15, 0.35)}
 
 
-def around_rod(agent: str) -> Callable[[World, Handover], Tensor]:
+def around_rod(agent: str) -> TermFunction:
     """(N, 7) that agent's hand around its end of the rod, pointing down."""
 
     def target(env: Environment[Handover]) -> Tensor:
@@ -158,7 +157,7 @@ def around_rod(agent: str) -> Callable[[World, Handover], Tensor]:
     return target
 
 
-def beside_place(agent: str, back: float, height: float) -> Callable[[World, Handover], Tensor]:
+def beside_place(agent: str, back: float, height: float) -> TermFunction:
     """(N, 7) that agent's hand above its side of the place where the rod is passed on, and behind by ``back``."""
 
     def target(env: Environment[Handover, HandoverMemory]) -> Tensor:
@@ -168,7 +167,7 @@ def beside_place(agent: str, back: float, height: float) -> Callable[[World, Han
     return target
 
 
-def carried(agent: str, goal: Callable[[Handover], Tensor]) -> Callable[[World, Handover], Tensor]:
+def carried(agent: str, goal: TermFunction) -> TermFunction:
     """(N, 7) that agent's hand where the rod's middle comes to a goal (N, 3), as the rod sits in the hand now."""
 
     def target(env: Environment[Handover]) -> Tensor:

@@ -47,7 +47,7 @@ class LiftMemory(TaskState):
     surface: float = 0.0
     """Height of the table's top in the environment's frame, m."""
 
-    def start(self, env: Environment[Lift]) -> None:
+    def start(self, env: Environment) -> None:
         self.rest_height = env.task.cube.rest_height
 
 

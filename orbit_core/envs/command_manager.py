@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -29,7 +29,7 @@ class CommandManager(Mapping[str, Tensor]):
         ShapeError: a term's command has no row for each environment.
     """
 
-    def __init__(self, env: Environment[Any, Any]) -> None:
+    def __init__(self, env: Environment) -> None:
         self._env = env
         self.terms = terms_of(env.task.commands, CommandTerm)
         self._commands = {name: _Command(name, term, env) for name, term in self.terms.items()}
@@ -79,7 +79,7 @@ class CommandManager(Mapping[str, Tensor]):
 class _Command:
     """One command: its value, and the tensors that its next sample is drawn from."""
 
-    def __init__(self, name: str, term: CommandTerm, env: Environment[Any, Any]) -> None:
+    def __init__(self, name: str, term: CommandTerm, env: Environment) -> None:
         self._name, self._env = name, env
         device = env.device
         low, high = _bounds(name, term, env)
@@ -139,7 +139,7 @@ class _Command:
         self.term.show(env, value, env_ids)
 
 
-def _bounds(name: str, term: CommandTerm, env: Environment[Any, Any]) -> tuple[list[float], list[float]]:
+def _bounds(name: str, term: CommandTerm, env: Environment) -> tuple[list[float], list[float]]:
     """Least and most of each number that a command draws, checked."""
     ranges = term.ranges(env)
     for number, bounds in ranges.items():

@@ -51,8 +51,8 @@ from orbit_core.world import WorldFactory, simulate
 from orbit_core.world.closing import close_for_good
 from orbit_core.world.threads import SingleThreaded
 
-TaskT = TypeVar("TaskT", bound=Task, default=Task)
-StateT = TypeVar("StateT", bound=TaskState, default=TaskState)
+TaskT = TypeVar("TaskT", bound=Task, covariant=True, default=Any)
+StateT = TypeVar("StateT", bound=TaskState, covariant=True, default=Any)
 
 
 class Environment(Generic[TaskT, StateT]):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -28,7 +28,7 @@ class EventManager:
         ConfigurationError: an interval cannot be.
     """
 
-    def __init__(self, env: Environment[Any, Any], memory: Callable[[], Mapping[str, Tensor]]) -> None:
+    def __init__(self, env: Environment, memory: Callable[[], Mapping[str, Tensor]]) -> None:
         self._env = env
         self._world = env.world
         self._memory = memory

@@ -8,7 +8,7 @@ learned near the goal spreads backwards from there.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -50,7 +50,7 @@ class ExpertStarts:
         ConfigurationError: the share is not between 0 and 1, or nothing is simulated.
     """
 
-    def __init__(self, env: Environment[Any, Any]) -> None:
+    def __init__(self, env: Environment) -> None:
         world, task = env.world, env.task
         share = task.expert_starts
         if not 0.0 <= share <= 1.0:

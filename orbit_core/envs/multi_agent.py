@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -32,7 +32,7 @@ class MultiAgentView:
         layout: of the group ``"policy"``.
     """
 
-    def __init__(self, env: Environment[Any, Any], layout: GroupLayout) -> None:
+    def __init__(self, env: Environment, layout: GroupLayout) -> None:
         task = env.task
         self.agents = task.agents
         self._actions = env.actions.slices

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -34,7 +34,7 @@ class ObservationManager:
         ShapeError: a term gives no tensor (N, ...).
     """
 
-    def __init__(self, env: Environment[Any, Any]) -> None:
+    def __init__(self, env: Environment) -> None:
         self._env = env
         self._world = env.world
         self._read()
@@ -125,7 +125,7 @@ class ObservationManager:
 class _Measurement:
     """A term's function, and what it gave when it was evaluated first."""
 
-    def __init__(self, term: ObservationTerm, what: str, env: Environment[Any, Any]) -> None:
+    def __init__(self, term: ObservationTerm, what: str, env: Environment) -> None:
         self.term = term
         self._what = what
         world = env.world
@@ -143,7 +143,7 @@ class _Measurement:
         """(N, ...) like all later values; its memory is one number's."""
         self._shape, self._dtype = value.shape, value.dtype
 
-    def read(self, env: Environment[Any, Any]) -> Tensor:
+    def read(self, env: Environment) -> Tensor:
         """(N, ...)
 
         Raises:
@@ -157,7 +157,7 @@ class _Measurement:
             )
         return value
 
-    def _value(self, env: Environment[Any, Any]) -> Tensor:
+    def _value(self, env: Environment) -> Tensor:
         term = self.term
         return term.function(env) if term.agent is None else term.function(env, term.agent)
 

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -50,7 +50,7 @@ class PremiseManager:
         TypeError: the premises hold something else than terms.
     """
 
-    def __init__(self, env: Environment[Any, Any], simulated: bool) -> None:
+    def __init__(self, env: Environment, simulated: bool) -> None:
         world, task = env.world, env.task
         self._env, self._world, self._task = env, world, task
         self.terms = terms_of(task.premises, PremiseTerm)

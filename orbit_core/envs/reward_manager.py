@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -24,7 +24,7 @@ class RewardManager:
         env: whose task has the terms; every weight is multiplied by the seconds of its step.
     """
 
-    def __init__(self, env: Environment[Any, Any]) -> None:
+    def __init__(self, env: Environment) -> None:
         self._env = env
         self.terms = terms_of(env.task.rewards, RewardTerm)
         self._weights = torch.tensor(self._scaled(), device=env.device)

@@ -61,7 +61,7 @@ class TaskState:
     """(N,) in [0, 1], for terms to read. It starts at 0 where the curriculum is enabled and has a
     :class:`~orbit_core.envs.CurriculumTerm`, and else stays 1; resets do not change it."""
 
-    def __init__(self, env: Environment[Any, Any]) -> None:
+    def __init__(self, env: Environment) -> None:
         self._locked = False
         self._device = env.device
         self._declared = {

@@ -21,8 +21,6 @@ class StepParts(Protocol):
     """The parts of a step, which an environment runs one by one or has captured. None of them waits for the device."""
 
     world: World
-    task: Task
-    state: TaskState
     commands: CommandManager
     cut: Cut
     device: torch.device
@@ -39,6 +37,16 @@ class StepParts(Protocol):
     """(N,) indices of all environments."""
     done: Tensor
     """(N,) whose episode ended in the last step."""
+
+    @property
+    def task(self) -> Task:
+        """Configuration of the environment."""
+        ...
+
+    @property
+    def state(self) -> TaskState:
+        """Memory of the run."""
+        ...
 
     def advance(self) -> tuple[Tensor, Tensor, Tensor]:
         """Apply the action; gives reward (N,), terminated (N,) and truncated (N,); sets :attr:`done`."""

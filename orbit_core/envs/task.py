@@ -207,14 +207,14 @@ class Task(ABC):
                 )
 
     @abstractmethod
-    def success(self, env: Environment[Any, Any]) -> Tensor:
+    def success(self, env: Environment) -> Tensor:
         """Return (N,) bool, True where the goal is reached now. An episode succeeds if it is at its last step."""
 
     @abstractmethod
-    def metrics(self, env: Environment[Any, Any]) -> dict[str, Tensor]:
+    def metrics(self, env: Environment) -> dict[str, Tensor]:
         """Return what a run reports of an episode's last step, (N,) each, by name with its unit; the first leads."""
 
-    def expert(self, env: Environment[Any, Any]) -> Node:
+    def expert(self, env: Environment) -> Node:
         """Return a scripted node that reaches the goal, with the output port ``action``. Override where there is one.
 
         Raises:

@@ -35,7 +35,7 @@ class TabletopMemory(TaskState):
     arm_joints: Tensor
     """(A,) indices of the joints that move the first arm's hand."""
 
-    def start(self, env: Environment[TabletopTask]) -> None:
+    def start(self, env: Environment) -> None:
         robot = env.world.robots[env.task.agents[0]]
         self.arm_joints = torch.tensor(robot.find_joints(*robot.spec.end_effector.arm_joints), device=env.device)
 

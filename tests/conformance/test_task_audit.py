@@ -12,7 +12,7 @@ from torch import Tensor
 from orbit_conformance.task_audit import EXPERT, Status, TaskAudit, audit_task
 from orbit_conformance.task_starts import coverage
 from orbit_core.cli import main
-from orbit_core.envs import Environment, EventTerm
+from orbit_core.envs import Environment, EventTerm, TaskMetadata
 from orbit_core.envs.registry import task_entries
 from orbit_core.envs.task_checks import TaskCheck, TaskException
 from orbit_core.mdp import common

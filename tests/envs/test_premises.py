@@ -101,7 +101,7 @@ def test_a_premise_that_fails_in_some_starts_warns_and_each_episode_names_it() -
 def test_time_passes_in_environments_that_begin_and_in_no_other(backend: str) -> None:
     environment = lenient(HighHockey(settle_time=0.5, odds=1.1, episode_length=1.0), 3, backend)
     world = environment.world
-    assert fallen(world, environment.task).all()  # pyright: ignore[reportArgumentType]
+    assert fallen(environment).all()  # pyright: ignore[reportArgumentType]
     assert environment.premises.checks[1].failed == 0
     for _ in range(4):
         environment.step(torch.full((3, environment.action_size), 0.2))
