@@ -39,6 +39,12 @@ class CommandManager(Mapping[str, Tensor]):
             raise UnknownNameError("command", name, self._commands, f"task {type(self._env.task).__name__}")
         return self._commands[name].value
 
+    def __setitem__(self, name: str, value: object) -> None:
+        raise ConfigurationError(
+            f"command '{name}' was replaced by another object, which a captured step would not see: write the tensor "
+            f"in place, env.commands[{name!r}][:] = ..."
+        )
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._commands)
 
@@ -143,8 +149,9 @@ def _bounds(name: str, term: CommandTerm, env: Environment) -> tuple[list[float]
     """Least and most of each number that a command draws, checked."""
     ranges = term.ranges(env)
     for number, bounds in ranges.items():
-        if len(bounds) != 2 or not all(isinstance(each, int | float) and math.isfinite(each) for each in bounds):
-            raise ConfigurationError(f"range '{number}' of command '{name}' must be two finite numbers, not {bounds}")
+        pair = isinstance(bounds, tuple | list) and len(bounds) == 2
+        if not pair or not all(isinstance(each, int | float) and math.isfinite(each) for each in bounds):
+            raise ConfigurationError(f"range '{number}' of command '{name}' must be two finite numbers, not {bounds!r}")
         if bounds[0] > bounds[1]:
             raise ConfigurationError(
                 f"range '{number}' of command '{name}' is empty, for its least {bounds[0]:g} is above its most "

@@ -162,6 +162,10 @@ class Task(ABC):
         moved = {**MOVED_FIELDS, **MOVED_STATE, **MOVED_METHODS}
         if name in moved:
             raise AttributeError(f"'{name}' of task {type(self).__name__} is now {moved[name]}")
+        if hasattr(vars(self).get("commands"), name):
+            raise AttributeError(f"'{name}' of task {type(self).__name__} is a command: env.commands['{name}']")
+        if hasattr(self.state_type, name) or name in getattr(self.state_type, "__annotations__", ()):
+            raise AttributeError(f"'{name}' of task {type(self).__name__} is state: env.state.{name}")
         raise AttributeError(f"task {type(self).__name__} has no attribute '{name}'")
 
     def randomize(self) -> None:

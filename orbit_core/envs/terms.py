@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable, Sequence
 from copy import deepcopy
@@ -41,6 +42,9 @@ class Meaning:
 
 class Term:
     """Base of all terms. Fields may be set, and act at the next step; a collection's default is shared, and may not."""
+
+    arguments: ClassVar[tuple[str, ...]] = ("env",)
+    """Arguments that the term's function is called with, before the name of an agent."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         vars(self)["_default_of"] = f"{owner.__name__}.{name}"
@@ -153,6 +157,7 @@ class EventTerm(Term):
     time in seconds from the episode's start, or from the last time, to the next; it is rounded to whole steps.
     """
 
+    arguments: ClassVar[tuple[str, ...]] = ("env", "env_ids")
     function: EventFunction
     time: EventTime = EventTime.RESET
     interval: tuple[float, float] = (0.0, 0.0)
@@ -177,6 +182,7 @@ class ModifyTerm(Term):
     step that is compiled, or recorded on a GPU, is captured again.
     """
 
+    arguments: ClassVar[tuple[str, ...]] = ("steps", "value")
     address: str
     """Path of the value in the task: ``"rewards.lift.weight"``, ``"events.push.interval"``, ``"max_forward"``."""
     function: Callable[[int, Any], Any]
@@ -227,6 +233,7 @@ def terms_of(collection: object, kind: type[_Term]) -> dict[str, _Term]:
 
     Raises:
         TypeError: a field holds something else.
+        ConfigurationError: a term's function takes other arguments than it is called with.
     """
     terms: dict[str, _Term] = {}
     if collection is None:
@@ -239,8 +246,41 @@ def terms_of(collection: object, kind: type[_Term]) -> dict[str, _Term]:
             raise TypeError(
                 f"{type(collection).__name__}.{field.name} must be a {getattr(kind, '__name__', kind)}, not {term!r}"
             )
+        check_arguments(term, f"{type(collection).__name__}.{field.name}")
         terms[field.name] = term if getattr(term, "agent", None) is None else _for_its_agent(term)
     return terms
+
+
+def check_arguments(term: object, what: str) -> None:
+    """Check that a term's function takes the arguments that it is called with.
+
+    Args:
+        term: any kind of term; what has no function passes.
+        what: place of the term, for the message.
+
+    Raises:
+        ConfigurationError: it takes others; names those that it has to take.
+    """
+    function = getattr(term, "function", None)
+    if not isinstance(term, Term) or function is None:
+        return
+    if not callable(function):
+        raise ConfigurationError(f"the function of term {what} is {function!r:.60}, which cannot be called")
+    wanted = (*term.arguments, "agent") if getattr(term, "agent", None) is not None else term.arguments
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # of C, without a signature
+        return
+    try:
+        signature.bind(*wanted)
+    except TypeError:
+        names = [name for name, each in signature.parameters.items() if each.default is each.empty]
+        before = names[:2] == ["world", "task"]
+        hint = ": the world is env.world, the task env.task, what it remembers env.state" if before else ""
+        raise ConfigurationError(
+            f"the function of term {what} takes ({', '.join(names)}), but terms are called with "
+            f"({', '.join(wanted)}){hint}"
+        ) from None
 
 
 def _for_its_agent(term: Any) -> Any:
