@@ -8,7 +8,7 @@ from orbit_tasks.lift import Lift, LiftRewards
 
 
 def height(env):
-    """(N,) metres of the cube above the table: any function of world and task is a term."""
+    """(N,) metres of the cube above the table: any function of the environment is a term."""
     return env.world.objects["cube"].root_pose[:, 2]
 
 

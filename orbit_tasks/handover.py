@@ -131,12 +131,6 @@ def tracking(env: Environment[Handover], scale: float) -> Tensor:
     return lifted(env) * common.nearness(goal_distance(env), scale)
 
 
-def place_rod(env: Environment[Handover], env_ids: Tensor) -> None:
-    """Place the rod on a 10 x 40 cm patch that the giver alone can reach, turned by up to half a radian."""
-    bounds = (0.37, -0.2, 0.5 * WIDTH, -0.5), (0.47, 0.2, 0.5 * WIDTH, 0.5)
-    env.world.objects["rod"].set_root_pose(common.standing(env.world.random.uniform((4,), *bounds, env_ids)), env_ids)
-
-
 @dataclass(unsafe_hash=True, kw_only=True)
 class HandoverGoal(UniformPositionCommand):
     """Position 15 to 35 cm above an 8 x 40 cm patch before the receiver."""
@@ -232,7 +226,9 @@ class HandoverEvents:
 
     place_giver: EventTerm | None = EventTerm(common.randomize_robot_start(0.05, GIVER))
     place_receiver: EventTerm | None = EventTerm(common.randomize_robot_start(0.05, RECEIVER))
-    place_rod: EventTerm | None = EventTerm(place_rod)
+    place_rod: EventTerm | None = EventTerm(
+        common.place_object("rod", x=(0.37, 0.47), y=(-0.2, 0.2), z=0.5 * WIDTH, yaw=(-0.5, 0.5))
+    )  # on a patch that only the giver reaches
     rod_mass: EventTerm | None = None
     friction: EventTerm | None = None
     giver_gains: EventTerm | None = None

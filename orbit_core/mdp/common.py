@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,7 +13,17 @@ from torch import Tensor
 from orbit_core.actions.workspace import with_workspace
 from orbit_core.envs.environment import Environment
 from orbit_core.envs.task import ROBOT
-from orbit_core.envs.terms import ENVIRONMENT, POSE, ObservationGroup, means, measured_in, once_per_state
+from orbit_core.envs.terms import (
+    ENVIRONMENT,
+    POSE,
+    Bounds,
+    EventFunction,
+    ObservationGroup,
+    TermFunction,
+    means,
+    measured_in,
+    once_per_state,
+)
 from orbit_core.interfaces import ConfigurationError, Robot, World
 from orbit_core.interfaces.layout import gripper_positions
 from orbit_core.moved import moved_name
@@ -169,6 +180,18 @@ def hand_pose(env: Environment, agent: str = ROBOT) -> Tensor:
     return robot.frame_pose(robot.spec.end_effector.frame)
 
 
+@functools.cache
+def object_pose(name: str) -> TermFunction:
+    """Make a term of the pose (N, 7) of an object, in the environment's frame."""
+
+    @means(f"pose of the origin of '{name}'", frame=ENVIRONMENT)
+    @measured_in(POSE)
+    def pose(env: Environment) -> Tensor:
+        return env.world.objects[name].root_pose
+
+    return pose
+
+
 class GripperOpening:
     """How far the robot's gripper is open; made once, in a task's ``start``.
 
@@ -294,6 +317,17 @@ def randomize_robot_start(spread: float, agent: str = ROBOT):
         robot.set_joint_state((robot.home_positions + offset).clamp(limits[:, 0], limits[:, 1]), env_ids=env_ids)
 
     return randomize
+
+
+def place_object(name: str, x: Bounds, y: Bounds, z: float, yaw: Bounds = (0.0, 0.0)) -> EventFunction:
+    """Event: an object upright on a patch, uniform within ranges of x and y (m) and of yaw (rad), its origin at z."""
+
+    def place(env: Environment, env_ids: Tensor) -> None:
+        low, high = (x[0], y[0], z, yaw[0]), (x[1], y[1], z, yaw[1])
+        drawn = env.world.random.uniform((4,), low, high, env_ids)
+        env.world.objects[name].set_root_pose(standing(drawn), env_ids)
+
+    return place
 
 
 def random_rotations(world: World, env_ids: Tensor | None) -> Tensor:
