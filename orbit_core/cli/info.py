@@ -165,7 +165,7 @@ def _joint_table(robot: RobotSpec) -> Table:
 
 
 def _show_actuators(console: Console, robot: RobotSpec) -> None:
-    from orbit_core.dynamics.drive_design import drive_responses
+    from orbit_core.dynamics.workspace import drive_responses
     from orbit_core.interfaces.layout import actuator_of_joint
 
     groups = actuator_of_joint(robot)

@@ -98,12 +98,6 @@ def _matter() -> list[tuple[str, str]]:
     return rows + _missing(installable_matter())
 
 
-def _policies() -> Rows:
-    from orbit_core.pretrained import pretrained_policies
-
-    return [(policy.name, policy.description) for policy in pretrained_policies().values()]
-
-
 def _actions() -> list[tuple[str, str]]:
     from orbit_core.actions import action_words
 
@@ -138,7 +132,6 @@ _LISTS = {
     "backends": _backends,
     "renderers": _renderers,
     "matter": _matter,
-    "policies": _policies,
     "actions": _actions,
     "motion": _motion,
 }

@@ -86,49 +86,6 @@ class RunSettings(EnvironmentSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlaySettings(RunSettings):
-    """Run a learned policy's task with it, on any backend, and report success, metrics, return and speed."""
-
-    policy: Annotated[Positional[Path], arg(metavar="POLICY")]
-    """File policy_<iteration>.safetensors or .onnx, the folder of a training, which stands for its last, or a kept
-    policy's name ('orbit list policies')."""
-    task: Name = None
-    """Another task than the one it was learned for."""
-    agent: Suppress[str] = ""
-    """The policy."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ViewSettings(EnvironmentSettings):
-    """Watch a task live in the browser."""
-
-    num_envs: int = 1
-    """Environments stepped together."""
-    agent: Annotated[str, arg(metavar="{expert,random,zero,hold,POLICY}")] = "expert"
-    """Who acts: one of these, a kept policy ('orbit list policies'), or the file or folder of a learned one."""
-    host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 lets other machines watch."""
-    port: int = 8080
-    """Port to listen on."""
-    frames: bool = False
-    """Draw axes at the robot's base, end effectors, finger tips, feet and wheels; the panel has a switch for it."""
-    max_steps: Annotated[int | None, arg(metavar="INT")] = None
-    """Stop after that many steps; run until interrupted if left out."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class GraspSettings(EnvironmentSettings):
-    """Have an arm grasp what you choose, in the browser."""
-
-    host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 lets other machines take part."""
-    port: int = 8080
-    """Port to listen on."""
-    max_steps: Annotated[int | None, arg(metavar="INT")] = None
-    """Stop after that many steps; run until interrupted if left out."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class BenchSettings(EnvironmentSettings):
     """Measure throughput over numbers of environments, with random actions."""
 

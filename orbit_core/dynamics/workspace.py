@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +12,8 @@ import torch
 
 from orbit_core.dynamics.kinematics import mimic_matrix
 from orbit_core.dynamics.rigid_body import RigidBodyModel
-from orbit_core.scene import Articulation, Joint, JointType
+from orbit_core.interfaces.layout import SceneLayout, actuator_of_joint
+from orbit_core.scene import Articulation, Joint, JointType, RobotSpec, Scene
 
 _SAMPLES = 256
 _TURN = math.pi
@@ -57,6 +59,69 @@ def leaders(articulation: Articulation) -> list[int]:
         index if joint.mimic is None else names.index(joint.mimic.joint)
         for index, joint in enumerate(articulation.movable_joints)
     ]
+
+
+@dataclass(frozen=True)
+class ReflectedInertia:
+    """What each joint moves while all others stand still, kg m^2 or kg, armature included: (J,) over the workspace.
+
+    Joints that mimic another have the value of the joint that they follow.
+    """
+
+    smallest: npt.NDArray[np.float64]
+    mean: npt.NDArray[np.float64]
+    largest: npt.NDArray[np.float64]
+
+
+def reflected_inertia(articulation: Articulation, armature: Sequence[float] | None = None) -> ReflectedInertia:
+    """The diagonal of the mass matrix over configurations drawn evenly within the joints' limits.
+
+    ``armature`` (J,) takes the place of the joints' own. A free base does not follow the joints' motion here, as that
+    of a robot that stands does not.
+    """
+    diagonal = np.diagonal(workspace_mass_matrices(articulation, armature=armature), axis1=1, axis2=2)
+    leading = leaders(articulation)
+    smallest, mean, largest = (reduce(diagonal, axis=0)[leading] for reduce in (np.min, np.mean, np.max))
+    return ReflectedInertia(smallest, mean, largest)
+
+
+@dataclass(frozen=True)
+class DriveResponse:
+    """How a joint follows its position target over the workspace, as a second-order system: all others stand still.
+
+    Frequencies are natural ones, Hz; a damping ratio of 1 is critical. The slowest response, at the largest inertia, is
+    the least damped.
+    """
+
+    joint: str
+    slowest: float
+    fastest: float
+    least_damped: float
+    most_damped: float
+
+
+def drive_responses(robot: RobotSpec) -> tuple[DriveResponse, ...]:
+    """The response of each joint whose actuator has a stiffness, in the joints' order; followers are left out.
+
+    The mechanism's own damping counts, as do armatures that an actuator group gives.
+
+    Raises:
+        UnknownNameError: an actuator group names no joint of the robot.
+    """
+    articulation = robot.articulation
+    parameters = SceneLayout.of(Scene(robots=(robot,))).joint_parameters
+    inertia = reflected_inertia(articulation, parameters.armature.tolist())
+    responses: list[DriveResponse] = []
+    for index, group in sorted(actuator_of_joint(robot).items()):
+        joint = articulation.movable_joints[index]
+        if group.stiffness <= 0 or joint.mimic is not None:
+            continue
+        damping = group.damping + parameters.damping[index]
+        ends = [(float(most[index]), group.stiffness) for most in (inertia.largest, inertia.smallest)]
+        slowest, fastest = (math.sqrt(stiffness / moved) / (2 * math.pi) for moved, stiffness in ends)
+        least, most = (float(damping) / (2 * math.sqrt(stiffness * moved)) for moved, stiffness in ends)
+        responses.append(DriveResponse(joint.name, slowest, fastest, least, most))
+    return tuple(responses)
 
 
 def _ends(joint: Joint) -> tuple[float, float]:

@@ -20,8 +20,8 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
 import orbit_core
-from orbit_core import tensor_file
 from orbit_core.interfaces import OrbitError
+from orbit_data import tensor_file
 from orbit_learn.checkpoint import read_checkpoint, write_checkpoint
 from orbit_learn.description import Part, PolicyDescription
 from orbit_learn.networks import Perceptron

@@ -34,7 +34,7 @@ from orbit_core.scene import (
 )
 
 if TYPE_CHECKING:
-    from orbit_core.dynamics.drive_design import DriveDesign
+    from orbit_assets.drive_design import DriveDesign
 
     _Moving = TypeVar("_Moving", ActuatorConfig, DriveDesign, Gripper)
 
@@ -109,7 +109,7 @@ def compose(name: str, parts: Sequence[RobotPart]) -> RobotSpec:
         UnknownNameError: a mount is no link or frame of its part.
         AssetError: a part's model cannot be had.
     """
-    from orbit_core.dynamics.drive_design import designed_drives
+    from orbit_assets.drive_design import designed_drives
 
     _check_order(name, parts)
     first, *others = parts

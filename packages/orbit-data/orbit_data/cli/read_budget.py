@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from orbit_core.reading.budget import ReadBudget
+    from orbit_data.reading.budget import ReadBudget
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,6 +23,6 @@ class ReadSettings:
     @property
     def budget(self) -> ReadBudget:
         """The limits as readers take them."""
-        from orbit_core.reading.budget import ReadBudget
+        from orbit_data.reading.budget import ReadBudget
 
         return ReadBudget(self.read_bytes, self.read_pixels, self.read_seconds)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from orbit_core.reading.budget import ReadAccount
+from orbit_data.reading.budget import ReadAccount
 
 FAULTS = (
     OSError, ValueError, KeyError, TypeError, RuntimeError, NotImplementedError, EOFError, OverflowError, MemoryError,

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from orbit_core.installing import install_extra
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.reading.budget import SMALL, ReadAccount, check_name
+from orbit_data.reading.budget import SMALL, ReadAccount, check_name
 
 Array = npt.NDArray[Any]
 

@@ -16,12 +16,13 @@ import torch
 from torch import Tensor
 
 from orbit_core.files import as_path, written_whole
-from orbit_core.interfaces import AssetError, ConfigurationError, Object, Robot, World
-from orbit_core.reading.budget import ReadAccount, ReadBudget
-from orbit_core.reading.npz import FAULTS, read_npz
+from orbit_core.interfaces import AssetError, ConfigurationError, World
 from orbit_core.rollout.counter import EpisodeCounter
 from orbit_core.rollout.stepping import StepObserver
-from orbit_core.tensor_file import parse_json
+from orbit_data.reading.budget import ReadAccount, ReadBudget
+from orbit_data.reading.npz import FAULTS, read_npz
+from orbit_data.recorder import tracked_frames
+from orbit_data.tensor_file import parse_json
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
@@ -198,20 +199,9 @@ class EpisodeRecorder(StepObserver):
 
 
 def _tracked(world: World) -> Iterator[tuple[str, Callable[[], Tensor]]]:
-    """What tells where each thing is: (N, 7) of a frame, (N, 3) of a key point."""
+    """Yield the name and the reader of every tracked place: (N, 7) of a frame, (N, 3) of a key point."""
     for name, (entity, frame) in tracked_frames(world):
         yield name, functools.partial(entity.frame_pose, frame)
     for name, body in world.deformables.items():
         for point in body.spec.key_points:
             yield f"{name}/{point.name}", functools.partial(body.key_point, point.name)
-
-
-def tracked_frames(world: World) -> Iterator[tuple[str, tuple[Object, str]]]:
-    """End effectors, or roots of robots without one, and links of objects that can move: entity and frame by name."""
-    for name, robot in world.robots.items():
-        ends = [end.frame for end in robot.spec.end_effectors] if isinstance(robot, Robot) else []
-        for frame in ends or robot.link_names[:1]:
-            yield f"{name}/{frame}", (robot, frame)
-    for name, thing in world.objects.items():
-        for link in thing.link_names[1 if thing.spec.fixed_base else 0 :]:
-            yield (name if len(thing.link_names) == 1 else f"{name}/{link}"), (thing, link)

@@ -11,8 +11,8 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from orbit_core.interfaces import ConfigurationError
-from orbit_core.manifest.manifest import Manifest
-from orbit_core.manifest.plain import ROUNDED
+from orbit_data.manifest.manifest import Manifest
+from orbit_data.manifest.plain import ROUNDED
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment

@@ -16,8 +16,8 @@ from orbit_core.envs.observation_groups import groups_of, terms_of_group
 from orbit_core.envs.terms import POSE, ObservationGroup, ObservationTerm, meaning_of, unit_of
 from orbit_core.interfaces import ConfigurationError
 from orbit_core.interfaces.layout import actuator_of_joint, joint_limits
-from orbit_core.manifest.plain import as_plain, digest
-from orbit_core.reading.budget import MAX_DOCUMENT
+from orbit_data.manifest.plain import as_plain, digest
+from orbit_data.reading.budget import MAX_DOCUMENT
 
 if TYPE_CHECKING:
     from orbit_core.actions import MotionGenerator
@@ -136,7 +136,7 @@ class Manifest:
 
     task: str
     configuration: dict[str, Any]
-    """The task's fields, as :func:`~orbit_core.manifest.plain.as_plain` writes them."""
+    """The task's fields, as :func:`~orbit_data.manifest.plain.as_plain` writes them."""
     robots: dict[str, RobotManifest]
     observations: dict[str, GroupManifest]
     action_terms: dict[str, ActionTermManifest]
