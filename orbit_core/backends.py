@@ -21,7 +21,7 @@ from orbit_core import __version__
 from orbit_core.configuration import configured
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.backend import Backend
-from orbit_core.interfaces.capabilities import Capability
+from orbit_core.interfaces.capabilities import IMAGES, MATTER, Capability, required_capabilities
 from orbit_core.interfaces.errors import (
     BackendNotInstalledError,
     ConfigurationError,
@@ -31,7 +31,6 @@ from orbit_core.interfaces.errors import (
 )
 from orbit_core.interfaces.fields import settings_table
 from orbit_core.interfaces.matter import NATIVE, MatterSolver
-from orbit_core.interfaces.requirements import IMAGES, MATTER, required_capabilities
 from orbit_core.registry import Registry, faults_named
 from orbit_core.scene import Scene
 

@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from orbit_core.backends import versions_of
-from orbit_core.cli.checks import check_output, check_positive
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, new_table, progress_bar, write_json
-from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.settings import BenchSettings
+from orbit_core.cli.settings import BenchSettings, check_output, check_positive, parse_settings
 from orbit_core.envs.actors import scripted_actor
 from orbit_core.files import written_whole
 from orbit_core.installing import install_extra

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from orbit_core.cli.parsing import parse_words
+from orbit_core.cli.settings import parse_words
 from orbit_core.interfaces.errors import OrbitError
 from orbit_core.registry import Registry
 

@@ -1,13 +1,26 @@
-"""What the commands take, as dataclasses: from them come the command line's options and a TOML file's keys."""
+"""Settings of the commands: dataclasses, from which the options and the keys of TOML files come, and their checks.
+
+The command line wins over a TOML file, and a TOML file over defaults.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+import dataclasses
+import io
+import os
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar, get_type_hints
 
+import tyro
 from tyro.conf import Positional, Suppress, UseAppendAction, arg
+
+from orbit_core.configuration import configured, field_types, read_toml
+from orbit_core.files import storage_faults, sweep
+from orbit_core.interfaces.errors import ConfigurationError, UnknownNameError
 
 Name = Annotated[str | None, arg(metavar="NAME")]
 File = Annotated[Path | None, arg(metavar="FILE")]
@@ -99,3 +112,132 @@ class BenchSettings(EnvironmentSettings):
     """Draw the figures here, as PNG."""
     overwrite: bool = False
     """Replace files of those names that are there already."""
+
+
+def check_output(path: Path | None, suffix: str, overwrite: bool) -> None:
+    """Refuse a file that could not be written, or is there already, before the work whose result it is to hold.
+
+    What a program that was killed has left in its folder is deleted.
+    """
+    if path is None:
+        return
+    if path.suffix != suffix:
+        raise ConfigurationError(f"the name of output file {path} must end in {suffix}")
+    if not path.parent.is_dir():
+        raise ConfigurationError(f"cannot write {path}: there is no folder {path.parent}")
+    if not os.access(path.parent, os.W_OK):
+        raise ConfigurationError(f"cannot write {path}: folder {path.parent} is read-only for this user")
+    if path.is_dir():
+        raise ConfigurationError(f"cannot write {path}: it is a folder")
+    if path.exists() and not path.is_file():
+        raise ConfigurationError(f"cannot write {path}: it is no regular file")
+    if path.exists() and not overwrite:
+        raise ConfigurationError(f"{path} is there already: give another name, or --overwrite")
+    sweep(path.parent)
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder that an output file is to lie in.
+
+    Raises:
+        StorageError: it cannot be made.
+    """
+    with storage_faults(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+
+
+def check_port(name: str, port: int) -> None:
+    """Refuse what is no port."""
+    if not 0 <= port <= 65535:
+        raise ConfigurationError(f"{name} must be from 0 to 65535, not {port}")
+
+
+def check_positive(name: str, value: int) -> None:
+    """Refuse a number below one."""
+    if value < 1:
+        raise ConfigurationError(f"{name} must be at least 1, not {value}")
+
+
+def check_steps(max_steps: int | None) -> None:
+    """Refuse a limit of steps below one."""
+    if max_steps is not None:
+        check_positive("max_steps", max_steps)
+
+
+def check_size(name: str, size: tuple[int, ...]) -> None:
+    """Refuse what is no width and height; a file's list may have any length."""
+    if len(size) != 2:
+        raise ConfigurationError(f"{name} must be a width and a height, not {list(size)}")
+
+
+_Settings = TypeVar("_Settings", bound=EnvironmentSettings)
+_Parsed = TypeVar("_Parsed")
+
+# In a file, tables ([fields], [settings] ...) stand for these, and a file names no other file.
+_COMMAND_LINE_ONLY = ("set", "setting", "renderer_setting", "matter_setting", "config")
+
+
+def parse_settings(settings_type: type[_Settings], words: Sequence[str], program: str) -> _Settings:
+    """Settings from the words of the command line, and from the file that they name.
+
+    Raises:
+        ConfigurationError: the file is not readable or not TOML, or a value is not of its key's type.
+        UnknownNameError: an option or a key of the file is unknown; names the nearest.
+    """
+    settings = parse_words(settings_type, words, program)
+    if settings.config is None:
+        return settings
+    return parse_words(settings_type, words, program, read_file(settings_type, settings.config))
+
+
+def parse_words(kind: type[_Parsed], words: Sequence[str], program: str, default: Any = None) -> _Parsed:
+    """A dataclass from the words of the command line alone."""
+    _check_options(kind, words, program)
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            parsed, unknown = tyro.cli(kind, args=words, prog=program, default=default, return_unknown_args=True)
+    except SystemExit as stop:
+        if not stop.code:  # the help was printed
+            raise
+        raise ConfigurationError(f"{_one_line(complaint.getvalue())} ({program} --help)") from None
+    if unknown:
+        raise ConfigurationError(f"unexpected argument '{unknown[0]}' ({program} --help)")
+    return parsed
+
+
+def read_file(settings_type: type[_Settings], path: Path) -> _Settings:
+    """The settings of a TOML file over the defaults of ``settings_type``."""
+    values = read_toml(path, "configuration file")
+    known = field_types(settings_type).keys() - {*_COMMAND_LINE_ONLY}
+    for key in values.keys() - known:
+        raise UnknownNameError("key", key, known, f"configuration file {path}")
+    return configured(settings_type(), values, f"configuration file {path}", "key")
+
+
+def _check_options(kind: type, words: Sequence[str], program: str) -> None:
+    """Refuse an option that the dataclass does not have, with the nearest that it has."""
+    known = {f"--{name.replace('_', '-')}" for name, hint in _hints(kind).items() if _is_option(hint)}
+    known.add("--help")
+    for word in words:
+        option = word.partition("=")[0].replace("_", "-")
+        if option.startswith("--") and option not in known:
+            raise UnknownNameError("option", option, known, program)
+
+
+def _one_line(complaint: str) -> str:
+    """The sentence inside the box that the parser draws around its complaint; the title and the hint fall away."""
+    text = [line for line in complaint.splitlines() if not line.startswith(("╭", "╰"))]
+    sentence = " ".join(re.split(r"─{3,}", "\n".join(text))[0].replace("│", " ").split())
+    return sentence.rstrip(".") or "malformed command line"
+
+
+def _hints(kind: type) -> dict[str, Any]:
+    """The types of a dataclass's fields, with the parser's marks."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+
+
+def _is_option(hint: Any) -> bool:
+    marks = getattr(hint, "__metadata__", ())
+    return tyro.conf.Positional not in marks and tyro.conf.Suppress not in marks

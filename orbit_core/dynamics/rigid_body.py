@@ -18,9 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from orbit_core.dynamics.kinematics import KinematicTree, cross_motion
+from orbit_core.dynamics.kinematics import KinematicTree, child_links, cross_motion, joint_ancestry, link_ancestry
 from orbit_core.dynamics.transforms import quat_to_matrix
-from orbit_core.dynamics.tree import child_links, joint_ancestry, link_ancestry
 from orbit_core.scene import Articulation
 
 

@@ -6,9 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from orbit_core.interfaces.capabilities import Capabilities, DriveIntegration
+from orbit_core.interfaces.capabilities import Capabilities, DriveIntegration, Gap
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
-from orbit_core.interfaces.gaps import Gap
 
 if TYPE_CHECKING:
     import torch

@@ -10,16 +10,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from orbit_core.interfaces.capabilities import Capabilities
+from orbit_core.interfaces.capabilities import Capabilities, Gap
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
-from orbit_core.interfaces.gaps import Gap
 
 if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
-    from orbit_core.interfaces.built import Approximation
-    from orbit_core.interfaces.layout import SceneLayout
+    from orbit_core.interfaces.layout import Approximation, SceneLayout
     from orbit_core.interfaces.renderer import Image
     from orbit_core.scene import CameraSpec
 
@@ -113,7 +111,7 @@ class Matter(ABC):
 
     @abstractmethod
     def diverged(self) -> Tensor:
-        """(N, D) bool: which deformables are beyond the bounds of :mod:`orbit_core.interfaces.divergence`."""
+        """(N, D) bool: which deformables are beyond the bounds of :mod:`orbit_core.interfaces.errors`."""
 
     @abstractmethod
     def save_state(self) -> Any:
@@ -143,7 +141,7 @@ class MatterPainter(ABC):
             camera: that took it.
             camera_poses: (n, 7) in each environment's frame, -z forward, y up.
             vertices: (n, V, 3) of each deformable's surface
-                (:class:`orbit_core.plugin_kit.deformable_surface.DeformableSurface`), in the environment's frame.
+                (:class:`orbit_core.plugin_kit.rendering.DeformableSurface`), in the environment's frame.
             image: with depth; its other fields may be None, and stay so. In ``links`` a deformable has the number of
                 links plus its own index.
         """
@@ -163,7 +161,7 @@ class MatterSolver(ABC):
 
     @abstractmethod
     def capabilities(self) -> Capabilities:
-        """What of :data:`~orbit_core.interfaces.requirements.MATTER` it can do, with reasons."""
+        """What of :data:`~orbit_core.interfaces.capabilities.MATTER` it can do, with reasons."""
 
     def gaps(self) -> tuple[Gap, ...]:
         """Metrics of the conformance scenarios of matter that it is known to miss, on every engine."""

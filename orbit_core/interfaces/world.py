@@ -1,4 +1,4 @@
-"""What tasks, nodes, viewers and learning code see of a world: simulated, recorded or real."""
+"""Worlds and their sensors, as tasks, nodes, viewers and learning code see them: simulated, recorded or real."""
 
 from __future__ import annotations
 
@@ -10,14 +10,30 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from orbit_core.interfaces.built import Approximation
 from orbit_core.interfaces.engine import Engine
 from orbit_core.interfaces.entities import Deformable, Marker, Object, Robot
 from orbit_core.interfaces.errors import UnsupportedCapabilityError
-from orbit_core.interfaces.layout import SceneLayout
+from orbit_core.interfaces.layout import Approximation, SceneLayout
 from orbit_core.interfaces.renderer import Renderer
-from orbit_core.interfaces.sensor import Sensor
-from orbit_core.scene import CameraSpec, Scene
+from orbit_core.scene import CameraSpec, Scene, SensorSpec
+
+
+class Sensor(ABC):
+    """One sensor of all environments. A subclass adds typed properties for its values."""
+
+    spec: SensorSpec
+
+    def begin_step(self) -> None:
+        """The world is about to step: what is averaged over a control step starts here."""
+
+    @abstractmethod
+    def advance(self, steps: int) -> None:
+        """Tell the sensor that ``steps`` physics steps have passed; it measures when its period is over."""
+
+    @abstractmethod
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        """Forget the past of some environments; their next reading is fresh."""
+
 
 Bound = float | tuple[float, ...] | Tensor
 

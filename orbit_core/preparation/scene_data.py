@@ -1,18 +1,16 @@
-"""Whether a scene's data is what its dataclasses say, and its numbers can be, before anything is made of it."""
+"""Checks of a scene's data: types of all fields, ranges of numbers, surfaces and deformables."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
-from orbit_core.interfaces.divergence import MAX_DISTANCE, MAX_SPEED
-from orbit_core.interfaces.errors import ArgumentError
+from orbit_core.interfaces.errors import MAX_DISTANCE, MAX_SPEED, ArgumentError
 from orbit_core.interfaces.typed import Typed, wrong
-from orbit_core.preparation.deformable_checks import check_deformable
-from orbit_core.preparation.surface_checks import check_height_field, check_hulls, check_mesh
 from orbit_core.scene import (
     AmbientLight,
     Box,
@@ -21,12 +19,14 @@ from orbit_core.scene import (
     Cloth,
     Compliance,
     Cylinder,
+    DeformableSpec,
     DirectionalLight,
     Fluid,
     HeightField,
     Joint,
     Link,
     Mesh,
+    MeshCollision,
     PhysicsMaterial,
     Pose,
     Region,
@@ -37,7 +37,275 @@ from orbit_core.scene import (
     SoftBody,
     Sphere,
 )
-from orbit_core.scene.lights import MAX_DIRECTIONAL_LIGHTS
+from orbit_core.scene.scene import MAX_DIRECTIONAL_LIGHTS
+
+_FLAT = 1e-6
+"""A mesh whose points spread less than this in a direction, relative to their widest, has no extent there."""
+
+
+def check_mesh(mesh: Mesh, where: str) -> None:
+    """Hold a mesh to finite points and to triangles of points that it has, not all on one line.
+
+    Args:
+        mesh: the mesh.
+        where: its name, for the message.
+
+    Raises:
+        ArgumentError: it has no triangle, a point that is not finite or beyond 1e6 m, a triangle of a point that it
+            lacks, or no area.
+    """
+    vertices, faces = mesh.vertices, mesh.faces
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.issubdtype(vertices.dtype, np.floating):
+        raise ArgumentError(f"{where}.vertices are {vertices.dtype} of shape {vertices.shape}: give floats (V, 3)")
+    if faces.ndim != 2 or faces.shape[1] != 3 or not np.issubdtype(faces.dtype, np.integer):
+        raise ArgumentError(f"{where}.faces are {faces.dtype} of shape {faces.shape}: give whole numbers (F, 3)")
+    if len(faces) == 0 or len(vertices) < 3:
+        raise ArgumentError(f"{where} has {len(vertices)} vertices and {len(faces)} triangles: give it a surface")
+    # A comparison with NaN is false, so what is not within the bounds is found, whatever it is.
+    if not (vertices.min() >= -MAX_DISTANCE and vertices.max() <= MAX_DISTANCE):
+        raise ArgumentError(f"{where} has a vertex that is not finite, or beyond {MAX_DISTANCE:g} m: mend it")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        culprit = int(faces.min() if faces.min() < 0 else faces.max())
+        raise ArgumentError(
+            f"{where} has a triangle of vertex {culprit}, and vertices 0 to {len(vertices) - 1}: mend its faces"
+        )
+    if extents(mesh.vertices) < 2:
+        raise ArgumentError(f"{where} has all its vertices on one line: give it a surface")
+
+
+def check_hulls(shapes: Iterable[Shape], where: str) -> None:
+    """Hold meshes that collide as their convex hulls to hulls with a volume, and those with a field to be closed.
+
+    Args:
+        shapes: what collides; meshes among it have passed :func:`check_mesh`.
+        where: the name of the shapes, for the message.
+
+    Raises:
+        ArgumentError: all points of a mesh lie in one plane, or a mesh that collides by distances is not closed.
+    """
+    for index, shape in enumerate(shapes):
+        mesh, culprit = shape.geometry, f"{where}[{repr(shape.name) if shape.name else index}].geometry"
+        if not isinstance(mesh, Mesh) or mesh.collision is MeshCollision.TRIANGLES:
+            continue
+        if extents(mesh.vertices) < 3:
+            raise ArgumentError(
+                f"{culprit} lies in a plane, so that its convex hull has no volume: give it thickness, or make it a "
+                "thin box"
+            )
+        if mesh.collision is MeshCollision.SIGNED_DISTANCE and not _closed(mesh):
+            raise ArgumentError(
+                f"{culprit} is not closed, so that distances to it have no sign: close its surface, or have it collide "
+                "otherwise"
+            )
+
+
+def check_height_field(field: HeightField, where: str) -> None:
+    """Hold a height field to finite heights on at least two rows and columns, and a size above zero.
+
+    Args:
+        field: the height field.
+        where: its name, for the message.
+
+    Raises:
+        ArgumentError: it is none.
+    """
+    heights = field.heights
+    if heights.ndim != 2 or min(heights.shape) < 2:
+        raise ArgumentError(f"{where}.heights have shape {heights.shape}: give at least two rows and two columns")
+    if not (heights.min() >= -MAX_DISTANCE and heights.max() <= MAX_DISTANCE):
+        raise ArgumentError(f"{where}.heights hold one that is not finite, or beyond {MAX_DISTANCE:g} m: mend it")
+    if not all(1e-9 <= length <= MAX_DISTANCE for length in field.size):
+        raise wrong(f"{where}.size", field.size, f"lengths of 1e-09 to {MAX_DISTANCE:g} m")
+
+
+def _closed(mesh: Mesh) -> bool:
+    """Whether each edge of a face is that of one other, the other way round."""
+    edges = np.stack((mesh.faces, np.roll(mesh.faces, -1, axis=1)), -1).reshape(-1, 2)
+    there, back = (np.unique(each, axis=0) for each in (edges, edges[:, ::-1]))
+    return len(there) == len(edges) and np.array_equal(there, back)
+
+
+def extents(points: npt.ArrayLike) -> int:
+    """The number of directions, 0 to 3, in which points (V, 3) spread."""
+    vertices = np.asarray(points, dtype=np.float64)
+    centred = vertices - vertices.mean(axis=0)
+    spreads = np.sqrt(np.maximum(np.linalg.eigvalsh(centred.T @ centred / len(centred)), 0.0))
+    return int((spreads > max(_FLAT * spreads[-1], 1e-12)).sum())
+
+
+_POSITIVE = {
+    Cloth: ("area_density", "membrane_stiffness", "thickness"),
+    Rope: ("linear_density", "axial_stiffness", "radius"),
+    SoftBody: ("density", "youngs_modulus"),
+    Fluid: ("density", "spacing"),
+}
+_NOT_NEGATIVE = {
+    Cloth: ("bending_stiffness", "damping", "friction"),
+    Rope: ("bending_stiffness", "damping", "friction"),
+    SoftBody: ("friction",),
+    Fluid: ("viscosity",),
+}
+_LARGEST = 1e12
+_SOFTEST = 1e-3
+"""N/m of a membrane: a thousandth of what a soap film has, below which its strains overflow single precision."""
+_MOST_PARTICLES = 1_000_000
+_LEAST_AREA = 1e-6
+"""Of a triangle, over the mean of its mesh."""
+
+
+def check_deformable(spec: DeformableSpec, where: str) -> None:
+    """Hold a deformable's numbers to what they may be.
+
+    Raises:
+        ArgumentError: names the field, its value and what is wanted.
+    """
+    if not spec.name.strip():
+        raise ArgumentError(f"{where} has no name: give it one, by which the world is asked for it")
+    for names, least in ((_POSITIVE, 1e-12), (_NOT_NEGATIVE, 0.0)):
+        for name in names[type(spec)]:
+            if not least <= getattr(spec, name) <= _LARGEST:
+                raise wrong(f"{where}.{name}", getattr(spec, name), f"{least:g} to {_LARGEST:g}")
+    if isinstance(spec, Cloth) and spec.membrane_stiffness < _SOFTEST:
+        raise wrong(f"{where}.membrane_stiffness", spec.membrane_stiffness, f"{_SOFTEST:g} to {_LARGEST:g} N/m")
+    if isinstance(spec, Fluid):
+        _check_box(spec, where)
+    if isinstance(spec, Cloth | SoftBody) and not -1.0 < spec.poissons_ratio < 0.5 + 0.5 * isinstance(spec, Cloth):
+        most = "1" if isinstance(spec, Cloth) else "0.5"
+        raise wrong(f"{where}.poissons_ratio", spec.poissons_ratio, f"more than -1 and less than {most}")
+    if isinstance(spec, Rope) and (np.ndim(spec.points) != 2 or np.shape(spec.points)[1] != 3):
+        raise ArgumentError(f"{where}.points has shape {np.shape(spec.points)}: give (particles, 3)")
+    if isinstance(spec, Rope) and len(spec.points) < 2:
+        raise ArgumentError(f"{where}.points has {len(spec.points)} particles: give two or more")
+    count = len(spec.rest_positions)
+    if count > _MOST_PARTICLES:
+        raise ArgumentError(f"{where} has {count} particles: give {_MOST_PARTICLES} at most")
+    if not (np.abs(spec.rest_positions) <= MAX_DISTANCE).all():
+        raise ArgumentError(f"{where} has particles that are not finite, or beyond {MAX_DISTANCE:g} m: mend them")
+    if isinstance(spec, Cloth | Rope):
+        _check_extent(spec, where)
+    if isinstance(spec, Cloth | SoftBody):
+        _check_triangles(spec, where)
+    if isinstance(spec, SoftBody) and extents(spec.mesh.vertices) < 3:
+        raise ArgumentError(
+            f"{where}.mesh lies in a plane and has no volume: give it a closed surface, or make it a Cloth"
+        )
+    _check_particles(spec, count)
+
+
+def _check_particles(spec: DeformableSpec, count: int) -> None:
+    """Refuse key points that have no name, or another's, and what is of particles that are not there."""
+    names = [point.name for point in spec.key_points]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ArgumentError(f"two key points of '{spec.name}' are named '{twice[0]}': give each its own name")
+    for number, point in enumerate(spec.key_points):
+        if not point.name.strip():
+            raise ArgumentError(
+                f"key point {number} of '{spec.name}' has no name: give it one, by which it is asked for"
+            )
+        if len(set(point.particles)) < len(point.particles):
+            raise ArgumentError(
+                f"key point '{point.name}' of '{spec.name}' names a particle twice: give it more weight"
+            )
+        if point.weights and abs(sum(point.weights) - 1.0) > 1e-3:
+            raise ArgumentError(
+                f"the weights of key point '{point.name}' of '{spec.name}' sum up to {sum(point.weights):g}: make it 1"
+            )
+    named = [(f"key point '{point.name}'", point.particles) for point in spec.key_points]
+    named += [(f"attachment {number}", held.particles) for number, held in enumerate(spec.attachments)]
+    for what, particles in named:
+        if missing := [particle for particle in particles if not 0 <= particle < count]:
+            raise ArgumentError(f"{what} of '{spec.name}' is of particle {missing[0]}: it has {count}, from 0 on")
+
+
+def _check_box(fluid: Fluid, where: str) -> None:
+    """Refuse a box that is none, or holds more particles than any solver takes."""
+    for half in fluid.half_extents:
+        if not 0.0 < half <= MAX_DISTANCE:
+            raise wrong(
+                f"{where}.half_extents", fluid.half_extents, f"three lengths above 0, {MAX_DISTANCE:g} m at most"
+            )
+    count = math.prod(max(1.0, 2.0 * half / fluid.spacing) for half in fluid.half_extents)
+    if count > _MOST_PARTICLES:
+        raise ArgumentError(
+            f"{where} has {count:.3g} particles at a spacing of {fluid.spacing:g} m: give {_MOST_PARTICLES} at most"
+        )
+
+
+def _check_triangles(thing: Cloth | SoftBody, where: str) -> None:
+    """Refuse triangles that have no area or are there twice, and particles that nothing holds."""
+    points, faces = thing.rest_positions, np.asarray(thing.mesh.faces)
+    a, b, c = (points[faces[:, corner]] for corner in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    if flat := np.flatnonzero(areas < _LEAST_AREA * areas.mean()).tolist():
+        raise ArgumentError(f"triangle {flat[0]} of {where}.mesh has no area: leave it out, or mend the mesh")
+    _, counts = np.unique(np.sort(faces, axis=1), axis=0, return_counts=True)
+    if (counts > 1).any():
+        raise ArgumentError(f"{where}.mesh has a triangle twice, which would weigh and resist twice: leave one out")
+    held = np.zeros(len(points), dtype=bool)
+    held[faces] = True
+    if not held.all():
+        raise ArgumentError(f"particle {int(held.argmin())} of {where}.mesh is in no triangle: leave it out")
+
+
+def _check_extent(spec: Cloth | Rope, where: str) -> None:
+    """Refuse what is thicker than it is long: its particles would meet everything that is near."""
+    extent = float(np.ptp(spec.rest_positions, axis=0).max())
+    if isinstance(spec, Rope):
+        lengths = np.linalg.norm(np.diff(spec.rest_positions, axis=0), axis=1)
+        extent = float(lengths.sum())
+        if (same := np.flatnonzero(~(lengths > 0.0))).size:
+            raise ArgumentError(
+                f"particles {same[0]} and {same[0] + 1} of {where}.points are at one place: leave one of them out"
+            )
+    if extent <= 0.0:
+        raise ArgumentError(f"{where} has all of its particles at one place: give it a size")
+    name = "thickness" if isinstance(spec, Cloth) else "radius"
+    if getattr(spec, name) > extent:
+        raise wrong(f"{where}.{name}", getattr(spec, name), f"{extent:g} m at most, which is its own length")
+
+
+def check_attachments(scene: Scene) -> None:
+    """Refuse attachments to what the scene lacks, and deformables of one name.
+
+    Raises:
+        ArgumentError: names the deformable and the entity or link.
+    """
+    links = {entity.name: entity.articulation.link_names for entity in scene.entities}
+    names = [spec.name for spec in scene.deformables]
+    if len(set(names)) < len(names):
+        raise ArgumentError(f"two deformables share a name, of {', '.join(names)}: give each its own")
+    for spec in scene.deformables:
+        held_particles = [particle for held in spec.attachments for particle in set(held.particles)]
+        if twice := [particle for particle in held_particles if held_particles.count(particle) > 1]:
+            raise ArgumentError(
+                f"two attachments of '{spec.name}' hold particle {twice[0]}: leave it to one, which alone can hold it"
+            )
+        if spec.name in links:
+            raise ArgumentError(f"deformable '{spec.name}' has the name of a robot or an object: give it its own")
+        for number, held in enumerate(spec.attachments):
+            if not held.particles:
+                raise ArgumentError(
+                    f"attachment {number} of '{spec.name}' holds no particles: name some, or leave it out"
+                )
+            if held.entity is None and held.link is not None:
+                raise ArgumentError(
+                    f"attachment {number} of '{spec.name}' is to link '{held.link}' of no entity: name the entity too"
+                )
+            if held.entity is None:
+                continue
+            if held.link is None and held.entity in links:
+                raise ArgumentError(
+                    f"attachment {number} of '{spec.name}' is to no link of '{held.entity}': name one of "
+                    f"{', '.join(links[held.entity])}"
+                )
+            if held.entity not in links:
+                raise ArgumentError(f"an attachment of '{spec.name}' is to '{held.entity}': the scene has {[*links]}")
+            if held.link not in links[held.entity]:
+                raise ArgumentError(
+                    f"an attachment of '{spec.name}' is to link '{held.link}' of '{held.entity}', which has "
+                    f"{', '.join(links[held.entity])}"
+                )
+
 
 _UNIT = 1e-3
 """Largest difference of a quaternion's length from 1; written ones have few digits."""

@@ -1,19 +1,18 @@
-"""What makes an articulation one that can be simulated: one tree, in order, of bodies that could exist."""
+"""Validation of articulations and entities: one tree, in order, of bodies that could exist."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from orbit_core.interfaces.errors import ArgumentError, AssetError
 from orbit_core.interfaces.layout import home_positions
 from orbit_core.interfaces.names import find_name, match_names
-from orbit_core.preparation.massless import check_massless
 from orbit_core.preparation.merge import link_hosts, merge_fixed_links
-from orbit_core.preparation.posture import link_poses
 from orbit_core.preparation.scene_data import check_data
 from orbit_core.scene import (
     Articulation,
@@ -28,6 +27,105 @@ from orbit_core.scene import (
     Pose,
     RobotSpec,
 )
+
+
+def link_poses(articulation: Articulation, positions: Mapping[str, float]) -> dict[str, Pose]:
+    """The pose of each link by name, in the root link's frame.
+
+    ``positions`` are rad or m by joint, zero where not named; followers stand where it puts them, not where their
+    leaders would. Links must be in topological order.
+    """
+    poses = {articulation.root.name: Pose()}
+    for joint in articulation.joints:
+        moved = _motion(joint, positions.get(joint.name, 0.0))
+        poses[joint.child] = poses[joint.parent] @ joint.parent_pose @ moved @ joint.child_pose.inverse()
+    return poses
+
+
+def _motion(joint: Joint, position: float) -> Pose:
+    if joint.type is JointType.PRISMATIC:
+        x, y, z = joint.axis
+        return Pose((position * x, position * y, position * z))
+    return Pose.from_axis_angle(joint.axis, position) if joint.movable else Pose()
+
+
+_ELSEWHERE = (0.3, -0.5, 0.7, 0.4, -0.6, 0.2)
+"""Positions, in rad or m, at which a chain's joints are tried: angles that are singular at zero may be sound there."""
+_DEPENDENT = 1e-6
+"""Share of the largest singular value of the joints' unit motions below which they are dependent."""
+
+
+def check_massless(articulation: Articulation) -> None:
+    """Hold the moving links without mass to what can be simulated. There must be no fixed joints.
+
+    Such a link has no inertia and collides with nothing, it carries links with mass, and the joints on the way to the
+    next of these, those with armature left out, move it in independent ways: otherwise some effort would meet no
+    inertia at all.
+
+    Raises:
+        AssetError: names the link or the joints.
+    """
+    joint_of = {joint.child: joint for joint in articulation.joints}
+    carried = {joint.parent for joint in articulation.joints}
+    massless = {link.name for link in articulation.links[1:] if link.mass == 0}
+    for link in articulation.links[1:]:
+        if link.name in massless:
+            if link.name not in carried:
+                raise _link_error(
+                    articulation, link.name, "moves but has no mass: give it mass and inertia, or fix its joint"
+                )
+            if np.any(link.inertia):
+                raise _link_error(articulation, link.name, "has an inertia but no mass: give it mass")
+            if link.collisions:
+                raise _link_error(articulation, link.name, "collides but has no mass: give it mass and inertia")
+        elif link.name in joint_of and joint_of[link.name].parent in massless:
+            _check_independent(articulation, _chain(link.name, joint_of, massless))
+
+
+def _chain(link: str, joint_of: dict[str, Joint], massless: set[str]) -> list[Joint]:
+    """The joints from the last link with mass, or the root, to ``link``, the outermost first."""
+    joints = [joint_of[link]]
+    while joints[-1].parent in massless:
+        joints.append(joint_of[joints[-1].parent])
+    return joints[::-1]
+
+
+def _check_independent(articulation: Articulation, joints: list[Joint]) -> None:
+    free = [joint.armature == 0 for joint in joints]
+    if not any(free):
+        return
+    motions = _unit_motions(joints)[:, free]
+    values = np.linalg.svd(motions, compute_uv=False)
+    if motions.shape[1] > 6 or values[-1] < _DEPENDENT * values[0]:
+        names = ", ".join(f"'{joint.name}'" for joint, each in zip(joints, free, strict=True) if each)
+        raise AssetError(
+            f"'{articulation.name}': joints {names} move link '{joints[-1].child}' in the same way, with no mass "
+            "between them: give the links between them mass, or one of the joints armature"
+        )
+
+
+def _unit_motions(joints: list[Joint]) -> npt.NDArray[np.float64]:
+    """(6, k) velocity and angular velocity that each joint gives the last link, each column of length one."""
+    pose = Pose()
+    columns: list[npt.NDArray[np.float64]] = []
+    for number, joint in enumerate(joints):
+        pose = pose @ joint.parent_pose
+        axis = pose.rotation_matrix() @ np.asarray(joint.axis)
+        position = _ELSEWHERE[number % len(_ELSEWHERE)]
+        if joint.type is JointType.PRISMATIC:
+            column = np.concatenate((axis, np.zeros(3)))
+            moved = Pose((position * joint.axis[0], position * joint.axis[1], position * joint.axis[2]))
+        else:
+            column = np.concatenate((np.cross(pose.position, axis), axis))
+            moved = Pose.from_axis_angle(joint.axis, position)
+        columns.append(column / np.linalg.norm(column))
+        pose = pose @ moved @ joint.child_pose.inverse()
+    return np.stack(columns, axis=1)
+
+
+def _link_error(articulation: Articulation, link: str, fault: str) -> AssetError:
+    return AssetError(f"'{articulation.name}': link '{link}' {fault}")
+
 
 _TRIANGLE_TOLERANCE = 1e-3
 """Tolerance as a share of the largest principal moment: published models round their inertias to three digits."""
@@ -47,7 +145,7 @@ def validate(articulation: Articulation) -> Articulation:
 
     Inertias are checked per rigid body, links joined by fixed joints taken together: a sensor's own entry may be
     rounded beyond physics while the body that carries it is sound. The root may have no mass, as that of a fixed base,
-    and so may links between joints (:func:`orbit_core.preparation.massless.check_massless`).
+    and so may links between joints (:func:`orbit_core.preparation.validation.check_massless`).
 
     Raises:
         AssetError: names repeat or are unknown, links form no single tree, are out of order (:func:`sort_links` mends

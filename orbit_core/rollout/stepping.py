@@ -1,4 +1,4 @@
-"""The loop of a rollout: an actor acts, the environment steps, observers look on."""
+"""Rollouts: an actor acts, the environment steps, observers count episodes and watch."""
 
 from __future__ import annotations
 
@@ -8,7 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import torch
 from torch import Tensor
+
+from orbit_core.actions.reach import PoseFollower
+from orbit_core.rollout.estimates import Estimate, proportion
 
 if TYPE_CHECKING:
     from orbit_core.envs.actors import Actor
@@ -84,3 +88,121 @@ def roll_out(
         for observer in observers:
             observer.stepped(action, result)
     return Pace(steps * environment.num_envs, seconds)
+
+
+@dataclass(frozen=True, eq=False)
+class Episodes:
+    """What n episodes came to: those of the first environment, in the order in which they ended, then the next's."""
+
+    env_ids: Tensor
+    """(n,) int64"""
+    success: Tensor
+    """(n,) bool"""
+    steps: Tensor
+    """(n,) int64, of the environment."""
+    returns: Tensor
+    """(n,) sums of the rewards."""
+    metrics: dict[str, Tensor]
+    """(n,) each, by name; the first leads."""
+
+    @property
+    def success_rate(self) -> Estimate:
+        """Success rate in [0, 1], with its 95 % interval."""
+        return proportion(int(self.success.sum()), len(self.success))
+
+
+class EpisodeCounter(StepObserver):
+    """Counts the first episodes of each environment.
+
+    Environment i counts its first ``episodes // num_envs`` episodes, and one more if i < ``episodes % num_envs``. A
+    race for the first ``episodes`` to end would prefer short episodes to long ones, and so failures to successes or
+    the reverse.
+
+    Args:
+        episodes: to count.
+        num_envs: of the environment.
+        device: of the environment.
+    """
+
+    def __init__(self, episodes: int, num_envs: int, device: torch.device | str = "cpu") -> None:
+        ids = torch.arange(num_envs, device=device)
+        self._left = episodes // num_envs + (ids < episodes % num_envs).long()
+        self._counted: list[Episodes] = []
+        self.wanted = episodes
+        """Episodes to count."""
+        self.counted = 0
+        """Episodes that have been counted."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether all episodes are in."""
+        return self.counted == self.wanted
+
+    @property
+    def running(self) -> Tensor:
+        """(N,) bool: environments in which episodes are still to be counted."""
+        return self._left > 0
+
+    def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
+        """Count the episodes that ended in a step."""
+        if "final" in info:
+            self.add(info["final"])
+
+    def add(self, end: EpisodeEnd) -> None:
+        """Count those of the episodes that are within their environment's share."""
+        rows = self.running[end.env_ids].nonzero().squeeze(-1)
+        if not len(rows):
+            return
+        end = end.only(rows)
+        self._left[end.env_ids] -= 1
+        returns = sum(end.rewards.values(), torch.zeros_like(end.steps, dtype=torch.float32))
+        self._counted.append(Episodes(end.env_ids, end.success, end.steps, returns, end.metrics))
+        self.counted += len(rows)
+
+    def episodes(self) -> Episodes:
+        """What has been counted; at least one episode."""
+        parts = self._counted
+        env_ids = torch.cat([part.env_ids for part in parts])
+        order = env_ids.argsort(stable=True)
+        return Episodes(
+            env_ids=env_ids[order],
+            success=torch.cat([part.success for part in parts])[order],
+            steps=torch.cat([part.steps for part in parts])[order],
+            returns=torch.cat([part.returns for part in parts])[order],
+            metrics={name: torch.cat([part.metrics[name] for part in parts])[order] for name in parts[0].metrics},
+        )
+
+
+_EVERY = 50
+"""Steps from one look to the next: searching for a pose takes as long as several steps."""
+
+
+class ReachWatch(StepObserver):
+    """Looks now and then whether a hand rests away from what is asked of it, for it is out of reach.
+
+    Args:
+        environment: that is stepped; what it moves by poses is watched.
+    """
+
+    def __init__(self, environment: Environment) -> None:
+        self._followers = [item for item in environment.actions.generators if isinstance(item, PoseFollower)]
+        self._steps, self._looks, self._found = 0, 0, 0
+        self.farthest = 0.0
+        """m by which the nearest pose misses, at most."""
+
+    @property
+    def share(self) -> float:
+        """In [0, 1]: of the looks at hands, those that found one out of reach of what was asked."""
+        return self._found / max(self._looks, 1)
+
+    def after_step(self, action: Tensor, info: Mapping[str, EpisodeEnd]) -> None:
+        self._steps += 1
+        if self._steps % _EVERY:
+            return
+        for follower in self._followers:
+            self._looks += follower.num_envs
+            resting = follower.resting_off()
+            if bool(resting.any()):
+                missing = follower.out_of_reach()[resting]
+                self._found += int(missing.any(1).sum())
+                self.farthest = max(self.farthest, float(missing[:, 0].max()))

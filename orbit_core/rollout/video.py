@@ -1,4 +1,4 @@
-"""Videos of an environment: frames to mp4, and a recorder of the first episode of a few environments."""
+"""Pictures of a world from a spectator's camera, and videos of an environment's first episode."""
 
 from __future__ import annotations
 
@@ -12,15 +12,46 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from orbit_core.files import Replacement, as_path, storage_faults
 from orbit_core.installing import install_extra
-from orbit_core.interfaces import ConfigurationError, StorageError
-from orbit_core.rollout.pictures import OverviewCamera
+from orbit_core.interfaces import ConfigurationError, StorageError, World
 from orbit_core.rollout.stepping import StepObserver
+from orbit_core.scene import CameraSpec, Channel, Pose
 
 if TYPE_CHECKING:
     from orbit_core.envs.environment import Environment
+
+
+class OverviewCamera:
+    """A spectator's camera in every environment; markers are drawn, and the robots' frames where asked."""
+
+    def __init__(self, world: World, width: int, height: int, view: Pose, frames: bool = False) -> None:
+        self._world = world
+        self._spec = CameraSpec(name="overview", width=width, height=height, vertical_fov=0.8, pose=view)
+        self._renderer = world.create_renderer((self._spec,), frames)
+        self._pose = torch.tensor((*view.position, *view.orientation), device=world.device)
+
+    def pictures(self, env_ids: Tensor | None = None) -> Tensor:
+        """(n, height, width, 3) uint8 on the CPU."""
+        rows = slice(None) if env_ids is None else env_ids
+        links = self._world.link_poses[rows]
+        image = self._renderer.render(
+            self._spec,
+            self._pose.expand(links.shape[0], 7),
+            links,
+            (Channel.RGB,),
+            self._world.marker_poses[rows] if self._world.markers else None,
+            env_ids,
+        )
+        assert image.rgb is not None  # it was asked for
+        return image.rgb.cpu()
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._renderer.close()
+
 
 _MULTIPLE = 16
 """Pixels; an encoder's macroblock. Other sizes would be rescaled."""

@@ -10,9 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.scene.materials import Color
 from orbit_core.scene.pose import Pose, Vector3
-from orbit_core.scene.shapes import Mesh
+from orbit_core.scene.shapes import Color, Mesh
 
 
 @dataclass(frozen=True)

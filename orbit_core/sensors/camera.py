@@ -1,7 +1,8 @@
-"""Cameras: colour, depth, positions, normals and segmentation."""
+"""Cameras: colour, depth, positions, normals, segmentation, and points from depth."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
@@ -9,15 +10,46 @@ import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import take_rows
-from orbit_core.dynamics.transforms import pose_inverse, pose_multiply
+from orbit_core.dynamics.transforms import pose_inverse, pose_multiply, transform_points
 from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image, SceneLayout
 from orbit_core.scene import CameraSpec, Channel
-from orbit_core.sensors.boxes import BoundingBoxes2d, BoundingBoxes3d
-from orbit_core.sensors.context import SensorContext
-from orbit_core.sensors.entity_boxes import EntityBoxes
-from orbit_core.sensors.mount import Mount, pose_tensor
-from orbit_core.sensors.points import intrinsic_matrix, point_cloud
-from orbit_core.sensors.timed import TimedSensor, Values
+from orbit_core.sensors.bounding_boxes import BoundingBoxes2d, BoundingBoxes3d, EntityBoxes
+from orbit_core.sensors.proprioception import Mount, pose_tensor
+from orbit_core.sensors.timed import SensorContext, TimedSensor, Values
+
+
+def intrinsic_matrix(camera: CameraSpec) -> Tensor:
+    """(3, 3) pinhole matrix in pixels: u to the right and v down from the image's top left corner.
+
+    Pixel (row, column) has its centre at ``(u, v) = (column + 0.5, row + 0.5)``; pixels are square.
+    """
+    focal = 0.5 * camera.height / math.tan(0.5 * camera.vertical_fov)
+    return torch.tensor([[focal, 0.0, camera.width / 2], [0.0, focal, camera.height / 2], [0.0, 0.0, 1.0]])
+
+
+def point_cloud(depth: Tensor, intrinsics: Tensor, pose: Tensor | None = None) -> Tensor:
+    """Points (n, H, W, 3) of depth images (n, H, W, 1), infinite where nothing was seen.
+
+    In the camera's frame (-z forward, y up), or in the environment's where the camera's ``pose`` (n, 7) is given.
+    """
+    height, width = depth.shape[1:3]
+    column = torch.arange(width, device=depth.device) + 0.5
+    row = torch.arange(height, device=depth.device) + 0.5
+    x = ((column - intrinsics[0, 2]) / intrinsics[0, 0]).expand(height, width)
+    y = ((row - intrinsics[1, 2]) / intrinsics[1, 1])[:, None].expand(height, width)
+    seen = depth.isfinite()
+    points = torch.stack((x, -y, -torch.ones_like(x)), -1) * torch.where(seen, depth, 0.0)
+    if pose is not None:
+        points = transform_points(pose[:, None, None], points)
+    return torch.where(seen, points, torch.inf)
+
+
+def project(points: Tensor, intrinsics: Tensor) -> Tensor:
+    """Pixel coordinates (..., 2), u then v, of points (..., 3) in the camera's frame (-z forward, y up)."""
+    depth = -points[..., 2]
+    u = intrinsics[0, 0] * points[..., 0] / depth + intrinsics[0, 2]
+    v = -intrinsics[1, 1] * points[..., 1] / depth + intrinsics[1, 2]
+    return torch.stack((u, v), -1)
 
 
 class CameraSensor(TimedSensor):

@@ -10,9 +10,7 @@ from torch import Tensor
 from orbit_core.dynamics.indexing import write_rows
 from orbit_core.interfaces.layout import contact_queries_of
 from orbit_core.scene import ContactSensorSpec
-from orbit_core.sensors.averaging import AveragingSensor
-from orbit_core.sensors.context import SensorContext
-from orbit_core.sensors.timed import Values
+from orbit_core.sensors.timed import AveragingSensor, SensorContext, Values
 
 
 class ContactSensor(AveragingSensor):

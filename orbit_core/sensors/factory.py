@@ -24,13 +24,9 @@ from orbit_core.scene import (
 )
 from orbit_core.sensors.camera import CameraSensor
 from orbit_core.sensors.contact import ContactSensor
-from orbit_core.sensors.context import SensorContext
-from orbit_core.sensors.force_torque import ForceTorqueSensor
-from orbit_core.sensors.frame import FrameSensor
-from orbit_core.sensors.imu import ImuSensor
-from orbit_core.sensors.joint import JointSensor
+from orbit_core.sensors.proprioception import ForceTorqueSensor, FrameSensor, ImuSensor, JointSensor
 from orbit_core.sensors.rays import RayCaster
-from orbit_core.sensors.timed import TimedSensor
+from orbit_core.sensors.timed import SensorContext, TimedSensor
 
 GROUP = "orbit.sensors"
 _OWN: dict[type[SensorSpec], type[TimedSensor]] = {

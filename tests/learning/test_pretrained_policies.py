@@ -10,9 +10,8 @@ import torch
 from safetensors.torch import load_file
 
 from orbit_core.backends import default_backend
-from orbit_core.cli.acting import make_actor
-from orbit_core.cli.making import make_environment
-from orbit_core.cli.runner import run
+from orbit_core.cli.making import make_actor, make_environment
+from orbit_core.cli.run import run
 from orbit_learn.cli.play import played
 from orbit_learn.cli.trained import PlaySettings
 from orbit_learn.policy import load_policy

@@ -20,7 +20,7 @@ from orbit_assets.self_contacts import without_home_contacts
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_core.interfaces.names import match_values
 from orbit_core.preparation.merge import merge_fixed_links
-from orbit_core.preparation.posture import link_poses
+from orbit_core.preparation.validation import link_poses
 from orbit_core.scene import (
     ActuatorConfig,
     Articulation,

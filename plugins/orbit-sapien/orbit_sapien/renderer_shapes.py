@@ -12,7 +12,6 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.plugin_kit import markers
 from orbit_core.plugin_kit.meshes import height_field_mesh
 from orbit_core.scene import (
     Box,
@@ -71,7 +70,7 @@ def render_shape(shape: Shape, reach: float) -> sapien.render.RenderShape:
 
 def marker_shapes(marker: MarkerSpec) -> list[sapien.render.RenderShape]:
     """What a marker is made of, in its own frame."""
-    return [render_shape(shape, marker.size) for shape in markers.marker_shapes(marker)]
+    return [render_shape(shape, marker.size) for shape in meshes.marker_shapes(marker)]
 
 
 def _square(half: float) -> tuple[Vertices, npt.NDArray[np.integer]]:

@@ -17,8 +17,7 @@ from torch import Tensor
 
 from orbit_core.files import as_path, written_whole
 from orbit_core.interfaces import AssetError, ConfigurationError, World
-from orbit_core.rollout.counter import EpisodeCounter
-from orbit_core.rollout.stepping import StepObserver
+from orbit_core.rollout.stepping import EpisodeCounter, StepObserver
 from orbit_data.reading.budget import ReadAccount, ReadBudget
 from orbit_data.reading.npz import FAULTS, read_npz
 from orbit_data.recorder import tracked_frames

@@ -9,11 +9,9 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from orbit_core.cli.checks import check_output, check_positive
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console, progress_bar
-from orbit_core.cli.parsing import parse_words
-from orbit_core.cli.settings import EnvironmentSettings, KeyValues, Name
+from orbit_core.cli.settings import EnvironmentSettings, KeyValues, Name, check_output, check_positive, parse_words
 from orbit_core.files import check_apart
 from orbit_core.interfaces.errors import ConfigurationError
 from orbit_data.cli.read_budget import ReadSettings

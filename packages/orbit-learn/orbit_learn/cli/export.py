@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from orbit_core.backends import backend_names
-from orbit_core.cli.checks import check_output, make_folder
 from orbit_core.cli.making import make_environment
 from orbit_core.cli.output import console
-from orbit_core.cli.parsing import parse_words
-from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.cli.settings import EnvironmentSettings, check_output, make_folder, parse_words
 from orbit_core.files import check_apart, written_whole
 from orbit_core.interfaces.errors import ConfigurationError, OrbitError
 from orbit_learn.cli.trained import training_record

@@ -8,11 +8,8 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from orbit_core.cli.acting import check_actor, make_actor
-from orbit_core.cli.checks import check_steps
-from orbit_core.cli.making import make_environment
-from orbit_core.cli.parsing import parse_settings
-from orbit_core.cli.settings import EnvironmentSettings
+from orbit_core.cli.making import check_actor, make_actor, make_environment
+from orbit_core.cli.settings import EnvironmentSettings, check_steps, parse_settings
 
 
 @dataclass(frozen=True, kw_only=True)

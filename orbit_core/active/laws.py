@@ -1,16 +1,20 @@
-"""What computes an active model."""
+"""Force laws of objects, computed for all environments at once before each physics step."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from functools import cache
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.arguments import Bounds
 from orbit_core.dynamics.indexing import Masking, write_rows
-from orbit_core.interfaces import Object, UnknownNameError
-from orbit_core.scene import ActiveModel
+from orbit_core.interfaces import ConfigurationError, Object, UnknownNameError
+from orbit_core.interfaces.names import find_name
+from orbit_core.registry import Registry
+from orbit_core.scene import ActiveModel, MagneticSeal
 
 NOT_NEGATIVE = Bounds(0.0, 1e9)
 
@@ -89,3 +93,77 @@ class ActiveLaw:
         """Forget some environments' past, by index or mask. Extend where a zero is no fresh start."""
         for kept in self.memory.values():
             write_rows(kept, 0.0, env_ids)
+
+
+class MagneticSealLaw(ActiveLaw):
+    """The effort of a :class:`~orbit_core.scene.MagneticSeal` on its joint. Parameters: ``force`` and ``decay``.
+
+    Raises:
+        UnknownNameError: the object has no such joint.
+        ConfigurationError: a number that cannot be, or a joint without the limit at which it is shut.
+    """
+
+    def __init__(
+        self, model: MagneticSeal, thing: Object, num_envs: int, device: torch.device, masking: Masking
+    ) -> None:
+        super().__init__(model, thing, num_envs, device, masking)
+        joint = find_name(model.joint, thing.joint_names, "joint", f"'{thing.name}'")
+        self.joints = (joint,)
+        for name in ("force", "decay", "arm"):
+            if not 0.0 < getattr(model, name) < math.inf:
+                raise ConfigurationError(
+                    f"{name} of active model '{model.name}' of '{thing.name}' must be above zero, not "
+                    f"{getattr(model, name):g}"
+                )
+        spec = thing.joints[joint]
+        shut = (spec.lower_limit if model.opens_up else spec.upper_limit) if model.closed is None else model.closed
+        if not math.isfinite(shut):
+            raise ConfigurationError(
+                f"active model '{model.name}' of '{thing.name}' holds joint '{model.joint}' at its limit, and it has "
+                "none: say where it is shut (closed)"
+            )
+        self._shut, self._way, self._arm = shut, 1.0 if model.opens_up else -1.0, model.arm
+        self._force, self._decay = self.parameter("force", model.force), self.parameter("decay", model.decay)
+
+    def gap(self) -> Tensor:
+        """(N,) metres of gap at the seal."""
+        position = self.thing.joint_positions[:, self.joints[0]]
+        return (self._arm * self._way * (position - self._shut)).clamp_min(0.0)
+
+    def efforts(self) -> Tensor:
+        falls = 1.0 + self.gap() / self._decay.clamp_min(1e-9)
+        return (-self._way * self._arm * self._force / falls.square())[:, None]
+
+
+GROUP = "orbit.active"
+
+
+@cache
+def active_laws() -> Registry[type[ActiveLaw]]:
+    """The classes of laws, by the name of the class of the model that they compute.
+
+    A program without a package adds its own: ``active_laws().add("GasSpring", GasSpringLaw)``.
+    """
+    registry = Registry[type[ActiveLaw]]("active model", GROUP)
+    registry.add(MagneticSeal.__name__, MagneticSealLaw)
+    return registry
+
+
+def create_law(model: ActiveModel, thing: Object, num_envs: int, device: torch.device, masking: Masking) -> ActiveLaw:
+    """The law of a model. A model derived from another has that one's, unless it has its own.
+
+    Raises:
+        UnknownNameError: nothing computes a model of that class.
+        ConfigurationError: the model cannot be, or the package that brings its law is broken.
+    """
+    kinds = [kind.__name__ for kind in type(model).__mro__ if issubclass(kind, ActiveModel)]
+    registry = active_laws()
+    known = registry.names
+    name = next((kind for kind in kinds if kind in known), kinds[0])
+    law = registry.get(name)
+    if not (isinstance(law, type) and issubclass(law, ActiveLaw)):
+        raise ConfigurationError(
+            f"{registry.origin(name)} of group {GROUP} names {law!r}, which is no subclass of "
+            "orbit_core.active.ActiveLaw: mend or uninstall it"
+        )
+    return law(model, thing, num_envs, device, masking)
