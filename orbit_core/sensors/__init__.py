@@ -1,6 +1,5 @@
 """Timed measurements over what an engine provides: rates, delays and noise, rays, images and point clouds."""
 
-from orbit_core.sensors.bounding_boxes import BoundingBoxes2d, BoundingBoxes3d
 from orbit_core.sensors.camera import CameraSensor, intrinsic_matrix, point_cloud, project
 from orbit_core.sensors.contact import ContactSensor, ContactTimer
 from orbit_core.sensors.factory import create_sensor, sensor_types
@@ -9,7 +8,7 @@ from orbit_core.sensors.rays import RayCaster, grid_pattern, lidar_pattern
 from orbit_core.sensors.timed import SensorContext, TimedSensor
 
 __all__ = [
-    "BoundingBoxes2d", "BoundingBoxes3d", "CameraSensor", "ContactSensor", "ContactTimer", "ForceTorqueSensor",
+    "CameraSensor", "ContactSensor", "ContactTimer", "ForceTorqueSensor",
     "FrameSensor", "ImuSensor", "JointSensor", "RayCaster", "SensorContext", "TimedSensor", "create_sensor",
     "grid_pattern", "intrinsic_matrix", "lidar_pattern", "point_cloud", "project", "sensor_types",
 ]  # fmt: skip

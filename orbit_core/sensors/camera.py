@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from functools import cached_property
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.indexing import take_rows
-from orbit_core.dynamics.transforms import pose_inverse, pose_multiply, transform_points
+from orbit_core.dynamics.transforms import transform_points
 from orbit_core.interfaces import BACKGROUND, TERRAIN, ConfigurationError, Image, SceneLayout
 from orbit_core.scene import CameraSpec, Channel
-from orbit_core.sensors.bounding_boxes import BoundingBoxes2d, BoundingBoxes3d, EntityBoxes
 from orbit_core.sensors.proprioception import Mount, pose_tensor
 from orbit_core.sensors.timed import SensorContext, TimedSensor, Values
 
@@ -75,7 +73,8 @@ class CameraSensor(TimedSensor):
         if (spec.noise.std or spec.noise.bias_std) and Channel.DEPTH not in self._drawn:
             raise ConfigurationError(f"camera '{spec.name}' has noise, which is that of depth, but no depth channel")
         self._camera = spec
-        self._layout = context.layout
+        self.layout = context.layout
+        """Layout of the scene that the camera sees."""
         self._renderer = context.renderer
         self._mount: Mount | None = None
         if spec.entity is not None and spec.frame is not None:
@@ -111,6 +110,11 @@ class CameraSensor(TimedSensor):
         """(N, 7) in the environment's frame, when the pictures were taken."""
         return self._read("pose")
 
+    @property
+    def link_poses(self) -> Tensor:
+        """(N, L, 7) of every link of the scene in the environment's frame, when the pictures were taken."""
+        return self._read("link_poses")
+
     def point_cloud(self) -> Tensor:
         """(N, H, W, 3) where each pixel's surface is, in the environment's frame; infinite where nothing is.
 
@@ -120,43 +124,6 @@ class CameraSensor(TimedSensor):
         if Channel.DEPTH not in self._drawn:
             raise self._lacks(Channel.POSITION)
         return point_cloud(self._read(Channel.DEPTH.value), self.intrinsics, self.pose)
-
-    def bounding_boxes_2d(self, entities: Sequence[str] = (".*",)) -> BoundingBoxes2d:
-        """Boxes around entities in the pictures: tight around the pixels that show them, and loose around all of them.
-
-        Args:
-            entities: regular expressions over the names of entities (full match).
-
-        Raises:
-            ConfigurationError: the camera has no instance channel.
-            UnknownNameError: one of ``entities`` matches no entity that has a shape.
-        """
-        if Channel.INSTANCE not in self._drawn:
-            raise self._lacks(Channel.INSTANCE)
-        instances, link_poses = self._read(Channel.INSTANCE.value), self._read("link_poses")
-        return self._boxes.in_pictures(tuple(entities), self._camera, self.intrinsics, self.pose, link_poses, instances)
-
-    def bounding_boxes_3d(
-        self, entities: Sequence[str] = (".*",), *, of_links: bool = False, in_camera_frame: bool = False
-    ) -> BoundingBoxes3d:
-        """Oriented boxes around entities as they stood when the pictures were taken, seen or not.
-
-        Args:
-            entities: regular expressions over the names of entities (full match).
-            of_links: a box for each link that has a shape, instead of one for each entity.
-            in_camera_frame: in the camera's frame (-z forward, y up), instead of the environment's.
-
-        Raises:
-            UnknownNameError: one of ``entities`` matches no entity that has a shape.
-        """
-        link_poses = self._read("link_poses")
-        if in_camera_frame:
-            link_poses = pose_multiply(pose_inverse(self.pose)[:, None], link_poses)
-        return self._boxes.in_space(tuple(entities), link_poses, of_links)
-
-    @cached_property
-    def _boxes(self) -> EntityBoxes:
-        return EntityBoxes(self._layout, self.num_envs, self.device)
 
     def _lacks(self, channel: Channel) -> ConfigurationError:
         name = getattr(channel, "value", channel)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from orbit_core.dynamics.transforms import pose_inverse, pose_multiply, quat_rotate, transform_points
-from orbit_core.interfaces import SceneLayout, match_names
-from orbit_core.scene import CameraSpec
-from orbit_core.sensors.shape_bounds import bounded_links, shape_bounds
+from orbit_core.interfaces import match_names
+from orbit_core.scene import CameraSpec, Channel
+from orbit_core.sensors import CameraSensor
+from orbit_data.shape_bounds import bounded_links, shape_bounds
 
 
 @dataclass(frozen=True)
@@ -191,51 +193,70 @@ class _Subjects:
     """(B,) int64"""
 
 
-class EntityBoxes:
-    """Finds the boxes of entities and links that have shapes, in all environments at once.
+class CameraBoxes:
+    """Bounding boxes of entities and links as a camera saw them, in all environments at once.
 
     Only what is drawn counts: visual shapes, or collision shapes of a link that has no visual ones; planes, which have
     no bounds, do not.
+
+    Args:
+        camera: whose pictures are annotated.
     """
 
-    def __init__(self, layout: SceneLayout, num_envs: int, device: torch.device) -> None:
+    def __init__(self, camera: CameraSensor) -> None:
+        layout, device = camera.layout, camera.device
         bounds = shape_bounds(layout, device)
-        kind = torch.arange(num_envs, device=device) % len(layout.variants)
+        kind = torch.arange(camera.num_envs, device=device) % len(layout.variants)
         self._centres, self._radii, self._axes = bounds.centres[kind], bounds.radii[kind], bounds.axes[kind]
         self._links, self._shapes = bounds.links[kind], bounds.shapes[kind]
         self._corners, self._shape_links = bounds.corners[kind], bounds.shape_links[kind]
         roots = [layout.entities[entity].root_link for entity in layout.entity_of_link]
         self._root_of_link = torch.tensor(roots, dtype=torch.int64, device=device)
         self._each_link = torch.arange(len(roots), device=device)
-        self._layout = layout
+        self._camera = camera
         self._chosen: dict[tuple[tuple[str, ...], bool], _Subjects] = {}
 
-    def in_pictures(
-        self, entities: tuple[str, ...], camera: CameraSpec, intrinsics: Tensor, camera_pose: Tensor,
-        link_poses: Tensor, instances: Tensor,
-    ) -> BoundingBoxes2d:  # fmt: skip
-        """Boxes in the pictures ``instances`` (N, H, W, 1) of a camera, taken when the links stood at ``link_poses``.
+    def in_pictures(self, entities: Sequence[str] = (".*",)) -> BoundingBoxes2d:
+        """Return boxes in the pictures: tight around the pixels that show an entity, and loose around all of it.
+
+        Args:
+            entities: regular expressions over the names of entities (full match).
 
         Raises:
-            UnknownNameError: one of ``entities``, regular expressions over names, matches no entity with a shape.
+            ConfigurationError: the camera has no instance channel.
+            UnknownNameError: one of ``entities`` matches no entity that has a shape.
         """
-        subjects = self._subjects(entities, of_links=False)
-        tight, pixels = pixel_boxes(instances, len(self._layout.entities))
+        camera, spec = self._camera, self._camera.spec
+        assert isinstance(spec, CameraSpec)
+        instances = camera.image(Channel.INSTANCE)
+        subjects = self._subjects(tuple(entities), of_links=False)
+        tight, pixels = pixel_boxes(instances, len(camera.layout.entities))
         tight, pixels = tight.index_select(1, subjects.entities), pixels.index_select(1, subjects.entities)
-        slopes, owners = self._outlines(camera_pose, link_poses, camera.near)
-        whole = projected_boxes(slopes, owners, len(self._each_link), intrinsics).index_select(1, subjects.frames)
-        loose, in_view = cut_off(whole, camera.width, camera.height)
+        slopes, owners = self._outlines(camera.pose, camera.link_poses, spec.near)
+        whole = projected_boxes(slopes, owners, len(self._each_link), camera.intrinsics)
+        whole = whole.index_select(1, subjects.frames)
+        loose, in_view = cut_off(whole, spec.width, spec.height)
         share = (area(tight) / area(whole).clamp_min(1e-6)).clamp_max(1.0)
         names = subjects.names, subjects.semantic_labels
         return BoundingBoxes2d(*names, tight, pixels > 0, pixels, loose, in_view, share)
 
-    def in_space(self, entities: tuple[str, ...], link_poses: Tensor, of_links: bool) -> BoundingBoxes3d:
-        """Oriented boxes of entities, or of each of their links, in the frame that ``link_poses`` (N, L, 7) are in.
+    def in_space(
+        self, entities: Sequence[str] = (".*",), *, of_links: bool = False, in_camera_frame: bool = False
+    ) -> BoundingBoxes3d:
+        """Return oriented boxes around entities at the time of the pictures, whether the camera saw them or not.
+
+        Args:
+            entities: regular expressions over the names of entities (full match).
+            of_links: a box for each link that has a shape, instead of one for each entity.
+            in_camera_frame: in the camera's frame (-z forward, y up), instead of the environment's.
 
         Raises:
-            UnknownNameError: one of ``entities``, regular expressions over names, matches no entity with a shape.
+            UnknownNameError: one of ``entities`` matches no entity that has a shape.
         """
-        subjects = self._subjects(entities, of_links)
+        link_poses = self._camera.link_poses
+        if in_camera_frame:
+            link_poses = pose_multiply(pose_inverse(self._camera.pose)[:, None], link_poses)
+        subjects = self._subjects(tuple(entities), of_links)
         frame_of_link = self._each_link if of_links else self._root_of_link
         local = pose_multiply(pose_inverse(link_poses.index_select(1, frame_of_link)), link_poses)
         low, high = self._reach(local, frame_of_link[self._links])
@@ -265,13 +286,13 @@ class EntityBoxes:
         return torch.cat((whole, cut), 1), torch.cat((self._root_of_link[self._links], ends), 1)
 
     def _subjects(self, entities: tuple[str, ...], of_links: bool) -> _Subjects:
-        key = (tuple(entities), of_links)
+        key = (entities, of_links)
         if key not in self._chosen:
             self._chosen[key] = self._choose(*key)
         return self._chosen[key]
 
     def _choose(self, patterns: tuple[str, ...], of_links: bool) -> _Subjects:
-        layout, device = self._layout, self._each_link.device
+        layout, device = self._camera.layout, self._each_link.device
         shaped = bounded_links(layout)
         owners = list(dict.fromkeys(layout.entities[layout.entity_of_link[link]] for link in shaped))
         chosen = [owners[n] for n in match_names(patterns, [owner.name for owner in owners], "entity", "the picture")]
