@@ -18,7 +18,7 @@ from typing import Any
 import importlib_metadata
 
 from orbit_core import __version__
-from orbit_core.configuration import configured
+from orbit_core.configuration import configured, settings_table
 from orbit_core.installing import install_extra
 from orbit_core.interfaces.backend import Backend
 from orbit_core.interfaces.capabilities import IMAGES, MATTER, Capability, required_capabilities
@@ -29,7 +29,6 @@ from orbit_core.interfaces.errors import (
     UnknownNameError,
     UnsupportedCapabilityError,
 )
-from orbit_core.interfaces.fields import settings_table
 from orbit_core.interfaces.matter import NATIVE, MatterSolver
 from orbit_core.registry import Registry, faults_named
 from orbit_core.scene import Scene

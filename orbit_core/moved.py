@@ -98,6 +98,8 @@ MODULES = {
     "orbit_core.envs.expert": "orbit_motion.experts.expert",
     "orbit_core.envs.expert_base": "orbit_motion.experts.expert_base",
     "orbit_core.envs.mppi": "orbit_motion.experts.mppi",
+    "orbit_core.interfaces.fields": "orbit_core.configuration",
+    "orbit_core.interfaces.typed": "orbit_core.configuration",
     "orbit_core.learning": "orbit_learn",
     "orbit_core.manifest": "orbit_data.manifest",
     "orbit_core.mdp.crumpled": "orbit_tasks.mdp.crumpled",
@@ -147,6 +149,7 @@ MODULES = {
     "orbit_core.viewer.pictures": "orbit_core.rollout.video",
     "orbit_core.viewer.video": "orbit_core.rollout.video",
     "orbit_core.world.preparation": "orbit_core.preparation.scenes",
+    "orbit_learn.plain": "orbit_core.configuration",
     "orbit_tasks.pretrained": "orbit_policies",
     **{f"{new.rpartition('.')[0]}.{old}": new for new, olds in _MERGED.items() for old in olds},
 }

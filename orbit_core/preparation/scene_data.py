@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from orbit_core.configuration import TypeChecker, wrong_value
 from orbit_core.interfaces.errors import MAX_DISTANCE, MAX_SPEED, ArgumentError
-from orbit_core.interfaces.typed import Typed, wrong
 from orbit_core.scene import (
     AmbientLight,
     Box,
@@ -115,7 +115,7 @@ def check_height_field(field: HeightField, where: str) -> None:
     if not (heights.min() >= -MAX_DISTANCE and heights.max() <= MAX_DISTANCE):
         raise ArgumentError(f"{where}.heights hold one that is not finite, or beyond {MAX_DISTANCE:g} m: mend it")
     if not all(1e-9 <= length <= MAX_DISTANCE for length in field.size):
-        raise wrong(f"{where}.size", field.size, f"lengths of 1e-09 to {MAX_DISTANCE:g} m")
+        raise wrong_value(f"{where}.size", field.size, f"lengths of 1e-09 to {MAX_DISTANCE:g} m")
 
 
 def _closed(mesh: Mesh) -> bool:
@@ -164,14 +164,14 @@ def check_deformable(spec: DeformableSpec, where: str) -> None:
     for names, least in ((_POSITIVE, 1e-12), (_NOT_NEGATIVE, 0.0)):
         for name in names[type(spec)]:
             if not least <= getattr(spec, name) <= _LARGEST:
-                raise wrong(f"{where}.{name}", getattr(spec, name), f"{least:g} to {_LARGEST:g}")
+                raise wrong_value(f"{where}.{name}", getattr(spec, name), f"{least:g} to {_LARGEST:g}")
     if isinstance(spec, Cloth) and spec.membrane_stiffness < _SOFTEST:
-        raise wrong(f"{where}.membrane_stiffness", spec.membrane_stiffness, f"{_SOFTEST:g} to {_LARGEST:g} N/m")
+        raise wrong_value(f"{where}.membrane_stiffness", spec.membrane_stiffness, f"{_SOFTEST:g} to {_LARGEST:g} N/m")
     if isinstance(spec, Fluid):
         _check_box(spec, where)
     if isinstance(spec, Cloth | SoftBody) and not -1.0 < spec.poissons_ratio < 0.5 + 0.5 * isinstance(spec, Cloth):
         most = "1" if isinstance(spec, Cloth) else "0.5"
-        raise wrong(f"{where}.poissons_ratio", spec.poissons_ratio, f"more than -1 and less than {most}")
+        raise wrong_value(f"{where}.poissons_ratio", spec.poissons_ratio, f"more than -1 and less than {most}")
     if isinstance(spec, Rope) and (np.ndim(spec.points) != 2 or np.shape(spec.points)[1] != 3):
         raise ArgumentError(f"{where}.points has shape {np.shape(spec.points)}: give (particles, 3)")
     if isinstance(spec, Rope) and len(spec.points) < 2:
@@ -221,7 +221,7 @@ def _check_box(fluid: Fluid, where: str) -> None:
     """Refuse a box that is none, or holds more particles than any solver takes."""
     for half in fluid.half_extents:
         if not 0.0 < half <= MAX_DISTANCE:
-            raise wrong(
+            raise wrong_value(
                 f"{where}.half_extents", fluid.half_extents, f"three lengths above 0, {MAX_DISTANCE:g} m at most"
             )
     count = math.prod(max(1.0, 2.0 * half / fluid.spacing) for half in fluid.half_extents)
@@ -261,7 +261,7 @@ def _check_extent(spec: Cloth | Rope, where: str) -> None:
         raise ArgumentError(f"{where} has all of its particles at one place: give it a size")
     name = "thickness" if isinstance(spec, Cloth) else "radius"
     if getattr(spec, name) > extent:
-        raise wrong(f"{where}.{name}", getattr(spec, name), f"{extent:g} m at most, which is its own length")
+        raise wrong_value(f"{where}.{name}", getattr(spec, name), f"{extent:g} m at most, which is its own length")
 
 
 def check_attachments(scene: Scene) -> None:
@@ -339,13 +339,13 @@ def check_data(thing: object, where: str) -> None:
 def _within(where: str, values: Sequence[float], least: float, most: float, unit: str = "") -> None:
     for value in values:
         if not least <= value <= most:
-            raise wrong(where, value, f"{least:g} to {most:g} {unit}".rstrip())
+            raise wrong_value(where, value, f"{least:g} to {most:g} {unit}".rstrip())
 
 
 def _check_pose(pose: Pose, where: str) -> None:
     _within(f"{where}.position", pose.position, -MAX_DISTANCE, MAX_DISTANCE, "m")
     if not abs(math.hypot(*pose.orientation) - 1.0) < _UNIT:
-        raise wrong(f"{where}.orientation", pose.orientation, "a quaternion (w, x, y, z) of length 1")
+        raise wrong_value(f"{where}.orientation", pose.orientation, "a quaternion (w, x, y, z) of length 1")
 
 
 def _check_material(material: PhysicsMaterial, where: str) -> None:
@@ -382,7 +382,9 @@ def _check_joint(joint: Joint, where: str) -> None:
     for name in ("effort_limit", "velocity_limit"):
         _within(f"{where}.{name}", (getattr(joint, name),), 0.0, math.inf)
     if joint.lower_limit == math.inf or joint.upper_limit == -math.inf:
-        raise wrong(f"{where}'s limits", (joint.lower_limit, joint.upper_limit), "the lowest position and the highest")
+        raise wrong_value(
+            f"{where}'s limits", (joint.lower_limit, joint.upper_limit), "the lowest position and the highest"
+        )
 
 
 def _check_camera(camera: CameraSpec, where: str) -> None:
@@ -409,7 +411,9 @@ def _check_ambient_light(light: AmbientLight, where: str) -> None:
 def _check_directional_light(light: DirectionalLight, where: str) -> None:
     _within(f"{where}.direction", light.direction, -_BRIGHTEST, _BRIGHTEST)
     if math.hypot(*light.direction) < _UNIT:
-        raise wrong(f"{where}.direction", light.direction, "where the light travels to, a vector that is not zero")
+        raise wrong_value(
+            f"{where}.direction", light.direction, "where the light travels to, a vector that is not zero"
+        )
     _within(f"{where}.color", light.color, 0.0, _BRIGHTEST)
     _within(f"{where}.intensity", (light.intensity,), 0.0, _BRIGHTEST)
 
@@ -428,7 +432,7 @@ def _check_scene(scene: Scene, where: str) -> None:
         raise ArgumentError(f"{where}.lights has {count} directional lights: give {MAX_DIRECTIONAL_LIGHTS} at most")
 
 
-_SCENES = Typed(
+_SCENES = TypeChecker(
     {
         Pose: _check_pose,
         PhysicsMaterial: _check_material,

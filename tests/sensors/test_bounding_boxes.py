@@ -144,7 +144,7 @@ def test_what_is_out_of_view_has_no_box(look, position):
 
 
 def test_a_box_is_cut_off_at_the_images_edge_and_its_share_is_not(look):
-    boxes = look(thing("ball", Sphere(0.2), Pose((1.0, math.tan(FOV / 2), 0.0)))).bounding_boxes_2d()
+    boxes = CameraBoxes(look(thing("ball", Sphere(0.2), Pose((1.0, math.tan(FOV / 2), 0.0))))).in_pictures()
     left, _, right, _ = sphere_box(0.2, 1.0, math.tan(FOV / 2), 0.0)
     assert boxes.loose[0, 0, 0] == boxes.tight[0, 0, 0] == 0.0
     assert boxes.loose[0, 0, 2].item() == pytest.approx(right, abs=1e-3)

@@ -17,6 +17,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
+from orbit_core.configuration import from_plain
 from orbit_core.files import as_path
 from orbit_core.interfaces import ConfigurationError, OrbitError
 from orbit_data.manifest.manifest import Manifest
@@ -24,7 +25,6 @@ from orbit_data.tensor_file import read_tensors, write_tensors
 from orbit_learn.description import PolicyDescription
 from orbit_learn.network_registry import network_type
 from orbit_learn.networks import ActorNetwork, Network
-from orbit_learn.plain import from_plain
 from orbit_learn.policy_cost import limited
 
 SUFFIX = ".safetensors"

@@ -32,10 +32,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from orbit_core.configuration import read_toml
+from orbit_core.configuration import TypeChecker, read_toml
 from orbit_core.files import as_path
 from orbit_core.interfaces.errors import ConfigurationError
-from orbit_core.interfaces.typed import Typed
 from orbit_core.registry import Registry
 
 GROUP = "orbit.policies"
@@ -150,7 +149,7 @@ def _read(about: Path) -> PretrainedPolicy:
         values = read_toml(about, "description")
         gaps = tuple(TransferGap(**gap) for gap in values.pop("gaps", ()))
         policy = PretrainedPolicy(name=about.parent.name, folder=about.parent, gaps=gaps, **values)
-        Typed().check(policy, "it")
+        TypeChecker().check(policy, "it")
         return policy
     except (ValueError, TypeError, RecursionError, ConfigurationError) as error:
         raise ConfigurationError(f"{about} describes no policy: {error}") from error
