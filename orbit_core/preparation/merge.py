@@ -1,11 +1,52 @@
-"""Fixed joints removed: every link that cannot move against its parent becomes part of it, exactly."""
+"""Merging of links that cannot move against each other: masses and inertias add up exactly."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
-from orbit_core.preparation.inertia import MassProperties, combine
+import numpy as np
+import numpy.typing as npt
+
+from orbit_core.interfaces.errors import AssetError
 from orbit_core.scene import Articulation, Frame, Joint, Link, LoopJoint, Pose, Shape
+from orbit_core.scene.pose import Vector3
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class MassProperties:
+    """Mass in kg, centre of mass in a frame, and inertia (3, 3) in kg m^2 about it in the frame's axes."""
+
+    mass: float
+    center_of_mass: Vector3
+    inertia: FloatArray
+
+    def placed(self, pose: Pose) -> MassProperties:
+        """The same body seen from the frame in which its own frame has ``pose``."""
+        rotation = pose.rotation_matrix()
+        return MassProperties(
+            self.mass, _vector(pose.transform(self.center_of_mass)), rotation @ self.inertia @ rotation.T
+        )
+
+    def about(self, point: npt.ArrayLike) -> FloatArray:
+        """The inertia (3, 3) about another point of the same frame, by the parallel-axis theorem."""
+        return self.inertia + _point_mass_inertia(self.mass, np.asarray(point) - np.asarray(self.center_of_mass))
+
+
+def combine(bodies: Iterable[MassProperties]) -> MassProperties:
+    """Those of several bodies, given in one frame, that move as one.
+
+    Raises:
+        AssetError: the bodies have no mass.
+    """
+    parts = tuple(bodies)
+    total = sum(part.mass for part in parts)
+    if total <= 0:
+        raise AssetError("a body without mass has no centre of mass: give at least one of its parts a mass")
+    center = sum((part.mass * np.asarray(part.center_of_mass) for part in parts), np.zeros(3)) / total
+    return MassProperties(total, _vector(center), sum((part.about(center) for part in parts), np.zeros((3, 3))))
 
 
 def merge_fixed_links(articulation: Articulation) -> Articulation:
@@ -89,3 +130,12 @@ def _rename_pairs(
 ) -> tuple[tuple[str, str], ...]:
     renamed = ((hosts[first][0], hosts[second][0]) for first, second in pairs)
     return tuple(dict.fromkeys(pair for pair in renamed if pair[0] != pair[1]))
+
+
+def _point_mass_inertia(mass: float, offset: FloatArray) -> FloatArray:
+    return mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+
+
+def _vector(values: npt.ArrayLike) -> Vector3:
+    x, y, z = (float(value) for value in np.asarray(values))
+    return (x, y, z)

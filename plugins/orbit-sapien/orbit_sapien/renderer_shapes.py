@@ -12,7 +12,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from orbit_core.plugin_kit.meshes import height_field_mesh
+from orbit_core.plugin_kit import meshes
 from orbit_core.scene import (
     Box,
     Capsule,
@@ -63,7 +63,7 @@ def render_shape(shape: Shape, reach: float) -> sapien.render.RenderShape:
         case Mesh() as mesh:
             made = _mesh(mesh.vertices, mesh.faces, look)
         case HeightField() as field:
-            made = _mesh(*height_field_mesh(field), look)
+            made = _mesh(*meshes.height_field_mesh(field), look)
     made.set_local_pose(native_pose(pose))
     return made
 

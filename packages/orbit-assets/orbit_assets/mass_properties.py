@@ -1,39 +1,18 @@
-"""Mass, centre of mass and inertia of solid bodies of uniform density, and of bodies made of several of them."""
+"""Mass, centre of mass and inertia of solids of uniform density."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from orbit_core.interfaces.errors import AssetError
-from orbit_core.scene import Box, Capsule, Cylinder, Geometry, Mesh, Pose, Shape, Sphere
-from orbit_core.scene.pose import Vector3
+from orbit_core.preparation.merge import MassProperties, combine
+from orbit_core.scene import Box, Capsule, Cylinder, Geometry, Mesh, Shape, Sphere
 
 FloatArray = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class MassProperties:
-    """Mass in kg, centre of mass in a frame, and inertia (3, 3) in kg m^2 about it in the frame's axes."""
-
-    mass: float
-    center_of_mass: Vector3
-    inertia: FloatArray
-
-    def placed(self, pose: Pose) -> MassProperties:
-        """The same body seen from the frame in which its own frame has ``pose``."""
-        rotation = pose.rotation_matrix()
-        return MassProperties(
-            self.mass, _vector(pose.transform(self.center_of_mass)), rotation @ self.inertia @ rotation.T
-        )
-
-    def about(self, point: npt.ArrayLike) -> FloatArray:
-        """The inertia (3, 3) about another point of the same frame, by the parallel-axis theorem."""
-        return self.inertia + _point_mass_inertia(self.mass, np.asarray(point) - np.asarray(self.center_of_mass))
 
 
 def mass_properties(geometry: Geometry, *, mass: float | None = None, density: float | None = None) -> MassProperties:
@@ -51,7 +30,7 @@ def mass_properties(geometry: Geometry, *, mass: float | None = None, density: f
     total = mass if mass is not None else volume * (density or 0.0)
     if not (math.isfinite(total) and total > 0):
         raise AssetError(f"a {type(geometry).__name__.lower()} has a mass of {total} kg: give a positive one")
-    return MassProperties(total, _vector(center), total * gyration)
+    return MassProperties(total, tuple(center.tolist()), total * gyration)
 
 
 def shapes_mass_properties(shapes: Iterable[Shape], density: float) -> MassProperties:
@@ -61,20 +40,6 @@ def shapes_mass_properties(shapes: Iterable[Shape], density: float) -> MassPrope
         AssetError: there is no shape, or one without volume.
     """
     return combine(mass_properties(shape.geometry, density=density).placed(shape.pose) for shape in shapes)
-
-
-def combine(bodies: Iterable[MassProperties]) -> MassProperties:
-    """Those of several bodies, given in one frame, that move as one.
-
-    Raises:
-        AssetError: the bodies have no mass.
-    """
-    parts = tuple(bodies)
-    total = sum(part.mass for part in parts)
-    if total <= 0:
-        raise AssetError("a body without mass has no centre of mass: give at least one of its parts a mass")
-    center = sum((part.mass * np.asarray(part.center_of_mass) for part in parts), np.zeros(3)) / total
-    return MassProperties(total, _vector(center), sum((part.about(center) for part in parts), np.zeros((3, 3))))
 
 
 def _solid(geometry: Geometry) -> tuple[float, FloatArray, FloatArray]:
@@ -116,12 +81,3 @@ def _mesh(mesh: Mesh) -> tuple[float, FloatArray, FloatArray]:
         solid = solid.convex_hull
     volume = float(solid.volume)
     return volume, np.asarray(solid.center_mass, dtype=float), np.asarray(solid.moment_inertia, dtype=float) / volume
-
-
-def _point_mass_inertia(mass: float, offset: FloatArray) -> FloatArray:
-    return mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-
-
-def _vector(values: npt.ArrayLike) -> Vector3:
-    x, y, z = (float(value) for value in np.asarray(values))
-    return (x, y, z)
