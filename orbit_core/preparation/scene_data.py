@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -39,8 +40,148 @@ from orbit_core.scene import (
 )
 from orbit_core.scene.scene import MAX_DIRECTIONAL_LIGHTS
 
+# A mesh whose points spread less than this in a direction, relative to their widest, has no extent there.
 _FLAT = 1e-6
-"""A mesh whose points spread less than this in a direction, relative to their widest, has no extent there."""
+# Largest difference of a quaternion's length from 1; written ones have few digits.
+_UNIT = 1e-3
+# Least area of a triangle, over the mean of its mesh.
+_LEAST_AREA = 1e-6
+_MOST_PARTICLES = 1_000_000
+# Largest coefficient of a material or a deformable, stiffness of a contact in N/m, and damping, friction or armature of
+# a joint in their units.
+_LARGEST = 1e12
+# Shortest length in metres, and least stiffness and density: engines divide by them.
+_LEAST = 1e-9
+# N/m of a membrane: a thousandth of a soap film's, below which its strains overflow single precision.
+_SOFTEST = 1e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class _Range:
+    """Numbers from ``least`` to ``most`` that a field takes, one or several."""
+
+    least: float
+    most: float
+    unit: str = ""
+
+    def check(self, value: Any, where: str) -> None:
+        for number in value if isinstance(value, tuple) else np.ravel(value).tolist():
+            if not self.least <= number <= self.most:
+                raise wrong_value(where, number, f"{self.least:g} to {self.most:g} {self.unit}".rstrip())
+
+
+_LENGTH = _Range(_LEAST, MAX_DISTANCE, "m")
+_PLACE = _Range(-MAX_DISTANCE, MAX_DISTANCE, "m")
+_SHARE = _Range(0.0, 1.0)
+_NOT_NEGATIVE = _Range(0.0, _LARGEST)
+_POSITIVE = _Range(1e-12, _LARGEST)
+_FRICTION = _Range(0.0, 1e6)
+_LIMIT = _Range(0.0, math.inf)
+# Brightness of a light, in pictures' full brightness.
+_BRIGHT = _Range(0.0, 1e3)
+_PIXELS = _Range(1, 2**15, "pixels")
+_RANGES: Mapping[type, Mapping[str, _Range]] = {
+    Pose: {"position": _PLACE},
+    PhysicsMaterial: {
+        **dict.fromkeys(("static_friction", "dynamic_friction", "torsional_friction", "rolling_friction"), _FRICTION),
+        "restitution": _SHARE,
+    },
+    Compliance: {"stiffness": _Range(_LEAST, _LARGEST, "N/m"), "damping": _Range(0.0, _LARGEST, "N s/m")},
+    Box: {"half_extents": _LENGTH},
+    Sphere: {"radius": _LENGTH},
+    Capsule: {"radius": _LENGTH, "half_length": _Range(0.0, MAX_DISTANCE, "m")},
+    Cylinder: {"radius": _LENGTH, "half_length": _LENGTH},
+    Shape: {"color": _SHARE},
+    Joint: {
+        "axis": _Range(-_LARGEST, _LARGEST),
+        "rest_position": _Range(-MAX_DISTANCE, MAX_DISTANCE),
+        **dict.fromkeys(("damping", "friction", "armature", "stiffness"), _NOT_NEGATIVE),
+        **dict.fromkeys(("effort_limit", "velocity_limit"), _LIMIT),
+    },
+    # Beyond these, single precision holds little of what a link touches, and no square of its inertia.
+    Link: {"mass": _Range(0.0, 1e9, "kg"), "center_of_mass": _PLACE, "inertia": _Range(-1e15, 1e15, "kg m^2")},
+    CameraSpec: {"width": _PIXELS, "height": _PIXELS, "vertical_fov": _Range(1e-3, math.pi - 1e-3, "rad")},
+    AmbientLight: {"color": _BRIGHT},
+    DirectionalLight: {"direction": _Range(-1e3, 1e3), "color": _BRIGHT, "intensity": _BRIGHT},
+    Sky: {"above": _SHARE, "below": _SHARE},
+    Region: {"half_extents": _LENGTH},
+    Cloth: {
+        **dict.fromkeys(("area_density", "thickness"), _POSITIVE),
+        "membrane_stiffness": _Range(_SOFTEST, _LARGEST, "N/m"),
+        **dict.fromkeys(("bending_stiffness", "damping", "friction"), _NOT_NEGATIVE),
+    },
+    Rope: {
+        **dict.fromkeys(("linear_density", "axial_stiffness", "radius"), _POSITIVE),
+        **dict.fromkeys(("bending_stiffness", "damping", "friction"), _NOT_NEGATIVE),
+    },
+    SoftBody: {"density": _POSITIVE, "youngs_modulus": _POSITIVE, "friction": _NOT_NEGATIVE},
+    Fluid: {"density": _POSITIVE, "spacing": _POSITIVE, "viscosity": _NOT_NEGATIVE},
+    Scene: {"gravity": _Range(-MAX_SPEED, MAX_SPEED, "m/s^2"), "physics_dt": _Range(1e-7, 1.0, "s")},
+}
+
+
+def check_data(thing: object, where: str) -> None:
+    """Check a dataclass of a scene: the types of its fields, and the ranges of its numbers.
+
+    Args:
+        thing: a scene, or a part of one.
+        where: its name, for the message.
+
+    Raises:
+        ArgumentError: names the field, by its path from ``where``, its value and what it takes.
+    """
+    _SCENES.check(thing, where)
+
+
+def _check_ranges(thing: Any, where: str) -> None:
+    for name, numbers in _RANGES[type(thing)].items():
+        numbers.check(getattr(thing, name), f"{where}.{name}")
+
+
+# Parts of scenes -----------------------------------------------------------------------------------------------------
+
+
+def _check_pose(pose: Pose, where: str) -> None:
+    _check_ranges(pose, where)
+    if not abs(math.hypot(*pose.orientation) - 1.0) < _UNIT:
+        raise wrong_value(f"{where}.orientation", pose.orientation, "a quaternion (w, x, y, z) of length 1")
+
+
+def _check_joint(joint: Joint, where: str) -> None:
+    _check_ranges(joint, where)
+    if joint.lower_limit == math.inf or joint.upper_limit == -math.inf:
+        limits = joint.lower_limit, joint.upper_limit
+        raise wrong_value(f"{where}'s limits", limits, "the lowest position and the highest")
+
+
+def _check_camera(camera: CameraSpec, where: str) -> None:
+    _check_ranges(camera, where)
+    if not 0.0 < camera.near < camera.far:
+        raise ArgumentError(f"{where} sees from near {camera.near} to far {camera.far} m: give 0 < near < far")
+
+
+def _check_link(link: Link, where: str) -> None:
+    if np.shape(link.inertia) != (3, 3):
+        raise ArgumentError(f"{where}.inertia has shape {np.shape(link.inertia)}: give (3, 3)")
+    _check_ranges(link, where)
+    check_hulls(link.collisions, f"{where}.collisions")
+
+
+def _check_directional_light(light: DirectionalLight, where: str) -> None:
+    _check_ranges(light, where)
+    if math.hypot(*light.direction) < _UNIT:
+        raise wrong_value(f"{where}.direction", light.direction, "the direction of travel, a vector that is not zero")
+
+
+def _check_scene(scene: Scene, where: str) -> None:
+    _check_ranges(scene, where)
+    check_hulls(scene.terrain, f"{where}.terrain")
+    count = len(scene.directional_lights)
+    if count > MAX_DIRECTIONAL_LIGHTS:
+        raise ArgumentError(f"{where}.lights has {count} directional lights: give {MAX_DIRECTIONAL_LIGHTS} at most")
+
+
+# Surfaces ------------------------------------------------------------------------------------------------------------
 
 
 def check_mesh(mesh: Mesh, where: str) -> None:
@@ -133,45 +274,29 @@ def extents(points: npt.ArrayLike) -> int:
     return int((spreads > max(_FLAT * spreads[-1], 1e-12)).sum())
 
 
-_POSITIVE = {
-    Cloth: ("area_density", "membrane_stiffness", "thickness"),
-    Rope: ("linear_density", "axial_stiffness", "radius"),
-    SoftBody: ("density", "youngs_modulus"),
-    Fluid: ("density", "spacing"),
-}
-_NOT_NEGATIVE = {
-    Cloth: ("bending_stiffness", "damping", "friction"),
-    Rope: ("bending_stiffness", "damping", "friction"),
-    SoftBody: ("friction",),
-    Fluid: ("viscosity",),
-}
-_LARGEST = 1e12
-_SOFTEST = 1e-3
-"""N/m of a membrane: a thousandth of what a soap film has, below which its strains overflow single precision."""
-_MOST_PARTICLES = 1_000_000
-_LEAST_AREA = 1e-6
-"""Of a triangle, over the mean of its mesh."""
+# Deformables ---------------------------------------------------------------------------------------------------------
 
 
 def check_deformable(spec: DeformableSpec, where: str) -> None:
-    """Hold a deformable's numbers to what they may be.
+    """Check the numbers of a deformable, its shape and its particles.
+
+    Args:
+        spec: the deformable.
+        where: its name, for the message.
 
     Raises:
-        ArgumentError: names the field, its value and what is wanted.
+        ArgumentError: names the field, its value and what it takes.
     """
     if not spec.name.strip():
-        raise ArgumentError(f"{where} has no name: give it one, by which the world is asked for it")
-    for names, least in ((_POSITIVE, 1e-12), (_NOT_NEGATIVE, 0.0)):
-        for name in names[type(spec)]:
-            if not least <= getattr(spec, name) <= _LARGEST:
-                raise wrong_value(f"{where}.{name}", getattr(spec, name), f"{least:g} to {_LARGEST:g}")
-    if isinstance(spec, Cloth) and spec.membrane_stiffness < _SOFTEST:
-        raise wrong_value(f"{where}.membrane_stiffness", spec.membrane_stiffness, f"{_SOFTEST:g} to {_LARGEST:g} N/m")
+        raise ArgumentError(f"{where} has no name: give it one, under which the world holds it")
+    _check_ranges(spec, where)
     if isinstance(spec, Fluid):
         _check_box(spec, where)
-    if isinstance(spec, Cloth | SoftBody) and not -1.0 < spec.poissons_ratio < 0.5 + 0.5 * isinstance(spec, Cloth):
-        most = "1" if isinstance(spec, Cloth) else "0.5"
-        raise wrong_value(f"{where}.poissons_ratio", spec.poissons_ratio, f"more than -1 and less than {most}")
+    if isinstance(spec, Cloth | SoftBody):
+        # Poisson's ratio of an isotropic solid is at most 0.5, that of a sheet at most 1.
+        most = 1.0 if isinstance(spec, Cloth) else 0.5
+        if not -1.0 < spec.poissons_ratio < most:
+            raise wrong_value(f"{where}.poissons_ratio", spec.poissons_ratio, f"more than -1 and less than {most:g}")
     if isinstance(spec, Rope) and (np.ndim(spec.points) != 2 or np.shape(spec.points)[1] != 3):
         raise ArgumentError(f"{where}.points has shape {np.shape(spec.points)}: give (particles, 3)")
     if isinstance(spec, Rope) and len(spec.points) < 2:
@@ -180,7 +305,7 @@ def check_deformable(spec: DeformableSpec, where: str) -> None:
     if count > _MOST_PARTICLES:
         raise ArgumentError(f"{where} has {count} particles: give {_MOST_PARTICLES} at most")
     if not (np.abs(spec.rest_positions) <= MAX_DISTANCE).all():
-        raise ArgumentError(f"{where} has particles that are not finite, or beyond {MAX_DISTANCE:g} m: mend them")
+        raise ArgumentError(f"{where} has particles that are not finite, or beyond {MAX_DISTANCE:g} m: move them")
     if isinstance(spec, Cloth | Rope):
         _check_extent(spec, where)
     if isinstance(spec, Cloth | SoftBody):
@@ -307,154 +432,20 @@ def check_attachments(scene: Scene) -> None:
                 )
 
 
-_UNIT = 1e-3
-"""Largest difference of a quaternion's length from 1; written ones have few digits."""
-
-_BRIGHTEST = 1e3
-"""Largest brightness of a light, in pictures' full brightness."""
-_HEAVIEST = 1e9
-"""Kilograms of a link; beyond, single precision holds little of what it touches."""
-
-_LARGEST_INERTIA = 1e15
-"""kg m^2; single precision holds its square."""
-_STIFFEST = 1e12
-"""N/m of a contact or a joint's spring, and the most of a joint's damping, friction and armature in their units."""
-
-_COEFFICIENTS = tuple(field.name for field in dataclasses.fields(PhysicsMaterial) if field.name != "compliance")
-
-
-def check_data(thing: object, where: str) -> None:
-    """Hold a dataclass of a scene to its fields' types, and its numbers to what they may be.
-
-    Args:
-        thing: a scene, or a part of one.
-        where: its name, for the message.
-
-    Raises:
-        ArgumentError: names the field, by its path from ``where``, its value and what is wanted.
-    """
-    _SCENES.check(thing, where)
-
-
-def _within(where: str, values: Sequence[float], least: float, most: float, unit: str = "") -> None:
-    for value in values:
-        if not least <= value <= most:
-            raise wrong_value(where, value, f"{least:g} to {most:g} {unit}".rstrip())
-
-
-def _check_pose(pose: Pose, where: str) -> None:
-    _within(f"{where}.position", pose.position, -MAX_DISTANCE, MAX_DISTANCE, "m")
-    if not abs(math.hypot(*pose.orientation) - 1.0) < _UNIT:
-        raise wrong_value(f"{where}.orientation", pose.orientation, "a quaternion (w, x, y, z) of length 1")
-
-
-def _check_material(material: PhysicsMaterial, where: str) -> None:
-    for name in _COEFFICIENTS:
-        _within(f"{where}.{name}", (getattr(material, name),), 0.0, 1.0 if name == "restitution" else 1e6)
-
-
-def _check_size(solid: Box | Sphere | Capsule | Cylinder, where: str) -> None:
-    lengths = solid.half_extents if isinstance(solid, Box) else (solid.radius,)
-    _within(f"{where}.{'half_extents' if isinstance(solid, Box) else 'radius'}", lengths, 1e-9, MAX_DISTANCE, "m")
-    if isinstance(solid, Capsule | Cylinder):
-        shortest = 1e-9 if isinstance(solid, Cylinder) else 0.0
-        _within(f"{where}.half_length", (solid.half_length,), shortest, MAX_DISTANCE, "m")
-
-
-def _check_region(region: Region, where: str) -> None:
-    _within(f"{where}.half_extents", region.half_extents, 1e-9, MAX_DISTANCE, "m")
-
-
-def _check_compliance(compliance: Compliance, where: str) -> None:
-    _within(f"{where}.stiffness", (compliance.stiffness,), 1e-9, _STIFFEST, "N/m")
-    _within(f"{where}.damping", (compliance.damping,), 0.0, _STIFFEST, "N s/m")
-
-
-def _check_shape(shape: Shape, where: str) -> None:
-    _within(f"{where}.color", shape.color, 0.0, 1.0)
-
-
-def _check_joint(joint: Joint, where: str) -> None:
-    _within(f"{where}.axis", joint.axis, -_STIFFEST, _STIFFEST)
-    _within(f"{where}.rest_position", (joint.rest_position,), -MAX_DISTANCE, MAX_DISTANCE)
-    for name in ("damping", "friction", "armature", "stiffness"):
-        _within(f"{where}.{name}", (getattr(joint, name),), 0.0, _STIFFEST)
-    for name in ("effort_limit", "velocity_limit"):
-        _within(f"{where}.{name}", (getattr(joint, name),), 0.0, math.inf)
-    if joint.lower_limit == math.inf or joint.upper_limit == -math.inf:
-        raise wrong_value(
-            f"{where}'s limits", (joint.lower_limit, joint.upper_limit), "the lowest position and the highest"
-        )
-
-
-def _check_camera(camera: CameraSpec, where: str) -> None:
-    _within(f"{where}.width", (camera.width,), 1, 2**15, "pixels")
-    _within(f"{where}.height", (camera.height,), 1, 2**15, "pixels")
-    _within(f"{where}.vertical_fov", (camera.vertical_fov,), 1e-3, math.pi - 1e-3, "rad")
-    if not 0.0 < camera.near < camera.far:
-        raise ArgumentError(f"{where} sees from near {camera.near} to far {camera.far} m: give 0 < near < far")
-
-
-def _check_link(link: Link, where: str) -> None:
-    _within(f"{where}.mass", (link.mass,), 0.0, _HEAVIEST, "kg")
-    _within(f"{where}.center_of_mass", link.center_of_mass, -MAX_DISTANCE, MAX_DISTANCE, "m")
-    if np.shape(link.inertia) != (3, 3):
-        raise ArgumentError(f"{where}.inertia has shape {np.shape(link.inertia)}: give (3, 3)")
-    _within(f"{where}.inertia", link.inertia.ravel().tolist(), -_LARGEST_INERTIA, _LARGEST_INERTIA, "kg m^2")
-    check_hulls(link.collisions, f"{where}.collisions")
-
-
-def _check_ambient_light(light: AmbientLight, where: str) -> None:
-    _within(f"{where}.color", light.color, 0.0, _BRIGHTEST)
-
-
-def _check_directional_light(light: DirectionalLight, where: str) -> None:
-    _within(f"{where}.direction", light.direction, -_BRIGHTEST, _BRIGHTEST)
-    if math.hypot(*light.direction) < _UNIT:
-        raise wrong_value(
-            f"{where}.direction", light.direction, "where the light travels to, a vector that is not zero"
-        )
-    _within(f"{where}.color", light.color, 0.0, _BRIGHTEST)
-    _within(f"{where}.intensity", (light.intensity,), 0.0, _BRIGHTEST)
-
-
-def _check_sky(sky: Sky, where: str) -> None:
-    _within(f"{where}.above", sky.above, 0.0, 1.0)
-    _within(f"{where}.below", sky.below, 0.0, 1.0)
-
-
-def _check_scene(scene: Scene, where: str) -> None:
-    check_hulls(scene.terrain, f"{where}.terrain")
-    _within(f"{where}.gravity", scene.gravity, -MAX_SPEED, MAX_SPEED, "m/s^2")
-    _within(f"{where}.physics_dt", (scene.physics_dt,), 1e-7, 1.0, "s")
-    count = len(scene.directional_lights)
-    if count > MAX_DIRECTIONAL_LIGHTS:
-        raise ArgumentError(f"{where}.lights has {count} directional lights: give {MAX_DIRECTIONAL_LIGHTS} at most")
-
-
 _SCENES = TypeChecker(
-    {
+    dict.fromkeys(_RANGES, _check_ranges)
+    | {
         Pose: _check_pose,
-        PhysicsMaterial: _check_material,
-        Box: _check_size,
-        Sphere: _check_size,
-        Capsule: _check_size,
-        Cylinder: _check_size,
-        Mesh: check_mesh,
-        HeightField: check_height_field,
-        Shape: _check_shape,
-        Compliance: _check_compliance,
         Joint: _check_joint,
         CameraSpec: _check_camera,
         Link: _check_link,
-        AmbientLight: _check_ambient_light,
         DirectionalLight: _check_directional_light,
-        Sky: _check_sky,
+        Scene: _check_scene,
+        Mesh: check_mesh,
+        HeightField: check_height_field,
         Cloth: check_deformable,
         Rope: check_deformable,
         SoftBody: check_deformable,
         Fluid: check_deformable,
-        Region: _check_region,
-        Scene: _check_scene,
     }
 )
